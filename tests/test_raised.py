@@ -2,11 +2,19 @@
 
 from __future__ import annotations
 
+import asyncio
 import logging
+import signal
+import sys
+import threading
+from collections.abc import Iterator
+from functools import partial
+from typing import Any
 
 import pytest
 
-from uoarm._raised import LimitedLog, is_raised, text_of
+from uoarm._interrupts import Uninterrupted
+from uoarm._raised import ContainedError, LimitedLog, foreign, is_raised, text_of
 from uoarm.errors import BridgeError, ConnectionClosedError, FailureReason, MessageError
 from uoarm.testing import ManualClock
 
@@ -48,3 +56,95 @@ def test_records_beyond_the_limit_are_counted_in_the_next_one(
         "record 1",
         "record 5 (and 3 more since the last record)",
     ]
+
+
+class Own(BaseException):
+    """A kind of foreign code's own."""
+
+
+def quit_with(error: BaseException) -> None:
+    raise error
+
+
+def in_thread(call: Any) -> BaseException:
+    """Return what a call raises in another thread."""
+    raised: list[BaseException] = []
+
+    def work() -> None:
+        try:
+            call()
+        except BaseException as error:  # noqa: BLE001 - handed to the test
+            raised.append(error)
+
+    thread = threading.Thread(target=work)
+    thread.start()
+    thread.join()
+    return raised[0]
+
+
+@pytest.mark.parametrize(
+    "error", [SystemExit(3), asyncio.CancelledError(), GeneratorExit(), Own("no")]
+)
+def test_what_foreign_code_raises_is_an_exception_of_it_in_every_thread(
+    error: BaseException,
+) -> None:
+    with pytest.raises(ContainedError) as caught:
+        foreign(quit_with, error)
+    assert caught.value.__cause__ is error
+    assert text_of(caught.value) == f"{type(error).__name__}: {error}"
+    assert is_raised(caught.value)
+    assert isinstance(in_thread(partial(foreign, quit_with, error)), ContainedError)
+
+
+def test_an_exception_passes_as_it_is() -> None:
+    error = ValueError("no")
+    with pytest.raises(ValueError, match="no") as caught:
+        foreign(quit_with, error)
+    assert caught.value is error
+
+
+def test_an_interrupt_is_the_users_in_the_main_thread_alone() -> None:
+    with pytest.raises(KeyboardInterrupt):
+        foreign(quit_with, KeyboardInterrupt())
+    assert isinstance(in_thread(partial(foreign, quit_with, KeyboardInterrupt())), ContainedError)
+
+
+@pytest.fixture
+def former() -> Iterator[None]:
+    before = signal.getsignal(signal.SIGTERM)
+    yield
+    signal.signal(signal.SIGTERM, before)
+
+
+def end(*_: object) -> None:
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    sys.exit(143)
+
+
+@pytest.mark.usefixtures("former")
+@pytest.mark.parametrize(
+    "handler", [end, lambda number, frame: quit_with(Own(frame)), partial(end)]
+)
+def test_what_the_handler_of_a_signal_raises_passes_whatever_it_interrupts(handler: Any) -> None:
+    signal.signal(signal.SIGTERM, handler)
+    with pytest.raises((SystemExit, Own)):
+        foreign(signal.raise_signal, signal.SIGTERM)
+
+
+@pytest.mark.usefixtures("former")
+def test_what_was_put_off_passes_at_the_end_of_the_block() -> None:
+    def block() -> None:
+        with Uninterrupted():
+            signal.raise_signal(signal.SIGTERM)
+
+    signal.signal(signal.SIGTERM, end)
+    with pytest.raises(SystemExit):
+        foreign(block)
+
+
+def test_a_text_that_quits_is_none() -> None:
+    class Quitting(Exception):  # noqa: N818 - as foreign code may call it
+        def __str__(self) -> str:
+            raise SystemExit(3)
+
+    assert text_of(Quitting()) == "Quitting, whose text raised SystemExit"

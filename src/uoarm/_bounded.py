@@ -19,6 +19,7 @@ from collections import Counter
 from collections.abc import Callable
 from typing import Any, Generic, TypeVar
 
+from uoarm._raised import contained
 from uoarm._workers import WorkerPool
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason
 
@@ -99,14 +100,14 @@ class _Job(Generic[T]):
         self._finished.acquire()
         self._verdict = threading.Lock()
         self._result: T
-        self._error: BaseException | None = None
+        self._error: Exception | None = None
 
     def work(self) -> None:
         _current.job = self
         try:
             self._result = self._action()
-        except BaseException as error:  # noqa: BLE001 - handed to the waiter whole
-            self._error = error
+        except BaseException as error:  # noqa: BLE001 - handed to the waiter
+            self._error = contained(error)  # in this thread nothing is the user's
         finally:
             _current.job = None
         with self._verdict:
@@ -200,7 +201,7 @@ def run(
     Raises:
         BridgeTimeoutError: the step did not finish in time; it goes on alone, unheard.
         BridgeError: it was not begun, because too many like it hang already.
-        BaseException: whatever the action raised.
+        Exception: what the action raised; in another thread, what is none is contained.
     """
     if _hanging.steps:
         _hanging.check(step)

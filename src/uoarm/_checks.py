@@ -6,6 +6,7 @@ from collections.abc import Callable, Container, Mapping
 from importlib.metadata import EntryPoint, entry_points
 
 from uoarm._plugins import cause_of, values_of
+from uoarm._raised import foreign
 from uoarm.bridge import Registry
 from uoarm.errors import PluginError
 from uoarm.plugins import CONTRACT_VERSION, Check, CheckHooks
@@ -60,7 +61,7 @@ def _checked(check: Check, point: EntryPoint) -> dict[str, str]:
 
 def _findings(run: Callable[[], Mapping[str, str]], point: EntryPoint | None) -> dict[str, str]:
     try:
-        return {"usable": "yes", **run()}
+        return {"usable": "yes", **foreign(run)}
     except PluginError as error:
         return {"usable": f"no: {error}"}
     except Exception as error:  # noqa: BLE001 - a plugin may raise anything

@@ -11,6 +11,7 @@ import pluggy
 from attrs import frozen
 
 from uoarm._origin import install_command
+from uoarm._raised import foreign, text_of
 from uoarm.errors import PluginError
 
 __all__ = ["PluginProblem", "cause_of", "hookimpl", "hookspec", "installed", "values_of"]
@@ -61,7 +62,7 @@ def cause_of(error: Exception, point: EntryPoint | None) -> str:
     Where a package that it needs is missing, the text says what installs that: the plugin itself,
     once more, since its metadata name what it needs.
     """
-    cause = f"{type(error).__name__}: {error}"
+    cause = text_of(error)
     if isinstance(error, ImportError) and point is not None and point.dist is not None:
         cause += f": `{install_command(point.dist.name)}` brings what it needs"
     return cause
@@ -78,13 +79,13 @@ def values_of(point: EntryPoint, specification: type, hook: str, kind: type[T]) 
 
     Raises:
         PluginError: the module does not implement the hook, or returns something else.
-        Exception: whatever the module raises.
+        Exception: whatever the module raises; contained where it is none.
     """
     manager = pluggy.PluginManager("uoarm")
     manager.add_hookspecs(specification)
-    manager.register(point.load(), name=point.name)
+    manager.register(foreign(point.load), name=point.name)
     manager.check_pending()
-    answers: list[list[T]] = getattr(manager.hook, hook)()
+    answers: list[list[T]] = foreign(getattr(manager.hook, hook))
     values = [value for answer in answers for value in answer]
     if not values:
         raise PluginError(f"it implements no {hook} hook")

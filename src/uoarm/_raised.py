@@ -1,4 +1,10 @@
-"""What foreign code raised: whose failure it is, its text, and a log that it does not flood."""
+"""What foreign code raised: contained, whose failure it is, its text, and a bounded log.
+
+Components, bridges, plugins and callbacks may raise any `BaseException`, not only an `Exception`.
+Past a thread's or a loop's `except Exception` that would end what serves others. So where foreign
+code is called, it is called through `foreign`, or what it raised goes through `contained`. What
+passes is only what interrupts the main thread for the user.
+"""
 
 from __future__ import annotations
 
@@ -6,14 +12,117 @@ import logging
 import threading
 import time
 from collections.abc import Callable
+from types import FrameType, TracebackType
+from typing import ParamSpec, TypeVar
 
 from uoarm.errors import BridgeError, FailureReason, UoarmError
 
-__all__ = ["LimitedLog", "is_raised", "text_of"]
+__all__ = [
+    "ContainedError",
+    "LimitedLog",
+    "contained",
+    "foreign",
+    "from_own_frames",
+    "is_interrupt",
+    "is_raised",
+    "text_of",
+]
+
+P = ParamSpec("P")
+T = TypeVar("T")
 
 _LENGTH = 1000
 _OWN = frozenset({FailureReason.RAISED, FailureReason.BAD_MESSAGE, FailureReason.CONTRACT})
 _RECORD_SECONDS = 10.0
+_FOLDER = __file__.removesuffix("_raised.py")
+
+
+class ContainedError(BridgeError):
+    """Stands for what foreign code raised that is no `Exception`, which is its cause."""
+
+
+def is_interrupt(error: BaseException) -> bool:
+    """Say whether an exception interrupts the main thread for the user, so that it must pass.
+
+    That is Ctrl-C, and whatever the handler of a signal raises there, as one of SIGTERM does. The
+    same exception in another thread, or raised by foreign code itself, is a failure of that code.
+    """
+    if isinstance(error, Exception) or threading.get_ident() != threading.main_thread().ident:
+        return False
+    return isinstance(error, KeyboardInterrupt) or _is_of_signal(error.__traceback__)
+
+
+def contained(error: BaseException) -> Exception:
+    """Return what foreign code raised as an `Exception`, which is handled as any other.
+
+    Raises:
+        BaseException: it interrupts the main thread for the user.
+    """
+    if isinstance(error, Exception):
+        return error
+    if is_interrupt(error):
+        raise error
+    made = ContainedError(text_of(error))
+    made.__cause__ = error
+    return made
+
+
+def foreign(call: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T:
+    """Call foreign code.
+
+    Raises:
+        Exception: what it raised, or a ContainedError for what is none.
+        BaseException: what interrupts the main thread for the user.
+    """
+    try:
+        return call(*args, **kwargs)
+    except Exception:
+        raise
+    except BaseException as error:
+        raise contained(error) from error
+
+
+def from_own_frames(error: BaseException) -> BaseException:
+    """Have the traceback of an exception begin where foreign code does, and return it.
+
+    The calls of uoarm that led there say nothing to who wrote that code. Where all is of uoarm,
+    nothing is left out.
+    """
+    trace = error.__traceback__
+    while trace is not None and _is_ours(trace.tb_frame):
+        trace = trace.tb_next
+    if trace is not None:
+        error.__traceback__ = trace
+    return error
+
+
+def _is_ours(frame: FrameType) -> bool:
+    # By its file: modules of components are loaded under a name of uoarm's.
+    return frame.f_code.co_filename.startswith(_FOLDER)
+
+
+def _is_of_signal(trace: TracebackType | None) -> bool:
+    while trace is not None:
+        if _is_handler(trace.tb_frame):
+            return True
+        trace = trace.tb_next
+    return False
+
+
+def _is_handler(frame: FrameType) -> bool:
+    """Say whether a frame is that of a signal's handler.
+
+    Python hands it the frame that it interrupts, which is the one that it returns to: no other
+    call has that. Which handlers are installed says nothing: most put others in their place first.
+    """
+    interrupted = frame.f_back
+    if interrupted is None:
+        return False
+    for value in frame.f_locals.values():
+        given = value if type(value) is tuple else (value,)
+        if any(part is interrupted for part in given):
+            return True
+    return False
 
 
 def is_raised(error: BaseException) -> bool:
@@ -28,11 +137,17 @@ def is_raised(error: BaseException) -> bool:
 
 
 def text_of(error: BaseException) -> str:
-    """Return type and text of an error, a thousand characters at most. Never raises."""
+    """Return type and text of an error, a thousand characters at most.
+
+    Never raises, but for what interrupts the main thread.
+    """
+    if isinstance(error, ContainedError):
+        return str(error)
     try:
-        text = f"{type(error).__name__}: {error}"
+        text = f"{type(error).__name__}: {foreign(str, error)}"
     except Exception as other:  # noqa: BLE001 - foreign, as the error is
-        text = f"{type(error).__name__}, whose text raised {type(other).__name__}"
+        raised = other.__cause__ if isinstance(other, ContainedError) else other
+        text = f"{type(error).__name__}, whose text raised {type(raised).__name__}"
     return text[:_LENGTH]
 
 
@@ -77,4 +192,7 @@ class LimitedLog:
         logger = self._logger
         if isinstance(logger, str):
             logger = logging.getLogger(logger)
-        logger.log(level, "%s%s", text, more, exc_info=error)
+        if isinstance(error, BridgeError) and error.__cause__ is not None:
+            error = error.__cause__  # the text says already in which step that was raised
+        shown = None if error is None else from_own_frames(error)
+        logger.log(level, "%s%s", text, more, exc_info=shown)

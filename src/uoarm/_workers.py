@@ -12,14 +12,15 @@ from typing import Any, Generic, TypeAlias, TypeVar
 
 from attrs import frozen
 
+from uoarm._raised import contained
 from uoarm._switch_interval import fit_switch_interval
 from uoarm.errors import UoarmError
 
 __all__ = ["Done", "WorkerPool", "WorkerPoolClosedError"]
 
 T = TypeVar("T")
-Done: TypeAlias = Callable[[Any, BaseException | None], object]
-"""Takes what a call returned, or None and what it raised."""
+Done: TypeAlias = Callable[[Any, Exception | None], object]
+"""Takes what a call returned, or None and what it raised, contained where it is no Exception."""
 
 _IDLE_SECONDS = 10.0
 _log = logging.getLogger("uoarm")
@@ -184,7 +185,7 @@ class WorkerPool:
             try:
                 result = task.call(*task.args)
             except BaseException as raised:  # noqa: BLE001 - whatever it is, the thread goes on
-                error = raised
+                error = contained(raised)
             with self._lock:
                 self._busy -= 1
             self._conclude(task, result, error)
@@ -214,7 +215,7 @@ class WorkerPool:
                 return None
         return inbox.get_nowait()  # handed over, under the lock, when the wait had just ended
 
-    def _conclude(self, task: _Task[Any], result: object, error: BaseException | None) -> None:
+    def _conclude(self, task: _Task[Any], result: object, error: Exception | None) -> None:
         if task.done is None:
             if error is not None and not isinstance(error, WorkerPoolClosedError):
                 _log.error("a call in a thread of %s failed", self._name, exc_info=error)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import traceback
 from collections.abc import Iterator
 from functools import partial
 
@@ -239,6 +240,24 @@ def test_hundreds_of_exceptions_are_one_record(
     [first] = [one for one in records if one.name == "uoarm.component.first"]
     assert "its input 'default' raised OddError: first does not like 0" in first.getMessage()
     assert first.exc_info is not None
+    assert frames(first.exc_info[1]) == ["first", "_step"], "and none of ours before them"
+
+
+def frames(error: BaseException | None) -> list[str]:
+    assert error is not None
+    return [one.name for one in traceback.extract_tb(error.__traceback__)]
+
+
+def test_the_exception_of_a_service_has_its_own_frames_and_is_logged_once(
+    scene: Scene, caplog: pytest.LogCaptureFixture
+) -> None:
+    throwing.raises.add("first")
+    with pytest.raises(BridgeError) as caught:
+        scene.robot.call("answer", {"value": 1}, timeout=patience())
+    assert frames(caught.value.__cause__) == ["first", "_step"]
+    [record] = [one for one in caplog.records if one.exc_info]
+    assert record.exc_info is not None
+    assert record.exc_info[1] is caught.value.__cause__
 
 
 def test_a_death_and_a_takeover_have_one_record_each(

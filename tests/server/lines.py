@@ -1,6 +1,7 @@
 """A front end that no distribution ships: lines of text, one a frame.
 
-`call NAME JSON` calls a service; `open NAME` sends what a function emits; `raise` fails.
+`call NAME JSON` calls a service; `open NAME` sends what a function emits; `raise` and `quit` fail,
+`leave` leaves a task behind that quits.
 """
 
 from __future__ import annotations
@@ -34,6 +35,16 @@ from uoarm.server.front_end import (
 
 __all__ = ["LINES", "uoarm_front_ends"]
 
+MISTAKES = {
+    "raise": ValueError("a mistake of this front end"),
+    "quit": SystemExit("a mistake of this front end"),
+}
+FATAL: list[object] = [{"value": 13}, {"value": 17}]
+
+
+async def _quit() -> None:
+    raise MISTAKES["quit"]
+
 
 class Lines:
     """One client."""
@@ -54,8 +65,8 @@ class Lines:
             message = read_text(text, spending) if text else None
         except ControlMessageError as error:
             return functools.partial(self._fail, error), 0
-        if verb == "decode-raise":
-            raise ValueError("a mistake of this front end")
+        if verb.startswith("decode-"):
+            raise MISTAKES[verb.removeprefix("decode-")]
         return functools.partial(self._act, verb, name, message), len(frame)
 
     def close(self) -> None:
@@ -66,8 +77,8 @@ class Lines:
             self._backend.leave(self._feed)
 
     def offer(self, envelope: Envelope) -> None:
-        if envelope.message == {"value": 13}:
-            raise ValueError("a mistake of this front end")
+        if envelope.message in FATAL:
+            raise MISTAKES["raise" if envelope.message == FATAL[0] else "quit"]
         self._client.outbox.put(self._lane, envelope.written("lines", _write))
 
     def refuse(self, envelope: Envelope, error: MessageError) -> None:
@@ -78,8 +89,11 @@ class Lines:
         self._client.outbox.finish(self._lane, f"ended {state}".encode())
 
     def _act(self, verb: str, name: str, message: object) -> None:
-        if verb == "raise":
-            raise ValueError("a mistake of this front end")
+        if verb in MISTAKES:
+            raise MISTAKES[verb]
+        if verb == "leave":
+            self._tasks.add(asyncio.ensure_future(_quit()))
+            return
         try:
             charge = self._client.account.charge(Held.ASKED, self._client.in_hand)
         except UoarmError as error:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import threading
 from typing import Annotated, Any, TypedDict
 
@@ -49,6 +50,9 @@ functions:
   broken:
     components:
       - {name: broken, bridge: python, service: {endpoint: ["tests.server.robot:broken"]}}
+  quits:
+    components:
+      - {name: quits, bridge: python, service: {endpoint: ["tests.server.robot:quits"]}}
   hang:
     components:
       - name: hang
@@ -157,6 +161,10 @@ def hang(message: Text) -> Text:
 
 def broken(message: Number) -> Number:
     raise ValueError(f"cannot do {message['value']}")
+
+
+def quits(message: Number) -> Number:
+    raise (SystemExit, asyncio.CancelledError, KeyboardInterrupt, GeneratorExit)[message["value"]]
 
 
 def anything(message: Any) -> Number:

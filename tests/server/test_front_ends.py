@@ -115,7 +115,7 @@ def test_without_it_the_path_is_none_and_the_answer_says_what_there_is(serve: Se
     assert refused.value.response.body == b"there is no endpoint here; try / or /lines\n"
 
 
-@pytest.mark.parametrize("line", ["raise", "decode-raise"])
+@pytest.mark.parametrize("line", ["raise", "decode-raise", "quit", "decode-quit"])
 def test_a_session_that_fails_ends_its_connection_and_is_named(
     serve: Serve, caplog: pytest.LogCaptureFixture, line: str
 ) -> None:
@@ -131,8 +131,20 @@ def test_a_session_that_fails_ends_its_connection_and_is_named(
     assert [one.message for one in caplog.records if "tests.server.lines failed" in one.message]
 
 
+def test_a_task_that_it_leaves_behind_ends_nothing_when_it_quits(
+    serve: Serve, caplog: pytest.LogCaptureFixture
+) -> None:
+    with enter(serve(front_ends=[LINES])) as client:
+        for _ in range(3):
+            client.send("leave")
+            client.send(ADD)
+            assert told(client) == '{"value":3}'
+    assert "a task that a front end left behind raised" in caplog.text
+
+
+@pytest.mark.parametrize("fatal", lines.FATAL)
 def test_a_listener_that_fails_is_handed_nothing_more_and_the_others_go_on(
-    serve: Serve, robot: RobotManager, caplog: pytest.LogCaptureFixture
+    serve: Serve, robot: RobotManager, caplog: pytest.LogCaptureFixture, fatal: object
 ) -> None:
     server = serve(front_ends=[LINES])
     with enter(server) as failing, Talk(f"ws://127.0.0.1:{server.ports[0]}/") as talk:
@@ -140,8 +152,8 @@ def test_a_listener_that_fails_is_handed_nothing_more_and_the_others_go_on(
         assert told(failing) == "open"
         connection = talk.open("numbers")
         opened(robot, 1)
-        script.put({"value": 13}, {"value": 14})
-        assert talk.data(connection, 2) == [{"value": 13}, {"value": 14}]
+        script.put(fatal, {"value": 14})
+        assert talk.data(connection, 2) == [fatal, {"value": 14}]
         assert told(failing) == "ended failed"
     assert "a listener of tests.server.lines failed" in caplog.text
 

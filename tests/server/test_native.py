@@ -94,6 +94,17 @@ def test_what_a_service_raises_is_told(talk: Connect) -> None:
     assert "cannot do 9" in error["text"]
 
 
+def test_a_service_that_quits_is_told_and_ends_nothing(talk: Connect) -> None:
+    client = talk()
+    for number, kind in enumerate(
+        ["SystemExit", "CancelledError", "KeyboardInterrupt", "GeneratorExit"]
+    ):
+        error = client.refused("Call", "quits", {"value": number})
+        assert error["code"] == "bridge"
+        assert kind in error["text"]
+    assert client.ask("Call", "add", {"a": 2, "b": 3}) == {"value": 5}
+
+
 def test_a_slow_call_holds_up_nothing(talk: Connect) -> None:
     client = talk()
     slow = client.send("Call", "slow", {"value": 1})

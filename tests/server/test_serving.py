@@ -138,6 +138,17 @@ def test_a_signal_closes_clients_properly_and_quickly(start: Start, number: sign
     assert (process.returncode, err) == (0, ""), out
 
 
+def test_a_service_that_quits_does_not_end_it(start: Start) -> None:
+    process, port = start()
+    with Talk(f"ws://127.0.0.1:{port}/") as client:
+        for number in range(4):
+            assert client.refused("Call", "quits", {"value": number})["code"] == "bridge"
+        assert client.ask("Call", "add", {"a": 2, "b": 3}) == {"value": 5}
+    process.send_signal(signal.SIGTERM)
+    process.communicate(timeout=patience())
+    assert process.returncode == 0
+
+
 def test_a_client_that_never_reads_does_not_hold_up_the_end(start: Start) -> None:
     process, port = start()
     with open_socket(port) as stuck:

@@ -21,6 +21,7 @@ from uoarm._control.robot_manager import RobotManager
 from uoarm._dataplane import Clock
 from uoarm._deadlines import event_by
 from uoarm._hints.applications import T
+from uoarm._raised import foreign
 from uoarm._renewal import HeldCommand
 from uoarm.bridge import Registry
 from uoarm.errors import ConnectionClosedError, UsageError
@@ -247,7 +248,7 @@ class AsyncConnection(_Twin[Connection[T]], Generic[T]):
             async for message in self:
                 for callback in self._callbacks:
                     try:
-                        callback(message)
+                        foreign(callback, message)
                     except Exception:  # noqa: BLE001 - a callback may raise anything
                         _log.exception("callback %r raised", callback)
         except ConnectionClosedError as error:
@@ -420,7 +421,10 @@ class AsyncRobotManager(_Twin[RobotManager]):
 
         def tell(event: StatusEvent) -> None:
             if listening:
-                listener(event)
+                try:
+                    foreign(listener, event)
+                except Exception:  # noqa: BLE001 - a listener may raise anything
+                    _log.exception("listener %r failed at event %d", listener, event.number)
 
         def pass_on(event: StatusEvent) -> None:
             if not loop.is_closed():

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from queue import Empty
 
 from uoarm._dataplane._queue import BoundedQueue, QueueClosed
-from uoarm._raised import LimitedLog, text_of
+from uoarm._raised import LimitedLog, foreign, text_of
 from uoarm.errors import UsageError
 from uoarm.model import Deliver, Message, QueuePolicy
 
@@ -110,7 +110,7 @@ class Inbox:
                 return False
             for callback in self._callbacks:
                 try:
-                    callback(message)
+                    foreign(callback, message)
                 except Exception as error:  # noqa: BLE001 - a callback may raise anything
                     failed = True
                     self._complain(callback, error)

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from typing import Protocol
 
 from uoarm._dataplane._queue import BoundedQueue, QueueClosed
-from uoarm._raised import LimitedLog, text_of
+from uoarm._raised import LimitedLog, contained, text_of
 from uoarm.errors import CommandRefusedError, MessageError
 from uoarm.model import Deliver, Message, QueuePolicy, RouteStatus
 
@@ -159,8 +159,8 @@ class Route:
                 self._hand_over(message)
             else:
                 self._queue_first(message)
-        except Exception as error:  # noqa: BLE001 - whatever a consumer raises is counted here
-            self._fail(error)
+        except BaseException as error:  # noqa: BLE001 - whatever a consumer raises is counted
+            self._fail(contained(error))
         if self._loss:
             # Here, since `drop` is called with a queue's lock held, and handlers of logs may block.
             reason, self._loss = self._loss, ""
@@ -260,8 +260,8 @@ class Route:
                 return
             try:
                 self._hand_over(message)
-            except Exception as error:  # noqa: BLE001 - whatever a consumer raises is counted
-                self._fail(error)
+            except BaseException as error:  # noqa: BLE001 - as in `deliver`
+                self._fail(contained(error))
             finally:
                 queue.done()
 

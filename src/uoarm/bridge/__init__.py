@@ -2,6 +2,7 @@
 
 from uoarm._origin import install_command
 from uoarm._plugins import PluginProblem, hookimpl
+from uoarm._raised import foreign
 from uoarm.bridge._border import reading_endpoint
 from uoarm.bridge._bridge import CONTRACT_VERSION, Bridge, Handler
 from uoarm.bridge._channel import Channel, Outcomes, Sink, Source
@@ -33,6 +34,7 @@ __all__ = [
     "Sink",
     "Source",
     "boot_seconds",
+    "foreign",
     "hookimpl",
     "install_command",
     "reading_endpoint",

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 from uoarm._bounded import Step
+from uoarm._raised import ContainedError, contained, from_own_frames, text_of
 from uoarm.errors import BridgeError, FailureReason, UoarmError
 from uoarm.model import Endpoint
 
@@ -15,8 +16,8 @@ __all__ = ["reading_endpoint", "translated"]
 class translated:  # noqa: N801 - read as a block's beginning, as those of contextlib are
     """Turns whatever a bridge raises into a BridgeError with the step's name, cause kept.
 
-    Errors of uoarm pass as they are; KeyboardInterrupt and SystemExit do too. A class, since each
-    opening enters one, and a generator takes twice as long.
+    Errors of uoarm pass as they are, and what interrupts the main thread for the user. A class,
+    since each opening enters one, and a generator takes twice as long.
     """
 
     __slots__ = ("_step",)
@@ -30,9 +31,12 @@ class translated:  # noqa: N801 - read as a block's beginning, as those of conte
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: object
     ) -> None:
-        if isinstance(error, Exception) and not isinstance(error, UoarmError):
-            text = f"{self._step} failed: {type(error).__name__}: {error}"
-            raise BridgeError(text, FailureReason.RAISED) from error
+        if error is None:
+            return
+        raised = contained(error)
+        if isinstance(raised, ContainedError) or not isinstance(raised, UoarmError):
+            text = f"{self._step} failed: {text_of(raised)}"
+            raise BridgeError(text, FailureReason.RAISED) from from_own_frames(error)
 
 
 @contextmanager

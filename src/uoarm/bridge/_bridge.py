@@ -16,6 +16,7 @@ from typing import TypeVar, final
 
 from uoarm import _bounded
 from uoarm._bounded import Step
+from uoarm._raised import foreign
 from uoarm.bridge._border import translated
 from uoarm.bridge._calls import CallsUnderWay, CallUnderWay
 from uoarm.bridge._channel import Channel, Sink, Source
@@ -52,7 +53,8 @@ class Bridge(ABC):
     `_keeps_time` or `_is_quick` says so, in that of the caller.
 
     A step must end: one that takes longer than its limit is given up, and what it returns later
-    is closed. It may raise anything; what is no UoarmError becomes a BridgeError with RAISED.
+    is closed. It may raise anything, also what is no `Exception`; what is no UoarmError becomes a
+    BridgeError with RAISED.
 
     Args:
         name: name of this instance in the configuration.
@@ -278,7 +280,7 @@ class Bridge(ABC):
             Channel,
             Step("serving ", endpoint),
             timeout,
-            lambda: self._serve(endpoint, structures, handler),
+            lambda: self._serve(endpoint, structures, lambda message: foreign(handler, message)),
         )
 
     @final
@@ -454,8 +456,8 @@ class Bridge(ABC):
     ) -> Channel:
         """Offer a service to the framework; with the capability `serve`.
 
-        Must be overridden where the capability is there. `handler` may raise and may take its
-        time: the caller must then get a failure, and other channels must not wait for it.
+        Must be overridden where the capability is there. `handler` may raise an `Exception` and may
+        take its time: the caller must then get a failure, and other channels must not wait for it.
         """
         raise NotImplementedError
 

@@ -14,7 +14,7 @@ import threading
 import time
 from collections.abc import Callable
 
-from uoarm._raised import LimitedLog, text_of
+from uoarm._raised import LimitedLog, foreign, text_of
 from uoarm.bridge._command_state import CommandState
 from uoarm.errors import CommandRefusedError
 from uoarm.model import CommandPhase, CommandPolicy, CommandStatus, Message
@@ -190,7 +190,7 @@ class Watchdog:
             if self._ended or not self._state.begin_stop(self._clock()):
                 return
         try:
-            self._send(copy.deepcopy(self._stop.message))
+            foreign(self._send, copy.deepcopy(self._stop.message))
         except Exception as error:  # noqa: BLE001 - a framework may raise anything
             self._failed(text_of(error))
         else:

@@ -16,6 +16,7 @@ from typing import Any
 import click
 
 from uoarm._plugins import values_of
+from uoarm._raised import text_of
 from uoarm.cli._log import add_log_options
 from uoarm.cli._shared import INTERRUPTED
 from uoarm.errors import PluginError
@@ -71,7 +72,7 @@ def _command(point: EntryPoint) -> click.Command:
             found = _load(point)
         except Exception as error:
             raise click.ClickException(
-                f"the plugin {point.name} cannot be used: {type(error).__name__}: {error}"
+                f"the plugin {point.name} cannot be used: {text_of(error)}"
             ) from error
         sys.exit(found.run(list(arguments)))
 

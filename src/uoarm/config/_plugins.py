@@ -8,7 +8,7 @@ from typing import Any
 
 from uoarm import _bounded
 from uoarm._mistakes import mistakes
-from uoarm._raised import text_of
+from uoarm._raised import foreign, text_of
 from uoarm._spelling import Speller
 from uoarm._yaml import Document, Path, Problem, clip, write_path
 from uoarm.bridge import BridgeType
@@ -84,8 +84,8 @@ class PluginChecker:
             if not isinstance(options, dict):
                 continue
             try:
-                wrong = self._wrong(kind, tuple(map(str, address)), given, options)
-            except (Exception, SystemExit) as error:  # noqa: BLE001 - a component may raise anything
+                wrong = foreign(self._wrong, kind, tuple(map(str, address)), given, options)
+            except Exception as error:  # noqa: BLE001 - a component may raise anything
                 sentence = str(error) if isinstance(error, UoarmError) else text_of(error)
                 if isinstance(error, BridgeError) and error.reason is FailureReason.BAD_ENDPOINT:
                     yield self._problem((*ports[0].path, "endpoint"), sentence)
@@ -157,7 +157,7 @@ class PluginChecker:
         if not address or not isinstance(options, dict):
             return None
         try:
-            name = kind.topic(tuple(address), options)
+            name = foreign(kind.topic, tuple(address), options)
         except Exception:  # noqa: BLE001 - a plugin may raise anything; check_endpoint tells
             return None
         return (
@@ -201,9 +201,9 @@ class PluginChecker:
         if not isinstance(options, dict) or kind.check_endpoint is None:
             return
         try:
-            wrong = kind.check_endpoint(tuple(address), options)
+            wrong = foreign(kind.check_endpoint, tuple(address), options)
         except Exception as error:  # noqa: BLE001 - a plugin may raise anything
-            wrong = f"check_endpoint failed with {type(error).__name__}: {error}"
+            wrong = f"check_endpoint failed with {text_of(error)}"
         if wrong:
             yield self._problem((*path, "endpoint"), f"the plugin {kind.name} says: {wrong}")
 

@@ -11,7 +11,7 @@ from typing import Any, TypeAlias
 
 from attrs import define, field
 
-from uoarm._raised import LimitedLog, text_of
+from uoarm._raised import LimitedLog, foreign, text_of
 from uoarm._workers import WorkerPool
 from uoarm.bridge import (
     Bridge,
@@ -170,8 +170,12 @@ class PythonBridge(Bridge):
         Every instance went with its last channel, those of services go now. A thread that is still
         in foreign code when the interpreter ends may take the whole process down with it.
         """
+        failure: Exception | None = None
         for endpoint in self._services.values():
-            self._leave(endpoint)
+            try:
+                foreign(self._leave, endpoint)
+            except Exception as error:  # noqa: BLE001 - the others must be closed, too
+                failure = failure or error
         self._services.clear()
         self._workers.close(drop=False)
         deadline = time.monotonic() + _SOURCE_SECONDS
@@ -180,6 +184,8 @@ class PythonBridge(Bridge):
             pause.wait(_GLANCE_SECONDS)
         self._loop.close()
         self._modules.close()
+        if failure is not None:
+            raise failure
 
     def _of_address(self, address: tuple[str, ...]) -> Target:
         target = self._targets.get(address)

@@ -3,18 +3,23 @@
 from __future__ import annotations
 
 import asyncio
+import inspect
+import logging
 import threading
 from collections.abc import AsyncIterator, Coroutine, Iterator
 from concurrent.futures import CancelledError, Future
 from concurrent.futures import TimeoutError as FutureTimeoutError
 from contextlib import suppress
-from typing import Any
+from typing import Any, TypeAlias
 
+from uoarm._raised import contained
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason
 
 __all__ = ["Coroutines", "LoopThread"]
 
 _CLOSE_SECONDS = 1.0
+_log = logging.getLogger("uoarm")
+_Outcome: TypeAlias = tuple[Any, Exception | None]
 
 
 class LoopThread:
@@ -27,15 +32,22 @@ class LoopThread:
         self._thread: threading.Thread | None = None
         self._is_closed = False
 
-    def submit(self, coroutine: Coroutine[Any, Any, Any]) -> Future[Any]:
-        """Start a coroutine in the loop.
+    @property
+    def is_closed(self) -> bool:
+        """Whether `close` was called, which cancels everything."""
+        return self._is_closed
+
+    def submit(self, coroutine: Coroutine[Any, Any, Any]) -> Future[_Outcome]:
+        """Start a coroutine in the loop; the future has its result and what it raised.
 
         Raises:
             BridgeError: the loop is closed.
         """
         with self._changing:  # whatever is submitted before the close is cancelled by it
             if not self._is_closed:
-                return asyncio.run_coroutine_threadsafe(coroutine, self._started())
+                future = asyncio.run_coroutine_threadsafe(_outcome(coroutine), self._started())
+                future.add_done_callback(lambda _: _close_unbegun(coroutine))
+                return future
         coroutine.close()
         raise BridgeError(f"{self._name} is closed", FailureReason.CLOSED)
 
@@ -59,13 +71,43 @@ class LoopThread:
         return self._loop
 
 
+async def _outcome(coroutine: Coroutine[Any, Any, Any]) -> _Outcome:
+    """Return what a coroutine of a component returns, and what it raises.
+
+    A loop raises the `SystemExit` of a task out of `run_forever`, and a task whose coroutine raises
+    `CancelledError` looks as if we had cancelled it.
+    """
+    try:
+        return await coroutine, None
+    except BaseException as error:  # noqa: BLE001 - raised again in the thread that waits
+        return None, contained(error)
+
+
+def _close_unbegun(coroutine: Coroutine[Any, Any, Any]) -> None:
+    """Close a coroutine that was cancelled before it began, of which Python would warn."""
+    if inspect.getcoroutinestate(coroutine) == inspect.CORO_CREATED:
+        with suppress(ValueError):  # it begins just now
+            coroutine.close()
+
+
 def _work(loop: asyncio.AbstractEventLoop) -> None:
     try:
-        loop.run_forever()
+        _run_until_stopped(loop)
         loop.run_until_complete(_cancel_others())
         loop.run_until_complete(loop.shutdown_asyncgens())
     finally:
         loop.close()
+
+
+def _run_until_stopped(loop: asyncio.AbstractEventLoop) -> None:
+    """Run a loop until `stop`, whatever the tasks raise that components have left in it."""
+    while True:
+        try:
+            loop.run_forever()
+        except BaseException:  # noqa: BLE001 - the loop serves other components, too
+            _log.exception("a task that a component left behind raised")
+        else:
+            return
 
 
 async def _cancel_others() -> None:
@@ -86,7 +128,7 @@ class Coroutines:
     def __init__(self, loop: LoopThread, seconds: float) -> None:
         self._loop = loop
         self._seconds = seconds
-        self._running: set[Future[Any]] = set()
+        self._running: set[Future[_Outcome]] = set()
         self._cancels = 0
 
     def run(
@@ -123,8 +165,11 @@ class Coroutines:
         finally:
             close = getattr(messages, "aclose", None)
             if close is not None:
-                with suppress(BridgeError):  # a closed loop has ended it
+                try:
                     self.run(f"the end of {what}", close())
+                except BridgeError as error:
+                    if error.reason is not FailureReason.CLOSED:  # a closed loop has ended it
+                        raise
 
     def cancel(self) -> None:
         """Cancel what runs; whoever waits for it gets a BridgeError."""
@@ -132,16 +177,27 @@ class Coroutines:
         for future in tuple(self._running):
             future.cancel()
 
-    def _wait(self, what: str, future: Future[Any], seconds: float | None, cancels: int) -> Any:
+    def _wait(
+        self, what: str, future: Future[_Outcome], seconds: float | None, cancels: int
+    ) -> Any:
         self._running.add(future)
         if cancels != self._cancels:  # it was submitted before a cancel that did not see it yet
             future.cancel()
         try:
-            return future.result(seconds)
+            result, error = future.result(seconds)
         except CancelledError:
-            raise BridgeError(f"{what} was cancelled: it closes", FailureReason.CLOSED) from None
+            raise _closes(what) from None
         finally:
             self._running.discard(future)
+        if error is None:
+            return result
+        if self._loop.is_closed and isinstance(error.__cause__, asyncio.CancelledError):
+            raise _closes(what)
+        raise error
+
+
+def _closes(what: str) -> BridgeError:
+    return BridgeError(f"{what} was cancelled: it closes", FailureReason.CLOSED)
 
 
 async def _next(messages: AsyncIterator[Any]) -> Any:

@@ -6,6 +6,7 @@ import threading
 from collections.abc import Callable, Hashable, Iterator
 from typing import Any
 
+from uoarm._raised import foreign
 from uoarm._workers import WorkerPool
 from uoarm.errors import BridgeError, FailureReason
 
@@ -115,16 +116,21 @@ class _Run:
 
     def _iterate(self) -> None:
         failure: Exception | None = None
-        try:
-            for message in self._messages:
-                emit = self._emitter()
-                if self.stopped:
-                    break
-                emit(message)
-        except Exception as error:  # noqa: BLE001 - a component may raise anything
-            failure = error
-        finally:
-            close = getattr(self._messages, "close", None)
-            if callable(close):
-                close()
+        for step in (self._emit_all, self._close):
+            try:
+                foreign(step)
+            except Exception as error:  # noqa: BLE001 - a component may raise anything
+                failure = failure or error
         self._ended(self, failure)
+
+    def _emit_all(self) -> None:
+        for message in self._messages:
+            emit = self._emitter()
+            if self.stopped:
+                break
+            emit(message)
+
+    def _close(self) -> None:
+        close = getattr(self._messages, "close", None)
+        if callable(close):
+            close()

@@ -15,7 +15,7 @@ from attrs import field, frozen
 from uoarm._hints.annotations import HintError
 from uoarm._hints.convert import reader, writer
 from uoarm._hints.schemas import schema_of
-from uoarm._raised import text_of
+from uoarm._raised import foreign, text_of
 from uoarm.bridge import Description
 from uoarm.errors import BridgeError, FailureReason, UoarmError
 from uoarm.local._modules import Modules, written_name
@@ -416,7 +416,7 @@ def _return_hint(hints: Mapping[str, Any], role: Role) -> Any:
 
 def _import(name: str, modules: Modules) -> Any:
     try:
-        return modules.load(name)
+        return foreign(modules.load, name)
     except ModuleNotFoundError as error:
         missing = written_name(error.name or name)
         if name == missing or name.startswith(f"{missing}."):

@@ -14,6 +14,7 @@ from typing import Any
 
 from uoarm._control import RobotManager
 from uoarm._deadlines import result_within
+from uoarm._raised import ContainedError, foreign
 from uoarm._switch_interval import short_switch_interval
 from uoarm.server._server import Server
 from uoarm.server._settings import Settings
@@ -133,9 +134,19 @@ async def _until_signal(server: Server, ready: Callable[[Server], None] | None) 
 
 
 def _run_loop(loop: asyncio.AbstractEventLoop, work: Coroutine[Any, Any, None]) -> None:
-    """Run one piece of work in a loop, and end whatever it has left there."""
+    """Run one piece of work in a loop, and end whatever it has left there.
+
+    A loop raises what is no `Exception` of any task, as one of a front end, and can go on then.
+    """
+    task = loop.create_task(work)
     try:
-        loop.run_until_complete(work)
+        while not task.done():
+            try:
+                foreign(loop.run_until_complete, task)
+            except ContainedError:
+                if task.done():
+                    raise
+                _log.exception("a task that a front end left behind raised")
     finally:
         left = asyncio.all_tasks(loop)
         for task in left:

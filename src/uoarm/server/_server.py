@@ -17,6 +17,7 @@ from websockets.asyncio.server import ServerConnection, serve
 from websockets.frames import CloseCode
 
 from uoarm._control import RobotManager
+from uoarm._raised import foreign
 from uoarm._wire import FORMS, TEXT_FORM
 from uoarm.errors import ConfigurationError
 from uoarm.model import StatusEvent
@@ -179,7 +180,7 @@ class Server:
     def _start_front_ends(self, registry: FeedRegistry) -> None:
         for one in self._front_ends.usable:
             try:
-                self._make_session[one.name] = one.start(registry)
+                self._make_session[one.name] = foreign(one.start, registry)
             except Exception as error:
                 if one.name in self._settings.front_end_ports:
                     raise ConfigurationError(f"{one}: {error}") from error
@@ -256,7 +257,7 @@ class Server:
         )
         host = host_of(socket)
         try:
-            session = self._session(client, registry, socket, entry.front_end)
+            session = foreign(self._session, client, registry, socket, entry.front_end)
         except Exception:  # noqa: BLE001 - a front end may raise anything
             client.account.close()
             who = entry.front_end or "the native protocol"
@@ -292,7 +293,7 @@ class Server:
 
     def _end(self, client: Client, session: Session) -> None:
         try:
-            session.close()
+            foreign(session.close)
         except Exception:  # noqa: BLE001 - a front end may raise anything
             _log.exception("%s failed when it was closed", _module_of(session))
         client.account.close()

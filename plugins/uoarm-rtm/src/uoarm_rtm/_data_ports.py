@@ -10,6 +10,7 @@ from typing import Any
 from attrs import frozen
 from omniORB import CORBA
 
+from uoarm.bridge import foreign
 from uoarm.errors import BridgeError, MessageError
 from uoarm.model import Message
 from uoarm_rtm._buffering import says_what_empty_means
@@ -70,7 +71,7 @@ class _Inlet(OpenRTM__POA.InPortCdr):  # type: ignore[misc]  # generated, withou
             _log.warning("an InPort refuses data: %s", error)
             return OpenRTM.PORT_ERROR
         try:
-            self._take(message)
+            foreign(self._take, message)
         except Exception:  # noqa: BLE001 - whatever the listener raises stays here
             _log.exception("an InPort's listener failed")
             return OpenRTM.UNKNOWN_ERROR

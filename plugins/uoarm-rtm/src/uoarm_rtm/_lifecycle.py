@@ -15,6 +15,7 @@ from typing import Any
 
 from attrs import frozen
 
+from uoarm.bridge import foreign
 from uoarm_rtm._stubs import RTC
 
 __all__ = ["Callbacks", "Lifecycle"]
@@ -85,7 +86,7 @@ class Lifecycle:
 
     def _guarded(self, callback: Callable[[], None]) -> bool:
         try:
-            callback()
+            foreign(callback)
         except Exception:  # noqa: BLE001 - whatever it raises is a failed transition
             _log.exception("a component's callback failed")
             self._abort()
@@ -95,7 +96,7 @@ class Lifecycle:
     def _abort(self) -> None:
         self._enter(RTC.ERROR_STATE)
         try:
-            self._callbacks.aborting()
+            foreign(self._callbacks.aborting)
         except Exception:  # noqa: BLE001 - as above, and it is in ERROR already
             _log.exception("a component's callback failed while it was aborting")
 

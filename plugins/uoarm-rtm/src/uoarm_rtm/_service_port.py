@@ -8,7 +8,7 @@ from typing import Any
 
 from omniORB import CORBA
 
-from uoarm.bridge import Channel
+from uoarm.bridge import Channel, foreign
 from uoarm.errors import MessageError
 from uoarm.model import Endpoint, Message
 from uoarm_rtm._connector import Connections
@@ -63,7 +63,7 @@ def _method(operation: Operation, handler: Handler) -> Callable[..., Any]:
     def method(servant: Any, *arguments: Any) -> Any:
         del servant
         try:
-            return operation.result(handler(operation.message(arguments)))
+            return operation.result(foreign(handler, operation.message(arguments)))
         except IdlError as error:
             raised = operation.exception(error.exception, error.members)
             if raised is not None:

@@ -12,6 +12,7 @@ from uoarm._control.bridges.hosted import start_hosted
 from uoarm._control.bridges.machines import Machines, StagedMachines
 from uoarm._control.bridges.restarts import Restarts
 from uoarm._dataplane import Clock
+from uoarm._raised import foreign, text_of
 from uoarm.bridge import Bridge, Channel, HealthEvent, Registry
 from uoarm.errors import BridgeError, ConnectionClosedError, FailureReason
 from uoarm.model import BridgeSpec, BridgeStatus, Health, Listening
@@ -311,6 +312,6 @@ class StagedBridges:
 def facts_of(source: Bridge | Channel) -> tuple[tuple[str, object], ...]:
     """Return the facts of a bridge or channel; what it raises instead stands in their place."""
     try:
-        return tuple(source.facts().items())
+        return tuple(foreign(source.facts).items())
     except Exception as error:  # noqa: BLE001 - a bridge's code may raise anything
-        return (("failed", f"{type(error).__name__}: {error}"),)
+        return (("failed", text_of(error)),)

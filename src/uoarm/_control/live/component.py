@@ -12,6 +12,7 @@ from uoarm._control.live.emergency_stop import EmergencyStop
 from uoarm._control.live.failure_watch import FailureWatch, InputWatch, OutputWatch
 from uoarm._control.live.lease import InputLease
 from uoarm._dataplane import Outlet, make_check
+from uoarm._raised import foreign, text_of
 from uoarm.bridge import Bridge, Channel, Sink, Source
 from uoarm.errors import BridgeError, ConnectionClosedError, UoarmError
 from uoarm.model import (
@@ -238,12 +239,15 @@ class LiveComponent:
         return make_check(structure, mode, place, OutputWatch(self.failures, output))
 
     def drain(self, timeout: float) -> None:
-        """Wait until what is under way in its channels has arrived; inputs first.
+        """Wait until what is under way in its channels has arrived; inputs first. Never raises.
 
         Waits `timeout` seconds for each channel at most.
         """
         for channel in (*self._sinks.values(), *self._sources.values()):
-            channel.drain(timeout)
+            try:
+                foreign(channel.drain, timeout)
+            except Exception as error:  # noqa: BLE001 - the others are drained all the same
+                _log.warning("%s: draining failed: %s", channel.endpoint, text_of(error))
 
     def close(self) -> None:
         """Close every channel; failures are logged. Bounded in time.

@@ -12,7 +12,7 @@ from typing import TypeVar
 
 from uoarm._control.live.stop_file import StopFile
 from uoarm._dataplane import Clock
-from uoarm._raised import text_of
+from uoarm._raised import foreign, text_of
 from uoarm.bridge import Bridge, Sink
 from uoarm.errors import BridgeError, CommandRefusedError, FailureReason, UoarmError
 from uoarm.model import CommandPhase, CommandStatus, Endpoint, StopOutcome, StopReport
@@ -255,7 +255,7 @@ def _each(
 
     def begin(one: T) -> None:
         try:
-            act(one)
+            foreign(act, one)
         except Exception as error:  # noqa: BLE001 - a bridge may raise anything
             results[one] = text_of(error)
 

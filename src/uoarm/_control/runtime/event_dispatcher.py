@@ -8,7 +8,7 @@ from collections.abc import Callable
 from queue import SimpleQueue
 
 from uoarm._dataplane import Clock
-from uoarm._raised import LimitedLog
+from uoarm._raised import LimitedLog, foreign
 from uoarm.model import StatusEvent
 
 __all__ = ["EventDispatcher"]
@@ -84,6 +84,6 @@ class EventDispatcher:
                 self._record(event)
             for listener in self._listeners:
                 try:
-                    listener(event)
+                    foreign(listener, event)
                 except Exception:  # noqa: BLE001 - a listener may raise anything
                     _log.exception("listener %r failed at event %d", listener, event.number)

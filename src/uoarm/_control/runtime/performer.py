@@ -29,6 +29,7 @@ from uoarm._control.runtime.lanes import Lanes
 from uoarm._control.runtime.revisions import Revisions
 from uoarm._control.runtime.searches import check_preferred, seek_replacement
 from uoarm._control.runtime.timer import Timer
+from uoarm._raised import foreign
 from uoarm._spans import past_span, span
 from uoarm.errors import BridgeTimeoutError, UoarmError
 from uoarm.model import Health
@@ -125,7 +126,7 @@ class Performer:
 
         def job() -> None:
             try:
-                event = call()
+                event = foreign(call)
             except Exception:  # noqa: BLE001 - the lane must go on
                 _log.exception("the control plane failed to do %r", action)
                 return
@@ -221,7 +222,7 @@ class Performer:
 
         def end() -> ev.Event | None:
             try:
-                call()
+                foreign(call)
             except Exception:  # noqa: BLE001 - see above
                 _log.exception("closing what %s had open failed", action.connection)
             return event

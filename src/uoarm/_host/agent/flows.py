@@ -15,7 +15,7 @@ from uoarm._host.transport.codec import pack
 from uoarm._host.transport.flow import Ending, FlowReceiver, FlowSender
 from uoarm._host.transport.shared_counters import HANDLING, SharedCounter, SharedCounters
 from uoarm._host.transport.transport import Transport
-from uoarm._raised import LimitedLog
+from uoarm._raised import LimitedLog, foreign, text_of
 from uoarm.bridge import Channel, Sink, Source
 from uoarm.errors import BridgeError, UoarmError
 from uoarm.model import Endpoint, Message, to_json
@@ -233,10 +233,10 @@ class OpenFlows:
 def packable_facts(look: Callable[[], Mapping[str, object]]) -> Mapping[str, object]:
     """Return what a bridge or channel knows; what it raises instead stands in its place."""
     try:
-        facts = dict(look())
+        facts = dict(foreign(look))
         pack(facts)
     except Exception as error:  # noqa: BLE001 - a framework may raise anything
-        return {"facts": f"{type(error).__name__}: {error}"}
+        return {"facts": text_of(error)}
     return facts
 
 

@@ -19,7 +19,7 @@ from attrs import astuple, frozen
 from uoarm._host.transport.codec import Frame, pack, unpack
 from uoarm._host.transport.shared_counters import HANDLING, SharedCounter
 from uoarm._host.transport.transport import Transport
-from uoarm._raised import LimitedLog, is_raised, text_of
+from uoarm._raised import LimitedLog, foreign, is_raised, text_of
 from uoarm.errors import BridgeError, CommandRefusedError, FailureReason
 from uoarm.model import Message
 
@@ -296,7 +296,7 @@ class FlowReceiver:
             self.received += 1
             HANDLING.counter, HANDLING.number = self._counter, self.received
             try:
-                self._take(unpack(frame))
+                foreign(self._take, unpack(frame))
             except Exception as error:  # noqa: BLE001 - a consumer may raise anything
                 self._fail(error)
             HANDLING.counter = None

@@ -14,6 +14,7 @@ from contextlib import suppress
 from queue import Empty, SimpleQueue
 
 from uoarm._host.transport.codec import Frame
+from uoarm._raised import foreign
 
 __all__ = ["Subscription", "Take"]
 
@@ -72,7 +73,7 @@ class Subscription:
         """Have one frame taken, by the thread whose turn it is, and learn how long that takes."""
         begun = time.monotonic()
         try:
-            self._consume(payload, header)
+            foreign(self._consume, payload, header)
         except Exception:  # noqa: BLE001 - the thread must go on
             _log.exception("what came over the link could not be taken")
         if len(payload) <= _SHORT_OCTETS and time.monotonic() - begun < _QUICK_SECONDS:

@@ -11,6 +11,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from uoarm._host.transport.codec import Frame, from_failure, pack, to_failure, unpack
+from uoarm._raised import foreign
 from uoarm.bridge import boot_seconds
 from uoarm.errors import BridgeError, FailureReason, MessageError
 
@@ -136,7 +137,7 @@ class Transport(ABC):
 def answer_to(take: Callable[[Any, Reply], None], request: Frame | None, reply: Reply) -> None:
     """Have a request answered; what taking it raises is the answer."""
     try:
-        take(None if request is None else unpack(request), reply)
+        foreign(take, None if request is None else unpack(request), reply)
     except Exception as error:  # noqa: BLE001 - an unanswered request looks like a death
         reply(error)
 

@@ -7,6 +7,7 @@ from importlib.metadata import EntryPoint, entry_points
 
 from uoarm._origin import install_command
 from uoarm._plugins import PluginProblem, values_of
+from uoarm._raised import text_of
 from uoarm.server.front_end import CONTRACT_VERSION, FrontEnd, FrontEndHooks
 
 __all__ = ["FrontEnds"]
@@ -44,7 +45,7 @@ class FrontEnds:
             try:
                 answer = values_of(point, FrontEndHooks, "uoarm_front_ends", FrontEnd)
             except Exception as error:  # noqa: BLE001 - a broken plugin may raise anything
-                self.drop(point.name, f"{type(error).__name__}: {error}")
+                self.drop(point.name, text_of(error))
                 continue
             for one in answer:
                 self._admit(point.name, one)

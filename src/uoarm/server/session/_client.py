@@ -14,6 +14,7 @@ from websockets.exceptions import ConnectionClosed
 from websockets.frames import CloseCode
 
 from uoarm._deadlines import result_within
+from uoarm._raised import foreign
 from uoarm.model import Spending, StopReport
 from uoarm.server._limits import Limits
 from uoarm.server.access import Audit, Credentials, Operation, Role
@@ -207,9 +208,10 @@ class Client:
     async def _take(self, session: Session, frame: str | bytes) -> Spending:
         """Act on one frame; returns what it cost."""
         spending = Spending(self.limits.budget)
-        decode = functools.partial(session.decode, frame, spending)
-        act, self.in_hand = await self._decoder.run(session.octets(frame), decode)
-        act()
+        decode = functools.partial(foreign, session.decode, frame, spending)
+        octets = foreign(session.octets, frame)
+        act, self.in_hand = await self._decoder.run(octets, decode)
+        foreign(act)
         return spending
 
     async def _write(self) -> None:

@@ -14,6 +14,7 @@ from attrs import define, field, frozen
 
 from uoarm._control import Connection
 from uoarm._dataplane import Clock
+from uoarm._raised import foreign
 from uoarm.errors import MessageError
 from uoarm.model import Message, ValidationMode, message_octets
 from uoarm.server._limits import Limits
@@ -302,10 +303,10 @@ class Feed:
             return False
         writing = [
             future
-            for prepare, missed in tuple(self._listeners.values())
+            for listener, (prepare, missed) in tuple(self._listeners.items())
             if prepare is not None
             and not (envelope.is_late and missed)
-            and (future := prepare(envelope)) is not None
+            and (future := self._prepared(listener, prepare, envelope)) is not None
         ]
         if writing:
             self._is_writing = True
@@ -336,11 +337,20 @@ class Feed:
         for listener, (_, missed) in tuple(self._listeners.items()):
             try:
                 if envelope.is_late and missed is not None:
-                    missed()
+                    foreign(missed)
                 else:
-                    _offer(listener, envelope)
+                    foreign(_offer, listener, envelope)
             except Exception:  # noqa: BLE001 - a listener of a front end may raise anything
                 self._drop(listener)
+
+    def _prepared(
+        self, listener: Listener, prepare: Prepare, envelope: Envelope
+    ) -> asyncio.Future[object] | None:
+        try:
+            return foreign(prepare, envelope)
+        except Exception:  # noqa: BLE001 - a listener of a front end may raise anything
+            self._drop(listener)
+            return None
 
     def _drop(self, listener: Listener) -> None:
         """Hand a listener that fails nothing more, so that the others go on."""
@@ -358,6 +368,6 @@ def _offer(listener: Listener, envelope: Envelope) -> None:
 
 def _end(listener: Listener, state: str, cause: str) -> None:
     try:
-        listener.ended(state, cause)
+        foreign(listener.ended, state, cause)
     except Exception:  # noqa: BLE001 - a listener of a front end may raise anything
         _log.exception("a listener of %s failed", type(listener).__module__)

@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterable, Mapping
 from typing import Any, TypeAlias, TypeVar
 
 from uoarm._control import Connection, RobotManager
+from uoarm._raised import foreign
 from uoarm._wire import TEXT_FORM
 from uoarm.config import loads
 from uoarm.errors import (
@@ -359,7 +360,10 @@ class FeedRegistry:
             self._ended(self._by_id[name])
         self._past.append((time.monotonic(), event))
         for watcher in tuple(self._watchers):
-            watcher(event)
+            try:
+                foreign(watcher, event)
+            except Exception:  # noqa: BLE001 - that of a front end may raise anything
+                _log.exception("a watcher of %s failed", watcher.__module__)
 
     def _ended(self, feed: Feed) -> None:
         assert feed.connection is not None, "only an opened feed can end"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import logging
 from collections import deque
 from collections.abc import Callable
 from functools import lru_cache
@@ -12,6 +13,7 @@ from attrs import define
 
 from uoarm._control import Connection
 from uoarm._dataplane import make_check
+from uoarm._raised import foreign
 from uoarm._wire import Form
 from uoarm.errors import CommandRefusedError, ConnectionClosedError, MessageError, UsageError
 from uoarm.model import LeaseHolder, Message, MessageStructure, ValidationMode
@@ -21,6 +23,7 @@ from uoarm.server.streams._workers import Workers
 
 __all__ = ["Done", "InputSender", "Read", "check_message", "read_message"]
 
+_log = logging.getLogger("uoarm.server")
 _BATCH = 256
 _BATCH_OCTETS = 1_048_576
 _FLUSH_SECONDS = 2.0
@@ -149,13 +152,13 @@ class InputSender:
             return
         self._closed = True
         while self._stops:
-            self._stops.popleft()[1](self._has_ended())
+            _conclude(self._stops.popleft()[1], self._has_ended())
         if self._has_lease():
             self._workers.free(lambda: self._connection.leave(self._holder))
         while self._waiting:
             queued = self._waiting.popleft()
             queued.charge.release()
-            queued.done(self._has_ended())
+            _conclude(queued.done, self._has_ended())
 
     def structure(self, port: str | None) -> MessageStructure:
         """Return the structure of an input; None stands for the only one.
@@ -182,7 +185,7 @@ class InputSender:
         self._flushing = False
         actions, self._after = self._after, []
         for action in actions:
-            action()
+            foreign(action)
 
     def _run(self) -> None:
         if self._stops:
@@ -213,7 +216,7 @@ class InputSender:
         return batch
 
     def _stopped(self, done: Done, outcome: BaseException | None) -> None:
-        done(outcome)
+        _conclude(done, outcome)
         self._go_on()
 
     def _stopped_beside(self) -> None:
@@ -236,7 +239,7 @@ class InputSender:
         self._handing = []
         for queued, outcome in zip(batch, outcomes, strict=True):
             queued.charge.release()
-            queued.done(outcome)
+            _conclude(queued.done, outcome)
         self._go_on()
 
     def _go_on(self) -> None:
@@ -268,6 +271,14 @@ class InputSender:
         except Exception as error:  # noqa: BLE001 - reported to the one who sent it
             return error
         return None
+
+
+def _conclude(done: Done, outcome: BaseException | None) -> None:
+    """Say how it went; one of a front end that raises holds up nothing that comes after it."""
+    try:
+        foreign(done, outcome)
+    except Exception:  # noqa: BLE001 - it may raise anything
+        _log.exception("what a front end does after a message was sent failed")
 
 
 def check_message(structure: MessageStructure, message: Message, read: Read, place: str) -> Message:

@@ -7,6 +7,8 @@ import logging
 from collections import deque
 from collections.abc import Callable
 
+from uoarm._raised import foreign
+
 __all__ = ["LoopMailbox"]
 
 _log = logging.getLogger("uoarm.server")
@@ -40,6 +42,6 @@ class LoopMailbox:
         for _ in range(len(self._actions)):
             action = self._actions.popleft()
             try:
-                action()
+                foreign(action)
             except Exception:  # noqa: BLE001 - those after it must not wait for the next wake-up
                 _log.exception("an action in the server's loop failed")
