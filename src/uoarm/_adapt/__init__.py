@@ -2,8 +2,7 @@
 
 from uoarm._adapt._adaptation import Adaptation, adapt
 from uoarm._adapt._edge import EdgeVerdict, check_edge, transfer
-from uoarm._adapt._mapping import Entry, MappingError, parse
-from uoarm._adapt._walk import UnfitError, number_problem
+from uoarm._adapt._mapping import Entry, MappingError, UnfitError, number_problem, parse
 
 __all__ = [
     "Adaptation",

@@ -8,8 +8,18 @@ from typing import Any
 from attrs import frozen
 
 from uoarm._adapt._compile import Maker, build_object, constant, each_item, mapped, reader
-from uoarm._adapt._mapping import Clamp, Each, Entry, Mapped, Path, Scale, write_path
-from uoarm._adapt._walk import Field, Structure, UnfitError
+from uoarm._adapt._mapping import (
+    Clamp,
+    Each,
+    Entry,
+    Field,
+    Mapped,
+    Path,
+    Scale,
+    Structure,
+    UnfitError,
+    write_path,
+)
 from uoarm._meaning import INHERITED, SCALED
 
 __all__ = ["Adaptation", "adapt"]

@@ -9,10 +9,8 @@ from typing import Any
 from attrs import evolve, frozen
 
 from uoarm._adapt._adaptation import Adaptation, adapt
-from uoarm._adapt._convert import converting_map
-from uoarm._adapt._mapping import MappingError, parse
-from uoarm._adapt._suggest import suggest, untried_conversion
-from uoarm._adapt._walk import UnfitError
+from uoarm._adapt._mapping import MappingError, UnfitError, parse
+from uoarm._adapt._suggest import converting_map, suggest, untried_conversion
 from uoarm._meaning import Difference, judge, write_places
 from uoarm.model import Edge, Meaning, MeaningLevel, Message, MessageStructure, Reason
 from uoarm.schema import Budget, SchemaError, Verdict, check

@@ -3,21 +3,118 @@
 from __future__ import annotations
 
 import datetime as dt
+import ipaddress
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from datetime import datetime
 from pathlib import Path
 
 from attrs import frozen
 from cryptography import x509
 from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec
+from cryptography.hazmat.primitives.serialization import (
+    Encoding,
+    NoEncryption,
+    PrivateFormat,
+)
 from cryptography.x509.oid import ExtendedKeyUsageOID
 
-from uoarm._certificates._parts import begun, common_name, key_usage, leaf, new_key, secret_pem
 from uoarm._whole_file import write_whole
 from uoarm.errors import UsageError
 
-__all__ = ["MANAGER", "Authority"]
+__all__ = [
+    "MANAGER",
+    "Authority",
+    "Found",
+    "begun",
+    "common_name",
+    "key_usage",
+    "leaf",
+    "make",
+    "new_key",
+    "read",
+    "secret_pem",
+]
+
+
+def new_key() -> ec.EllipticCurvePrivateKey:
+    """Return a new key."""
+    return ec.generate_private_key(ec.SECP256R1())
+
+
+def secret_pem(key: ec.EllipticCurvePrivateKey) -> bytes:
+    """Return a key as PEM, not encrypted."""
+    return key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption())
+
+
+def common_name(name: str) -> x509.Name:
+    """Return the subject that consists of a common name."""
+    return x509.Name([x509.NameAttribute(x509.NameOID.COMMON_NAME, name)])
+
+
+def begun(
+    name: str,
+    issuer: x509.Name,
+    public: ec.EllipticCurvePublicKey,
+    begins: datetime,
+    ends: datetime,
+) -> x509.CertificateBuilder:
+    """Return a certificate without any extension, for a common name."""
+    return (
+        x509.CertificateBuilder()
+        .subject_name(common_name(name))
+        .issuer_name(issuer)
+        .public_key(public)
+        .serial_number(x509.random_serial_number())
+        .not_valid_before(begins)
+        .not_valid_after(ends)
+    )
+
+
+def leaf(
+    certificate: x509.CertificateBuilder,
+    names: Iterable[str],
+    usage: x509.ObjectIdentifier,
+    issuer: ec.EllipticCurvePublicKey,
+) -> x509.CertificateBuilder:
+    """Make a certificate one of a server or client: for these names and addresses, and one use.
+
+    Raises:
+        ValueError: a name is none.
+    """
+    alternatives = x509.SubjectAlternativeName([_general_name(name) for name in names])
+    authority = x509.AuthorityKeyIdentifier.from_issuer_public_key(issuer)
+    return (
+        certificate.add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
+        .add_extension(alternatives, critical=False)
+        .add_extension(x509.ExtendedKeyUsage([usage]), critical=False)
+        .add_extension(key_usage(signs_certificates=False), critical=True)
+        .add_extension(authority, critical=False)
+    )
+
+
+def key_usage(*, signs_certificates: bool) -> x509.KeyUsage:
+    """Return the use of a key: it signs certificates, or what is said in a connection."""
+    return x509.KeyUsage(
+        digital_signature=not signs_certificates,
+        content_commitment=False,
+        key_encipherment=False,
+        data_encipherment=False,
+        key_agreement=False,
+        key_cert_sign=signs_certificates,
+        crl_sign=signs_certificates,
+        encipher_only=False,
+        decipher_only=False,
+    )
+
+
+def _general_name(name: str) -> x509.GeneralName:
+    try:
+        return x509.IPAddress(ipaddress.ip_address(name))
+    except ValueError:
+        return x509.DNSName(name)
+
 
 MANAGER = "manager"
 """The name of the manager's certificate."""
@@ -141,3 +238,50 @@ def _write(
     except BaseException:
         key_file.unlink(missing_ok=True)
         raise
+
+
+_COMMON_NAME = "uoarm serve"
+
+
+@frozen
+class Found:
+    """What a certificate says.
+
+    Attributes:
+        names: names and addresses that it is for.
+        ends: when it ends.
+    """
+
+    names: frozenset[str]
+    ends: datetime
+
+
+def make(names: Iterable[str], begins: datetime, ends: datetime) -> bytes:
+    """Return a new key and its certificate as PEM.
+
+    Raises:
+        ValueError: a name is none.
+    """
+    key = new_key()
+    public = key.public_key()
+    certificate = leaf(
+        begun(_COMMON_NAME, common_name(_COMMON_NAME), public, begins, ends),
+        names,
+        ExtendedKeyUsageOID.SERVER_AUTH,
+        public,
+    )
+    identifier = x509.SubjectKeyIdentifier.from_public_key(public)
+    signed = certificate.add_extension(identifier, critical=False).sign(key, hashes.SHA256())
+    return secret_pem(key) + signed.public_bytes(Encoding.PEM)
+
+
+def read(pem: bytes) -> Found | None:
+    """Return what a certificate says, None where there is none that can be read."""
+    try:
+        certificate = x509.load_pem_x509_certificate(pem)
+        names = certificate.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
+    except (ValueError, x509.ExtensionNotFound):
+        return None
+    hosts = names.get_values_for_type(x509.DNSName)
+    addresses = [str(value) for value in names.get_values_for_type(x509.IPAddress)]
+    return Found(frozenset([*hosts, *addresses]), certificate.not_valid_after_utc)

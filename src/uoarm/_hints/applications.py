@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Generic, cast
 
 from typing_extensions import TypeVar
 
-from uoarm._hints.annotations import HintError
+from uoarm._hints.arrays import HintError
 from uoarm._hints.convert import fault_of, plain_inside, reader
 from uoarm._hints.schemas import schema_of
 from uoarm.errors import MessageError, UsageError

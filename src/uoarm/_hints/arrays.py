@@ -8,13 +8,83 @@ from __future__ import annotations
 import sys
 from collections.abc import Mapping
 from functools import cache
-from typing import Annotated, Any, Literal, get_args, get_origin
+from typing import Annotated, Any, Literal, NewType, TypeAlias, get_args, get_origin
 
 from attrs import frozen
 
-from uoarm._hints.annotations import HintError, Shape, is_class, unwrapped
+from uoarm.errors import BridgeError, FailureReason
 
-__all__ = ["NumpyArray", "NumpyScalar", "array_of", "scalar_of"]
+__all__ = [
+    "HintError",
+    "NumpyArray",
+    "NumpyScalar",
+    "Octets",
+    "OctetsMark",
+    "Range",
+    "Shape",
+    "UInt8",
+    "array_of",
+    "is_class",
+    "scalar_of",
+    "unwrapped",
+]
+
+
+class HintError(BridgeError):
+    """A type hint that has no message structure."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__(text, FailureReason.BAD_ENDPOINT)
+
+
+@frozen
+class Range:
+    """Bounds of a number, both included; None where there is none."""
+
+    minimum: float | int | None = None
+    maximum: float | int | None = None
+
+
+@frozen(init=False)
+class Shape:
+    """The lengths of an array's dimensions, None where any will do: `Shape(480, None, 3)`."""
+
+    lengths: tuple[int | None, ...]
+
+    def __init__(self, *lengths: int | None) -> None:
+        self.__attrs_init__(lengths)
+
+
+@frozen
+class OctetsMark:
+    """Marks `bytes` that may come as any buffer of octets, without a copy."""
+
+
+UInt8: TypeAlias = Annotated[int, Range(0, 255)]
+Octets: TypeAlias = Annotated[bytes, OctetsMark()]
+
+
+def is_class(hint: Any) -> bool:
+    """Say whether a hint is a class itself; `list[int]` says so on CPython 3.10, too."""
+    return isinstance(hint, type) and get_origin(hint) is None
+
+
+def unwrapped(hint: Any) -> Any:
+    """Return what a NewType or a `type` alias, with its parameters or without, stands for."""
+    while True:
+        if isinstance(hint, NewType):
+            hint = hint.__supertype__
+        elif _is_alias(hint):
+            hint = hint.__value__
+        elif _is_alias(get_origin(hint)):
+            hint = get_origin(hint).__value__[get_args(hint)]
+        else:
+            return hint
+
+
+def _is_alias(hint: Any) -> bool:
+    return type(hint).__name__ == "TypeAliasType"  # of typing or of typing_extensions
+
 
 _HOW = (
     "write NDArray[numpy.float32], or another type of integers, floats or truths, and "

@@ -13,8 +13,7 @@ from typing import TYPE_CHECKING, Any, get_args, get_type_hints
 
 from typing_extensions import is_typeddict
 
-from uoarm._hints.annotations import HintError
-from uoarm._hints.arrays import array_of, scalar_of
+from uoarm._hints.arrays import HintError, array_of, scalar_of
 from uoarm._hints.schemas import is_enum, is_model, is_named_tuple, is_plain, is_record
 from uoarm.errors import BridgeError, FailureReason, MessageError
 from uoarm.model import Message

@@ -20,8 +20,15 @@ from typing import (
 import attrs
 from typing_extensions import NotRequired, Required, is_typeddict
 
-from uoarm._hints.annotations import HintError, OctetsMark, Range, is_class, unwrapped
-from uoarm._hints.arrays import array_of, scalar_of
+from uoarm._hints.arrays import (
+    HintError,
+    OctetsMark,
+    Range,
+    array_of,
+    is_class,
+    scalar_of,
+    unwrapped,
+)
 
 __all__ = ["is_enum", "is_model", "is_named_tuple", "is_plain", "is_record", "schema_of"]
 

@@ -16,7 +16,7 @@ from uoarm.plugins import CONTRACT_VERSION, DefinitionFormat, DefinitionHooks, D
 
 __all__ = ["read_schemas", "untold"]
 
-_GROUP = "uoarm.definitions"
+_DEFINITIONS = "uoarm.definitions"
 _SCHEMAS = frozenset({".json", ".schema"})
 _OF_ROS = frozenset({".msg", ".srv", ".action", ".idl"})
 _MOST_FILES = 20_000
@@ -85,7 +85,7 @@ def untold(lock: Lock, schemas: Mapping[str, Any]) -> list[str]:
 
 def _formats() -> list[tuple[DefinitionFormat, EntryPoint]]:
     found = []
-    for point in sorted(entry_points(group=_GROUP), key=lambda point: point.name):
+    for point in sorted(entry_points(group=_DEFINITIONS), key=lambda point: point.name):
         try:
             found += [(format_, point) for format_ in _load(point)]
         except Exception as error:

@@ -12,11 +12,62 @@ from typing import Any, TypeAlias
 
 from attrs import define, field, frozen
 
-from uoarm._meaning._alike import are_alike, name_of_type
 from uoarm._meaning._units import Conversion, UnitError, conversion
-from uoarm._meaning._vocabulary import INHERITED, SCALED, VOCABULARY
 
-__all__ = ["Difference", "Meanings", "judge", "write_places"]
+__all__ = [
+    "BUILT_IN",
+    "INHERITED",
+    "SCALED",
+    "VOCABULARY",
+    "Difference",
+    "Meanings",
+    "are_alike",
+    "judge",
+    "name_of_type",
+    "write_places",
+]
+
+_PLAIN = ("Byte", "Char", "Float32", "Float64", "Int8", "Int16", "Int32", "Int64", "UInt8",
+          "UInt16", "UInt32", "UInt64")  # fmt: skip
+# Each with where it says so.
+BUILT_IN: tuple[frozenset[str], ...] = (
+    # Their definitions: examples without a meaning, "create your own semantically meaningful one".
+    *(
+        frozenset(f"{package}/msg/{name}" for package in ("std_msgs", "example_interfaces")
+                  for name in names)
+        for names in (_PLAIN, ("Bool",), ("String",), ("Empty",),
+                      tuple(f"{name}MultiArray" for name in _PLAIN))
+    ),
+    # Point32.msg: "a point in free space (with 32 bits of precision)"; the foxglove schemas name
+    # the ROS message that each stands for.
+    frozenset({"geometry_msgs/msg/Point", "geometry_msgs/msg/Point32", "foxglove.Point3",
+               "RTC::Point3D"}),
+    frozenset({"geometry_msgs/msg/Vector3", "foxglove.Vector3", "RTC::Vector3D"}),
+    frozenset({"geometry_msgs/msg/Quaternion", "foxglove.Quaternion", "RTC::Quaternion"}),
+    frozenset({"geometry_msgs/msg/Pose", "foxglove.Pose"}),
+    frozenset({"builtin_interfaces/msg/Time", "foxglove.Timestamp", "RTC::Time"}),
+    frozenset({"builtin_interfaces/msg/Duration", "foxglove.Duration"}),
+)  # fmt: skip
+
+
+def name_of_type(told: object) -> str:
+    """Return the name in what `x-type` says, nothing where it says none."""
+    if isinstance(told, Mapping):
+        told = told.get("name")
+    return told if isinstance(told, str) else ""
+
+
+def are_alike(one: str, other: str, declared: tuple[frozenset[str], ...]) -> bool:
+    """Say whether two names of types stand for the same: equal, built in, or declared so."""
+    return one == other or any(one in names and other in names for names in (*declared, *BUILT_IN))
+
+
+VOCABULARY = ("x-type", "x-unit", "x-quantity", "x-frame", "x-encoding", "x-time")
+# What an object or an array says of these holds for all within it that says nothing else.
+INHERITED = ("x-unit", "x-quantity", "x-frame", "x-time")
+SCALED = "x-scaled"
+"""Of what an adapter emits: the factor and the offset that a number has gone through."""
+
 
 Path: TypeAlias = "tuple[str, ...]"
 Said: TypeAlias = "Mapping[str, Any]"

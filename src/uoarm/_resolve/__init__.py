@@ -1,9 +1,16 @@
 """Resolution: from a function asked for to a plan that is proven to fit, or to the reasons."""
 
 from uoarm._resolve._candidates import add_candidates, keep_candidates, without_candidates
-from uoarm._resolve._catalogue import Hold, StructureCache
+from uoarm._resolve._catalogue import (
+    Catalogue,
+    EdgeCheck,
+    Hold,
+    Judgement,
+    StructureCache,
+    Structures,
+    Unavailable,
+)
 from uoarm._resolve._proofs import Proofs
-from uoarm._resolve._protocols import Catalogue, EdgeCheck, Judgement, Structures, Unavailable
 from uoarm._resolve._resolver import NoPlanError, Resolver
 
 __all__ = [

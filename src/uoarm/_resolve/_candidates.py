@@ -13,9 +13,9 @@ from fnmatch import fnmatchcase
 
 from attrs import define, evolve, field, frozen
 
+from uoarm._resolve._catalogue import Structures, Unavailable
 from uoarm._resolve._matching import Offer, candidate_name, offers, references
 from uoarm._resolve._proofs import Adapted, Proofs
-from uoarm._resolve._protocols import Structures, Unavailable
 from uoarm.model import (
     BridgeFindings,
     Component,

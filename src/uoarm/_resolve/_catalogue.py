@@ -3,17 +3,83 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Container
-from typing import TypeAlias
+from collections.abc import Callable, Container, Mapping
+from typing import Protocol, TypeAlias
 
-from attrs import define, field
+from attrs import define, field, frozen
 
-from uoarm._resolve._protocols import Structures, Unavailable
 from uoarm.bridge import Bridge, Description
 from uoarm.errors import UoarmError
-from uoarm.model import Component, Endpoint, MessageStructure
+from uoarm.model import Component, Endpoint, Meaning, MessageStructure, Reason
 
-__all__ = ["Hold", "StructureCache"]
+__all__ = [
+    "Catalogue",
+    "EdgeCheck",
+    "Hold",
+    "Judgement",
+    "StructureCache",
+    "Structures",
+    "Unavailable",
+]
+
+
+@frozen
+class Unavailable:
+    """Why a component's structures cannot be had now."""
+
+    sentence: str
+
+
+@frozen
+class Structures:
+    """The structures of a component's ports by name, and what a reader should know of them."""
+
+    by_port: Mapping[str, MessageStructure]
+    warnings: tuple[str, ...] = ()
+
+
+class Catalogue(Protocol):
+    """Knows the structures of components."""
+
+    def structures(self, component: Component) -> Structures | Unavailable:
+        """Return structures keyed `input.NAME`, `output.NAME`, or `request` and `reply`."""
+
+
+class Judgement(Protocol):
+    """The verdict on one edge."""
+
+    @property
+    def compatible(self) -> bool:
+        """Whether every message of the producer is accepted."""
+
+    @property
+    def reasons(self) -> tuple[Reason, ...]:
+        """Why not, when it is not."""
+
+    @property
+    def losses(self) -> tuple[str, ...]:
+        """Fields that are dropped on the way, all of them allowed by name."""
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What a careful reader should know."""
+
+    @property
+    def unstated(self) -> tuple[str, ...]:
+        """Paths of what fits in shape, of whose meaning one side says nothing."""
+
+
+EdgeCheck: TypeAlias = Callable[
+    [
+        MessageStructure,
+        MessageStructure,
+        "Mapping[str, object] | None",
+        "tuple[str, ...]",
+        Meaning,
+    ],
+    Judgement,
+]
+
 
 _DESCRIBE_SECONDS = 30.0
 _OF_SERVICES = ("request", "reply")

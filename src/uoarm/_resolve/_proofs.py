@@ -5,17 +5,32 @@ from __future__ import annotations
 import math
 import time
 from collections import OrderedDict
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from types import MappingProxyType
 from typing import Any, Generic, TypeAlias, TypeVar
 
-from attrs import frozen
+from attrs import field, frozen
 
-from uoarm._adapt import MappingError, UnfitError, adapt, check_edge, parse
+from uoarm._adapt import MappingError, UnfitError, adapt, check_edge, number_problem, parse
+from uoarm._dataplane import make_check
+from uoarm._resolve._catalogue import Catalogue, EdgeCheck, Judgement, Structures, Unavailable
 from uoarm._yaml import read
-from uoarm.model import MessageStructure, Options
+from uoarm.errors import MessageError
+from uoarm.model import (
+    CommandPolicy,
+    Component,
+    Edge,
+    Input,
+    Meaning,
+    MeaningLevel,
+    MessageStructure,
+    Options,
+    Output,
+    Reason,
+    ValidationMode,
+)
 
-__all__ = ["Adapted", "Proofs"]
+__all__ = ["Adapted", "Fit", "Proofs", "command_mistakes", "lifetime_warnings"]
 
 T = TypeVar("T")
 
@@ -196,3 +211,137 @@ def _read(
         suggest_seconds=0,
     )
     return made if proven.compatible else None
+
+
+_REMEMBERED_FITS = 100_000
+
+
+@frozen(eq=False)
+class _Key:
+    """An edge's identity: both structures and the very mapping object of the configuration."""
+
+    producer: MessageStructure
+    consumer: MessageStructure
+    mapping: Mapping[str, object] | None
+    allow_loss: tuple[str, ...]
+    meaning: Meaning
+    digest: int = field(init=False)
+
+    def __attrs_post_init__(self) -> None:
+        whole = (self.producer, self.consumer, id(self.mapping), self.allow_loss, self.meaning)
+        object.__setattr__(self, "digest", hash(whole))
+
+    def __hash__(self) -> int:
+        return self.digest
+
+    def __eq__(self, other: object) -> bool:
+        return (
+            isinstance(other, _Key)
+            and self.mapping is other.mapping
+            and self.allow_loss == other.allow_loss
+            and self.meaning == other.meaning
+            and self.producer == other.producer
+            and self.consumer == other.consumer
+        )
+
+
+class Fit:
+    """Asks the catalogue and the edge check, each question once.
+
+    Args:
+        catalogue: knows structures, and remembers them itself.
+        check_edge: judges an edge; pure, so that its answers can be kept.
+    """
+
+    def __init__(self, catalogue: Catalogue, check_edge: EdgeCheck) -> None:
+        self._catalogue = catalogue
+        self._check_edge = check_edge
+        self._judged: dict[_Key, Judgement] = {}
+
+    def structures(self, component: Component) -> Structures | Unavailable:
+        """Return a component's structures or why they cannot be had."""
+        return self._catalogue.structures(component)
+
+    def edge(
+        self,
+        producer: Component,
+        output: Output,
+        structures: Structures,
+        consumer: Component,
+        port: Input,
+    ) -> Edge | tuple[Reason, ...]:
+        """Return the checked edge, or why it does not fit."""
+        wanted = self.structures(consumer)
+        if isinstance(wanted, Unavailable):
+            return (Reason(wanted.sentence),)
+        sent = structures.by_port[f"output.{output.name}"]
+        taken = wanted.by_port[f"input.{port.name}"]
+        judged = self._judge(_Key(sent, taken, port.mapping, port.allow_loss, port.meaning))
+        if not judged.compatible:
+            return tuple(judged.reasons)
+        return Edge(
+            producer=producer.name,
+            output=output.name,
+            consumer=consumer.name,
+            input=port.name,
+            producer_structure=sent,
+            consumer_structure=taken,
+            mapping=port.mapping,
+            losses=tuple(judged.losses),
+            warnings=tuple(
+                f"{producer.name}.{output.name} -> {consumer.name}.{port.name}: {warning}"
+                for warning in judged.warnings
+            ),
+            unstated=tuple(judged.unstated),
+            strict=port.meaning.level is MeaningLevel.STRICT,
+        )
+
+    def _judge(self, key: _Key) -> Judgement:
+        judged = self._judged.get(key)
+        if judged is None:
+            judged = self._check_edge(
+                key.producer, key.consumer, key.mapping, key.allow_loss, key.meaning
+            )
+            if len(self._judged) >= _REMEMBERED_FITS:
+                self._judged.clear()
+            self._judged[key] = judged
+        return judged
+
+
+def command_mistakes(component: Component, structures: Structures) -> tuple[Reason, ...]:
+    """Return why inputs of a component could not be stopped or limited as they should."""
+    return tuple(
+        reason
+        for port in component.inputs
+        if port.endpoint.command is not None
+        for reason in _mistakes(
+            f"input {port.name!r}", port.endpoint.command, structures.by_port[f"input.{port.name}"]
+        )
+    )
+
+
+def lifetime_warnings(edge: Edge, output: Output, port: Input) -> tuple[str, ...]:
+    """Warn of commands that expire before the output that feeds them is due to renew them."""
+    command = port.endpoint.command
+    if command is None or command.lifetime is None or output.expect is None:
+        return ()
+    period = 1 / output.expect.rate
+    if period < command.lifetime:
+        return ()
+    place = f"{edge.producer}.{edge.output} -> {edge.consumer}.{edge.input}"
+    lives = f"commands live for {command.lifetime:g} s, and the next one comes after {period:g} s"
+    return (f"{place}: {lives}: the stop message will follow each",)
+
+
+def _mistakes(place: str, command: CommandPolicy, structure: MessageStructure) -> Iterator[Reason]:
+    if command.stop is not None:
+        check = make_check(structure, ValidationMode.ALWAYS, f"the stop message of its {place}")
+        assert check is not None, "it is not off"
+        try:
+            check(command.stop.message)
+        except MessageError as error:
+            yield Reason(str(error))
+    for limit in command.limits:
+        problem = number_problem(structure, limit.path)
+        if problem:
+            yield Reason(f"limits of its {place}: {problem}", path=limit.path)

@@ -10,8 +10,8 @@ from collections.abc import Callable, Mapping
 
 from attrs import frozen
 
-from uoarm._resolve._fit import Fit
-from uoarm._resolve._protocols import Catalogue, EdgeCheck
+from uoarm._resolve._catalogue import Catalogue, EdgeCheck
+from uoarm._resolve._proofs import Fit
 from uoarm._resolve._search import Search
 from uoarm.config import fed_by
 from uoarm.errors import ResolutionError

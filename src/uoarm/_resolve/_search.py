@@ -14,9 +14,8 @@ from collections.abc import Callable, Mapping
 
 from attrs import define, field
 
-from uoarm._resolve._commands import command_mistakes, lifetime_warnings
-from uoarm._resolve._fit import Fit
-from uoarm._resolve._protocols import Structures
+from uoarm._resolve._catalogue import Structures
+from uoarm._resolve._proofs import Fit, command_mistakes, lifetime_warnings
 from uoarm.errors import ResolutionError
 from uoarm.model import Component, Edge, Function, Input, Plan, Reason, Rejection, Step
 

@@ -1,7 +1,6 @@
 """Types for applications from a lock: a Python module, TypeScript declarations, one JSON Schema."""
 
-from uoarm._types._document import write_document
-from uoarm._types._functions import Functions, read_functions
+from uoarm._types._functions import Functions, read_functions, write_document
 from uoarm._types._python import write_python
 from uoarm._types._typescript import write_typescript
 

@@ -1,7 +1,6 @@
 """YAML files that people write: plain values with their places, within a budget."""
 
-from uoarm._yaml._document import Document, Path
-from uoarm._yaml._problem import Place, Problem, clip, write_path
+from uoarm._yaml._document import Document, Path, Place, Problem, clip, write_path
 from uoarm._yaml._reader import Budget, read, read_file
 
 __all__ = [

@@ -2,13 +2,83 @@
 
 from __future__ import annotations
 
+import json
+import math
+import re
+from collections.abc import Mapping
 from typing import TypeAlias
 
 from attrs import define, field, frozen
 
-from uoarm._yaml._problem import Place, Problem
+__all__ = [
+    "Document",
+    "Path",
+    "Place",
+    "Problem",
+    "ScalarError",
+    "Spot",
+    "clip",
+    "resolve",
+    "write_path",
+]
 
-__all__ = ["Document", "Path", "Spot"]
+_SHOWN = 60
+_PLAIN = re.compile(r"[A-Za-z_][A-Za-z0-9_-]*")
+
+
+@frozen(order=True)
+class Place:
+    """A place in a file, counted from one."""
+
+    line: int
+    column: int
+
+
+@frozen(kw_only=True)
+class Problem:
+    """One mistake.
+
+    Attributes:
+        place: where it stands.
+        path: where it stands in the data, `$.functions.camera.components[0].priority`; empty where
+            it is about the whole file, and no place in it is told.
+        sentence: what is wrong: what was expected and what came.
+        hint: what to do, empty where the sentence says it.
+        file: the file, empty for text that was not read from one.
+    """
+
+    place: Place
+    path: str
+    sentence: str
+    hint: str = ""
+    file: str = ""
+
+    def __str__(self) -> str:
+        where = f":{self.place.line}:{self.place.column}: {self.path}" if self.path else ""
+        hint = f" ({self.hint})" if self.hint else ""
+        return f"{self.file or '<text>'}{where}: {self.sentence}{hint}"
+
+
+def clip(value: object) -> str:
+    """Write a value as JSON on one line, cut where it is long."""
+    if value is None:
+        return "nothing"
+    if isinstance(value, str) and len(value) > _SHOWN:
+        value = f"{value[:_SHOWN]}..."
+    text = json.dumps(value, ensure_ascii=False, default=str)
+    return text if len(text) <= _SHOWN + 5 else f"{text[:_SHOWN]}..."
+
+
+def write_path(path: tuple[str | int, ...]) -> str:
+    """Write a path as `$.functions.camera.components[0]`; odd keys as `["a b"]`."""
+    return "$" + "".join(_step(part) for part in path)
+
+
+def _step(part: str | int) -> str:
+    if isinstance(part, int):
+        return f"[{part}]"
+    return f".{part}" if _PLAIN.fullmatch(part) and len(part) <= _SHOWN else f"[{clip(part)}]"
+
 
 Path: TypeAlias = "tuple[str | int, ...]"
 
@@ -64,3 +134,55 @@ class Document:
                 return spot, False
             spot = inner
         return spot, True
+
+
+_MAX_DIGITS = 1000
+_NUMBER_STARTS = frozenset("+-.0123456789")
+_INTEGER = re.compile(r"[-+]?[0-9]+")
+_OCTAL = re.compile(r"0o[0-7]+")
+_HEXADECIMAL = re.compile(r"0x[0-9a-fA-F]+")
+_FLOAT = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?")
+_NOT_FINITE = re.compile(r"[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)")
+_WORDS: Mapping[str, object] = {
+    "": None,
+    "~": None,
+    **dict.fromkeys(("null", "Null", "NULL")),
+    **dict.fromkeys(("true", "True", "TRUE"), True),
+    **dict.fromkeys(("false", "False", "FALSE"), False),
+}
+
+
+class ScalarError(ValueError):
+    """A number that JSON cannot hold; the text is the sentence to show."""
+
+
+def resolve(text: str) -> object:
+    """Return the string, number, boolean or None that unquoted text stands for.
+
+    `yes`, `no`, `on` and `off` are strings, `010` is ten, `0o10` is eight, `1:30` is a string.
+
+    Raises:
+        ScalarError: the text is a number that is not finite or far too long.
+    """
+    if text in _WORDS:
+        return _WORDS[text]
+    if text[0] not in _NUMBER_STARTS:
+        return text
+    if _NOT_FINITE.fullmatch(text):
+        raise ScalarError(f"{text} is not a number of JSON")
+    if _FLOAT.fullmatch(text) or _OCTAL.fullmatch(text) or _HEXADECIMAL.fullmatch(text):
+        if len(text) > _MAX_DIGITS:
+            raise ScalarError(f"a number of {len(text):,} digits; {_MAX_DIGITS:,} are allowed")
+        return _number(text)
+    return text
+
+
+def _number(text: str) -> int | float:
+    if _INTEGER.fullmatch(text):
+        return int(text)
+    if text.startswith(("0o", "0x")):
+        return int(text, 0)
+    number = float(text)
+    if math.isinf(number):
+        raise ScalarError(f"{text} is larger than the largest number")
+    return number

@@ -17,9 +17,17 @@ from typing import Any
 import yaml
 from attrs import frozen
 
-from uoarm._yaml._document import Document, Path, Spot
-from uoarm._yaml._problem import Place, Problem, clip, write_path
-from uoarm._yaml._scalar import ScalarError, resolve
+from uoarm._yaml._document import (
+    Document,
+    Path,
+    Place,
+    Problem,
+    ScalarError,
+    Spot,
+    clip,
+    resolve,
+    write_path,
+)
 
 __all__ = ["Budget", "read", "read_file"]
 

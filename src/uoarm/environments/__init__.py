@@ -1,7 +1,7 @@
 """Python environments for bridge hosts: made, listed, examined and removed by name."""
 
 from uoarm.environments._doctor import Finding, examine
-from uoarm.environments._make import create
+from uoarm.environments._make import create, requirements
 from uoarm.environments._place import (
     Environment,
     environment_folder,
@@ -10,7 +10,6 @@ from uoarm.environments._place import (
     listed,
     remove,
 )
-from uoarm.environments._requirements import requirements
 
 __all__ = [
     "Environment",

@@ -1,6 +1,6 @@
 """The built-in `python` bridge: plain Python callables, generators and classes as components."""
 
-from uoarm._hints.annotations import HintError, Octets, Range, Shape, UInt8
+from uoarm._hints.arrays import HintError, Octets, Range, Shape, UInt8
 from uoarm._hints.schemas import schema_of
 from uoarm.local._bridge import PythonBridge, uoarm_bridge_types
 from uoarm.local._target import Emit, structure

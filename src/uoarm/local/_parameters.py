@@ -7,7 +7,7 @@ import inspect
 from collections.abc import Mapping
 from typing import Any
 
-from uoarm._hints.annotations import HintError
+from uoarm._hints.arrays import HintError
 from uoarm._hints.convert import reader
 from uoarm._hints.schemas import schema_of
 from uoarm._mistakes import mistakes

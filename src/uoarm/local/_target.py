@@ -12,7 +12,7 @@ from typing import Any, Generic, TypeVar, Union, get_args, get_origin, get_type_
 import attrs
 from attrs import field, frozen
 
-from uoarm._hints.annotations import HintError
+from uoarm._hints.arrays import HintError
 from uoarm._hints.convert import reader, writer
 from uoarm._hints.schemas import schema_of
 from uoarm._raised import foreign, text_of

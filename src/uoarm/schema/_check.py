@@ -9,7 +9,7 @@ from attrs import evolve
 
 from uoarm.schema._errors import BudgetError, OutOfScopeError
 from uoarm.schema._meter import Meter
-from uoarm.schema._repeated import build, describe, is_small
+from uoarm.schema._values import build, describe, is_small
 from uoarm.schema.explain import Budget, Verdict, explain, find_losses
 from uoarm.schema.read import Document, Node, Pool
 from uoarm.schema.solve import (

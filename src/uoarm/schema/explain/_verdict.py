@@ -6,7 +6,7 @@ from typing import Any
 
 from attrs import asdict, field, frozen
 
-from uoarm.schema._repeated import build, describe
+from uoarm.schema._values import build, describe
 
 __all__ = ["Budget", "Loss", "Reason", "Verdict"]
 

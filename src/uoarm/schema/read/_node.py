@@ -2,19 +2,34 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from fractions import Fraction
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple, Protocol, TypeAlias
 
 from attrs import define, field
 
-if TYPE_CHECKING:
-    from uoarm.schema._values import Key
-    from uoarm.schema.read._document import Document
-    from uoarm.schema.read._scopes import Scope
+from uoarm.schema._meter import Meter
+from uoarm.schema._values import Key
 
-__all__ = ["Node", "Reference"]
+__all__ = ["Node", "NodeReader", "Reference", "Scope"]
+
+Scope: TypeAlias = "tuple[tuple[str, str], ...]"
+"""Names of dynamic anchors, each with the base of the document that has set it."""
+
+
+class NodeReader(Protocol):
+    """What nodes ask of the document that they were read from."""
+
+    @property
+    def meter(self) -> Meter:
+        """The budget that work on the document is spent from."""
+
+    def resolve(self, reference: Reference) -> Node:
+        """Return the node that a reference leads to."""
+
+    def either(self, nodes: Sequence[Node]) -> Node:
+        """Return a node that accepts what one of some nodes accepts."""
 
 
 class Reference(NamedTuple):
@@ -35,7 +50,7 @@ class Node:
 
     number: int
     raw: object
-    document: Document
+    document: NodeReader
     never: bool = False
     unsupported: str = ""
     kinds: frozenset[str] | None = None

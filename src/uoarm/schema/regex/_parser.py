@@ -10,23 +10,69 @@ behind, raises `UnsupportedPatternError`.
 from __future__ import annotations
 
 import re
-from typing import TypeAlias
+from collections import OrderedDict
+from collections.abc import Callable
+from threading import Lock
+from typing import Generic, TypeAlias, TypeVar
 
 from attrs import define
 
-from uoarm.schema.regex._charsets import (
+from uoarm.schema.regex._nfa import (
     ANY,
     CLASSES,
     DOT,
     CharSet,
+    MalformedPatternError,
+    Nfa,
+    UnsupportedPatternError,
     complement,
     property_chars,
     union,
 )
-from uoarm.schema.regex._kept import Kept
-from uoarm.schema.regex._nfa import MalformedPatternError, Nfa, UnsupportedPatternError
 
-__all__ = ["compile_pattern", "is_disputed"]
+__all__ = ["Kept", "compile_pattern", "is_disputed"]
+
+T = TypeVar("T")
+
+
+class Kept(Generic[T]):
+    """Makes what belongs to a text, and keeps it until others weigh too much.
+
+    May be called from several threads; two of them may make the same thing at once.
+
+    Args:
+        make: makes it; what it raises is not kept.
+        weigh: says how much it weighs, which may grow.
+        most: what all may weigh together.
+    """
+
+    def __init__(self, make: Callable[[str], T], weigh: Callable[[T], int], most: int) -> None:
+        self._make = make
+        self._weigh = weigh
+        self._most = most
+        self._lock = Lock()
+        self._kept: OrderedDict[str, T] = OrderedDict()
+
+    def __call__(self, text: str) -> T:
+        """Return what belongs to a text."""
+        with self._lock:
+            found = self._kept.get(text)
+            if found is not None:
+                self._kept.move_to_end(text)
+                return found
+        made = self._make(text)
+        with self._lock:
+            self._kept[text] = made
+            weight = sum(self._weigh(item) for item in self._kept.values())
+            while weight > self._most and len(self._kept) > 1:
+                weight -= self._weigh(self._kept.popitem(last=False)[1])
+        return made
+
+    def cache_clear(self) -> None:
+        """Forget everything."""
+        with self._lock:
+            self._kept.clear()
+
 
 _MAX_REPEAT = 1000
 _MAX_DIGITS = 9  # int() refuses thousands of them

@@ -11,10 +11,8 @@ import re
 from collections.abc import Callable
 from typing import TypeAlias
 
-from uoarm.schema.regex._charsets import CLASSES, contains
-from uoarm.schema.regex._kept import Kept
-from uoarm.schema.regex._nfa import Nfa, UnsupportedPatternError
-from uoarm.schema.regex._parser import compile_pattern
+from uoarm.schema.regex._nfa import CLASSES, Nfa, UnsupportedPatternError, contains
+from uoarm.schema.regex._parser import Kept, compile_pattern
 
 __all__ = ["WalkState", "Walker", "found_in", "walker_of"]
 

@@ -12,7 +12,7 @@ from collections.abc import Collection, Sequence
 from typing import TypeAlias
 
 from uoarm.schema._meter import Meter
-from uoarm.schema.regex._charsets import CLASSES, CharSet
+from uoarm.schema.regex._nfa import CLASSES, CharSet
 from uoarm.schema.regex._parser import compile_pattern
 from uoarm.schema.regex._walker import WalkState, walker_of
 

@@ -1,5 +1,6 @@
 """The search for a value that meets some schemas and fails others, and the check of values."""
 
+from uoarm.schema.solve._branch import EMPTY, Empty, Found, Result, Unknown
 from uoarm.schema.solve._differences import Difference, Messages, differences
 from uoarm.schema.solve._evaluate import (
     Judgements,
@@ -8,7 +9,6 @@ from uoarm.schema.solve._evaluate import (
     member_rules,
     named_rules,
 )
-from uoarm.schema.solve._results import EMPTY, Empty, Found, Result, Unknown
 from uoarm.schema.solve._search import answer
 from uoarm.schema.solve._solver import Solver
 

@@ -6,12 +6,10 @@ from collections.abc import Sequence
 from itertools import product
 from typing import Any
 
-from uoarm.schema._repeated import Repeated
-from uoarm.schema.solve._branch import Literal
-from uoarm.schema.solve._counting import build_counted
-from uoarm.schema.solve._distinct import distinct
+from uoarm.schema._values import Repeated
+from uoarm.schema.solve._branch import EMPTY, Found, Literal, Unknown
+from uoarm.schema.solve._counting import build_counted, distinct
 from uoarm.schema.solve._layout import Layout
-from uoarm.schema.solve._results import EMPTY, Found, Unknown
 from uoarm.schema.solve._solver import Asking, Solver, State
 
 __all__ = ["array_leaf"]

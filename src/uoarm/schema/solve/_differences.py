@@ -14,10 +14,9 @@ from typing import Any, NamedTuple
 from attrs import fields
 
 from uoarm.schema._meter import Meter
-from uoarm.schema._repeated import Repeated
+from uoarm.schema._values import Repeated
 from uoarm.schema.read import Node
-from uoarm.schema.solve._branch import KINDS
-from uoarm.schema.solve._results import Found
+from uoarm.schema.solve._branch import KINDS, Found
 
 __all__ = ["Difference", "Messages", "differences"]
 

@@ -12,11 +12,10 @@ from typing import Any, TypeAlias
 from attrs import define, field
 
 from uoarm.schema._errors import OutOfScopeError
-from uoarm.schema._repeated import Repeated, runs_of
-from uoarm.schema._values import Keys, exact, is_composite, kind_of
+from uoarm.schema._values import Keys, Repeated, exact, is_composite, kind_of, runs_of
 from uoarm.schema.read import Node
 from uoarm.schema.regex import UnsupportedPatternError, found_in
-from uoarm.schema.solve._trampoline import run
+from uoarm.schema.solve._branch import run
 
 __all__ = [
     "Judgements",

@@ -12,9 +12,8 @@ from collections.abc import Iterable, Sequence
 
 from uoarm.schema._errors import OutOfScopeError
 from uoarm.schema.read import Node
-from uoarm.schema.solve._atoms import ATOMS, VIOLATIONS
+from uoarm.schema.solve._atoms import ATOMS, VIOLATIONS, certainly_disjoint
 from uoarm.schema.solve._branch import Branch, Choice, Literal
-from uoarm.schema.solve._tags import certainly_disjoint
 from uoarm.schema.solve._unevaluated import items_fail, items_hold, members_fail, members_hold
 
 __all__ = ["expand"]

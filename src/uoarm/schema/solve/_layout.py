@@ -8,8 +8,7 @@ from typing import Any, TypeAlias
 
 from uoarm.schema._errors import OutOfScopeError
 from uoarm.schema.read import Node
-from uoarm.schema.solve._branch import Atom, Literal
-from uoarm.schema.solve._results import Empty, Result
+from uoarm.schema.solve._branch import Atom, Empty, Literal, Result
 from uoarm.schema.solve._solver import Goal
 
 __all__ = ["ArrayView", "Layout"]

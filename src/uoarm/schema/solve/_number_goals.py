@@ -15,8 +15,8 @@ from typing import TypeAlias
 from uoarm.schema._errors import OutOfScopeError
 from uoarm.schema._values import exact, kind_of
 from uoarm.schema.read import Node
-from uoarm.schema.solve._branch import Literal
-from uoarm.schema.solve._intervals import (
+from uoarm.schema.solve._branch import EMPTY, Found, Literal, Result, Unknown, run
+from uoarm.schema.solve._numbers import (
     EVERY_NUMBER,
     NO_NUMBER,
     Bound,
@@ -24,11 +24,9 @@ from uoarm.schema.solve._intervals import (
     above,
     below,
     counted,
+    find_number,
     points,
 )
-from uoarm.schema.solve._numbers import find_number
-from uoarm.schema.solve._results import EMPTY, Found, Result, Unknown
-from uoarm.schema.solve._trampoline import run
 
 __all__ = ["find_number_whole"]
 

@@ -7,9 +7,8 @@ from typing import Any, TypeAlias
 
 from uoarm.schema.read import Node
 from uoarm.schema.regex import TooLong, found_in
-from uoarm.schema.solve._branch import Atom, Literal
+from uoarm.schema.solve._branch import EMPTY, Atom, Empty, Found, Literal, Result, Unknown
 from uoarm.schema.solve._evaluate import accepts, named_rules
-from uoarm.schema.solve._results import EMPTY, Empty, Found, Result, Unknown
 from uoarm.schema.solve._solver import Asking, Goal, Solver, State
 
 __all__ = ["ObjectView", "object_leaf"]

@@ -6,19 +6,17 @@ from collections.abc import Generator
 from typing import Any, TypeAlias
 
 from uoarm.schema._errors import OutOfScopeError
-from uoarm.schema._repeated import Repeated, is_small, runs_of
-from uoarm.schema._values import exact, kind_of
+from uoarm.schema._values import Repeated, exact, is_small, kind_of, runs_of
 from uoarm.schema.regex import TooLong, UnsupportedPatternError, shortest_word
 from uoarm.schema.solve._arrays import array_leaf
-from uoarm.schema.solve._branch import Branch, Choice
+from uoarm.schema.solve._atoms import contradicts, tags_of
+from uoarm.schema.solve._branch import EMPTY, Branch, Choice, Empty, Found, Result, Unknown
 from uoarm.schema.solve._expand import expand
 from uoarm.schema.solve._layout import ArrayView
 from uoarm.schema.solve._number_goals import find_number_whole
 from uoarm.schema.solve._numbers import find_number
 from uoarm.schema.solve._objects import ObjectView, object_leaf
-from uoarm.schema.solve._results import EMPTY, Empty, Found, Result, Unknown
 from uoarm.schema.solve._solver import Asking, Goal, Solver, State, possible_kinds, try_values
-from uoarm.schema.solve._tags import contradicts, tags_of
 
 __all__ = ["answer"]
 

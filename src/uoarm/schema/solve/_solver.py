@@ -19,11 +19,21 @@ from uoarm.schema._errors import OutOfScopeError
 from uoarm.schema._values import Key, kind_of
 from uoarm.schema.read import Document, Node, Pool
 from uoarm.schema.regex import TooLong, UnsupportedPatternError
-from uoarm.schema.solve._branch import KINDS, Atom, Branch, Choice, Literal
+from uoarm.schema.solve._atoms import contradicts, tags_of
+from uoarm.schema.solve._branch import (
+    EMPTY,
+    KINDS,
+    Atom,
+    Branch,
+    Choice,
+    Empty,
+    Found,
+    Literal,
+    Result,
+    Unknown,
+)
 from uoarm.schema.solve._evaluate import Judgements
 from uoarm.schema.solve._expand import expand
-from uoarm.schema.solve._results import EMPTY, Empty, Found, Result, Unknown
-from uoarm.schema.solve._tags import contradicts, tags_of
 
 __all__ = ["Asking", "Goal", "Solver", "State"]
 

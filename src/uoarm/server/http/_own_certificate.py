@@ -90,9 +90,9 @@ def _is_usable(path: Path, wanted: Sequence[str], now: datetime) -> bool:
 
 def _maker() -> ModuleType:
     try:
-        from uoarm._certificates import _self_signed  # noqa: PLC0415 - its package is slow to import
+        from uoarm._certificates import _authority  # noqa: PLC0415 - its package is slow to import
     except ImportError as error:
         command = install_command("uoarm", "server")
         text = f"making a certificate needs the package {error.name!r}: {command}"
         raise ConfigurationError(text) from error
-    return _self_signed
+    return _authority
