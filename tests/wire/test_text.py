@@ -102,7 +102,10 @@ def test_what_has_no_json_form_is_refused_by_name() -> None:
 @pytest.mark.parametrize(
     ("message", "said"),
     [
-        ({"data": "no base64!"}, r"\$\.data: expected octets"),
+        ({"data": "no base64!"}, r"\$\.data: expected octets .*: character 3 is ' ', expected A-Z"),
+        ({"data": "YQ-_"}, r"\$\.data: expected octets .*: character 3 is '-'"),
+        ({"data": "YWFhY"}, r"\$\.data: expected octets .*: 5 characters make no whole number"),
+        ({"data": "YQ="}, r"\$\.data: expected octets .*: 3 characters make no whole number"),
         ({"wide": "1e5"}, r"\$\.wide: expected an integer"),
         ({"wide": 1.8446744073709552e19}, r"\$\.wide: .* lost digits"),
         ({"list": [1, "nan"]}, r"\$\.list\[1\]: expected a number"),
@@ -115,6 +118,14 @@ def test_text_that_its_place_cannot_carry_is_refused_with_the_path(
     assert reader is not None
     with pytest.raises(MessageError, match=said):
         reader(message)
+
+
+@pytest.mark.parametrize("octets", [b"", b"a", b"ab", b"abc", b"abcd", bytes(range(256))])
+def test_base64_without_its_padding_is_read(octets: bytes) -> None:
+    reader = make_reader(EVERYTHING)
+    assert reader is not None
+    text = base64.b64encode(octets).decode().rstrip("=")
+    assert reader({"data": text}) == {"data": octets}
 
 
 def test_a_structure_of_strings_needs_no_reader() -> None:

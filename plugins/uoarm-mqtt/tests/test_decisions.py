@@ -5,12 +5,15 @@ from __future__ import annotations
 import threading
 from types import SimpleNamespace
 
+import pytest
 from paho.mqtt.enums import CallbackAPIVersion, MQTTErrorCode
+from uoarm_mqtt._codec import Codec
 from uoarm_mqtt._link import ThreadedClient
 from uoarm_mqtt._outage import Outage
 from uoarm_mqtt._subscriptions import Incoming, Receiver, Subscriptions
 
-from uoarm.model import Health
+from uoarm.errors import MessageError
+from uoarm.model import Budget, Health, MessageStructure
 
 
 def test_an_outage_is_told_once_lost_once_and_over_once() -> None:
@@ -88,3 +91,13 @@ def test_what_is_retained_goes_to_who_has_just_subscribed_and_wants_it() -> None
     table.add(other)
     assert table.route(message("a", other.id, retain=True)) == []
     assert table.route(message("a", other.id)) == [old, new, other]
+
+
+def test_octets_in_json_are_base64_with_its_padding_or_without() -> None:
+    octets = {"type": "array", "items": {"type": "integer"}, "x-octets": True}
+    codec = Codec.of("json", MessageStructure(octets), Budget())
+    for text in (b'"YQ=="', b'"YQ"'):
+        assert bytes(codec.decode(text)) == b"a"
+    for text in (b'"Y"', b'"YQ="', b'"Y Q"'):
+        with pytest.raises(MessageError):
+            codec.decode(text)

@@ -149,6 +149,112 @@ def test_a_call_that_fails_has_a_response(
     assert said in response["values"]
 
 
+@pytest.mark.parametrize("identity", [0, 7, -1, 1.5, True, "", "7"])
+def test_an_id_of_any_kind_comes_back_with_the_answer(enter: Enter, identity: object) -> None:
+    client = enter()
+    for service, result in (("/uoarm/add", True), ("/uoarm/nothing", False)):
+        client.send(op="call_service", id=identity, service=service, args=[1, 2])
+        answer = client.receive()
+        assert (answer["id"], answer["result"]) == (identity, result)
+    client.send(op="send_action_goal", id=identity, action="/uoarm/add", args=[1, 2])
+    assert client.receive()["id"] == identity
+    client.send(op="subscribe", id=identity)
+    status = client.receive()
+    assert (status["op"], status["id"]) == ("status", identity)
+    client.send(op="subscribe", id=identity, topic="/chatter")
+    client.send(op="unsubscribe", id=identity, topic="/chatter")
+    client.send(op="unsubscribe", id=identity, topic="/chatter")
+    assert "has not subscribed" in client.receive()["msg"]
+
+
+@pytest.mark.parametrize("identity", [[], {"a": 1}, 10**30, "x" * 2000])
+def test_an_id_that_nothing_could_match_is_refused(enter: Enter, identity: object) -> None:
+    client = enter()
+    client.send(op="call_service", id=identity, service="/uoarm/add", args=[1, 2])
+    answer = client.receive()
+    assert answer["result"] is False
+    assert "id" not in answer
+    assert "id: expected a number or a text" in answer["values"]
+
+
+def test_services_between_clients_have_the_type_that_their_provider_states(enter: Enter) -> None:
+    provider, caller = enter(), enter()
+    provider.send(op="advertise_service", service="/half", type="std_srvs/SetBool")
+    eventually(
+        lambda: "/half" in caller.call("/rosapi/services")["services"], "the service is there"
+    )
+    caller.send(op="call_service", id=1, service="/half", type="std_srvs/srv/Trigger")
+    assert (
+        "has the type 'std_srvs/SetBool', not 'std_srvs/srv/Trigger'" in caller.receive()["values"]
+    )
+    caller.send(op="call_service", id=2, service="/half", type="std_srvs/srv/SetBool")
+    assert provider.receive()["service"] == "/half"
+    kinds = caller.call("/rosapi/services_for_type", {"type": "std_srvs/srv/SetBool"})
+    assert kinds == {"services": ["/half"]}
+    assert caller.call("/rosapi/service_node", {"service": "/half"}) == {
+        "node": "/rosbridge_websocket"
+    }
+
+
+def test_what_clients_have_is_at_the_node_of_rosbridge(enter: Enter) -> None:
+    speaker, listener = enter(), enter()
+    speaker.send(op="advertise", topic="/chatter", type="std_msgs/String")
+    listener.send(op="subscribe", topic="/chatter")
+    node = "/rosbridge_websocket"
+    eventually(
+        lambda: (
+            listener.call("/rosapi/publishers", {"topic": "/chatter"}) == {"publishers": [node]}
+        ),
+        "it is advertised",
+    )
+    assert listener.call("/rosapi/subscribers", ["chatter"]) == {"subscribers": [node]}
+    details = listener.call("/rosapi/node_details", {"node": node})
+    assert details["publishing"] == details["subscribing"] == ["/chatter"]
+    assert {node, "/rosapi"} <= set(listener.call("/rosapi/nodes")["nodes"])
+
+
+@pytest.mark.parametrize("kind", ["rosapi/TopicType", "rosapi_msgs/srv/TopicType"])
+def test_rosapi_knows_its_own_services(enter: Enter, kind: str) -> None:
+    client = enter()
+    assert client.call("rosapi/services_for_type", {"type": kind}) == {
+        "services": ["/rosapi/topic_type"]
+    }
+    answered = client.call("/rosapi/service_type", {"service": "rosapi/topic_type"})
+    assert answered == {"type": "rosapi_msgs/srv/TopicType"}
+    assert client.call("/rosapi/service_node", {"service": "/rosapi/topic_type"}) == {
+        "node": "/rosapi"
+    }
+    [request] = client.call("/rosapi/service_request_details", {"type": kind})["typedefs"]
+    assert (request["type"], request["fieldnames"]) == ("rosapi_msgs/TopicType_Request", ["topic"])
+    stamp = client.call("/rosapi/service_response_details", {"type": "rosapi/GetTime"})["typedefs"]
+    assert [one["type"] for one in stamp] == [
+        "rosapi_msgs/GetTime_Response", "builtin_interfaces/Time",
+    ]  # fmt: skip
+
+
+def test_every_service_of_rosapi_answers_with_the_fields_that_it_says_it_has(enter: Enter) -> None:
+    client = enter()
+    client.call("/rosapi/set_param", {"name": "x", "value": "1"})
+    arguments = {
+        "topic": "/uoarm/numbers", "service": "/uoarm/add", "node": "/adder", "type": "Picture",
+        "name": "x", "value": "1", "action": "/uoarm/add",
+    }  # fmt: skip
+    listed = client.call("/rosapi/services")["services"]
+    others = (
+        "request_details",
+        "response_details",
+        "goal_details",
+        "result_details",
+        "feedback_details",
+    )
+    for service in listed:
+        if not service.startswith("/rosapi/") or service.endswith(others):
+            continue
+        kind = client.call("/rosapi/service_type", {"service": service})["type"]
+        [said, *_] = client.call("/rosapi/service_response_details", {"type": kind})["typedefs"]
+        assert set(client.call(service, arguments)) == set(said["fieldnames"])
+
+
 def test_a_slow_call_holds_up_nothing(enter: Enter) -> None:
     client = enter()
     client.send(op="call_service", id="slow", service="/uoarm/slow", args={"value": 1})

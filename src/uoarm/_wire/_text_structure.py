@@ -5,6 +5,7 @@ from __future__ import annotations
 import binascii
 import re
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from typing import Any, TypeAlias
 
 from pybase64 import b64decode
@@ -20,6 +21,7 @@ Reader: TypeAlias = Callable[[Message], Message]
 _MAX_DEPTH = 64
 _SHOWN = 100
 _DIGITS = re.compile(r"-?(0|[1-9][0-9]{0,999})\Z")
+_NO_BASE64 = re.compile(r"[^A-Za-z0-9+/]")
 _NAMES = {"NaN": float("nan"), "Infinity": float("inf"), "-Infinity": float("-inf")}
 _MAPS = ("properties", "patternProperties", "$defs", "dependentSchemas")
 _LISTS = ("prefixItems", "allOf", "anyOf", "oneOf")
@@ -180,8 +182,23 @@ def _octets(value: Any) -> Any:
         return value
     try:
         return b64decode(value, validate=True)
-    except (binascii.Error, ValueError) as error:
-        raise _MisfitError(f"expected octets as base64 text: {error}") from error
+    except (binascii.Error, ValueError):
+        return _unpadded(value)
+
+
+def _unpadded(text: str) -> bytes:
+    """Return the octets of base64 whose `=` at the end were left out, as many encoders do."""
+    digits = text.rstrip("=")
+    wrong = _NO_BASE64.search(digits)
+    if wrong is None and len(text) == len(digits):
+        with suppress(binascii.Error, ValueError):
+            return b64decode(text + "=" * (-len(text) % 4), validate=True)
+    why = (
+        f"{len(text):,} characters make no whole number of octets"
+        if wrong is None
+        else f"character {wrong.start() + 1:,} is {wrong[0]!r}, expected A-Z, a-z, 0-9, + and /"
+    )
+    raise _MisfitError(f"expected octets as base64 text: {why}")
 
 
 def _integer(value: Any) -> Any:

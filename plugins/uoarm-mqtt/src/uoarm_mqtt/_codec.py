@@ -186,7 +186,8 @@ class _Reading:
 def _octets(value: Any) -> Any:
     """Octets are base64; of whoever writes them as a list of numbers, the list is taken."""
     if isinstance(value, str):
-        return base64.b64decode(value, validate=True)
+        padding = "" if value.endswith("=") else "=" * (-len(value) % 4)  # many leave it out
+        return base64.b64decode(value + padding, validate=True)
     return bytes(value) if isinstance(value, list) else value
 
 

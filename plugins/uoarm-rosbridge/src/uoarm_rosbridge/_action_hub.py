@@ -9,10 +9,11 @@ from typing import Any, Protocol
 
 from attrs import frozen
 
-from uoarm.errors import BridgeError, FailureReason, UoarmError
+from uoarm.errors import BridgeError, FailureReason, MessageError, UoarmError
 from uoarm.server.front_end import Backend, Done, LimitError, UnknownError
 from uoarm_rosbridge._goal import Goal, Runner
 from uoarm_rosbridge._stream_runner import StreamRunner
+from uoarm_rosbridge._typedefs import is_same_type
 
 __all__ = ["ActionHub", "ActionProvider"]
 
@@ -40,6 +41,10 @@ class _Offer:
 
     def start(self, goal: Goal) -> None:
         """Send a goal to the provider."""
+        if goal.kind and self.kind and not is_same_type(goal.kind, self.kind):
+            raise MessageError(
+                f"action {self.name!r} has the type {self.kind!r:.100}, not {goal.kind!r:.100}"
+            )
         identity = self.hub.note(self, goal)
         try:
             self.provider.tell(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import Any, TypeAlias
 
 from attrs import frozen
 
@@ -38,6 +38,7 @@ from uoarm_rosbridge._wire import write_ros
 __all__ = ["Actions"]
 
 Fields = Mapping[str, Any]
+Identity: TypeAlias = "str | float"
 
 
 @frozen(eq=False)
@@ -75,14 +76,14 @@ class Actions:
         self._hub = hub
         self._fail = fail
         self.tell = ask
-        self._sent: dict[str, _Sent] = {}
+        self._sent: dict[Identity, _Sent] = {}
         self._joined: set[str] = set()
         self._offered: set[str] = set()
         self._numbers = itertools.count(1)
 
     def send_goal(self, fields: Fields) -> None:
         """Begin with a goal; feedback and result come with its id."""
-        identity = fields.get("id") or fields["action"]
+        identity = fields["action"] if fields.get("id") is None else fields["id"]
         if identity in self._sent:
             raise UsageError(f"the goal {identity!r:.200} is under way")
         if len(self._sent) >= self._client.limits.streams:
@@ -174,7 +175,7 @@ class Actions:
             return self._hub.join(place.function, self._backend, self)
         return CallRunner(place, self._backend)
 
-    def _goal(self, identity: str, fields: Fields) -> Goal:
+    def _goal(self, identity: Identity, fields: Fields) -> Goal:
         """Return a goal that answers to the client, feedback and result in their order."""
         named = {name: fields[name] for name in ("action", "id") if fields.get(name) is not None}
         lane = Lane(QueuePolicy(self._client.limits.queue_messages), text=True)
@@ -206,9 +207,10 @@ class Actions:
             self._client.outbox.finish(lane, *self._split(frame, fields))
 
         octets = self._client.in_hand
-        return Goal(fields.get("args"), on_feedback, on_result, on_failure, octets)
+        stated = str(fields.get("action_type") or "")
+        return Goal(fields.get("args"), on_feedback, on_result, on_failure, octets, stated)
 
-    def _forget(self, identity: str) -> None:
+    def _forget(self, identity: Identity) -> None:
         sent = self._sent.pop(identity, None)
         if sent is not None:
             sent.charge.release()

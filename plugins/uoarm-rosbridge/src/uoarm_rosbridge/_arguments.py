@@ -7,9 +7,10 @@ from typing import Any
 
 from uoarm.errors import MessageError, UsageError
 from uoarm.model import Message, MessageStructure
-from uoarm.server.front_end import TEXT_FORM, read_message
+from uoarm.server.front_end import TEXT_FORM, Read, read_message
+from uoarm_rosbridge._typedefs import check_type, service_type
 
-__all__ = ["read_arguments"]
+__all__ = ["read_arguments", "reader_of"]
 
 _MOST_ADDED = 100_000
 _TIME = {"secs": "sec", "nsecs": "nanosec"}
@@ -34,6 +35,21 @@ def read_arguments(structure: MessageStructure, arguments: Message) -> Message:
     """
     named = _named(structure.schema, arguments)
     return read_message(TEXT_FORM, structure, _Filling().filled(structure.schema, named))
+
+
+def reader_of(what: str, stated: str) -> Read:
+    """Return what reads a request after the type that the client states for it was compared.
+
+    Args:
+        what: the service or the action, for the error.
+        stated: its type, empty: none.
+    """
+
+    def read(structure: MessageStructure, arguments: Message) -> Message:
+        check_type(what, stated, service_type(structure, ""))
+        return read_arguments(structure, arguments)
+
+    return read if stated else read_arguments
 
 
 def _named(schema: Any, arguments: Message) -> Message:

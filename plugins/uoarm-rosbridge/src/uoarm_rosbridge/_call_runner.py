@@ -6,7 +6,7 @@ import asyncio
 
 from uoarm.errors import UsageError
 from uoarm.server.front_end import Backend, Done
-from uoarm_rosbridge._arguments import read_arguments
+from uoarm_rosbridge._arguments import reader_of
 from uoarm_rosbridge._goal import Goal, GoalStatus
 from uoarm_rosbridge._names import Place
 
@@ -48,7 +48,7 @@ class CallRunner:
             reply = await self._backend.call(
                 self._place.wanted,
                 goal.arguments,
-                read_arguments,
+                reader_of(f"action {self._place.name!r}", goal.kind),
                 self._backend.limits.call_seconds,
             )
         except Exception as error:  # noqa: BLE001 - told to the one who sent it

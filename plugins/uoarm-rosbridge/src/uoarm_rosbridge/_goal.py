@@ -38,6 +38,7 @@ class Goal:
         on_result: hears the result and how the goal ended.
         on_failure: hears why there is no result.
         octets: of memory that the arguments hold.
+        kind: the type of the action that the client states; empty: none.
         ended: whether one of the two last was called, or the client has gone.
     """
 
@@ -46,6 +47,7 @@ class Goal:
     on_result: Callable[[Message, GoalStatus], None]
     on_failure: Callable[[BaseException], None]
     octets: int = 0
+    kind: str = ""
     ended: bool = field(default=False, init=False)
 
     def feed(self, values: Message) -> None:

@@ -100,6 +100,16 @@ class Hub:
         return {topic.name: topic.type or topic.wished for topic in self._topics.values()}
 
     @property
+    def published(self) -> list[str]:
+        """The topics that clients publish."""
+        return [topic.name for topic in self._topics.values() if topic.publishers]
+
+    @property
+    def subscribed(self) -> list[str]:
+        """The topics that clients listen to."""
+        return [topic.name for topic in self._topics.values() if topic.listeners]
+
+    @property
     def services(self) -> dict[str, str]:
         """Types by service."""
         return {name: kind for name, (kind, _) in self._services.items()}
@@ -215,17 +225,21 @@ class Hub:
         """Say whether a client provides a service."""
         return name in self._services
 
-    async def call(self, name: str, message: Message, timeout: float) -> Message:
-        """Ask the client that provides a service.
+    async def call(self, name: str, kind: str, message: Message, timeout: float) -> Message:
+        """Ask the client that provides a service, which has a type, or any where it is empty.
 
         Raises:
             UnknownError: there is none.
+            MessageError: its provider states another type.
             BusyError: the client that provides it does not read its requests.
             BridgeError: it failed, has gone, or did not answer in time.
         """
         found = self._services.get(name)
         if found is None:
             raise UnknownError(f"there is no service {name!r:.200}")
+        if kind and found[0] and not is_same_type(kind, found[0]):
+            text = f"service {name!r:.200} has the type {found[0]!r:.100}, not {kind!r:.100}"
+            raise MessageError(text)
         identity = f"uoarm:{name}:{next(self._numbers)}"
         future: asyncio.Future[Message] = asyncio.get_running_loop().create_future()
         future.add_done_callback(lambda done: done.cancelled() or done.exception())

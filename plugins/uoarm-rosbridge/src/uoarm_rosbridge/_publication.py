@@ -132,7 +132,7 @@ class Publication:
         structure = provider.structures.get(f"input.{port}")
         if structure is not None:
             try:
-                check_type(self._place.name, self._kind, structure)
+                check_type(f"topic {self._place.name!r}", self._kind, structure.native_type)
             except MessageError:
                 self._backend.leave(feed)
                 raise

@@ -9,7 +9,7 @@ from uoarm.errors import BridgeError, UsageError
 from uoarm.model import Message, Role, show_value
 from uoarm.server.front_end import Backend, Client, LimitError, Operation, UnknownError
 from uoarm_rosbridge._addresses import Addresses
-from uoarm_rosbridge._arguments import read_arguments
+from uoarm_rosbridge._arguments import reader_of
 from uoarm_rosbridge._fragments import fragment_size
 from uoarm_rosbridge._hub import Hub
 from uoarm_rosbridge._names import Place, find_place
@@ -60,7 +60,8 @@ class Services:
         arguments = fields.get("args")
         limit, most = fields.get("timeout"), self._limits.call_seconds
         timeout = min(float(limit), most) if isinstance(limit, int | float) and limit > 0 else most
-        values = await self._answer(str(fields["service"]), arguments, timeout)
+        stated = str(fields.get("type") or "")
+        values = await self._answer(str(fields["service"]), stated, arguments, timeout)
         response = {
             "op": "service_response",
             "service": fields["service"],
@@ -110,11 +111,12 @@ class Services:
         """Withdraw everything."""
         self._hub.forget(self)
 
-    async def _answer(self, service: str, arguments: Message, timeout: float) -> Message:
+    async def _answer(
+        self, service: str, stated: str, arguments: Message, timeout: float
+    ) -> Message:
         place = find_place(service)
         if place.name.startswith(PREFIX):
-            given = arguments if isinstance(arguments, dict) else {}
-            return await self._rosapi.call(place.name.removeprefix(PREFIX), given)
+            return await self._rosapi.call(place.name.removeprefix(PREFIX), arguments)
         if place.name.endswith(_CANCEL):
             self._cancel_goals(find_place(place.name.removesuffix(_CANCEL)))
             return {"return_code": 0, "goals_canceling": []}
@@ -125,5 +127,6 @@ class Services:
                 if hint:
                     raise UnknownError(hint)
             given = {} if arguments is None else arguments
-            return await self._hub.call(place.name, given, timeout)
-        return await self._backend.call(place.wanted, arguments, read_arguments, timeout)
+            return await self._hub.call(place.name, stated, given, timeout)
+        read = reader_of(f"service {place.name!r}", stated)
+        return await self._backend.call(place.wanted, arguments, read, timeout)

@@ -32,7 +32,7 @@ from uoarm_rosbridge._goal import GoalStatus
 from uoarm_rosbridge._hub import Hub
 from uoarm_rosbridge._services import Services
 from uoarm_rosbridge._topics import Topics
-from uoarm_rosbridge._wire import check_fields, read_operation, write_ros
+from uoarm_rosbridge._wire import check_fields, identity_of, read_operation, write_ros
 
 __all__ = ["RosbridgeSession"]
 
@@ -221,15 +221,16 @@ class RosbridgeSession:
     def _tell_status(self, level: int, fields: Mapping[str, Any], text: str) -> None:
         if self._level > level:
             return
-        status = {"op": "status", "level": _LEVELS[level], "msg": text}
-        if isinstance(fields.get("id"), str):
-            status["id"] = fields["id"]
+        status: dict[str, Any] = {"op": "status", "level": _LEVELS[level], "msg": text}
+        identity = identity_of(fields)
+        if identity is not None:
+            status["id"] = identity
         self._client.outbox.tell(write_ros(status), text=True)
 
 
 def _failed(fields: Mapping[str, Any], op: str, kind: str, text: str) -> bytes:
     """Return the answer to a call or a goal that was not even begun."""
-    name, identity = fields.get(kind), fields.get("id")
+    name, identity = fields.get(kind), identity_of(fields)
     answer: dict[str, Message] = {
         "op": op,
         kind: name if isinstance(name, str) else "",
@@ -238,7 +239,7 @@ def _failed(fields: Mapping[str, Any], op: str, kind: str, text: str) -> bytes:
     }
     if op == "action_result":
         answer["status"] = int(GoalStatus.UNKNOWN)
-    if isinstance(identity, str):
+    if identity is not None:
         answer["id"] = identity
     return orjson.dumps(answer)
 

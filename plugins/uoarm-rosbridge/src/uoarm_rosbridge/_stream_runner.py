@@ -26,6 +26,8 @@ from uoarm.server.front_end import (
 )
 from uoarm_rosbridge._arguments import read_arguments
 from uoarm_rosbridge._goal import Goal, GoalStatus
+from uoarm_rosbridge._names import topic_of
+from uoarm_rosbridge._typedefs import check_type, service_type
 
 __all__ = ["StreamRunner", "is_action"]
 
@@ -67,6 +69,7 @@ class StreamRunner:
         self._waiting: deque[Goal] = deque()
         self._asked: Goal | None = None
         self._running: dict[str, Goal] = {}
+        self._connection: Connection | None = None
         self._unwanted = False
         self._timer: asyncio.TimerHandle | None = None
         self._early: deque[tuple[str, Mapping[str, Message]]] = deque(maxlen=_EARLY)
@@ -127,6 +130,7 @@ class StreamRunner:
             return
         finally:
             self._opening = None
+        self._connection = connection
         self._account = self._backend.open_account()
         self._sending = self._backend.sender(connection, self._account, read_arguments)
         for listener, feed in tuple(self._parts.items()):
@@ -156,6 +160,10 @@ class StreamRunner:
             if error is not None:
                 self._refused(goal, error)
 
+        if goal.kind and self._connection is not None:
+            structure = self._connection.plan.provider.structures.get("input.goal")
+            known = "" if structure is None else service_type(structure, self._function)
+            check_type(f"action {topic_of(self._function)!r}", goal.kind, known)
         sending.send(goal.arguments, "goal", done, goal.octets)
 
     def _refused(self, goal: Goal, error: BaseException) -> None:

@@ -108,7 +108,8 @@ class Topics:
         """Listen to a topic, or add a wish to a subscription that there is."""
         place, wish = find_place(fields["topic"]), read_wish(fields)
         self._client.require(Operation.REQUEST, place.right)
-        identity = str(fields.get("id") or place.name)
+        stated = _identity(fields)
+        identity = place.name if stated is None else stated
         listening = self._listening.get(place.name)
         if listening is None:
             if len(self._listening) >= self._client.limits.streams:
@@ -127,7 +128,7 @@ class Topics:
         listening = self._listening.get(place.name)
         if listening is None:
             raise UsageError(f"this client has not subscribed {place.name!r}")
-        if listening.subscription.drop(fields.get("id")):
+        if listening.subscription.drop(_identity(fields)):
             self._stop(place)
 
     def close(self) -> None:
@@ -211,7 +212,8 @@ class Topics:
             return
         listening.feed, listening.opening = feed, None
         try:
-            check_type(place.name, _type_in(fields), _structure_of(place, feed))
+            actual = _structure_of(place, feed).native_type
+            check_type(f"topic {place.name!r}", _type_in(fields), actual)
             listening.subscription.prepare()
         except MessageError as error:
             self._stop(place)
@@ -252,6 +254,11 @@ class Topics:
     def _done(self, fields: Fields, error: BaseException | None) -> None:
         if error is not None:
             self._fail(fields, error)
+
+
+def _identity(fields: Fields) -> str | None:
+    """Return the id of a subscription, which ends by what it was begun with."""
+    return None if fields.get("id") is None else str(fields["id"])
 
 
 def _type_in(fields: Fields) -> str:

@@ -1,21 +1,65 @@
-"""Message structures as rosapi describes message types: fields, their types, array lengths."""
+"""Types as rosapi names and describes them: fields, their types, array lengths, constants.
+
+A type of ROS has three spellings: `std_msgs/msg/String` of topics, `std_msgs/String` of ROS 1 and
+of descriptions, `std_msgs/String` with more slashes. Which of them a client takes makes no
+difference.
+"""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
+
+from attrs import frozen
 
 from uoarm.errors import MessageError
 from uoarm.model import MessageStructure
-from uoarm_rosbridge._basic import basic_type
+from uoarm_rosbridge._basic import BASIC, basic_type
 
-__all__ = ["check_type", "full_text", "is_same_type", "type_name", "typedefs"]
+__all__ = [
+    "check_type",
+    "full_text",
+    "in_full",
+    "is_same_type",
+    "part_within",
+    "service_type",
+    "type_name",
+    "typedefs",
+]
 
 _MOST = 200
 _VARIABLE, _SINGLE = 0, -1
 _RULE = "=" * 80
-_ROS_TYPE = re.compile(r"[a-z][a-z0-9_]*/msg/[A-Z][A-Za-z0-9]*")
+_ROS_TYPE = re.compile(r"([a-z][a-z0-9_]*)/(msg|srv|action)/([A-Z][A-Za-z0-9_]*)")
+_SHORT_TYPE = re.compile(r"([a-z][a-z0-9_]*)/([A-Z][A-Za-z0-9_]*)")
+_REQUEST = re.compile(r"([a-z][a-z0-9_]*/(?:srv|action)/\w+?)_(?:Request|Goal)")
+# How the Python of ROS 2, and so rosapi, calls what a message file calls otherwise.
+_IN_PYTHON = {
+    "bool": "boolean", "byte": "octet", "char": "uint8", "float32": "float", "float64": "double",
+}  # fmt: skip
+_ZEROS = {"bool": "False", "byte": repr(b"\0"), "string": "", "wstring": ""}
+_OF_ROSAPI = "rosapi"  # the package of ROS 1, in ROS 2 rosapi_msgs
+
+
+@frozen
+class _Member:
+    """A field: the basic type of its elements, or the name of theirs; `length` as rosapi has it."""
+
+    name: str
+    kind: str
+    length: int
+    schema: object
+
+
+@frozen
+class _Record:
+    """A message type: what it is called and made of."""
+
+    name: str
+    is_ros: bool
+    members: tuple[_Member, ...]
+    constants: Mapping[str, object]
 
 
 def type_name(structure: MessageStructure, function: str) -> str:
@@ -23,72 +67,159 @@ def type_name(structure: MessageStructure, function: str) -> str:
     return structure.native_type or f"uoarm/{function}"
 
 
-def check_type(topic: str, stated: str, structure: MessageStructure) -> None:
+def service_type(request: MessageStructure, function: str) -> str:
+    """Return the name of the type of a service or an action, whose request or goal this is."""
+    name = type_name(request, function)
+    found = _REQUEST.fullmatch(name)
+    return found[1] if found else name
+
+
+def check_type(what: str, stated: str, actual: str) -> None:
     """Refuse another type than that of ROS 2; elsewhere clients call types what they like.
 
     Raises:
-        MessageError: it is another one.
+        MessageError: it is another one; `what` is the topic, service or action.
     """
-    actual = structure.native_type
     if stated and _ROS_TYPE.fullmatch(actual) and not is_same_type(stated, actual):
-        raise MessageError(f"topic {topic!r} has the type {actual!r}, not {stated!r:.100}")
+        raise MessageError(f"{what} has the type {actual!r}, not {stated!r:.100}")
 
 
 def is_same_type(one: str, other: str) -> bool:
-    """Say whether two names are of one type; ROS 1 clients leave the `/msg` out."""
-    return one.replace("/msg/", "/") == other.replace("/msg/", "/")
+    """Say whether two names are of one type; ROS 1 clients leave the `/msg` or `/srv` out."""
+    if one == other:
+        return True
+    (package, kind, name), (package_2, kind_2, name_2) = _parts(one), _parts(other)
+    same_kind = kind == kind_2 or not (kind and kind_2)
+    return bool(package) and same_kind and (package, name) == (package_2, name_2)
+
+
+def in_full(name: str, kind: str, ending: str = "") -> str:
+    """Return the name of a type of ROS 2 as its packages have it; empty: it is none of this kind.
+
+    Args:
+        name: as a client spells it.
+        kind: `msg`, `srv` or `action`.
+        ending: of the part that is wanted, `_Request` or the like.
+    """
+    package, stated, own = _parts(name)
+    full = f"{package}/{kind}/{own}{ending}"
+    return full if stated in {"", kind} and _ROS_TYPE.fullmatch(full) else ""
 
 
 def typedefs(structure: MessageStructure, function: str) -> list[dict[str, Any]]:
     """Return the definitions of a message type and the types within it, outermost first."""
-    found: list[dict[str, Any]] = []
-    waiting: list[tuple[str, object]] = [(type_name(structure, function), structure.schema)]
-    while waiting and len(found) < _MOST:
-        name, schema = waiting.pop(0)
-        definition: dict[str, Any] = {
-            "type": name,
-            "fieldnames": [],
-            "fieldtypes": [],
-            "fieldarraylen": [],
-            "examples": [],
-            "constnames": [],
-            "constvalues": [],
+    return [
+        {
+            "type": _short(record.name),
+            "fieldnames": [member.name for member in record.members],
+            "fieldtypes": [_field_type(record, member) for member in record.members],
+            "fieldarraylen": [member.length for member in record.members],
+            "examples": [_example(member) for member in record.members],
+            "constnames": list(record.constants),
+            "constvalues": [str(value) for value in record.constants.values()],
         }
-        for field, inner in _properties(schema).items():
-            kind, length, element = _field(f"{name}/{field}", inner)
-            definition["fieldnames"].append(field)
-            definition["fieldtypes"].append(kind)
-            definition["fieldarraylen"].append(length)
-            definition["examples"].append("[]" if length != _SINGLE else "{}")
-            if _properties(element):
-                waiting.append((kind, element))
-        found.append(definition)
-    return found
+        for record in _records(structure, function)
+    ]
 
 
-def full_text(definitions: list[dict[str, Any]]) -> str:
-    """Return definitions as the text of a message file and, after rules, of those within it."""
-    texts = []
-    for one in definitions:
-        lengths = ["" if n == _SINGLE else f"[{n or ''}]" for n in one["fieldarraylen"]]
-        fields = zip(one["fieldtypes"], lengths, one["fieldnames"], strict=True)
-        texts.append("".join(f"{kind}{length} {name}\n" for kind, length, name in fields))
-    inner = zip(definitions[1:], texts[1:], strict=True)
-    return "".join(texts[:1] + [f"{_RULE}\nMSG: {one['type']}\n{text}" for one, text in inner])
+def full_text(structure: MessageStructure, function: str) -> str:
+    """Return a type as the text of a message file and, after rules, of those within it."""
+    texts = list[str]()
+    for record in _records(structure, function):
+        head = f"{_RULE}\nMSG: {_short(record.name)}\n" if texts else ""
+        lines = (
+            f"{_short(member.kind)}{_brackets(member)} {member.name}\n" for member in record.members
+        )
+        texts.append(head + "".join(lines))
+    return "".join(texts)
 
 
-def _field(name: str, schema: object) -> tuple[str, int, object]:
-    """Return the type of a field, its length as an array, and the schema of one element."""
+def part_within(structure: MessageStructure, name: str) -> MessageStructure | None:
+    """Return the structure of a type that a message holds somewhere; None: it holds none."""
+    for record in _records(structure, ""):
+        for member in record.members:
+            if is_same_type(member.kind, name) and isinstance(member.schema, Mapping):
+                return MessageStructure(member.schema, native_type=member.kind)
+    return None
+
+
+def _records(structure: MessageStructure, function: str) -> Iterator[_Record]:
+    """Yield a message type and those within it, each once, in the order in which rosapi does."""
+    waiting: list[tuple[str, object]] = [(type_name(structure, function), structure.schema)]
+    seen: set[str] = set()
+    while waiting and len(seen) < _MOST:
+        name, schema = waiting.pop()
+        if name in seen:
+            continue
+        seen.add(name)
+        members = tuple(
+            _member(f"{name}/{field}", field, inner) for field, inner in _properties(schema).items()
+        )
+        constants = schema.get("x-constants", {}) if isinstance(schema, Mapping) else {}
+        yield _Record(name, _ROS_TYPE.fullmatch(name) is not None, members, constants)
+        inner = [(one.kind, one.schema) for one in members if _is_record(one.schema)]
+        waiting += reversed(inner)
+
+
+def _member(place: str, field: str, schema: object) -> _Member:
     if not isinstance(schema, Mapping):
-        return name, _SINGLE, schema
+        return _Member(field, place, _SINGLE, schema)
     if schema.get("type") == "array":
         fixed = schema.get("minItems")
         length = fixed if fixed == schema.get("maxItems") and isinstance(fixed, int) else _VARIABLE
-        kind, _, element = _field(name, schema.get("items"))
-        return kind, length, element
+        element = _member(place, field, schema.get("items"))
+        return _Member(field, element.kind, length, element.schema)
     native = schema.get("x-native-type")
-    basic = basic_type(schema)
-    return basic or (native if isinstance(native, str) else name), _SINGLE, schema
+    kind = basic_type(schema) or (native if isinstance(native, str) else place)
+    return _Member(field, kind, _SINGLE, schema)
+
+
+def _field_type(record: _Record, member: _Member) -> str:
+    return _IN_PYTHON.get(member.kind, _short(member.kind)) if record.is_ros else member.kind
+
+
+def _example(member: _Member) -> str:
+    if member.length != _SINGLE:
+        return "[]"
+    if member.kind not in BASIC:
+        return "{}"
+    schema: Any = member.schema
+    if "default" in schema:
+        value = schema["default"]
+        return repr(bytes([value])) if member.kind == "byte" else str(value)
+    return _ZEROS.get(member.kind, "0.0" if member.kind.startswith("float") else "0")
+
+
+def _brackets(member: _Member) -> str:
+    return "" if member.length == _SINGLE else f"[{member.length or ''}]"
+
+
+def _short(name: str) -> str:
+    """Return the name of a type of ROS as rosapi's descriptions and message files have it."""
+    found = _ROS_TYPE.fullmatch(name)
+    return f"{found[1]}/{found[3]}" if found else name
+
+
+def _parts(name: str) -> tuple[str, str, str]:
+    """Return package, kind and name of a type of ROS; ROS 1 names no kind."""
+    plain = "/".join(part for part in name.split("/") if part)
+    long, short = _ROS_TYPE.fullmatch(plain), _SHORT_TYPE.fullmatch(plain)
+    if long:
+        package, kind, own = long.groups()
+    elif short:
+        package, kind, own = short[1], "", short[2]
+    else:
+        return "", "", name
+    return ("rosapi_msgs" if package == _OF_ROSAPI else package), kind, own
+
+
+def _is_record(schema: object) -> bool:
+    if not isinstance(schema, Mapping):
+        return False
+    return bool(_properties(schema)) or (
+        schema.get("type") == "object"
+        and _ROS_TYPE.fullmatch(str(schema.get("x-native-type"))) is not None
+    )
 
 
 def _properties(schema: object) -> Mapping[str, object]:

@@ -19,6 +19,7 @@ from uoarm.server.front_end import dump_parts, read_text, write_binary
 __all__ = [
     "check_fields",
     "clock_now",
+    "identity_of",
     "read_operation",
     "write_publish",
     "write_publish_cbor",
@@ -26,11 +27,12 @@ __all__ = [
 ]
 
 _TEXTS = (
-    "op", "id", "topic", "type", "service", "action", "action_type", "level", "compression",
+    "op", "topic", "type", "service", "action", "action_type", "level", "compression",
 )  # fmt: skip
 _COUNTS = ("throttle_rate", "queue_length", "fragment_size", "queue_size", "num", "total")
 _MOST = 2**31 - 1
 _MAX_TEXT = 1024
+_MAX_NUMBER = 2**63
 _NANOSECONDS = 1_000_000_000
 
 
@@ -58,6 +60,11 @@ def check_fields(fields: Mapping[str, Any], needed: tuple[str, ...]) -> None:
     for name in needed:
         if fields.get(name) is None:
             raise ControlMessageError(f"{op}: the field {name!r} is missing")
+    if fields.get("id") is not None and identity_of(fields) is None:
+        raise ControlMessageError(
+            f"{op}: id: expected a number or a text of at most {_MAX_TEXT}, "
+            f"got {show_value(fields['id'])}"
+        )
     for name in _TEXTS:
         value = fields.get(name)
         if value is not None and not (isinstance(value, str) and len(value) <= _MAX_TEXT):
@@ -68,6 +75,16 @@ def check_fields(fields: Mapping[str, Any], needed: tuple[str, ...]) -> None:
             raise ControlMessageError(
                 f"{op}: {name}: expected a number from 0 on, got {show_value(value)}"
             )
+
+
+def identity_of(fields: Mapping[str, Any]) -> str | float | None:
+    """Return the id of a message, with which its answer goes back; None: it has none of use."""
+    identity = fields.get("id")
+    if isinstance(identity, str):
+        return identity if len(identity) <= _MAX_TEXT else None
+    if isinstance(identity, int | float):  # a truth value, too
+        return identity if abs(identity) < _MAX_NUMBER else None
+    return None
 
 
 def clock_now() -> tuple[int, int]:
