@@ -113,6 +113,10 @@ def _expected(types: str | list[str]) -> str:
 def _type_hint(expected: str | list[str], value: object) -> str:
     if value is None and expected == "object":
         return "write {} where there is nothing to set"
+    if expected == "string" and isinstance(value, dict) and len(value) == 1:
+        [(key, rest)] = value.items()  # `a: b` is a mapping of YAML, `a:b` a text
+        if isinstance(key, str) and isinstance(rest, str):
+            return f"write {clip(f'{key}:{rest}')}, without the space"
     if isinstance(value, str) and expected == "array":
         return f"write [{clip(value)}]"
     return ""

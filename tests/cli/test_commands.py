@@ -318,7 +318,7 @@ def test_a_command_whose_extra_is_not_installed_says_which(
 
 
 def test_check_warns_of_what_the_file_names_and_is_not_here(tmp_path: Path) -> None:
-    (tmp_path / "kitchen.py").write_text("def stove() -> int:\n    return 1\n")
+    (tmp_path / "kitchen.py").write_text("def stove(on: bool) -> int:\n    return 1\n")
     (tmp_path / "licensed.py").write_text("raise RuntimeError('the licence has ended')\n")
     (tmp_path / "robot.yaml").write_text("""\
 version: 1

@@ -162,8 +162,9 @@ class StructureCache:
         warnings: list[str] = []
 
         def settle(
-            name: str, said: MessageStructure | None, declared: MessageStructure | None
+            name: str, part: str, description: Description, declared: MessageStructure | None
         ) -> None:
+            said: MessageStructure | None = getattr(description, part)
             if declared is not None:
                 found[name] = declared
                 if said is not None:
@@ -174,20 +175,21 @@ class StructureCache:
                 found[name] = said
             else:
                 key = name if name in _OF_SERVICES else "structure"
+                hint = f"{description.hint}, or " if description.hint else ""
                 raise _UnknownError(
                     f"the structure of {name!r} is not known to bridge {component.bridge!r}: "
-                    f"declare it in the configuration, as `{key}` beside its `endpoint`"
+                    f"{hint}declare it in the configuration, as `{key}` beside its `endpoint`"
                 )
 
         for role, ports in (("input", component.inputs), ("output", component.outputs)):
             for port in ports:
-                said = self._describe(port.endpoint).message
-                settle(f"{role}.{port.name}", said, port.declared)
+                description = self._describe(port.endpoint)
+                settle(f"{role}.{port.name}", "message", description, port.declared)
         if component.service is not None:
             service = component.service
             description = self._describe(service.endpoint)
-            settle("request", description.request, service.request)
-            settle("reply", description.reply, service.reply)
+            settle("request", "request", description, service.request)
+            settle("reply", "reply", description, service.reply)
         return Structures(found, tuple(warnings))
 
     def _describe(self, endpoint: Endpoint) -> Description:

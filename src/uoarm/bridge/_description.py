@@ -20,12 +20,16 @@ class Description:
     """The message structures of one endpoint.
 
     A stream has `message`; a service has `request` and `reply`. None where the framework does
-    not know: the configuration must then declare the structure.
+    not know: the configuration must then declare the structure, unless what `hint` says is done.
+
+    Attributes:
+        hint: what would have the framework know what it does not: a sentence without a full stop.
     """
 
     message: MessageStructure | None = None
     request: MessageStructure | None = None
     reply: MessageStructure | None = None
+    hint: str = ""
 
 
 @frozen

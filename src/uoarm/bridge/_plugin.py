@@ -13,8 +13,9 @@ from typing_extensions import Self
 
 from uoarm._plugins import hookspec
 from uoarm.bridge._bridge import CONTRACT_VERSION, Bridge
+from uoarm.bridge._description import Description
 from uoarm.errors import PluginError
-from uoarm.model import MessageStructure, Options, Schema
+from uoarm.model import Endpoint, MessageStructure, Options, Schema
 
 __all__ = ["BridgeHooks", "BridgeType"]
 
@@ -47,6 +48,8 @@ class BridgeType:
         check_parameters: takes an address, the parameters of its component and the options of the
             bridge; returns what is wrong, by the parameter's name. For `uoarm check`, which gives
             it ten seconds; unlike the others it may import what it asks about.
+        describe: takes an endpoint and the options of the bridge; returns what a bridge would
+            describe. For `uoarm check`, as `check_parameters` is; raises what a bridge would.
         structure_of_type: takes the name of a native message type and the options of the bridge;
             returns what messages of it are like, or None where the type is not known here. Asks
             neither network nor components; may import the type, and what it returns may be kept.
@@ -65,6 +68,7 @@ class BridgeType:
     topic: Callable[[tuple[str, ...], Options], str] | None = None
     check_parameters: Callable[[tuple[str, ...], Options, Options], Mapping[str, str]] | None = None
     structure_of_type: Callable[[str, Options], MessageStructure | None] | None = None
+    describe: Callable[[Endpoint, Options], Description] | None = None
     contract: int = field(kw_only=True)
 
     def located(self, options: Options, folder: str) -> dict[str, Any]:

@@ -83,7 +83,13 @@ def check(file: str, *, as_json: bool) -> None:
     registry = Registry()
     report = inspect(file, registry.types, parameters=True, missing=registry.missing)
     if as_json:
-        print_json({"problems": report.problems, "warnings": report.warnings})
+        print_json(
+            {
+                "problems": report.problems,
+                "warnings": report.warnings,
+                "unchecked": report.unchecked,
+            }
+        )
     else:
         for problem in report.problems:
             tell_error(problem)
@@ -92,6 +98,9 @@ def check(file: str, *, as_json: bool) -> None:
         if report.robot is not None:
             functions, bridges = len(report.robot.functions), len(report.robot.bridges)
             click.echo(f"{file}: no errors (functions: {functions}, bridges: {bridges})")
+        if report.unchecked:
+            click.echo(f"not looked at here, but by uoarm status {file}:")
+            click.echo("\n".join(f"  {line}" for line in report.unchecked))
     sys.exit(0 if report.robot is not None else CONFIGURATION)
 
 

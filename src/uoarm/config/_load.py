@@ -41,11 +41,13 @@ class Report:
         robot: the configuration, None when there are problems.
         problems: mistakes, in the order of the file.
         warnings: remarks that do not stop it from being used, in the order of the file.
+        unchecked: what was not looked at, as a person would ask it.
     """
 
     robot: Robot | None
     problems: tuple[Problem, ...] = ()
     warnings: tuple[Problem, ...] = ()
+    unchecked: tuple[str, ...] = ()
 
     def require(self) -> Robot:
         """Return the robot.
@@ -154,12 +156,13 @@ def _judge(
     problems = [*document.problems, *(one for one in found if one.place not in told)]
     absent = () if missing is None else plugins.absences(missing)
     warnings = _sorted([*meaning.warnings, *plugins.warnings(), *absent])
+    unchecked = () if missing is None else tuple(plugins.unchecked())
     if problems:
-        return Report(None, _sorted(problems), warnings)
+        return Report(None, _sorted(problems), warnings, unchecked)
     assert isinstance(document.value, dict), "the shape was checked"
     remarks = tuple(str(warning) for warning in warnings)
     robot = evolve(build(document.value, file, remarks), text=document.text)
-    return Report(robot, (), warnings)
+    return Report(robot, (), warnings, unchecked)
 
 
 def _sorted(problems: tuple[Problem, ...] | list[Problem]) -> tuple[Problem, ...]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterator, Mapping
+from functools import partial
 from typing import Any
 
 from uoarm import _bounded
@@ -15,8 +16,16 @@ from uoarm.bridge import BridgeType
 from uoarm.config._assignments import assignables, installation
 from uoarm.config._build import bridge_options, folder_of
 from uoarm.config._loops import Topic, feedback_loops
-from uoarm.config._parts import ComponentPart, PortPart, bridge_names, components, offers
+from uoarm.config._parts import (
+    ComponentPart,
+    OfferPart,
+    PortPart,
+    bridge_names,
+    components,
+    offers,
+)
 from uoarm.errors import BridgeError, FailureReason, UoarmError
+from uoarm.model import Endpoint, Role
 
 __all__ = ["PluginChecker"]
 
@@ -40,6 +49,8 @@ class PluginChecker:
         self._hosts: dict[str, Any] = {}
         self._unknown: dict[str, str] = {}
         self._absent: list[Problem] = []
+        self._undescribed: list[Problem] = []
+        self._unreachable: set[Path] = set()
         for name, written in bridge_names(document.value).items():
             settings = written if isinstance(written, dict) else {}
             self._hosts[name] = settings.get("host")
@@ -54,18 +65,11 @@ class PluginChecker:
         for name, (kind, options) in self._bridges.items():
             if isinstance(options, dict):
                 yield from self._option_problems(kind, options, ("bridges", name, "options"))
-        for component in components(self._document.value):
-            bridge = component.text("bridge")
+        for component in (*components(self._document.value), *offers(self._document.value)):
+            of_offer = component.bridge if isinstance(component, OfferPart) else None
+            bridge = of_offer or component.text("bridge") or ""
             if bridge in self._bridges:
-                kind, _ = self._bridges[bridge]
-                for port in (*component.inputs(), *component.outputs(), *component.services()):
-                    yield from self._endpoint_problems(kind, port.value, port.path)
-
-        for offer in offers(self._document.value):
-            if offer.bridge in self._bridges:
-                kind, _ = self._bridges[offer.bridge]
-                for port in (*offer.inputs(), *offer.outputs(), *offer.services()):
-                    yield from self._endpoint_problems(kind, port.value, port.path)
+                yield from self._endpoint_problems(self._bridges[bridge][0], component)
 
     def parameter_problems(self) -> Iterator[Problem]:
         """Yield every mistake in the parameters of components that run in this environment.
@@ -78,13 +82,18 @@ class PluginChecker:
             if kind is None or kind.check_parameters is None or self._is_hosted(bridge):
                 continue
             ports = (*component.inputs(), *component.outputs(), *component.services())
-            address = ports[0].value.get("endpoint") if ports else None
-            if not isinstance(address, list) or not isinstance(given, dict):
+            address = _address(ports[0].value) if ports else None
+            if address is None or not isinstance(given, dict) or not isinstance(options, dict):
                 continue
-            if not isinstance(options, dict):
+            if component.path in self._unreachable:  # of which the cause was said
                 continue
+            written = bridge_options(kind.name, options, self._file)
+            known = kind.located(written, folder_of(self._file))
             try:
-                wrong = foreign(self._wrong, kind, tuple(map(str, address)), given, options)
+                wrong = foreign(self._wrong, kind, address, given, known)
+                if not wrong:
+                    found = foreign(list, self._without_structure(kind, component, known))
+                    self._undescribed.extend(found)
             except Exception as error:  # noqa: BLE001 - a component may raise anything
                 sentence = str(error) if isinstance(error, UoarmError) else text_of(error)
                 if isinstance(error, BridgeError) and error.reason is FailureReason.BAD_ENDPOINT:
@@ -99,6 +108,42 @@ class PluginChecker:
                 told = sentence if is_written else f"the parameter {name}: {sentence}"
                 yield self._problem(path, told, at_key=is_written)
 
+    def _without_structure(
+        self, kind: BridgeType, component: ComponentPart, options: Mapping[str, Any]
+    ) -> Iterator[Problem]:
+        """Yield ports whose structure is neither known nor declared: no plan can use them."""
+        for role, ports in (
+            (Role.INPUT, component.inputs()),
+            (Role.OUTPUT, component.outputs()),
+            (Role.SERVICE, component.services()),
+        ):
+            parts = {"request": "request", "reply": "reply"}
+            if role is not Role.SERVICE:
+                parts = {"message": "structure"}
+            for port in ports:
+                unknown = {part: key for part, key in parts.items() if key not in port.value}
+                address = _address(port.value)
+                if kind.describe is None or address is None or not unknown:
+                    continue
+                endpoint = Endpoint(
+                    str(component.text("bridge")),
+                    str(component.text("name")),
+                    role,
+                    address,
+                    port.name,
+                    parameters=component.value.get("parameters", {}),
+                )
+                description = _bounded.run(
+                    f"looking at the structures of {address}",
+                    _PARAMETER_SECONDS,
+                    partial(kind.describe, endpoint, options),
+                )
+                keys = [key for part, key in unknown.items() if getattr(description, part) is None]
+                if keys and description.hint:
+                    hint = f"{description.hint}, or declare {' and '.join(keys)} here"
+                    sentence = "what its messages are like is not known, so that no plan has it"
+                    yield self._problem(port.path, sentence, hint)
+
     def _is_hosted(self, bridge: str | None) -> bool:
         host = self._hosts.get(bridge or "")
         return host is not None and host is not False
@@ -111,12 +156,11 @@ class PluginChecker:
         options: Mapping[str, Any],
     ) -> Mapping[str, str]:
         assert kind.check_parameters is not None, "the caller looked"
-        written = bridge_options(kind.name, options, self._file)
-        check, known = kind.check_parameters, kind.located(written, folder_of(self._file))
+        check = kind.check_parameters
         return _bounded.run(
             f"looking at the parameters of {address}",
             _PARAMETER_SECONDS,
-            lambda: check(address, given, known),
+            lambda: check(address, given, options),
         )
 
     def absences(self, missing: Callable[[str], str]) -> Iterator[Problem]:
@@ -132,6 +176,20 @@ class PluginChecker:
                 told = f"it was not checked: {missing(plugin)}"
                 yield self._problem(("bridges", name), told, at_key=True)
         yield from self._absent
+        yield from self._undescribed
+
+    def unchecked(self) -> Iterator[str]:
+        """Yield what was not looked at, and who knows it: a sentence each, without a full stop."""
+        used = {str(one.text("bridge")) for one in components(self._document.value)}
+        for name in sorted(used & self._hosts.keys()):
+            kind, _ = self._bridges.get(name, (None, None))
+            if self._is_hosted(name):
+                yield f"components of bridge {name}, which runs in a host: are they there?"
+            elif kind is None or kind.check_parameters is None:
+                plugin = self._unknown.get(name) or (kind.name if kind is not None else name)
+                yield f"components of bridge {name} ({plugin}): are they there, of such types?"
+        if used:
+            yield "do messages fit from component to component?"
 
     def warnings(self) -> Iterator[Problem]:
         """Yield what the file may hold and should not."""
@@ -192,20 +250,19 @@ class PluginChecker:
                 told = f"the plugin {kind.name}: {sentence}"
                 yield self._problem((*path, *where), told, hint, at_key=at_key)
 
-    def _endpoint_problems(
-        self, kind: BridgeType, port: Mapping[str, Any], path: Path
-    ) -> Iterator[Problem]:
-        address, options = port.get("endpoint"), port.get("options", {})
-        if not isinstance(address, list) or not all(isinstance(part, str) for part in address):
-            return
-        if not isinstance(options, dict) or kind.check_endpoint is None:
-            return
-        try:
-            wrong = foreign(kind.check_endpoint, tuple(address), options)
-        except Exception as error:  # noqa: BLE001 - a plugin may raise anything
-            wrong = f"check_endpoint failed with {text_of(error)}"
-        if wrong:
-            yield self._problem((*path, "endpoint"), f"the plugin {kind.name} says: {wrong}")
+    def _endpoint_problems(self, kind: BridgeType, component: ComponentPart) -> Iterator[Problem]:
+        """Yield what a plugin says of the addresses of one component: of the same mistake once."""
+        found: dict[str, list[PortPart]] = {}
+        for port in (*component.inputs(), *component.outputs(), *component.services()):
+            wrong = _endpoint_mistake(kind, port.value)
+            if wrong:
+                found.setdefault(wrong, []).append(port)
+        for wrong, (first, *others) in found.items():
+            self._unreachable.add(component.path)
+            names = (".".join(map(str, port.path[len(component.path) :])) for port in others)
+            hint = f"the same stands in {', '.join(names)}" if others else ""
+            sentence = f"the plugin {kind.name} says: {wrong}"
+            yield self._problem((*first.path, "endpoint"), sentence, hint)
 
     def _problem(
         self, path: Path, sentence: str, hint: str = "", *, at_key: bool = False
@@ -214,3 +271,21 @@ class PluginChecker:
         return Problem(
             place=place, path=write_path(path), sentence=sentence, hint=hint, file=self._file
         )
+
+
+def _address(port: Mapping[str, Any]) -> tuple[str, ...] | None:
+    """Return the address of a port; None where it is none, which the shape of the file tells."""
+    address = port.get("endpoint")
+    if not isinstance(address, list) or not all(isinstance(part, str) for part in address):
+        return None
+    return tuple(address)
+
+
+def _endpoint_mistake(kind: BridgeType, port: Mapping[str, Any]) -> str:
+    address, options = _address(port), port.get("options", {})
+    if address is None or not isinstance(options, dict) or kind.check_endpoint is None:
+        return ""
+    try:
+        return foreign(kind.check_endpoint, address, options)
+    except Exception as error:  # noqa: BLE001 - a plugin may raise anything
+        return f"check_endpoint failed with {text_of(error)}"

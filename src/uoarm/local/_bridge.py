@@ -29,7 +29,7 @@ from uoarm.local._instance import Instance
 from uoarm.local._listing import LISTED, listed
 from uoarm.local._loop import Coroutines, LoopThread
 from uoarm.local._modules import Modules
-from uoarm.local._target import Target, find
+from uoarm.local._target import Target, address_mistake, find
 from uoarm.model import Deliver, Endpoint, Health, Message, MessageStructure, Options
 
 __all__ = ["PythonBridge", "uoarm_bridge_types"]
@@ -240,9 +240,7 @@ def _key(endpoint: Endpoint) -> _Key:
 
 def _check_endpoint(address: tuple[str, ...], options: Options) -> str:
     del options
-    if len(address) != 1 or ":" not in address[0]:
-        return f"expected one string 'module:attribute', got {list(address)}"
-    return ""
+    return address_mistake(address)
 
 
 def _check_parameters(
@@ -252,6 +250,15 @@ def _check_parameters(
     modules = Modules.newest(path)
     try:
         return find(address, modules).parameter_mistakes(parameters)
+    finally:
+        modules.close()
+
+
+def _describe_here(endpoint: Endpoint, options: Options) -> Description:
+    path: Any = options.get("path", ())
+    modules = Modules.newest(path)
+    try:
+        return find(endpoint.address, modules).describe(endpoint)
     finally:
         modules.close()
 
@@ -267,6 +274,7 @@ def uoarm_bridge_types() -> list[BridgeType]:
             options_schema=_OPTIONS,
             check_endpoint=_check_endpoint,
             check_parameters=_check_parameters,
+            describe=_describe_here,
             contract=2,
         )
     ]

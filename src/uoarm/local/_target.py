@@ -22,7 +22,7 @@ from uoarm.local._modules import Modules, written_name
 from uoarm.local._parameters import build_parameters, parameter_mistakes
 from uoarm.model import Endpoint, Message, MessageStructure, Options, Role, Schema
 
-__all__ = ["Emit", "Port", "Target", "Waits", "find", "structure"]
+__all__ = ["Emit", "Port", "Target", "Waits", "address_mistake", "find", "structure"]
 
 F = TypeVar("F", bound=Callable[..., Any])
 T = TypeVar("T")
@@ -137,10 +137,29 @@ class Target:
             return self._derived(part, endpoint, self._type_hints(method))
 
         if endpoint.role is Role.SERVICE:
-            return Description(request=read("request"), reply=read("reply"))
-        if endpoint.role is Role.INPUT:
-            return Description(read("input"))
-        return Description(read("output") if endpoint.port == "default" else None)
+            known = Description(request=read("request"), reply=read("reply"))
+            unknown = [part for part in ("request", "reply") if getattr(known, part) is None]
+        elif endpoint.role is Role.INPUT:
+            known = Description(read("input"))
+            unknown = ["input"] if known.message is None else []
+        elif endpoint.port == "default":
+            known = Description(read("output"))
+            unknown = ["output"] if known.message is None else []
+        else:
+            return Description()  # of what is emitted for a named output no hint can tell
+        hints = [] if method is None else [self._wanted(part, endpoint) for part in unknown]
+        return attrs.evolve(known, hint=", and ".join(dict.fromkeys(hints)))
+
+    def _wanted(self, part: str, endpoint: Endpoint) -> str:
+        """Return which type hint is missing, as it would be written."""
+        if part in {"input", "request"}:
+            name = self.message_parameter(endpoint)
+            return f"give {name!r} of {self.name} a type hint, such as `{name}: float`"
+        method = self.method(endpoint)
+        generates = inspect.isgeneratorfunction(method) or inspect.isasyncgenfunction(method)
+        kind = "AsyncIterator" if inspect.isasyncgenfunction(method) else "Iterator"
+        returned = f"{kind}[float]" if generates else "float"
+        return f"give {self.name} a type hint of what it returns, such as `-> {returned}`"
 
     def port(self, endpoint: Endpoint) -> Port:
         """Return what is made once for a port, with these parameters: they fill others."""
@@ -358,6 +377,17 @@ def _waits(handler: Callable[..., Any]) -> Waits:
     return Waits.NOTHING
 
 
+def address_mistake(address: Sequence[str]) -> str:
+    """Return what keeps an address from being `module:attribute`; "" where it is that."""
+    name = address[0] if len(address) == 1 else ""
+    module, colon, attribute = name.partition(":")
+    if colon and module.strip() and attribute.strip():
+        return ""
+    told = f"expected one string 'module:attribute', got {list(address)}"
+    module, dot, attribute = name.rpartition(".")
+    return f"{told}; did you mean '{module}:{attribute}'?" if dot and not colon else told
+
+
 def find(address: Sequence[str], modules: Modules) -> Target:
     """Import the object that an address names.
 
@@ -370,11 +400,11 @@ def find(address: Sequence[str], modules: Modules) -> Target:
             package that the module needs is not installed, RAISED for what its code raises,
             BAD_ENDPOINT for anything else.
     """
-    name = address[0] if len(address) == 1 else ""
-    module_name, colon, attribute = name.partition(":")
-    if not colon or not module_name or not attribute:
-        text = f"expected one string 'module:attribute', got {list(address)}"
-        raise BridgeError(text, FailureReason.BAD_ENDPOINT)
+    wrong = address_mistake(address)
+    if wrong:
+        raise BridgeError(wrong, FailureReason.BAD_ENDPOINT)
+    name = address[0]
+    module_name, _, attribute = name.partition(":")
     owner: Any = None
     value: Any = _import(module_name, modules)
     for part in attribute.split("."):

@@ -1,0 +1,130 @@
+"""`uoarm check`: components without hints, addresses that are none, what was not looked at."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner, Result
+
+from uoarm import RobotManager
+from uoarm.cli import main
+from uoarm.errors import ResolutionError
+
+COMPONENTS = """
+from collections.abc import AsyncIterator, Iterator
+from uoarm.local import structure
+def bare(x):
+    return x
+def half(x: float):
+    return x
+def source():
+    yield 1.0
+async def asynchronous():
+    yield 1.0
+@structure(output={"type": "number"})
+def declared():
+    yield 1.0
+class Machine:
+    def __call__(self, x):
+        return x
+"""
+ROBOT = """
+version: 1
+bridges: {{python: {{}}}}
+functions:
+  asked:
+    components:
+      - {{name: asked, bridge: python, {}}}
+"""
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    (tmp_path / "check_bare.py").write_text(COMPONENTS, encoding="utf-8")
+    return tmp_path
+
+
+def checked(folder: Path, component: str, *more: str) -> Result:
+    (folder / "robot.yaml").write_text(ROBOT.format(component), encoding="utf-8")
+    return CliRunner().invoke(main, ["check", str(folder / "robot.yaml"), *more])
+
+
+HINTS = [
+    ('service: {endpoint: ["check_bare:bare"]}', "`x: float`, and", "request and reply"),
+    ('service: {endpoint: ["check_bare:half"]}', "`-> float`, or", "reply"),
+    ('output: {endpoint: ["check_bare:source"]}', "`-> Iterator[float]`, or", "structure"),
+    ('output: {endpoint: ["check_bare:asynchronous"]}', "`-> AsyncIterator[float]`", "structure"),
+    ('input: {endpoint: ["check_bare:Machine"]}', "`x: float`, or", "structure"),
+]
+
+
+@pytest.mark.parametrize(("component", "hint", "key"), HINTS)
+def test_a_component_without_hints_is_said_with_the_hint_first(
+    folder: Path, component: str, hint: str, key: str
+) -> None:
+    done = checked(folder, component)
+    assert done.exit_code == 0, done.output
+    warning = next(line for line in done.output.splitlines() if "no plan has it" in line)
+    assert hint in warning
+    assert warning.index(hint) < warning.index(f"declare {key} here")
+
+
+@pytest.mark.parametrize("component", [component for component, _, _ in HINTS])
+def test_a_request_says_the_hint_first_too(folder: Path, component: str) -> None:
+    checked(folder, component)
+    with (
+        RobotManager.from_file(folder / "robot.yaml") as robot,
+        pytest.raises(ResolutionError) as caught,
+    ):
+        robot.resolve("asked")
+    told = str(caught.value)
+    assert told.index("a type hint") < told.index("declare it in the configuration")
+
+
+@pytest.mark.parametrize(
+    "component",
+    [
+        'output: {endpoint: ["check_bare:declared"]}',
+        'output: {endpoint: ["check_bare:source"], structure: {type: number}}',
+        'service: {endpoint: ["check_bare:half"], reply: {type: number}}',
+    ],
+)
+def test_what_is_declared_needs_no_hint(folder: Path, component: str) -> None:
+    assert "no plan has it" not in checked(folder, component).output
+
+
+def test_a_missing_colon_is_one_mistake(folder: Path) -> None:
+    done = checked(folder, 'input: {endpoint: ["a.b"]}, output: {endpoint: ["a.b"]}')
+    assert done.output.count("expected one string") == 1, done.output
+    assert "did you mean 'a:b'? (the same stands in output)" in done.output
+    assert "cannot be had" not in done.output
+
+
+def test_a_space_after_the_colon_is_one_mistake(folder: Path) -> None:
+    done = checked(folder, "service: {endpoint: [w: src]}")
+    said = [line for line in done.output.splitlines() if "error" in line or "warning" in line]
+    assert len(said) == 1, said
+    assert 'write "w:src", without the space' in said[0]
+
+
+def test_two_addresses_that_are_none_are_two_mistakes(folder: Path) -> None:
+    done = checked(folder, 'input: {endpoint: ["a.b"]}, output: {endpoint: ["c"]}')
+    assert done.output.count("expected one string") == 2, done.output
+
+
+def test_it_ends_with_what_was_not_looked_at(folder: Path) -> None:
+    robot = ROBOT.replace("{{python: {{}}}}", "{{python: {{}}, far: {{plugin: nowhere}}}}")
+    robot += '      - {{name: two, bridge: far, output: {{endpoint: ["x"]}}}}\n'
+    text = robot.format('output: {endpoint: ["check_bare:declared"]}')
+    (folder / "robot.yaml").write_text(text, encoding="utf-8")
+    arguments = ["check", str(folder / "robot.yaml")]
+    last = CliRunner().invoke(main, arguments).output.splitlines()[-3:]
+    assert last[0] == f"not looked at here, but by uoarm status {folder / 'robot.yaml'}:"
+    assert last[1:] == [
+        "  components of bridge far (nowhere): are they there, of such types?",
+        "  do messages fit from component to component?",
+    ]
+    told = json.loads(CliRunner().invoke(main, [*arguments, "--json"]).stdout)
+    assert told["unchecked"] == [line.strip() for line in last[1:]]
