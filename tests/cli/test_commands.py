@@ -12,6 +12,7 @@ from click.testing import CliRunner, Result
 
 from uoarm.bridge import install_command
 from uoarm.cli import main
+from uoarm.config import published_schema
 
 pytestmark = pytest.mark.keeps("descriptor of pipe")  # doctor: of ROS 2, for signals
 ROBOT = """
@@ -344,3 +345,9 @@ functions:
     assert "did you mean 'stove'" in texts
     assert "RuntimeError: the licence has ended" in texts
     assert "there is no plugin 'absent'" in texts
+
+
+def test_schema_prints_that_of_the_configuration() -> None:
+    done = run("schema")
+    assert (done.exit_code, json.loads(done.stdout)) == (0, published_schema()), done.output
+    assert run("schema", "check", "--help").exit_code == 0

@@ -46,10 +46,10 @@ from uoarm.cli._status import status
 from uoarm.cli._stop import stop
 from uoarm.cli._types import types
 from uoarm.cli._up import up
-from uoarm.config import inspect, load
+from uoarm.config import inspect, load, published_schema
 from uoarm.errors import UsageError
 from uoarm.model import to_json
-from uoarm.schema._command import schema
+from uoarm.schema._command import schema as alone
 
 __all__ = ["main"]
 
@@ -235,6 +235,16 @@ def doctor(*, file: str | None, as_json: bool) -> None:
             click.echo(f"  {key:<14} {finding}")
 
 
+@main.group(invoke_without_command=True)
+@click.pass_context
+def schema(context: click.Context) -> None:
+    """Print the JSON Schema of robot.yaml, for editors."""
+    if context.invoked_subcommand is None:
+        print_json(published_schema())
+
+
+for command in alone.commands.values():
+    schema.add_command(command)
 main.add_command(apply)
 main.add_command(history)
 main.add_command(certificates)
@@ -246,7 +256,6 @@ main.add_command(offer)
 main.add_command(request)
 main.add_command(call)
 main.add_command(new_bridge)
-main.add_command(schema)
 main.add_command(suggest)
 main.add_command(serve)
 main.add_command(token)
