@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import ExitStack
 
 import pytest
 from ros import Ros, Serve, url
+from uoarm_rosbridge import _hub
 
 from uoarm import RobotManager
 from uoarm.bridge import Registry
@@ -61,3 +63,27 @@ def test_subscriptions_of_one_topic_are_limited(serve: Serve) -> None:
         assert refused == "limit: '/a' has 256 subscriptions of this client"
         client.send(op="subscribe", topic="/b", id="last")
         assert client.call("/rosapi/get_time")
+
+
+def test_topics_that_others_have_taken_leave_an_equal_share(
+    serve: Serve, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Those who subscribe a thousand each have taken all; who comes then has a part of them."""
+    monkeypatch.setattr(_hub, "_MOST_TOPICS", 60)
+    server = serve(Limits(streams=20))
+    with ExitStack() as stack:
+        for client in range(3):
+            greedy = stack.enter_context(Ros(url(server)))
+            for number in range(20):
+                greedy.send(op="subscribe", topic=f"/{client}/{number}", type="a/T")
+            greedy.call("/rosapi/get_time")
+        late = stack.enter_context(Ros(url(server)))
+        for number in range(15):
+            late.send(op="subscribe", topic=f"/late/{number}", type="a/T")
+        late.call("/rosapi/get_time")
+        assert "60 topics already, 15 of them of this client" in late.refused(
+            op="subscribe", topic="/late/more", type="a/T", id="1"
+        )
+        late.send(op="unsubscribe", topic="/late/0")
+        late.send(op="subscribe", topic="/late/more", type="a/T")
+        late.call("/rosapi/get_time")

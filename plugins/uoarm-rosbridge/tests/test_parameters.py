@@ -10,6 +10,8 @@ from uoarm_rosbridge._parameters import Parameters
 
 from uoarm.server.front_end import LimitError
 
+OWNER = "one"
+
 
 def test_what_one_client_sets_another_reads(enter: Enter) -> None:
     setter, reader = enter(), enter()
@@ -33,22 +35,35 @@ def test_what_nobody_set_is_null_or_has_the_default(enter: Enter) -> None:
 def test_there_may_be_so_many_and_no_more() -> None:
     parameters = Parameters()
     for number in range(1_000):
-        parameters.set(f"/{number}", "1")
+        parameters.set(f"/{number}", "1", OWNER)
     with pytest.raises(LimitError, match="1,000 parameters"):
-        parameters.set("/more", "1")
-    parameters.set("/7", "2")
+        parameters.set("/more", "1", OWNER)
+    parameters.set("/7", "2", OWNER)
     assert parameters.delete("/8")
-    parameters.set("/more", "1")
+    parameters.set("/more", "1", OWNER)
 
 
 def test_together_they_have_so_much_and_no_more() -> None:
     parameters = Parameters()
     half = json.dumps("x" * 500_000)
-    parameters.set("/a", half)
-    parameters.set("/b", half)
+    parameters.set("/a", half, OWNER)
+    parameters.set("/b", half, OWNER)
     with pytest.raises(LimitError, match="1,048,576 octets"):
-        parameters.set("/c", half)
-    parameters.set("/a", half)
-    parameters.set("/a", "1")
-    parameters.set("/c", half)
+        parameters.set("/c", half, OWNER)
+    parameters.set("/a", half, OWNER)
+    parameters.set("/a", "1", OWNER)
+    parameters.set("/c", half, OWNER)
     assert parameters.names == ["/a", "/b", "/c"]
+
+
+def test_who_has_less_than_an_equal_share_may_set_one_still() -> None:
+    parameters = Parameters()
+    for number in range(1_000):
+        parameters.set(f"/{number}", "1", OWNER)
+    for number in range(500):
+        parameters.set(f"/other/{number}", json.dumps("x" * 1_000), "other")
+    with pytest.raises(LimitError, match="1,000 parameters"):
+        parameters.set("/other/more", "1", "other")
+    for number in range(500):
+        assert parameters.delete(f"/other/{number}")
+    parameters.set("/other/more", "1", "other")

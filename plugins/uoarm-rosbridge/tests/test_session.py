@@ -20,6 +20,7 @@ from uoarm_rosbridge._publication import Publication
 from uoarm import RobotManager
 from uoarm.errors import ControlMessageError
 from uoarm.server import Limits, Server
+from uoarm.testing import slowness
 
 
 def test_a_function_is_a_topic(enter: Enter, robot: RobotManager) -> None:
@@ -547,7 +548,7 @@ piece = st.fixed_dictionaries(
 
 @given(st.lists(piece, max_size=30))
 def test_no_fragments_at_all_break_the_collector(pieces: list[dict[str, Any]]) -> None:
-    fragments = Fragments(700)
+    fragments = Fragments(700, 1.0)
     for one in pieces:
         with suppress(ControlMessageError):
             fragments.add(one)
@@ -555,7 +556,7 @@ def test_no_fragments_at_all_break_the_collector(pieces: list[dict[str, Any]]) -
 
 
 def test_unfinished_messages_are_bounded_in_memory_and_counted_until_they_are_whole() -> None:
-    fragments = Fragments(10_000)
+    fragments = Fragments(10_000, 1.0)
     for place in range(60):
         fragments.add({"id": "a", "data": "", "num": place, "total": 1000})
     with pytest.raises(ControlMessageError, match="10,000 octets wait"):
@@ -608,3 +609,25 @@ def test_no_operations_at_all_break_the_endpoint(
         while told.get("id") != "last one":
             assert "its log says more" not in str(told)
             told = client.receive()
+
+
+def test_a_message_in_pieces_that_is_not_finished_in_time_is_let_go(serve: Serve) -> None:
+    server = serve(Limits(message_seconds=0.3 * slowness()))
+    with Ros(url(server)) as client:
+        client.send(op="fragment", id="m", data="x" * 100_000, num=0, total=2)
+        eventually(lambda: server.held_octets > 100_000, "it is held")
+        told = client.receive()
+        assert (told["op"], told["level"]) == ("status", "error")
+        assert "message 'm' was not finished within" in told["msg"]
+        eventually(lambda: server.held_octets < 10_000, "it was let go")
+
+
+def test_pieces_find_no_room_where_others_and_their_sender_have_too_much(serve: Serve) -> None:
+    server = serve(Limits(message_bytes=200_000, total_memory_bytes=200_000))
+    with Ros(url(server)) as client, Ros(url(server)) as other:
+        for number in range(5):
+            client.call("/rosapi/get_time")
+            client.send(op="fragment", id="m", data="x" * 50_000, num=number, total=9)
+        told = client.receive()
+        assert "holds as much as it may" in told["msg"]
+        assert other.call("/rosapi/get_time")

@@ -293,7 +293,7 @@ def test_each_message_goes_on_once_in_its_order_or_is_told(
 
     async def act() -> None:
         hub = Hub()
-        hub.listen("/talk", "", cast("Any", world))
+        hub.listen("/talk", "", cast("Any", world), world)
         backend, client = cast("Backend", world), cast("Client", world)
         publication = SharedPublication("/talk", kind, hub, backend, client)
         for number, (fits, octets, turns) in enumerate(steps):

@@ -7,7 +7,6 @@ import logging
 import os
 import secrets
 import time
-from collections import Counter
 from collections.abc import Awaitable, Callable, Coroutine, Iterable
 from functools import cache
 from typing import Any
@@ -44,7 +43,7 @@ from uoarm.server.session import (
     TurnConnection,
     host_of,
 )
-from uoarm.server.streams import FeedRegistry
+from uoarm.server.streams import FeedRegistry, Shares
 
 __all__ = ["Server"]
 
@@ -94,12 +93,12 @@ class Server:
         self._decoder = Decoder()
         self._totals = Totals()
         self._make_session: dict[str, MakeSession] = {}
-        self._connected: Counter[str] = Counter()
+        room = connections_possible(self._limits.connections + _UNFINISHED)
+        self._connected = Shares(max(1, min(self._limits.connections, room - room // 8)))
         self._clients: dict[Client, None] = {}
         self._store = SessionStore(self._limits, self._end)
         self._listening: list[Listening] = []
         self._ports: list[int] = []
-        room = connections_possible(self._limits.connections + _UNFINISHED)
         self._sockets = Sockets(room, self._limits)
         self._registry: FeedRegistry | None = None
         self._watches: list[asyncio.Task[None]] = []
@@ -264,7 +263,7 @@ class Server:
             _log.exception("%s made no session for client %s", who, client.identity)
             await socket.close(CloseCode.INTERNAL_ERROR, "the server failed")
             return
-        self._connected[host] += 1
+        self._connected.take(host)
         self._totals.clients += 1
         self._audit.arrival(client.address, client.identity, role.name)
         try:
@@ -274,7 +273,7 @@ class Server:
                 self._audit.resumed(client.address, kept.client.identity)
                 await self._attend(kept.client, kept.session, socket)
         finally:
-            self._connected -= Counter({host: 1})
+            self._connected.take(host, -1)
 
     async def _attend(self, client: Client, session: Session, socket: TurnConnection) -> None:
         """Serve a client until its connection ends, then keep its session or end it."""

@@ -48,6 +48,7 @@ from uoarm.server.streams import (
     Lane,
     Listener,
     Read,
+    Shares,
     check_message,
     read_message,
 )
@@ -79,6 +80,7 @@ __all__ = [
     "Read",
     "Role",
     "Session",
+    "Shares",
     "UnknownError",
     "check_message",
     "code_of",

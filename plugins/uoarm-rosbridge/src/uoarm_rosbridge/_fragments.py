@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import threading
+import time
+from collections.abc import Callable, Mapping
 from sys import getsizeof
 from typing import Any
 
@@ -22,6 +24,7 @@ _PLACE = 100  # what one piece takes in a dictionary, and its number
 @define
 class _Message:
     total: int
+    begun: float
     pieces: dict[int, str] = field(factory=dict)
     octets: int = 0
 
@@ -31,15 +34,38 @@ class Fragments:
 
     Args:
         most: octets of memory that all of them may take together.
+        seconds: in which a message is finished.
+        clock: monotonic seconds.
 
     Attributes:
         octets: that they take.
     """
 
-    def __init__(self, most: int) -> None:
+    def __init__(
+        self, most: int, seconds: float, clock: Callable[[], float] = time.monotonic
+    ) -> None:
         self.octets = 0
         self._most = most
+        self._seconds = seconds
+        self._clock = clock
         self._messages: dict[str, _Message] = {}
+        # Pieces come in the thread that decodes long frames; what is late is let go in the loop.
+        self._lock = threading.Lock()
+
+    def forget_late(self) -> list[str]:
+        """Forget what was not finished in time; returns which messages these were."""
+        with self._lock:
+            due = self._clock() - self._seconds
+            late = [name for name, message in self._messages.items() if message.begun <= due]
+            for name in late:
+                self._forget(name)
+            return late
+
+    def clear(self) -> None:
+        """Forget all."""
+        with self._lock:
+            self._messages.clear()
+            self.octets = 0
 
     def add(self, fields: Mapping[str, Any]) -> str | None:
         """Take one piece; returns the whole text with the last one.
@@ -54,12 +80,16 @@ class Fragments:
             raise ControlMessageError("fragment: data: expected text")
         if not (type(number) is int and type(total) is int and 0 <= number < total <= _PIECES):
             raise ControlMessageError("fragment: expected whole numbers num < total")
+        with self._lock:
+            return self._add(identity, data, number, total)
+
+    def _add(self, identity: str, data: str, number: int, total: int) -> str | None:
         message = self._messages.get(identity)
         if message is None:
             if len(self._messages) >= _UNFINISHED:
                 self._forget(next(iter(self._messages)))
                 raise ControlMessageError(f"fragment: {_UNFINISHED} messages are unfinished")
-            message = self._messages[identity] = _Message(total)
+            message = self._messages[identity] = _Message(total, self._clock())
         if message.total != total or number in message.pieces:
             self._forget(identity)
             raise ControlMessageError(f"fragment: piece {number} of {total} fits no message")

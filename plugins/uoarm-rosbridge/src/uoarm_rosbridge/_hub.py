@@ -18,6 +18,7 @@ from uoarm.server.front_end import (
     Held,
     LimitError,
     Listener,
+    Shares,
     UnknownError,
 )
 from uoarm_rosbridge._action_hub import ActionHub
@@ -59,11 +60,13 @@ class Topic:
     """One topic between clients; it lives while someone publishes or listens.
 
     Attributes:
+        owner: the account of the client that named it first, whose topic it counts as.
         type: as its publishers state it; the first of them decides while any of them stays.
         wished: as the first listener named it, which binds nobody.
     """
 
     name: str
+    owner: object
     type: str = ""
     wished: str = ""
     number: int = 0
@@ -88,6 +91,7 @@ class Hub:
 
     def __init__(self) -> None:
         self._topics: dict[str, Topic] = {}
+        self._named = Shares(_MOST_TOPICS)
         self._services: dict[str, tuple[str, Provider]] = {}
         self._numbers = itertools.count(1)
         self._waiting: dict[str, tuple[Provider, asyncio.Future[Message]]] = {}
@@ -114,14 +118,14 @@ class Hub:
         """Types by service."""
         return {name: kind for name, (kind, _) in self._services.items()}
 
-    def advertise(self, name: str, kind: str, publisher: object) -> None:
+    def advertise(self, name: str, kind: str, publisher: object, owner: object) -> None:
         """Count a publisher of a topic.
 
         Raises:
             MessageError: other publishers of the topic state another type.
-            LimitError: there are too many topics.
+            LimitError: there are too many topics, and the owner has its share of them.
         """
-        topic = self._topic(name)
+        topic = self._topic(name, owner)
         self._check_type(topic, kind)
         topic.type = topic.type or kind
         topic.publishers.add(publisher)
@@ -155,7 +159,7 @@ class Hub:
         Args:
             name: of the topic.
             message: an object.
-            publisher: who advertised it.
+            publisher: who has advertised it.
             octets: of memory that the message holds.
             latch: what is charged for keeping the message for those who come; None: it is not kept.
 
@@ -163,7 +167,9 @@ class Hub:
             LimitError: the publisher has too much memory held; the message went nowhere.
             BusyError: all clients together have.
         """
-        topic = self._topic(name)
+        topic = self._topics.get(name)
+        if topic is None:  # its publisher has given it back
+            return
         envelope = Envelope(topic.number + 1, message, octets)
         if latch is not None:
             before = topic.latched
@@ -176,14 +182,14 @@ class Hub:
         for listener in tuple(topic.listeners):
             _offer(listener, envelope)
 
-    def listen(self, name: str, kind: str, listener: Listener) -> None:
+    def listen(self, name: str, kind: str, listener: Listener, owner: object) -> None:
         """Hand a topic's messages to a listener, first the one that is latched.
 
         Raises:
             MessageError: its publishers state another type.
-            LimitError: there are too many topics.
+            LimitError: there are too many topics, and the owner has its share of them.
         """
-        topic = self._topic(name)
+        topic = self._topic(name, owner)
         self._check_type(topic, kind)
         topic.wished = topic.wished or kind
         topic.listeners[listener] = None
@@ -265,12 +271,16 @@ class Hub:
             raise UnknownError(f"nobody waits for the answer {identity!r:.200}")
         conclude(future)
 
-    def _topic(self, name: str) -> Topic:
+    def _topic(self, name: str, owner: object) -> Topic:
         topic = self._topics.get(name)
         if topic is None:
-            if len(self._topics) >= _MOST_TOPICS:
-                raise LimitError(f"there are {_MOST_TOPICS:,} topics already")
-            topic = self._topics[name] = Topic(name)
+            if not self._named.admits(owner):
+                raise LimitError(
+                    f"there are {_MOST_TOPICS:,} topics already, {self._named.of(owner):,} of them "
+                    "of this client"
+                )
+            self._named.take(owner)
+            topic = self._topics[name] = Topic(name, owner)
         return topic
 
     def _check_type(self, topic: Topic, kind: str) -> None:
@@ -279,8 +289,9 @@ class Hub:
             raise MessageError(f"topic {topic.name!r} has the type {topic.type!r}, not {kind!r}")
 
     def _drop_if_unused(self, topic: Topic) -> None:
-        if not topic.publishers and not topic.listeners:
-            self._topics.pop(topic.name, None)
+        if not topic.publishers and not topic.listeners and topic.name in self._topics:
+            del self._topics[topic.name]
+            self._named.take(topic.owner, -1)
 
 
 def _offer(listener: Listener, envelope: Envelope) -> None:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Hashable
+
 import orjson
 
 from uoarm.errors import MessageError, UsageError
-from uoarm.server.front_end import LimitError
+from uoarm.server.front_end import LimitError, Shares
 from uoarm_rosbridge._names import find_place
 
 __all__ = ["Parameters"]
@@ -22,7 +24,9 @@ class Parameters:
 
     def __init__(self) -> None:
         self._texts: dict[str, str] = {}
-        self._octets = 0
+        self._owners: dict[str, Hashable] = {}
+        self._named = Shares(_MOST)
+        self._octets = Shares(_MOST_OCTETS)
 
     @property
     def names(self) -> list[str]:
@@ -33,34 +37,46 @@ class Parameters:
         """Return a parameter's JSON text; None: there is none."""
         return self._texts.get(name)
 
-    def set(self, name: str, text: str) -> None:
+    def set(self, name: str, text: str, owner: Hashable) -> None:
         """Set a parameter, which may be there already.
+
+        Args:
+            name: of the parameter.
+            text: of its value.
+            owner: as whose it counts: something that stays the same when a client comes again.
 
         Raises:
             UsageError: the name is that of a function, whose parameters are not the clients'.
             MessageError: the text is no JSON.
-            LimitError: there are too many parameters, or they are too long.
+            LimitError: there are too many parameters, or they are too long, and the owner has its
+                share of them.
         """
         if find_place(name).function:
             raise UsageError(f"{name!r:.200} belongs to the server: it is in the configuration")
+        owner = self._owners.get(name, owner)
         before = self._texts.get(name)
-        if before is None and len(self._texts) >= _MOST:
+        if before is None and not self._named.admits(owner):
             raise LimitError(f"there are {_MOST:,} parameters already")
-        octets = self._octets + _size(name, text) - (0 if before is None else _size(name, before))
-        if octets > _MOST_OCTETS:
+        more = _size(name, text) - (0 if before is None else _size(name, before))
+        if more > 0 and not self._octets.admits(owner, more):
             raise LimitError(f"all parameters together may have {_MOST_OCTETS:,} octets")
         try:
             orjson.loads(text)
         except orjson.JSONDecodeError as error:
             raise MessageError(f"set_param: value: expected a JSON text: {error}") from None
-        self._texts[name], self._octets = text, octets
+        self._texts[name], self._owners[name] = text, owner
+        self._octets.take(owner, more)
+        if before is None:
+            self._named.take(owner)
 
     def delete(self, name: str) -> bool:
         """Delete a parameter; False: there was none."""
         text = self._texts.pop(name, None)
         if text is None:
             return False
-        self._octets -= _size(name, text)
+        owner = self._owners.pop(name)
+        self._octets.take(owner, -_size(name, text))
+        self._named.take(owner, -1)
         return True
 
 

@@ -276,7 +276,8 @@ class Rosapi:
 
     async def _set_param(self, arguments: Arguments) -> dict[str, Any]:
         name = self._changeable(arguments)
-        self._hub.parameters.set(name, _text(arguments, "value"))
+        owner = self._role.name, self._client.address.rpartition(":")[0]
+        self._hub.parameters.set(name, _text(arguments, "value"), owner)
         return _outcome(done=True)
 
     async def _delete_param(self, arguments: Arguments) -> dict[str, Any]:

@@ -68,7 +68,9 @@ class RosbridgeSession:
         self._client = client
         self._level = _WARNING
         self._numbers = itertools.count(1)
-        self._fragments = Fragments(2 * client.limits.message_bytes)
+        seconds = client.limits.message_seconds
+        self._fragments = Fragments(2 * client.limits.message_bytes, seconds)
+        self._looking: asyncio.TimerHandle | None = None
         self._fragments_held = client.account.hold(Held.FRAGMENTS)
         self._tasks: set[asyncio.Task[None]] = set()
         self._topics = Topics(client, backend, hub, addresses, self._fail, self._warn)
@@ -116,6 +118,8 @@ class RosbridgeSession:
         """Give back everything that only this client used."""
         for task in self._tasks:
             task.cancel()
+        if self._looking is not None:
+            self._looking.cancel()
         self._topics.close()
         self._services.close()
         self._actions.close()
@@ -140,13 +144,37 @@ class RosbridgeSession:
 
     def _handle(self, fields: Mapping[str, Any] | None) -> None:
         """Act on a message; None: on a fragment that completes none."""
-        self._fragments_held.resize(self._fragments.octets)
-        if fields is None:
-            return
         try:
-            self._act(fields)
+            self._count_fragments()
+            if fields is not None:
+                self._act(fields)
         except Exception as error:  # noqa: BLE001 - every message that is wrong is told
-            self._fail(fields, error)
+            self._fail(fields or {}, error)
+
+    def _count_fragments(self) -> None:
+        """Charge what is unfinished, and let it go where there is no room for it, or no end of it.
+
+        Raises:
+            BusyError: all clients together hold too much, and this one has its share.
+        """
+        octets = self._fragments.octets
+        grows = octets > self._fragments_held.octets
+        self._fragments_held.resize(octets)
+        if grows and not self._client.account.has_share:
+            self._fragments.clear()
+            self._fragments_held.resize(0)
+            raise BusyError("fragment: the server holds as much as it may for all clients")
+        if octets and self._looking is None:
+            seconds = self._client.limits.message_seconds
+            self._looking = asyncio.get_running_loop().call_later(seconds, self._forget_late)
+
+    def _forget_late(self) -> None:
+        self._looking = None
+        for name in self._fragments.forget_late():
+            seconds = self._client.limits.message_seconds
+            text = f"fragment: message {name!r:.200} was not finished within {seconds:g} s"
+            self._fail({}, ControlMessageError(text))
+        self._count_fragments()
 
     def _act(self, fields: Mapping[str, Any]) -> None:
         op = fields.get("op")

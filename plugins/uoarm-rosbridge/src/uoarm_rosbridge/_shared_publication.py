@@ -64,7 +64,7 @@ class SharedPublication:
         self._structure: MessageStructure | None = None
         self._waiting: deque[_Waiting] = deque()
         self._closing = False
-        hub.advertise(name, kind, self)
+        hub.advertise(name, kind, self, client.account)
         stated = hub.type_of(name)
         self._working = asyncio.ensure_future(self._begin(stated)) if stated else None
 

@@ -192,7 +192,7 @@ class Topics:
         if place.function:
             listening.opening = asyncio.ensure_future(self._join(place, listening, fields))
         else:
-            self._hub.listen(place.name, _type_in(fields), subscription)
+            self._hub.listen(place.name, _type_in(fields), subscription, self._client.account)
             self._hint(place, Role.OUTPUT, fields)
         self._listening[place.name] = listening
         return listening

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from functools import cache
 from http import HTTPStatus
@@ -32,6 +31,7 @@ from uoarm.server.front_end import FrontEnd
 from uoarm.server.http._front_ends import FrontEnds
 from uoarm.server.http._metrics import Totals
 from uoarm.server.session import address_of, host_of
+from uoarm.server.streams import Shares
 
 __all__ = ["OWN_PATHS", "Entry", "HandshakeHandler"]
 
@@ -91,7 +91,7 @@ class HandshakeHandler:
         audit: Audit,
         limits: Limits,
         totals: Totals,
-        connected: Counter[str],
+        connected: Shares,
         *,
         health: Callable[[], Mapping[str, object]],
         metrics: Callable[[], bytes],
@@ -154,9 +154,9 @@ class HandshakeHandler:
     def _enter(self, connection: ServerConnection, head: RequestHead) -> None:
         front_end = self._front_end_at(head.path)
         address = host_of(connection)
-        if self._connected.total() >= self._limits.connections:
+        if not self._connected.admits(address):
             raise RefusedError(HTTPStatus.SERVICE_UNAVAILABLE, "too many clients are connected")
-        if self._connected[address] >= self._limits.connections_per_address:
+        if self._connected.of(address) >= self._limits.connections_per_address:
             raise RefusedError(
                 HTTPStatus.TOO_MANY_REQUESTS, "too many clients of this address are connected"
             )

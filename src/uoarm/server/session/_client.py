@@ -20,7 +20,7 @@ from uoarm.server._limits import Limits
 from uoarm.server.access import Audit, Credentials, Operation, Role
 from uoarm.server.session._connection import TurnConnection, address_of
 from uoarm.server.session._intake import Decoder, RateLimiter
-from uoarm.server.streams import Account, Outbox
+from uoarm.server.streams import Account, Outbox, acting
 
 __all__ = ["Client", "Session"]
 
@@ -136,6 +136,7 @@ class Client:
     async def run(self, session: Session, socket: TurnConnection) -> None:
         """Serve until the client or the server ends the connection, or another session goes on."""
         self._socket = socket
+        acting.set(self.account)
         socket.charge_to(self.account)
         self.has_dropped = False
         self.outbox.renew()

@@ -9,7 +9,7 @@ import struct
 import sys
 import time
 import zlib
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from functools import lru_cache
@@ -58,6 +58,9 @@ _OPCODES = Opcode.BINARY, Opcode.TEXT  # by whether it is text
 class Sockets:
     """All connections of one server, from their first octet on.
 
+    Where there are too many, the address that has most gives way to others: with the oldest of its
+    handshakes that are not finished.
+
     Args:
         limit: how many there may be.
         limits: of what one of them brings.
@@ -70,20 +73,39 @@ class Sockets:
         self.limit = limit
         self.limits = limits
         self.turns = Turns()
-        self._all: set[TurnConnection] = set()
+        self._all: dict[TurnConnection, str] = {}
+        self._of_host: Counter[str] = Counter()
 
     def __iter__(self) -> Iterator[TurnConnection]:
         return iter(tuple(self._all))
 
     def add(self, connection: TurnConnection) -> None:
         """Take a connection that was made, or refuse it when there are too many."""
-        self._all.add(connection)
+        host = self._all[connection] = host_of(connection)
+        self._of_host[host] += 1
         if len(self._all) > self.limit:
-            connection.transport.abort()
+            self._refused(connection, host).transport.abort()
+
+    def _refused(self, newest: TurnConnection, host: str) -> TurnConnection:
+        largest, most = self._of_host.most_common(1)[0]
+        if self._of_host[host] == most:
+            return newest
+        unfinished = (
+            connection
+            for connection, its_host in self._all.items()
+            if its_host == largest
+            and connection.protocol.state is State.CONNECTING
+            and not connection.transport.is_closing()
+        )
+        return next(unfinished, newest)
 
     def discard(self, connection: TurnConnection) -> None:
         """Forget a connection that has ended."""
-        self._all.discard(connection)
+        host = self._all.pop(connection, None)
+        if host is not None:
+            self._of_host[host] -= 1
+            if not self._of_host[host]:
+                del self._of_host[host]
 
     def check(self, now: float) -> None:
         """Cut those off whose message does not end."""

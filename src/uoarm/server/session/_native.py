@@ -87,6 +87,11 @@ class NativeSession:
         }
         self._tell({"op": "Status", "type": "hello", "jsonMessage": self._hello()})
 
+    @property
+    def is_in_use(self) -> bool:
+        """Whether it has open functions, or something under way."""
+        return bool(self._tasks or self._streams.counters())
+
     def octets(self, frame: str | bytes) -> int:
         """Return how much there is to decode."""
         return len(frame)

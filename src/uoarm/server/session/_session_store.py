@@ -6,7 +6,7 @@ import asyncio
 import logging
 import secrets
 import time
-from collections import OrderedDict
+from collections import Counter, OrderedDict
 from collections.abc import Callable
 from typing import Protocol
 
@@ -31,6 +31,10 @@ class Resumable(Session, Protocol):
     """A session that can go on over another connection."""
 
     form: str
+
+    @property
+    def is_in_use(self) -> bool:
+        """Whether its client would lose more than its name with it."""
 
     def go_on(self, asked: ControlMessage) -> None:
         """Answer the Resume that took the session up, and what its client may not have received."""
@@ -135,11 +139,30 @@ class SessionStore:
             return False
         kept = self._kept[key]
         kept.free.set()
-        if client.has_dropped and len(self.waiting) < self._limits.kept_sessions:
+        if client.has_dropped and self._limits.kept_sessions:
             kept.since = time.monotonic()
-            return True
+            if len(self.waiting) > self._limits.kept_sessions:
+                last = self._most_dispensable()
+                if last is not kept:
+                    self._finish(last)
+                    return True
+            else:
+                return True
         self._forget(kept)
         return False
+
+    def _most_dispensable(self) -> KeptSession:
+        """Return the session to end when too many wait: one of those who have most.
+
+        Of these the oldest without use, so that who keeps hundreds pays with its own; where all are
+        used, the one that came last: none is taken from its client for another.
+        """
+        waiting = [kept for kept in self._kept.values() if kept.since is not None]
+        counts = Counter(_owner(kept.client) for kept in waiting)
+        most = max(counts.values())
+        theirs = [kept for kept in waiting if counts[_owner(kept.client)] == most]
+        unused = [kept for kept in theirs if not kept.session.is_in_use]
+        return min(unused, key=_waits_since) if unused else max(theirs, key=_waits_since)
 
     def refresh(self, now: float, roles: Callable[[Credentials], Role | None]) -> None:
         """End sessions that waited too long, that hold too much, or whose rights changed."""
@@ -173,6 +196,15 @@ class SessionStore:
 
     def _forget(self, kept: KeptSession) -> None:
         del self._kept[self._keys.pop(kept.client)]
+
+
+def _waits_since(kept: KeptSession) -> float:
+    return kept.since or 0.0
+
+
+def _owner(client: Client) -> tuple[Credentials, str]:
+    """Return whose session it is, whatever it is called: as it authenticates, and from where."""
+    return client.credentials, client.address.rpartition(":")[0]
 
 
 class ReplyCache:

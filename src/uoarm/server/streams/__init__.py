@@ -6,6 +6,7 @@ from uoarm.server.streams._feed_registry import FeedRegistry, Read
 from uoarm.server.streams._input_sender import Done, InputSender, check_message, read_message
 from uoarm.server.streams._memory import Account, Charge, Held
 from uoarm.server.streams._outbox import Lane, Outbox
+from uoarm.server.streams._shares import Shares, acting
 
 __all__ = [
     "Account",
@@ -22,6 +23,8 @@ __all__ = [
     "Listener",
     "Outbox",
     "Read",
+    "Shares",
+    "acting",
     "check_message",
     "feed_key",
     "read_message",
