@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from typing import Any, TypeAlias
+
 import pytest
 from uoarm_ros2._pulse import Pulse, SimulatedClock
 
 from uoarm.model import Health
+
+Told: TypeAlias = "tuple[list[tuple[Health, str]], Pulse]"
 
 
 class Clock:
@@ -31,6 +35,88 @@ def test_peers_come_and_go(clock: Clock) -> None:
     ]
     pulse.peers(0, "publisher of /x", required=False)
     assert told[-1][0] is Health.DEGRADED
+
+
+def steady(clock: Clock, *, seconds: float = 10.0, gap: float = 0.25, **more: Any) -> Told:
+    """Return what is told of a channel to which messages came steadily, and its pulse."""
+    told: list[tuple[Health, str]] = []
+    pulse = Pulse(lambda *news: told.append(news), clock=clock, hears=True, **more)
+    pulse.peers(1, "publisher of /x", required=True)
+    told.clear()
+    for _ in range(int(seconds / gap)):
+        clock.now += gap
+        pulse.beat()
+        pulse.tick()
+    assert told == []
+    return told, pulse
+
+
+def test_a_loss_says_what_would_have_told_it_sooner(clock: Clock) -> None:
+    told, pulse = steady(clock)
+    clock.now += 20
+    pulse.peers(0, "publisher of /x", required=True)
+    [(health, cause)] = told
+    assert health is Health.LOST
+    assert cause.startswith("the last publisher of /x is gone, 20.0 s after its last message: ")
+    assert cause.endswith("stale_after: 3 in the options of the output tells it sooner")
+
+
+def test_a_loss_that_is_told_at_once_says_no_more(clock: Clock) -> None:
+    told, pulse = steady(clock)
+    clock.now += 0.5
+    pulse.peers(0, "publisher of /x", required=True)
+    assert told == [(Health.LOST, "the last publisher of /x is gone")]
+
+
+def test_what_came_steadily_and_ceases_is_degraded_until_it_comes_again(clock: Clock) -> None:
+    told, pulse = steady(clock)
+    for _ in range(10):
+        clock.now += 0.25
+        pulse.tick()
+    assert told == []
+    for _ in range(10):
+        clock.now += 0.25
+        pulse.tick()
+    [(health, cause)] = told
+    assert health is Health.DEGRADED
+    assert cause.startswith("no message for 3.2 s, and before one came every 0.25 s or sooner")
+    assert "stale_after: 3 " in cause
+    pulse.beat()
+    pulse.tick()
+    assert told[1:] == [(Health.OK, "messages arrive as they should")]
+    clock.now += 60
+    pulse.tick()
+    assert len(told) == 2, "a topic that paused once is steady no more"
+
+
+@pytest.mark.parametrize("more", [{"seconds": 4.0}, {"seconds": 30.0, "gap": 2.0}])
+def test_of_few_messages_nothing_is_concluded(clock: Clock, more: dict[str, float]) -> None:
+    told, pulse = steady(clock, **more)
+    clock.now += 600
+    pulse.tick()
+    assert told == []
+
+
+def test_a_topic_that_promises_its_rate_is_lost_after_three_deadlines(clock: Clock) -> None:
+    told, pulse = steady(clock)
+    assert pulse.facts()["stale_after"] == "never"
+    pulse.promise([0.5, None])
+    assert pulse.facts()["stale_after"] == "never"
+    pulse.promise([0.5, 0.4])
+    assert pulse.facts()["stale_after"] == 1.5
+    clock.now += 1.6
+    pulse.tick()
+    cause = "no message for 1.5 s, 3 times the deadline of its QoS (stale_after)"
+    assert told == [(Health.LOST, cause)]
+
+
+def test_a_stated_time_stands_whatever_is_promised(clock: Clock) -> None:
+    told, pulse = steady(clock, stale_after=60.0)
+    pulse.promise([0.1])
+    clock.now += 59
+    pulse.tick()
+    assert told == []
+    assert pulse.facts()["stale_after"] == 60.0
 
 
 def test_what_is_offered_is_well_without_anybody(clock: Clock) -> None:

@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 from attrs import evolve
 from endpoints import INT64, Inbox, endpoint, known, matched, sink, source
-from peers import MORTAL, Peer
+from peers import DOMAIN, MORTAL, Peer
 from uoarm_ros2._middleware import Station, _released
 
 from uoarm.bridge import Bridge
@@ -542,12 +542,31 @@ def _publishers(bridge: Bridge, topic: str) -> list[str]:
     return [each.name for each in found for at, _ in each.endpoints if at.address[0] == topic]
 
 
+def test_a_killed_publisher_that_promised_its_rate_is_lost_before_the_middleware_knows(
+    bridge: Bridge, peer: Start
+) -> None:
+    """Nothing shortens the time for which Fast DDS believes in it, and no option is stated."""
+    events = Inbox()
+    bridge.watch(events)
+    talker = peer("talker")
+    talker.do("advertise", topic="/promised", deadline=0.3)
+    channel = source(bridge, endpoint(Role.OUTPUT, "/promised", INT64), print)
+    wait(lambda: channel.facts()["stale_after"] == 1.0)
+    talker.do("publish", topic="/promised", count=1)
+    talker.kill()
+    event = events.event(Health.LOST, "no message for 1 s, 3 times the deadline of its QoS")
+    assert event.channel is channel
+
+
 def test_what_is_not_there_says_so(bridge: Bridge, peer: Start) -> None:
     talker = peer("talker")
     talker.do("advertise", topic="/there")
     with pytest.raises(BridgeError, match="/nowhere is not on the graph") as caught:
         bridge.describe(endpoint(Role.OUTPUT, "/nowhere", INT64))
     assert caught.value.reason is FailureReason.NOT_FOUND
+    near = rf"/ther is not on the graph of domain {DOMAIN}; did you mean /there\?; `uoarm discover`"
+    with pytest.raises(BridgeError, match=near):
+        bridge.describe(endpoint(Role.OUTPUT, "/ther", INT64))
     with pytest.raises(BridgeError, match="/there has no subscription; to publish without"):
         bridge.describe(endpoint(Role.INPUT, "/there", INT64))
     with pytest.raises(BridgeError, match=r"no publisher of type std_msgs/msg/String, but std_ms"):

@@ -153,7 +153,9 @@ class Ros2Bridge(Bridge):
 
         needed = settings.peer_required or not address.type
         if needed and not self._graph.settled(f"a server of {name}", there, settings, at_most):
-            text = f"there is no server of {name} on the graph"
+            text = self._graph.absence(
+                f"there is no server of {name}", name, self._graph.servers_named()
+            )
             raise BridgeError(text, FailureReason.NOT_FOUND)
         if action is None:
             action = address.kind == ACTION

@@ -142,6 +142,7 @@ class End(ABC):
             self._unlooked = False
             peers = self.peers()
             self._look_for_strangers(peers)
+            self._pulse.promise(peer.policies.deadline for peer in peers)
             self._look_for_shadows(peers)
         if self._place.graph.has_other_types(self._place.topic) is not self._shared:
             self._look_for_other_types()

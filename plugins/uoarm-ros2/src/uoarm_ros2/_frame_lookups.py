@@ -75,7 +75,8 @@ class FrameLookups:
 
         what = f"a publisher of {' or '.join(topics)}"
         if settings.peer_required and not self._graph.settled(what, there, settings):
-            raise BridgeError(f"there is no {what[2:]} on the graph", FailureReason.NOT_FOUND)
+            text = self._graph.absence(f"there is no {what[2:]}", topics[0], self._station.topics())
+            raise BridgeError(text, FailureReason.NOT_FOUND)
         reply = structure_of(_record(_TRANSFORM))
         return Description(request=MessageStructure(_request_schema()), reply=reply)
 

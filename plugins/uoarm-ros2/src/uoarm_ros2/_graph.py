@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Iterable
+from difflib import get_close_matches
 
 from attrs import frozen
 
@@ -169,8 +170,10 @@ class Graph:
             text = f"{what} {name} has type {', '.join(types)}, not {address.type}"
             raise BridgeError(text, FailureReason.BAD_ENDPOINT)
         if not address.type and len(types) != 1:
-            seen = f"several types: {', '.join(types)}" if types else "no server on the graph"
-            text = f"{what} {name} has {seen}; name its type in the address"
+            seen = f"{what} {name} has several types: {', '.join(types)}"
+            if not types:
+                seen = self.absence(f"{what} {name} has no server", name, self.servers_named())
+            text = f"{seen}; name its type in the address"
             raise BridgeError(text, FailureReason.NOT_FOUND)
         return name, address.type or types[0]
 
@@ -190,6 +193,23 @@ class Graph:
             raise BridgeTimeoutError(text)
         return False
 
+    def absence(self, what: str, name: str, known: Iterable[str]) -> str:
+        """Say that a name is not on the graph, which is near it, and where to look.
+
+        Args:
+            what: the sentence up to the graph: `topic /x is not`.
+            name: the full name that is asked for.
+            known: names of the same kind that are there.
+        """
+        near = get_close_matches(name, [each for each in known if each != name], n=1)
+        meant = f"; did you mean {near[0]}?" if near else ""
+        domain = self._station.domain_id
+        return f"{what} on the graph of domain {domain}{meant}; `uoarm discover` lists what is"
+
+    def servers_named(self) -> list[str]:
+        """Return the names of all services and actions on the graph."""
+        return [*self._station.services(), *self._station.actions()]
+
     def _patience(self, settings: Settings) -> float:
         if settings.wait is not None:
             return settings.wait
@@ -200,8 +220,11 @@ class Graph:
         if peers:
             text = f"topic {name} has no {who} of type {wanted}, but {_listed(_types(peers))}"
             return BridgeError(text, FailureReason.UNAVAILABLE)
-        known = name in self._station.topics()
-        text = f"topic {name} {f'has no {who}' if known else 'is not on the graph'}"
+        topics = self._station.topics()
+        known = name in topics
+        text = f"topic {name} has no {who}"
+        if not known:
+            text = self.absence(f"topic {name} is not", name, topics)
         if role is Role.INPUT:
             text += "; to publish without a subscription set option peer: optional"
         return BridgeError(text, FailureReason.UNAVAILABLE if known else FailureReason.NOT_FOUND)

@@ -142,6 +142,9 @@ class ManagedNodes:
             return not missing
 
         if not self._graph.settled(f"node {wish.node}", there, settings):
-            text = f"there is no node {wish.node} with a service {missing[0]} on the graph"
+            services = (name.rpartition("/") for name in self._graph.servers_named())
+            nodes = {node for node, _, service in services if service == missing[0]}
+            what = f"there is no node {wish.node} with a service {missing[0]}"
+            text = self._graph.absence(what, wish.node, nodes)
             raise BridgeError(text, FailureReason.NOT_FOUND)
         return node

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 
 from uoarm.model import Health
 
 __all__ = ["Pulse", "SimulatedClock"]
 
 _CALM_SECONDS = 1.0
+_LEAST_SECONDS = 1.0  # no silence is shorter, whatever the rate: a busy machine has pauses
+_LONGEST_GAPS = 10
+_STEADY_MESSAGES, _STEADY_SECONDS, _STEADY_GAPS = 20, 5.0, 3.0
+_DEADLINES = 3
 
 
 class SimulatedClock:
@@ -36,6 +41,7 @@ class Pulse:
         report: takes each change of health with its cause.
         stale_after: seconds without a message that make the channel lost; None: never.
         clock: seconds that only grow.
+        hears: whether messages come in here, so that silence means something.
     """
 
     def __init__(
@@ -43,6 +49,8 @@ class Pulse:
         report: Callable[[Health, str], None],
         stale_after: float | None = None,
         clock: Callable[[], float] = time.monotonic,
+        *,
+        hears: bool = False,
     ) -> None:
         self._clock = clock
         self.count = 0
@@ -54,6 +62,11 @@ class Pulse:
         self.unreadable = 0
         self._report = report
         self._stale_after = stale_after
+        self._promised: float | None = None
+        self._hears = hears
+        self._since: float | None = None
+        self._since_count = 0
+        self._longest = 0.0
         self._told = (Health.OK, "")
         self._why = ""
         self._trouble = 0.0
@@ -61,7 +74,12 @@ class Pulse:
     def beat(self) -> None:
         """Note a message."""
         self.count += 1
-        self.last = self._clock()
+        now = self._clock()
+        if self._since is None:
+            self._since, self._since_count, self._longest = now, self.count, 0.0
+        elif now - self.last > self._longest:
+            self._longest = now - self.last
+        self.last = now
 
     def tell(self, health: Health, cause: str, why: str = "peers") -> None:
         """Report a change; the same news twice in a row is told once."""
@@ -78,10 +96,21 @@ class Pulse:
             self.tell(Health.OK, f"no {what} is there, and none need be")
         elif current == 0 and before > 0:
             health = Health.LOST if required else Health.DEGRADED
-            self.tell(health, f"the last {what} is gone")
+            self.tell(health, f"the last {what} is gone{self._sooner()}")
         elif current > 0 and before == 0:
             self.last = self._clock()
+            self._since = None
             self.tell(Health.OK, f"a {what} is there")
+
+    def promise(self, deadlines: Iterable[float | None]) -> None:
+        """Note within how many seconds the publishers promise a message each: `deadline` of QoS.
+
+        Where all do, three deadlines without a message are a silence, unless a time is stated.
+        """
+        stated = list(deadlines)
+        known = [deadline for deadline in stated if deadline is not None]
+        every = bool(known) and len(known) == len(stated)
+        self._promised = max(_LEAST_SECONDS, _DEADLINES * max(known)) if every else None
 
     def missed(self, total: int, what: str) -> None:
         """Note messages that the middleware lost."""
@@ -110,17 +139,26 @@ class Pulse:
     def tick(self) -> None:
         """Look at the clock: go stale, or recover once messages flow again."""
         age = self._clock() - self.last
-        if self._stale_after is not None and age > self._stale_after:
+        limit = self._limit()
+        if age > limit:
             if self._told[0] is not Health.LOST:
-                self.tell(Health.LOST, f"no message for {self._stale_after:g} s", "stale")
+                promised = f", {_DEADLINES} times the deadline of its QoS (stale_after)"
+                why = f"no message for {limit:g} s{'' if self._stale_after else promised}"
+                self.tell(Health.LOST, why, "stale")
+        elif limit == math.inf and self._is_steady(age):
+            if self._told[0] is Health.OK:
+                self.tell(Health.DEGRADED, self._silence(age), "stale")
         elif self._why == "stale" or (
             self._why == "trouble" and self.last > self._trouble + _CALM_SECONDS
         ):
             self.tell(Health.OK, "messages arrive as they should")
 
-    def facts(self) -> dict[str, int]:
-        """Return the counters by name."""
+    def facts(self) -> dict[str, object]:
+        """Return the counters by name, and after which silence the channel is lost."""
+        limit = self._limit()
+        stale = {"stale_after": "never" if limit == math.inf else limit} if self._hears else {}
         return {
+            **stale,
             "matched": self.matched,
             "messages": self.count,
             "lost_by_middleware": self.lost,
@@ -128,6 +166,41 @@ class Pulse:
             "deadlines_missed": self.deadlines_missed,
             "unreadable": self.unreadable,
         }
+
+    def _limit(self) -> float:
+        """Return the silence after which the channel is lost."""
+        stated = self._promised if self._stale_after is None else self._stale_after
+        return math.inf if stated is None else stated
+
+    def _is_steady(self, age: float) -> bool:
+        """Say whether messages that always came steadily have ceased to."""
+        if not self._hears or self._since is None or self.matched == 0:
+            return False
+        count, lasted = self.count - self._since_count, self.last - self._since
+        steady = count >= _STEADY_MESSAGES and lasted >= _STEADY_SECONDS
+        usual = steady and self._longest <= _STEADY_GAPS * lasted / count
+        return usual and age > self._enough()
+
+    def _enough(self) -> float:
+        """Return a `stale_after` that the messages so far would never have reached."""
+        seconds = _LONGEST_GAPS * self._longest
+        return max(_LEAST_SECONDS, math.ceil(seconds))
+
+    def _silence(self, age: float) -> str:
+        return (
+            f"no message for {age:.1f} s, and before one came every {self._longest:.2g} s or "
+            f"sooner: with stale_after: {self._enough():g} in the options of the output it is lost"
+        )
+
+    def _sooner(self) -> str:
+        """Say what would have told sooner that the last peer is gone; empty: nothing would."""
+        age = self._clock() - self.last
+        if not self._hears or self._since is None or age <= 2 * self._enough():
+            return ""
+        return (
+            f", {age:.1f} s after its last message: stale_after: {self._enough():g} in the options "
+            f"of the output tells it sooner"
+        )
 
     def _degrade(self, cause: str) -> None:
         """Tell of trouble once, however often it recurs before it has passed."""

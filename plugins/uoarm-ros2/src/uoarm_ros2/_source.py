@@ -93,6 +93,7 @@ class TopicSource(Source):
             lambda health, cause: place.report(self, health, cause),
             place.settings.stale_after,
             place.clock,
+            hears=True,
         )
         self._end = _Subscription(place, self.pulse, self._receive)
 

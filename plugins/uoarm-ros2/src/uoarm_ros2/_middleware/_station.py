@@ -103,6 +103,11 @@ class Station:
         self._thread.start()
 
     @property
+    def domain_id(self) -> int:
+        """The DDS domain that the node is in."""
+        return int(self._context.get_domain_id())
+
+    @property
     def is_cut_off(self) -> bool:
         """Whether the context was shut down although the station was not stopped."""
         return not self._stopping and not self._context.ok()
