@@ -53,6 +53,15 @@ def steps(value: int, *, kind: str) -> Iterator[int]:
     yield value
 
 
+def wrong(value: int) -> int:
+    return f"{value}"  # type: ignore[return-value]
+
+
+def wrongs() -> Iterator[int]:
+    for value in ticks():
+        yield f"{value}"  # type: ignore[misc]
+
+
 class Built:
     def __init__(self, *, kind: str) -> None:
         quit_with(kind)

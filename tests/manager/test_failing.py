@@ -95,8 +95,10 @@ class Scene:
 @pytest.fixture(autouse=True)
 def _nobody_raises() -> Iterator[None]:
     throwing.raises.clear()
+    throwing.wrong.clear()
     yield
     throwing.raises.clear()
+    throwing.wrong.clear()
 
 
 @pytest.fixture
@@ -342,3 +344,46 @@ def test_who_gives_what_matches_again_is_well(scene: Scene) -> None:
         scene.emit(11, 1.0)
         wait(lambda: scene.component("camera").health is Health.OK)
         assert scene.component("camera").failed == 1
+
+
+def test_a_step_that_takes_everything_and_gives_only_what_is_wrong_is_replaced(
+    scene: Scene,
+) -> None:
+    throwing.wrong.add("first")
+    with scene.robot.request("filter") as connection:
+        scene.emit(10, 0.6)
+        scene.events.wait_for(lambda one: one.change == "replaced")
+        assert "its output 'default' gives again and again" in connection.gaps[0].cause
+        assert scene.changes("component camera") == []
+        throwing.wrong.clear()
+        scene.camera.emit({"value": 7})
+        assert connection.get(patience()) == {"value": 7}
+
+
+def test_a_step_that_gives_what_is_wrong_now_and_then_is_kept(scene: Scene) -> None:
+    with scene.robot.request("filter", validate="always") as connection:
+        for _ in range(5):
+            throwing.wrong.add("first")
+            scene.emit(9, 1.0)
+            throwing.wrong.clear()
+            scene.emit(1, 0.1)
+        assert scene.component("first").health is Health.DEGRADED
+        scene.emit(12, 0.6)
+        assert scene.component("first").health is Health.OK
+        assert connection.gaps == ()
+
+
+@pytest.mark.parametrize("validate", ["sampled", "off"])
+def test_who_gives_what_is_wrong_is_blamed_for_what_its_consumer_raises_on_it(
+    scene: Scene, validate: str
+) -> None:
+    with scene.robot.request("filter", validate=validate):
+        scene.emit(1, 0.1)  # the one of 128 that is looked at
+        throwing.raises.add("first")
+        scene.clock.advance(0.1)
+        scene.camera.emit({"value": 1000})
+        wait(lambda: scene.component("camera").health is Health.DEGRADED)
+        assert "its output 'default' gave what does not match" in scene.component("camera").cause
+        assert (scene.component("first").health, scene.component("first").failed) == (Health.OK, 0)
+        scene.emit(1, 0.1)
+        wait(lambda: scene.component("first").failed == 1, "this one was right")

@@ -76,6 +76,7 @@ def everywhere(*parts: str) -> pytest.MarkDecorator:
 def robot_of(function: str, part: str, kind: str, host: str, when: object = "") -> RobotManager:
     folder = Path(__file__).parent
     text = ROBOT.format(folder=folder, host=host, kind=kind, part=part, when=when)
+    text = text if kind else "\n".join(one for one in text.splitlines() if "parameters" not in one)
     others = [name for name in ("stepped", "sourced", "answered") if name != function]
     return RobotManager(loads("\n".join(_without(text, others))))
 
@@ -104,6 +105,7 @@ def test_a_step_that_quits_has_failed_and_the_next_candidate_takes_over(
         robot.listen(events.deliver)
         with robot.request("stepped") as connection:
             connection.get(patience())
+            wait(lambda: bool(connection.gaps))
             assert KINDS[kind] in connection.gaps[0].cause
             lost = "component quits", "lost"
             events.wait_for(
@@ -217,3 +219,28 @@ def test_a_listener_that_quits_is_called_again_and_others_are_too(kind: str) -> 
         for _ in range(2):
             robot.request("ticks").kill()
         events.wait_for(lambda one: (one.subject, one.change) == ("connection c2", "closed"))
+
+
+@pytest.mark.parametrize("host", ["", HOSTED], ids=["here", "hosted"])
+@pytest.mark.parametrize(("function", "part"), [("stepped", "wrong"), ("sourced", "wrongs")])
+def test_what_gives_nothing_but_what_is_wrong_is_lost_and_the_next_candidate_takes_over(
+    function: str, part: str, host: str
+) -> None:
+    with robot_of(function, part, "", host) as robot, robot.request(function) as connection:
+        connection.get(patience())
+        wait(lambda: bool(connection.gaps))
+        assert "gives again and again what does not match its structure" in connection.gaps[0].cause
+
+
+@pytest.mark.parametrize("host", ["", HOSTED], ids=["here", "hosted"])
+def test_a_service_whose_every_reply_is_wrong_is_lost_and_the_next_one_is_called(
+    host: str,
+) -> None:
+    with robot_of("answered", "wrong", "", host) as robot:
+        for number in range(3):
+            with pytest.raises(BridgeError, match="expected"):
+                robot.call("answered", number, timeout=patience())
+        found = component(robot, "quits")
+        assert found is not None
+        assert found.health is Health.LOST
+        assert robot.call("answered", 7, timeout=patience()) == 7

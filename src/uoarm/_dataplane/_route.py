@@ -8,14 +8,16 @@ from collections.abc import Callable
 from typing import Protocol
 
 from uoarm._dataplane._queue import BoundedQueue, QueueClosed
-from uoarm._raised import LimitedLog, contained, text_of
+from uoarm._raised import LimitedLog, contained, is_raised, text_of
 from uoarm.errors import CommandRefusedError, MessageError
 from uoarm.model import Deliver, Message, QueuePolicy, RouteStatus
 
-__all__ = ["Clock", "Consumer", "Route", "Watched"]
+__all__ = ["Clock", "Consumer", "Judge", "Route", "Watched"]
 
 Clock = Callable[[], float]
 """Returns a monotonic clock, in seconds."""
+Judge = Callable[[Message, bool], None]
+"""Raises MessageError for a message that is not what it should be, as it came or adapted."""
 
 _WINDOW_SECONDS = 1.0
 _WORKER_SECONDS = 1.0
@@ -64,6 +66,9 @@ class Route:
     Attributes:
         copies: the messages received that count for another route of the output; the output counts.
         failures: messages for which something raised while it was open.
+        judge: asked about a message on which the adapter or the consumer failed: where its
+            producer gave something wrong, that is the failure; the second argument says whether
+            it was adapted before. None: it is never the producer's.
     """
 
     __slots__ = (
@@ -91,6 +96,7 @@ class Route:
         "copies",
         "failures",
         "invalid",
+        "judge",
         "last_error",
         "last_time",
         "producer",
@@ -125,6 +131,7 @@ class Route:
         self._transfer = transfer
         self.check = check
         self._watch = watch
+        self.judge: Judge | None = None
         self._records = LimitedLog(_log)
         self._losses = LimitedLog(_log)
         self._loss = ""
@@ -146,12 +153,15 @@ class Route:
         self._window_count += 1
         if now - self._window_start >= _WINDOW_SECONDS:
             self._turn_window(now)
+        is_checked = is_adapted = False
         try:
             check = self.check
             if check is not None:
                 check(message)
+            is_checked = True
             if self._transfer is not None:
                 message = self._transfer(message)
+                is_adapted = True
             put = self._put
             if put is not None:
                 put(message)
@@ -160,7 +170,10 @@ class Route:
             else:
                 self._queue_first(message)
         except BaseException as error:  # noqa: BLE001 - whatever a consumer raises is counted
-            self._fail(contained(error))
+            failure = contained(error)
+            if is_checked:
+                failure = self._judged(failure, message, is_adapted=is_adapted)
+            self._fail(failure)
         if self._loss:
             # Here, since `drop` is called with a queue's lock held, and handlers of logs may block.
             reason, self._loss = self._loss, ""
@@ -261,7 +274,8 @@ class Route:
             try:
                 self._hand_over(message)
             except BaseException as error:  # noqa: BLE001 - as in `deliver`
-                self._fail(contained(error))
+                is_adapted = self._transfer is not None
+                self._fail(self._judged(contained(error), message, is_adapted=is_adapted))
             finally:
                 queue.done()
 
@@ -269,6 +283,19 @@ class Route:
         self._dropped[reason] = self._dropped.get(reason, 0) + 1
         if reason in _LOSSES:
             self._loss = reason
+
+    def _judged(self, error: Exception, message: Message, *, is_adapted: bool) -> Exception:
+        """Return what went wrong with a message: not its consumer, where it was wrong itself.
+
+        Most messages are not checked, or few of them.
+        """
+        if self.judge is None or not (is_raised(error) or isinstance(error, MessageError)):
+            return error
+        try:
+            self.judge(message, is_adapted)
+        except MessageError as wrong:
+            return wrong
+        return error
 
     def _fail(self, error: Exception) -> None:
         if self._closed:

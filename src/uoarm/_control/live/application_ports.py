@@ -94,8 +94,14 @@ class OutputReceiver:
                 route.take_back("replaced")
 
         place = f"{provider.component.name}.{output}"
-        check = provider.check(output, provider.structures[f"output.{output}"], mode)
+        structure = provider.structures[f"output.{output}"]
+
+        def judge(message: Message, _: bool) -> None:  # noqa: FBT001 - a callback
+            provider.judge(output, structure, message)
+
+        check = provider.check(output, structure, mode)
         route = Route(place, user, arrive, clock=clock, check=check)
+        route.judge = judge
         return route
 
     def hear(self, route: Route | None) -> None:

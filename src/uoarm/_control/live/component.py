@@ -238,6 +238,16 @@ class LiveComponent:
         place = f"{self.component.name}.{output}"
         return make_check(structure, mode, place, OutputWatch(self.failures, output))
 
+    def judge(self, output: str, structure: MessageStructure, message: Message) -> None:
+        """Blame this component for a message of an output that does not match a structure.
+
+        Raises:
+            MessageError: it does not.
+        """
+        check = self.check(output, structure, ValidationMode.ALWAYS)
+        assert check is not None, "only with OFF there is none"
+        check(message)
+
     def drain(self, timeout: float) -> None:
         """Wait until what is under way in its channels has arrived; inputs first. Never raises.
 

@@ -139,6 +139,11 @@ class LiveEdge:
             and self.edge.producer_structure == self.edge.consumer_structure
         )
 
+    def _judge(self, message: Message, is_adapted: bool) -> None:  # noqa: FBT001 - a callback
+        edge = self.edge
+        structure = edge.consumer_structure if is_adapted else edge.producer_structure
+        self.producer.judge(edge.output, structure, message)
+
     def _open_link(self, clock: Clock) -> None:
         output = self.producer.component.output(self.edge.output)
         assert output is not None, "the resolver checked every output"
@@ -165,4 +170,5 @@ class LiveEdge:
             queue=queue,
             watch=self.consumer.watch(self.edge.input),
         )
+        route.judge = self._judge
         self.producer.outlets[self.edge.output].attach(route)

@@ -16,6 +16,9 @@ from uoarm.model import FailureLimits, Health
 
 __all__ = ["FailureWatch", "InputWatch", "OutputWatch", "Tell"]
 
+_ORDER = (Health.OK, Health.DEGRADED, Health.LOST)
+_TAKING = ""  # the name of no output
+
 Tell = Callable[[Health, str], None]
 """Takes a new verdict and its cause; must not block."""
 
@@ -35,6 +38,9 @@ class _Deed:
 class FailureWatch:
     """Watches one instance of a component, or one service. Thread safe.
 
+    What it takes and what it gives are judged apart, each output by itself: a message that was
+    taken is no success where all that comes of it is wrong. The component is as well as the worst.
+
     Args:
         name: of the component.
         limits: when it is lost.
@@ -50,7 +56,8 @@ class FailureWatch:
 
     def __init__(self, name: str, limits: FailureLimits, clock: Clock, tell: Tell) -> None:
         self._name = name
-        self._rule = FailureRule(limits)
+        self._limits = limits
+        self._rules = {_TAKING: FailureRule(limits)}
         self._clock = clock
         self._tell = tell
         self._lock = threading.Lock()
@@ -63,7 +70,8 @@ class FailureWatch:
     @property
     def health(self) -> Health:
         """The verdict."""
-        return self._rule.health
+        rules = tuple(self._rules.values())
+        return max((rule.health for rule in rules), key=_ORDER.index)
 
     def raised(self, place: str, error: BaseException) -> None:
         """Take in that the component raised, and log it."""
@@ -85,7 +93,7 @@ class FailureWatch:
         """Take in a success; needed only while `is_alert`."""
         self.note(_Deed("", ""), 1, 0, "")
 
-    def note(self, deed: _Deed, taken: int, failed: int, text: str) -> None:
+    def note(self, deed: _Deed, taken: int, failed: int, text: str, output: str = _TAKING) -> None:
         """Take in what became of some messages.
 
         Args:
@@ -93,16 +101,21 @@ class FailureWatch:
             taken: how many went well.
             failed: how many it failed on.
             text: of the last error.
+            output: which of its outputs gave them; without it, they were given to it.
         """
         with self._lock:
             if failed:
                 self.failed += failed
                 self.last_error = text
-            changed = self._rule.note(taken, failed, self._clock())
-            health, count = self._rule.health, self.failed
+            before = self.health
+            rule = self._rules.get(output)
+            if rule is None:
+                rule = self._rules[output] = FailureRule(self._limits)
+            rule.note(taken, failed, self._clock())
+            health, count = self.health, self.failed
             self.is_alert = health is not Health.OK
             # Within the lock, so that verdicts are told in their order; nobody waits there for us.
-            if changed:
+            if health is not before:
                 told = _cause(health, deed, count, text)
                 self.cause = "" if health is Health.OK else told
                 self._tell(health, told)
@@ -160,7 +173,7 @@ class OutputWatch:
 
     def took(self) -> None:
         """Take in that a message matched."""
-        self.component.took()
+        self.component.note(_Deed("", ""), 1, 0, "", self._port)
 
     def mismatched(self, error: MessageError) -> None:
         """Take in that a message did not match; the route logs it."""
@@ -169,7 +182,7 @@ class OutputWatch:
             f"its output {self._port!r} gave {wrong}:",
             f"its output {self._port!r} gives again and again {wrong}",
         )
-        self.component.note(deed, 0, 1, str(error))
+        self.component.note(deed, 0, 1, str(error), self._port)
 
 
 def _cause(health: Health, deed: _Deed, count: int, text: str) -> str:
