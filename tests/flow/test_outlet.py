@@ -10,6 +10,7 @@ from collections.abc import Callable
 import pytest
 
 from uoarm._dataplane import Outlet, Route
+from uoarm._dataplane._outlet import _MOST_OCTETS, _MOST_WRITERS
 from uoarm.model import Message
 from uoarm.testing import Background, Hang, ManualClock, patience, wait
 
@@ -257,3 +258,51 @@ def test_a_message_that_comes_as_its_source_says_that_it_retains_nothing_arrives
     outlet.deliver(1)
     assert (consumer.got, outlet.unheard) == ([1], 0)
     assert consumer.route.copies == 0
+
+
+def test_the_last_of_each_writer_stand(outlet: Outlet) -> None:
+    outlet.retain(True, depth=2)
+    for writer, number in (("a", 1), ("b", 2), ("a", 3), ("a", 4), ("c", 5)):
+        outlet.deliver(number, writer)
+    consumer = Consumer()
+    outlet.attach(consumer.route)
+    outlet.deliver(6, "b")
+    assert consumer.got == [2, 3, 4, 5, 6]
+    assert outlet.standing() == (2, 3, 4, 5, 6)
+
+
+def test_what_came_of_several_writers_while_a_source_opens_stands(outlet: Outlet) -> None:
+    first, second = Consumer(), Consumer()
+    outlet.attach(first.route)
+    for number, writer in enumerate("aabb"):
+        outlet.deliver(number, writer)
+    outlet.attach(second.route)
+    outlet.deliver(4, "b")
+    outlet.retain(True)
+    assert first.got == [0, 1, 2, 3, 4]
+    assert second.got == [4, 1], "not what is older than what it has of the same writer"
+    assert outlet.standing() == (1, 4)
+
+
+def test_nothing_stands_of_a_writer_that_was_let_go(outlet: Outlet) -> None:
+    outlet.retain(True)
+    outlet.deliver(1, "a")
+    outlet.deliver(2, "b")
+    outlet.let_go("a")
+    outlet.let_go("nobody")
+    consumer = Consumer()
+    outlet.attach(consumer.route)
+    with outlet.letting_through(consumer.route):
+        pass
+    assert consumer.got == [2, 2]
+
+
+def test_what_stands_is_bounded_in_writers_and_octets(outlet: Outlet) -> None:
+    outlet.retain(True, depth=3)
+    for number in range(3 * _MOST_WRITERS):
+        outlet.deliver(number, str(number))
+    assert outlet.standing() == tuple(range(2 * _MOST_WRITERS, 3 * _MOST_WRITERS))
+    picture = bytes(_MOST_OCTETS // 2 + 1)
+    for writer in "abc":
+        outlet.deliver(picture, writer)
+    assert outlet.standing() == (picture,), "the newest is kept, whatever it holds"

@@ -56,6 +56,27 @@ def test_messages_arrive_in_order_from_the_first_one_on(ends: Ends) -> None:
     assert (incoming.received, incoming.lost) == (5000, 0)
 
 
+def test_whose_a_message_is_and_what_stands_no_more_comes_in_order(ends: Ends) -> None:
+    near, far = ends
+    got: list[Any] = []
+    incoming = FlowReceiver(
+        near,
+        "flow/1",
+        name="test",
+        take=lambda *message: got.append(message),
+        ended=lambda _: None,
+        let_go=got.append,
+    )
+    outgoing = FlowSender(far, "flow/1", patience=patience())
+    outgoing.send(1, "a")
+    outgoing.send(2)
+    outgoing.let_go("a")
+    outgoing.send(3, "b")
+    wait(lambda: len(got) == 4)
+    assert got == [(1, "a"), (2,), "a", (3, "b")]
+    assert (incoming.received, incoming.lost) == (3, 0)
+
+
 def test_large_messages_arrive_whole(ends: Ends) -> None:
     near, far = ends
     taker = _Taker()

@@ -73,3 +73,18 @@ def test_the_limit_of_what_takes_over_arrives(stage: Stage, viewed: bool) -> Non
     assert controller.get(patience()) == 10
     if viewer is not None:
         assert viewer.get(patience()) == 10
+
+
+def test_the_last_of_each_writer_is_for_who_joins(stage: Stage) -> None:
+    first = stage.robot.request("limit")
+    for writer, number in (("a", 1), ("b", 2), ("a", 3), ("c", 4)):
+        stage.best.emit(number, writer)
+    assert [first.get(patience()) for _ in range(4)] == [1, 2, 3, 4]
+    second = stage.robot.request("limit")
+    assert [second.get(patience()) for _ in range(3)] == [2, 3, 4]
+    stage.best.clear("b")
+    stage.best.emit(5, "c")
+    third = stage.robot.request("limit")
+    assert [third.get(patience()) for _ in range(2)] == [3, 5]
+    with pytest.raises(TimeoutError):
+        third.get(0)

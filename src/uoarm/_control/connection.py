@@ -247,6 +247,10 @@ class Connection(Generic[T]):
         take = callback if self._type is None else self._type.callback(callback)
         return self._runtime.receiver.inbox.subscribe(take)
 
+    def _standing(self) -> tuple[Message, ...]:
+        """Return what stands at a latched output, for who joins this connection; as it came."""
+        return self._runtime.receiver.standing()
+
     def kill(self) -> None:
         """End the connection and close what only it used. Once is enough; bounded in time."""
         self._executor.kill(self.id)

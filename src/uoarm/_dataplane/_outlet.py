@@ -3,41 +3,106 @@
 from __future__ import annotations
 
 import threading
+from collections import deque
 from collections.abc import Iterator
 from contextlib import contextmanager
 
 from uoarm._dataplane._route import Route
-from uoarm.model import Message
+from uoarm.model import Message, message_octets
 
 __all__ = ["Outlet"]
 
+_MOST_WRITERS = 1000
+_MOST_OCTETS = 64 * 1024 * 1024
+_DEPTH_WHILE_OPENING = 1000  # what the source keeps is known once it is open
+
 
 class _Turn:
-    """One route of an output that retains: it gets no message twice, and none after a newer one.
+    """One route of an output that retains: it gets no message twice.
 
-    The lock orders the thread that brings messages with one that joins: without it, the retained
-    message could overtake, or be overtaken by, the one that replaces it.
+    The lock orders the thread that brings messages with one that joins: without it, what stands
+    could overtake, or be overtaken by, what replaces it.
+
+    Attributes:
+        number: messages up to this one are not handed on live any more.
+        joined: the last number before it came, while it was not known what stands.
     """
 
-    __slots__ = ("lock", "number", "route")
+    __slots__ = ("joined", "lock", "number", "route")
 
     def __init__(self, route: Route) -> None:
         self.route = route
         self.number = 0
+        self.joined = 0
         self.lock = threading.RLock()
 
-    def deliver(self, number: int, message: Message) -> None:
+    def deliver(self, number: int, message: Message, *, is_copy: bool) -> None:
         with self.lock:
             if number > self.number:
                 self.number = number
+                self.route.copies += is_copy
                 self.route.deliver(message)
 
-    def deliver_again(self, number: int, message: Message) -> None:
-        """Deliver what counts for another route already, or as unheard."""
-        with self.lock:
-            if number > self.number:
-                self.route.copies += 1
-                self.deliver(number, message)
+
+class _Standing:
+    """The last messages of each writer, within bounds; the oldest go first.
+
+    What one message of one writer holds is not counted: no more is kept than the newest message.
+    """
+
+    __slots__ = ("_by_writer", "_octets", "_uncounted", "depth", "messages")
+
+    def __init__(self) -> None:
+        self.depth = _DEPTH_WHILE_OPENING
+        self.messages: dict[int, tuple[str, Message, int]] = {}
+        self._by_writer: dict[str, deque[int]] = {}
+        self._octets = 0
+        self._uncounted: int | None = None
+
+    def add(self, number: int, message: Message, writer: str) -> None:
+        numbers = self._by_writer.setdefault(writer, deque())
+        numbers.append(number)
+        self.messages[number] = writer, message, 0
+        while len(numbers) > self.depth:
+            self._remove(numbers.popleft())
+        if len(self.messages) == 1:
+            self._uncounted, self._octets = number, 0
+            return
+        for uncounted in (self._uncounted, number):
+            if uncounted in self.messages:
+                self._count(uncounted)
+        self._uncounted = None
+        while len(self.messages) > 1 and (
+            self._octets > _MOST_OCTETS or len(self._by_writer) > _MOST_WRITERS
+        ):
+            oldest = next(iter(self.messages))
+            of = self.messages[oldest][0]
+            self._by_writer[of].popleft()
+            if not self._by_writer[of]:
+                del self._by_writer[of]
+            self._remove(oldest)
+
+    def limit(self, depth: int) -> None:
+        self.depth = depth
+        for numbers in self._by_writer.values():
+            while len(numbers) > depth:
+                self._remove(numbers.popleft())
+
+    def let_go(self, writer: str) -> None:
+        for number in self._by_writer.pop(writer, ()):
+            self._remove(number)
+
+    def newest_of(self, writer: str) -> int:
+        return self._by_writer[writer][-1]
+
+    def _count(self, number: int) -> None:
+        writer, message, _ = self.messages[number]
+        octets = message_octets(message)
+        self.messages[number] = writer, message, octets
+        self._octets += octets
+
+    def _remove(self, number: int) -> None:
+        self._octets -= self.messages.pop(number)[2]
 
 
 class Outlet:
@@ -50,7 +115,7 @@ class Outlet:
         unheard: messages that came while no route was there.
     """
 
-    __slots__ = ("_last", "_lock", "_retains", "_routes", "_turns", "unheard")
+    __slots__ = ("_last", "_lock", "_retains", "_routes", "_standing", "_turns", "unheard")
 
     def __init__(self) -> None:
         self._routes: tuple[Route, ...] = ()
@@ -58,6 +123,7 @@ class Outlet:
         self._retains: bool | None = None
         self._turns: dict[Route, _Turn] = {}
         self._last: tuple[int, Message] = 0, None
+        self._standing = _Standing()
         self.unheard = 0
 
     @property
@@ -65,23 +131,42 @@ class Outlet:
         """The routes attached now."""
         return self._routes
 
-    def retain(self, retains: bool) -> None:  # noqa: FBT001 - the source's answer
-        """Say, once the source is open, whether the last message is for those who join later.
+    def retain(self, retains: bool, depth: int = 1) -> None:  # noqa: FBT001 - the source's answer
+        """Say, once the source is open, whether the last messages are for those who join later.
 
-        Until then the last one is kept, since a framework may hand it over while it opens.
+        Until then they are kept, since a framework may hand them over while it opens.
+
+        Args:
+            retains: whether.
+            depth: how many of each writer.
         """
         with self._lock:
             self._retains = retains
-            turns, last = tuple(self._turns.values()), self._last
+            turns = tuple(self._turns.values())
             if not retains:
                 self._turns, self._last = {}, (0, None)
-        if retains:
-            for turn in turns:
-                turn.deliver_again(*last)
+                self._standing = _Standing()
+            self._standing.limit(max(1, depth))
+            standing = self._standing
+            kept = [(n, standing.newest_of(w), m) for n, (w, m, _) in standing.messages.items()]
+        if not retains:
+            return
+        for turn in turns:
+            with turn.lock:
+                joined, turn.joined = turn.joined, 0
+                for number, newest, message in kept:
+                    # Of a writer of whom a later message was handed on, an earlier one is late.
+                    if newest <= joined and number <= joined:
+                        self._hand_standing(turn, number, message)
 
-    def deliver(self, message: Message) -> None:
-        """Hand one message to every route. Never raises."""
-        if self._retains is not False and self._deliver_kept(message):
+    def deliver(self, message: Message, writer: str = "") -> None:
+        """Hand one message to every route. Never raises.
+
+        Args:
+            message: the message.
+            writer: whose it is, where the last of several stand beside one another.
+        """
+        if self._retains is not False and self._deliver_kept(message, writer):
             return
         routes = self._routes
         for route in routes:
@@ -91,18 +176,31 @@ class Outlet:
         if not routes:
             self.unheard += 1
 
-    def _deliver_kept(self, message: Message) -> bool:
+    __call__ = deliver
+
+    def let_go(self, writer: str = "") -> None:
+        """Let nothing of a writer stand any more."""
+        with self._lock:
+            self._standing.let_go(writer)
+
+    def standing(self) -> tuple[Message, ...]:
+        """Return what stands, oldest first; of a source that is being opened, what may."""
+        if self._retains is False:
+            return ()
+        with self._lock:
+            return tuple(message for _, message, _ in self._standing.messages.values())
+
+    def _deliver_kept(self, message: Message, writer: str) -> bool:
         """Hand a message over and keep it; False where it turns out that none is retained."""
         with self._lock:
             if self._retains is False:  # said while this waited for the lock: no route has a turn
                 return False
             number = self._last[0] + 1
             self._last = number, message
+            self._standing.add(number, message, writer)
             turns = tuple(self._turns.values())
-        for turn in turns[:1]:
-            turn.deliver(number, message)
-        for turn in turns[1:]:
-            turn.deliver_again(number, message)
+        for place, turn in enumerate(turns):
+            turn.deliver(number, message, is_copy=place > 0)
         if not turns:
             self.unheard += 1
         return True
@@ -110,24 +208,32 @@ class Outlet:
     def attach(self, route: Route) -> None:
         """Feed a route from the next message on, and no more those that were closed meanwhile.
 
-        An output that retains gives it the last message first, in this thread.
+        An output that retains gives it what stands first, in this thread.
 
         A closed route counts what is lost as long as nobody has taken its place; from the message
         on that another one gets, it would be counted twice.
         """
         turn = _Turn(route)
-        with self._lock:
-            kept = [other for other in self._routes if not other.closed]
-            self._routes = (*kept, route)
-            if self._retains is not False:
-                self._turns = {**{other: self._turns[other] for other in kept}, route: turn}
-            last = self._last
-        if self._retains:
-            turn.deliver_again(*last)
+        # Its lock first: what comes from now on waits until it has what stood before.
+        with turn.lock:
+            with self._lock:
+                kept = [attached for attached in self._routes if not attached.closed]
+                self._routes = (*kept, route)
+                if self._retains is not False:
+                    self._turns = {
+                        **{attached: self._turns[attached] for attached in kept},
+                        route: turn,
+                    }
+                if not self._retains:
+                    turn.joined = self._last[0]
+                    return
+                standing = tuple(self._standing.messages.items())
+            for number, (_, message, _) in standing:
+                self._hand_standing(turn, number, message)
 
     @contextmanager
     def letting_through(self, route: Route) -> Iterator[None]:
-        """Give a route, which dropped what came so far, the retained message after the block.
+        """Give a route, which dropped what came so far, what stands after the block.
 
         The block ends the dropping. Messages wait meanwhile, so that none comes twice.
         """
@@ -137,12 +243,22 @@ class Outlet:
             return
         with turn.lock:
             yield
-            if self._retains:
-                turn.number = 0
-                turn.deliver_again(*self._last)
+            if not self._retains:
+                return
+            with self._lock:
+                turn.number = self._last[0]
+                standing = tuple(self._standing.messages.items())
+            for number, (_, message, _) in standing:
+                self._hand_standing(turn, number, message)
 
     def detach(self, route: Route) -> None:
         """Feed a route no more; a message under way may still reach it."""
         with self._lock:
             self._routes = tuple(other for other in self._routes if other is not route)
             self._turns.pop(route, None)
+
+    def _hand_standing(self, turn: _Turn, number: int, message: Message) -> None:
+        """Hand on what counts for another route already, or as unheard, if it stands still."""
+        if number in self._standing.messages:
+            turn.route.copies += 1
+            turn.route.deliver(message)

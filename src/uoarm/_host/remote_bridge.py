@@ -22,6 +22,7 @@ from uoarm.bridge import (
     Bridge,
     Capabilities,
     Channel,
+    Delivery,
     Description,
     Discovered,
     Handler,
@@ -32,7 +33,6 @@ from uoarm.bridge import (
 from uoarm.errors import BridgeError, FailureReason, UoarmError
 from uoarm.model import (
     BridgeSpec,
-    Deliver,
     Endpoint,
     Health,
     Message,
@@ -129,7 +129,7 @@ class RemoteBridge(Bridge):
         return tuple(from_json(one, Discovered) for one in self._ask("discover"))
 
     def _open_source(
-        self, endpoint: Endpoint, structure: MessageStructure, deliver: Deliver
+        self, endpoint: Endpoint, structure: MessageStructure, deliver: Delivery
     ) -> Source:
         number = next(self._numbers)
         channel = RemoteSource(endpoint, number, self._ask_to_close, lambda: self._drop(number))
@@ -137,9 +137,9 @@ class RemoteBridge(Bridge):
         def ended(ending: Ending) -> None:
             self.report(Health(ending.health), ending.cause, channel=channel)
 
-        def give(message: Message) -> None:
+        def give(message: Message, writer: str = "") -> None:
             channel.given += 1
-            deliver(message)
+            deliver(message, writer)
 
         channel.counter = self._counter()
         channel.incoming = FlowReceiver(
@@ -147,12 +147,13 @@ class RemoteBridge(Bridge):
             keys.flow(number),
             name=f"{endpoint.component}.{endpoint.port}",
             take=give,
+            let_go=deliver.let_go,
             ended=ended,
         )
         self._channels[number] = channel
         try:
             opening = _opening(number, channel.counter, endpoint, structure)
-            channel.latched = self._ask("source", **opening)
+            channel.latched, channel.depth = self._ask("source", **opening)
         except BaseException:
             if self._host.dead and channel.counter is not None and channel.counter.read():
                 return channel  # it emitted: it was open, and died with what was under way

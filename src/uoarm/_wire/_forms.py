@@ -37,8 +37,13 @@ class Form(ABC):
         """
 
     @abstractmethod
-    def write_data(self, connection: str, number: int, message: Message) -> bytes:
-        """Return one Data message, the same bytes for every client; raises as `write`."""
+    def write_data(
+        self, connection: str, number: int, message: Message, *, standing: bool = False
+    ) -> bytes:
+        """Return one Data message, the same bytes for every client; raises as `write`.
+
+        One that is `standing` came before the client did.
+        """
 
     @abstractmethod
     def read(self, frame: str | bytes, spending: Spending) -> Mapping[str, Any]:
@@ -64,8 +69,11 @@ class _TextForm(Form):
     def write(self, message: Message) -> bytes:
         return write_text(message)
 
-    def write_data(self, connection: str, number: int, message: Message) -> bytes:
-        head = f'{{"op":"Data","type":"{connection}","x-number":{number},"jsonMessage":'
+    def write_data(
+        self, connection: str, number: int, message: Message, *, standing: bool = False
+    ) -> bytes:
+        head = f'{{"op":"Data","type":"{connection}","x-number":{number},'
+        head += '"x-standing":true,"jsonMessage":' if standing else '"jsonMessage":'
         return b"".join((head.encode(), *write_text_parts(message), b"}"))
 
     def read(self, frame: str | bytes, spending: Spending) -> Mapping[str, Any]:
@@ -89,8 +97,11 @@ class _BinaryForm(Form):
     def write(self, message: Message) -> bytes:
         return write_binary(message)
 
-    def write_data(self, connection: str, number: int, message: Message) -> bytes:
+    def write_data(
+        self, connection: str, number: int, message: Message, *, standing: bool = False
+    ) -> bytes:
         head = {"op": "Data", "type": connection, "x-number": number}
+        head |= {"x-standing": True} if standing else {}
         return write_binary({**head, "jsonMessage": message})
 
     def read(self, frame: str | bytes, spending: Spending) -> Mapping[str, Any]:

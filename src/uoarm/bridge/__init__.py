@@ -13,6 +13,7 @@ from uoarm.bridge._description import (
     HealthEvent,
     ServiceStructures,
 )
+from uoarm.bridge._gate import Delivery
 from uoarm.bridge._plugin import BridgeType
 from uoarm.bridge._registry import Registry
 from uoarm.bridge._watchdog import boot_seconds
@@ -23,6 +24,7 @@ __all__ = [
     "BridgeType",
     "Capabilities",
     "Channel",
+    "Delivery",
     "Description",
     "Discovered",
     "Handler",

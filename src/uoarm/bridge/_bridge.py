@@ -27,7 +27,7 @@ from uoarm.bridge._description import (
     HealthEvent,
     ServiceStructures,
 )
-from uoarm.bridge._gate import Gate
+from uoarm.bridge._gate import Delivery, Gate
 from uoarm.errors import BridgeError, FailureReason
 from uoarm.model import Deliver, Endpoint, Health, Message, MessageStructure, Options
 
@@ -131,7 +131,7 @@ class Bridge(ABC):
         self,
         endpoint: Endpoint,
         structure: MessageStructure,
-        deliver: Deliver,
+        deliver: Deliver | Delivery,
         *,
         timeout: float = 5.0,
         on_late: Callable[[Channel], object] | None = None,
@@ -144,7 +144,7 @@ class Bridge(ABC):
         Args:
             endpoint: of the output.
             structure: of its messages, as `describe` or the configuration gave it.
-            deliver: takes the messages.
+            deliver: takes the messages; with whose they are where it is a `Delivery`.
             timeout: in seconds.
             on_late: told of a source that opened when this had been given up, or the bridge been
                 closed: it is closed by then, and may have lost messages; for the core.
@@ -159,7 +159,7 @@ class Bridge(ABC):
                 Source,
                 Step("opening ", endpoint),
                 timeout,
-                lambda: self._open_source(endpoint, structure, gate.give),
+                lambda: self._open_source(endpoint, structure, gate),
                 gate,
                 on_late,
                 is_quick=self.is_quick(endpoint),
@@ -379,7 +379,7 @@ class Bridge(ABC):
 
     @abstractmethod
     def _open_source(
-        self, endpoint: Endpoint, structure: MessageStructure, deliver: Deliver
+        self, endpoint: Endpoint, structure: MessageStructure, deliver: Delivery
     ) -> Source:
         """Open an output.
 
@@ -389,6 +389,10 @@ class Bridge(ABC):
         order in which they come, and none after the channel was closed. `deliver` never raises and
         may take its time. A message that cannot be read must not reach it, nor end the channel:
         count it in `facts` and report DEGRADED.
+
+        A source that is `latched` says with `deliver(message, writer)` whose a message is where
+        several write beside one another, and with `deliver.let_go(writer)` that nothing of it
+        stands any more. A parameter of the type `Deliver` will do for any other.
         """
 
     @abstractmethod

@@ -143,12 +143,14 @@ class Source(Channel):
         latched: whether the last message stands until the next one, as a map or a setting does
             and a measurement does not: each consumer that joins the open source first gets it.
             Read once, when the source has opened.
+        depth: how many messages of each writer stand where it is latched. Read once, too.
         patience: seconds that `deliver` waits in a bridge host whose manager takes nothing, before
             messages are dropped and counted; more where the framework promises that nothing is
             lost, and keeps what is not taken yet. Read once, when the source has opened.
     """
 
     latched: bool = False
+    depth: int = 1
     patience: float = 1.0
 
     def __init__(

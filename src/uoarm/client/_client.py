@@ -386,7 +386,8 @@ class Client:
         if op == "Data":
             stream = self._streams.get(told["type"])
             if stream is not None:
-                stream.take(told["x-number"], message)
+                number = None if told.get("x-standing") else told["x-number"]
+                stream.take(number, message)
         elif op == "Status":
             self._take_status(told["type"], message)
         else:

@@ -41,7 +41,7 @@ class RemoteStream(Generic[T]):
         self.lifetimes: Mapping[str, float] = opened.get("lifetimes", {})
         self.lost = 0
         self._ask = ask
-        self._waiting: deque[tuple[int, Message]] = deque(maxlen=length)
+        self._waiting: deque[tuple[int | None, Message]] = deque(maxlen=length)
         self._changed = asyncio.Event()
         self._last: int | None = None
         self._end: tuple[str, str] | None = None
@@ -71,7 +71,7 @@ class RemoteStream(Generic[T]):
             self._changed.clear()
             await event_by(self._changed, deadline)
         number, message = self._waiting.popleft()
-        if self._last is not None:
+        if self._last is not None and number is not None:
             self.lost += number - self._last - 1
         self._last = number
         return cast("T", message) if self._type is None else self._type.read(message)
@@ -150,8 +150,8 @@ class RemoteStream(Generic[T]):
     def _kind(self, port: str | None) -> str:
         return self.connection if port is None else f"{self.connection}.{port}"
 
-    def take(self, number: int, message: Message) -> None:
-        """Take one message from the client's reader."""
+    def take(self, number: int | None, message: Message) -> None:
+        """Take one message from the client's reader; without a number, one that stood already."""
         self._waiting.append((number, message))
         self._changed.set()
 

@@ -14,6 +14,7 @@ from uoarm.bridge import (
     Bridge,
     Capabilities,
     Channel,
+    Delivery,
     Description,
     Discovered,
     Handler,
@@ -23,7 +24,7 @@ from uoarm.bridge import (
 )
 from uoarm.errors import BridgeError, FailureReason
 from uoarm.model import Deliver, Endpoint, Health, Message, MessageStructure, Options, Role, Schema
-from uoarm.testing._memory_components import Emitter, Loop, Service, Taker
+from uoarm.testing._memory_components import CLEARED, Emitter, Loop, Service, Taker
 from uoarm.testing._native import PAIRS, ROWS, codec
 
 __all__ = ["MemoryBridge"]
@@ -107,7 +108,7 @@ class MemoryBridge(Bridge):
         return Description(component.structure)
 
     def _open_source(
-        self, endpoint: Endpoint, structure: MessageStructure, deliver: Deliver
+        self, endpoint: Endpoint, structure: MessageStructure, deliver: Deliver | Delivery
     ) -> Source:
         component = self._find(endpoint)
         if not isinstance(component, (Emitter, Loop)):
@@ -115,8 +116,12 @@ class MemoryBridge(Bridge):
         _same(endpoint, component.structure, structure)
         read = codec(structure.schema, ROWS).read
 
-        def take(row: object) -> None:
+        def take(row: object, writer: str = "") -> None:
             if self._is_cut:
+                return
+            if row is CLEARED:
+                if isinstance(deliver, Delivery):
+                    deliver.let_go(writer)
                 return
             try:
                 message = read(row)
@@ -124,7 +129,10 @@ class MemoryBridge(Bridge):
                 channel.unreadable += 1
                 self.report(Health.DEGRADED, str(error), channel=channel)
             else:
-                deliver(message)
+                if writer and isinstance(deliver, Delivery):
+                    deliver(message, writer)
+                else:
+                    deliver(message)
 
         channel = _MemorySource(
             endpoint, lambda: component.leave(channel), latched=component.latched

@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Any, ClassVar
+from typing import ClassVar
 
 from uoarm.bridge import Channel, Handler
 from uoarm.model import Message, MessageStructure, Role
@@ -13,7 +13,10 @@ from uoarm.testing._collector import Collector
 from uoarm.testing._faults import Hang
 from uoarm.testing._native import PAIRS, ROWS, codec
 
-__all__ = ["Emitter", "Loop", "Service", "Taker"]
+__all__ = ["CLEARED", "Emitter", "Loop", "Service", "Taker"]
+
+CLEARED = object()
+"""What an output emits for a writer of which nothing stands any more."""
 
 
 class _Port:
@@ -21,7 +24,7 @@ class _Port:
 
     def __init__(self, structure: MessageStructure) -> None:
         self.structure = structure
-        self._open: dict[Channel, Callable[[Any], None] | None] = {}
+        self._open: dict[Channel, Callable[..., None] | None] = {}
         self._lock = threading.Lock()
 
     def channels(self) -> tuple[Channel, ...]:
@@ -29,8 +32,8 @@ class _Port:
         with self._lock:
             return tuple(self._open)
 
-    def join(self, channel: Channel, take: Callable[[Any], None] | None) -> None:
-        """Open a channel; `take` gets the native messages when it is an output's."""
+    def join(self, channel: Channel, take: Callable[..., None] | None) -> None:
+        """Open a channel; `take` gets the native messages when it is an output's, and whose."""
         with self._lock:
             self._open[channel] = take
 
@@ -39,12 +42,12 @@ class _Port:
         with self._lock:
             self._open.pop(channel, None)
 
-    def emit_native(self, row: object) -> None:
+    def emit_native(self, row: object, writer: str = "") -> None:
         """Emit something as it is, also what no structure allows."""
         with self._lock:
             takers = [take for take in self._open.values() if take is not None]
         for take in takers:
-            take(row)
+            take(row, writer)
 
 
 class Emitter(_Port):
@@ -55,30 +58,40 @@ class Emitter(_Port):
     def __init__(self, structure: MessageStructure, *, latched: bool = False) -> None:
         super().__init__(structure)
         self.latched = latched
-        self._last: object = None
+        self._last: dict[str, object] = {}
         self._write = codec(structure.schema, ROWS).write
         self._garbles = False
 
-    def join(self, channel: Channel, take: Callable[[Any], None] | None) -> None:
-        """Open a channel, which gets the last message first where the output is latched."""
+    def join(self, channel: Channel, take: Callable[..., None] | None) -> None:
+        """Open a channel; where the output is latched it gets the last of each writer first."""
         super().join(channel, take)
-        if self._last is not None and take is not None:
-            take(self._last)
+        if take is not None:
+            for writer, row in tuple(self._last.items()):
+                take(row, writer)
 
-    def emit(self, message: Message) -> None:
+    def emit(self, message: Message, writer: str = "") -> None:
         """Emit a message of the component's own structure.
+
+        Args:
+            message: the message.
+            writer: whose it is, where several write beside one another into a latched output.
 
         Raises:
             BridgeError: it does not fit that structure.
         """
         row = self._write(message)
-        self.emit_native((row, row, "garbled") if self._garbles else row)
+        self.emit_native((row, row, "garbled") if self._garbles else row, writer)
 
-    def emit_native(self, row: object) -> None:
+    def clear(self, writer: str = "") -> None:
+        """Let what a writer emitted last stand no more."""
+        self._last.pop(writer, None)
+        super().emit_native(CLEARED, writer)
+
+    def emit_native(self, row: object, writer: str = "") -> None:
         """Emit something as it is, and keep it where the output is latched."""
         if self.latched:
-            self._last = row
-        super().emit_native(row)
+            self._last[writer] = row
+        super().emit_native(row, writer)
 
     @contextmanager
     def garbled(self) -> Iterator[None]:

@@ -42,7 +42,6 @@ class Latched:
     """The last message of a publisher, kept for listeners that are still to come."""
 
     envelope: Envelope
-    publisher: object
     charge: Charge
     account: Account
 
@@ -63,6 +62,7 @@ class Topic:
         owner: the account of the client that named it first, whose topic it counts as.
         type: as its publishers state it; the first of them decides while any of them stays.
         wished: as the first listener named it, which binds nobody.
+        latched: the last message of each publisher that latches.
     """
 
     name: str
@@ -72,13 +72,13 @@ class Topic:
     number: int = 0
     publishers: set[object] = field(factory=set)
     listeners: dict[Listener, None] = field(factory=dict)
-    latched: Latched | None = None
+    latched: dict[object, Latched] = field(factory=dict)
 
-    def unlatch(self) -> None:
-        """Keep no message for listeners that are still to come."""
-        if self.latched is not None:
-            self.latched.charge.release()
-            self.latched = None
+    def unlatch(self, publisher: object) -> None:
+        """Keep no message of a publisher for listeners that are still to come."""
+        latched = self.latched.pop(publisher, None)
+        if latched is not None:
+            latched.charge.release()
 
 
 class Hub:
@@ -140,8 +140,7 @@ class Hub:
         topic = self._topics.get(name)
         if topic is not None:
             topic.publishers.discard(publisher)
-            if topic.latched is not None and topic.latched.publisher is publisher:
-                topic.unlatch()
+            topic.unlatch(publisher)
             if not topic.publishers:
                 topic.type = ""
             self._drop_if_unused(topic)
@@ -172,18 +171,15 @@ class Hub:
             return
         envelope = Envelope(topic.number + 1, message, octets)
         if latch is not None:
-            before = topic.latched
-            if before is not None and before.publisher is publisher:
-                topic.unlatch()
+            topic.unlatch(publisher)
             charge = latch.charge(Held.LATCHED, envelope.octets)
-            topic.unlatch()
-            topic.latched = Latched(envelope, publisher, charge, latch)
+            topic.latched[publisher] = Latched(envelope, charge, latch)
         topic.number += 1
         for listener in tuple(topic.listeners):
             _offer(listener, envelope)
 
     def listen(self, name: str, kind: str, listener: Listener, owner: object) -> None:
-        """Hand a topic's messages to a listener, first the one that is latched.
+        """Hand a topic's messages to a listener, first those that are latched.
 
         Raises:
             MessageError: its publishers state another type.
@@ -193,8 +189,8 @@ class Hub:
         self._check_type(topic, kind)
         topic.wished = topic.wished or kind
         topic.listeners[listener] = None
-        if topic.latched is not None:
-            topic.latched.offer(listener)
+        for latched in tuple(topic.latched.values()):
+            latched.offer(listener)
 
     def leave(self, name: str, listener: Listener) -> None:
         """Hand a listener no more."""

@@ -147,7 +147,9 @@ class Subscription:
     def offer(self, envelope: Envelope) -> None:
         """Take one message: to the client, into the hold, or nowhere."""
         now = self._clock()
-        if now >= self._due and not self._held:
+        if envelope.joiner is not None:
+            self._send(envelope)
+        elif now >= self._due and not self._held:
             self._due = now + self._every
             self._send(envelope)
         elif self._length:

@@ -11,7 +11,7 @@ from functools import partial
 from attrs import define, field, frozen
 
 from uoarm._control.live.component import LiveComponent
-from uoarm._dataplane import Clock, Inbox, Route, make_check
+from uoarm._dataplane import Clock, Inbox, Outlet, Route, make_check
 from uoarm.bridge import boot_seconds
 from uoarm.errors import (
     BridgeError,
@@ -74,6 +74,7 @@ class OutputReceiver:
 
     def __init__(self, queue: QueuePolicy, on_raised: Callable[[str], None]) -> None:
         self._heard = _Heard(on_raised)
+        self._outlet: Outlet | None = None
         self.inbox = Inbox(queue, self._heard.count_drop, self._heard.raised)
         self.arrived = 0
         self.began = 0
@@ -104,11 +105,17 @@ class OutputReceiver:
         route.judge = judge
         return route
 
-    def hear(self, route: Route | None) -> None:
-        """Let the messages of this route through from now on, and of no other."""
+    def hear(self, route: Route | None, outlet: Outlet | None) -> None:
+        """Let the messages of this route, from this outlet, through from now on; of no other."""
+        self._outlet = outlet
         if route is not self._heard.route:
             self._heard.route = route
             self.began = self.arrived
+
+    def standing(self) -> tuple[Message, ...]:
+        """Return what stands at the output that is heard, the very objects that it delivers."""
+        outlet = self._outlet
+        return () if outlet is None else outlet.standing()
 
 
 @frozen
@@ -296,6 +303,11 @@ class ApplicationPorts:
     route: Route | None
     output: str | None
     senders: dict[str, Sender] = field(factory=dict, init=False)
+
+    @property
+    def outlet(self) -> Outlet | None:
+        """What its messages come from; None where the application receives none."""
+        return None if self.output is None else self.provider.outlets[self.output]
 
     def attach(self) -> None:
         """Receive from the next message on."""

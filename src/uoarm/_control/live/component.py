@@ -130,11 +130,11 @@ class LiveComponent:
                 source = self._sources[name] = self.bridge.open_source(
                     output.endpoint,
                     self.structures[f"output.{name}"],
-                    self.outlets[name].deliver,
+                    self.outlets[name],
                     timeout=_OPEN_SECONDS,
                     on_late=self._closed.append,
                 )
-                self.outlets[name].retain(source.latched)
+                self.outlets[name].retain(source.latched, source.depth)
         finally:
             self._end_turn()
 

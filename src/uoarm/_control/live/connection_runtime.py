@@ -65,7 +65,7 @@ class ConnectionRuntime:
         """
         before, after = action.before, action.after
         self.ports = ports
-        self.receiver.hear(ports.route)
+        self.receiver.hear(ports.route, ports.outlet)
         stays = before.ports == after.ports
         gap = Gap(
             time=action.time,

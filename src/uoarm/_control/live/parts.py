@@ -333,7 +333,7 @@ class LiveParts:
     def _receive(self, action: Open) -> None:
         runtime, ports = self._ports_of(action)
         if action.is_heard:
-            runtime.receiver.hear(ports.route)
+            runtime.receiver.hear(ports.route, ports.outlet)
         ports.attach()  # an output that retains a message gives it at once
 
     def _send(self, action: Open) -> None:

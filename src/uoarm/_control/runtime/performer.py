@@ -182,7 +182,7 @@ class Performer:
         ports = self._live.ports.get(action.ports)
         runtime = self._live.runtimes.get(action.connection)
         if ports is not None and runtime is not None:
-            runtime.receiver.hear(ports.route)
+            runtime.receiver.hear(ports.route, ports.outlet)
 
     def _stop(self, action: act.Stop) -> None:
         for number in action.edges:

@@ -141,13 +141,13 @@ class RequestDispatcher:
         del request
         return [to_json(one) for one in self._bridge.discover(timeout=ANSWER_SECONDS)]
 
-    def _source(self, request: Request) -> bool:
+    def _source(self, request: Request) -> Any:
         endpoint, structure = _port(request)
         with self._flows.outbound(request["flow"], request["slot"], endpoint) as outbound:
             outbound.channel = source = self._bridge.open_source(
-                endpoint, structure, outbound.deliver, timeout=ANSWER_SECONDS
+                endpoint, structure, outbound, timeout=ANSWER_SECONDS
             )
-        return source.latched
+        return [source.latched, source.depth]
 
     def _sink(self, request: Request) -> Any:
         """Open a sink; return the queue that belongs before it, None: it does not block."""

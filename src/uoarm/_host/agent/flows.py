@@ -55,15 +55,25 @@ class OutboundFlow:
         """How many messages were sent."""
         return self._outgoing.sent
 
-    def deliver(self, message: Message) -> None:
+    def deliver(self, message: Message, writer: str = "") -> None:
         """Send one message. Never raises: what cannot be sent is counted as lost."""
         self.count()
         try:
-            self._outgoing.send(message)
+            self._outgoing.send(message, writer)
         except UoarmError as error:
             self._outgoing.skip()
             if not self._closed:
                 self._records.write(logging.WARNING, f"{self.endpoint}: a message is lost: {error}")
+
+    __call__ = deliver
+
+    def let_go(self, writer: str = "") -> None:
+        """Have nothing of a writer stand any more, behind the messages that were sent."""
+        try:
+            self._outgoing.let_go(writer)
+        except BridgeError as error:
+            if not self._closed:
+                _log.warning("%s: it was not told what stands no more: %s", self.endpoint, error)
 
     def count(self) -> None:
         """Count one message as taken, whether it is sent or came too late.

@@ -26,8 +26,13 @@ from uoarm.model import Message
 __all__ = ["Ending", "FlowReceiver", "FlowSender", "Handled"]
 
 _HEADER = struct.Struct("<4sQQq")
-"""What it is, number, skipped, and when it was sent; behind it the ending, if it is the last."""
+"""What it is, number, skipped, and when it was sent.
+
+Behind it, in msgpack: of the last frame the ending; or a writer, with whether this is a message of
+its, or its messages stand no more.
+"""
 _IS_HEADER = b"flow"
+_WRITER = "writer"
 _WINDOW = 64
 _CONFIRM_EACH = _WINDOW // 4
 _CONFIRM_SECONDS = 0.2
@@ -43,6 +48,13 @@ class Ending:
 
     health: str
     cause: str
+
+
+@frozen
+class LetGo:
+    """That nothing of a writer stands any more."""
+
+    writer: str
 
 
 @frozen
@@ -101,7 +113,7 @@ class FlowSender:
         """How many messages were sent and are not known to be handled."""
         return self._number - self._handled
 
-    def send(self, message: Message) -> None:
+    def send(self, message: Message, writer: str = "") -> None:
         """Send one message, waiting for room if need be.
 
         Raises:
@@ -113,7 +125,15 @@ class FlowSender:
         frame = pack(message)
         if self._number - self._handled >= _WINDOW or self._cut:
             self._wait_for_room()
-        self._put(frame, None, sent_at)
+        self._put(frame, (_WRITER, writer, True) if writer else None, sent_at)
+
+    def let_go(self, writer: str) -> None:
+        """Send that nothing of a writer stands any more, after everything that was sent before.
+
+        Raises:
+            BridgeError: the link is closed.
+        """
+        self._put(b"", (_WRITER, writer, False), self._now(), must_arrive=True)
 
     def watch(self, told: Callable[[int, int, str], object]) -> None:
         """Have told how many messages were taken, how many raised, and what the last one did."""
@@ -129,7 +149,7 @@ class FlowSender:
         Raises:
             BridgeError: the link is closed.
         """
-        self._put(b"", (ending.health, ending.cause), self._now())
+        self._put(b"", (ending.health, ending.cause), self._now(), must_arrive=True)
 
     def cut(self, cause: str) -> None:
         """Have every later `send`, and one that waits, fail with this cause."""
@@ -146,13 +166,20 @@ class FlowSender:
         """Return the time by the other end's clock, nanoseconds."""
         return self._transport.clock() + self._transport.ahead()
 
-    def _put(self, frame: bytes, ending: tuple[str, str] | None, sent_at: int) -> None:
+    def _put(
+        self,
+        frame: bytes,
+        more: tuple[str | bool, ...] | None,
+        sent_at: int,
+        *,
+        must_arrive: bool = False,
+    ) -> None:
         self._number += 1
         header = _HEADER.pack(_IS_HEADER, self._number, self._skipped, sent_at)
-        if ending is not None:
-            header += msgpack.packb(ending)
+        if more is not None:
+            header += msgpack.packb(more)
         try:
-            self._transport.publish(self._key, frame, header, must_arrive=ending is not None)
+            self._transport.publish(self._key, frame, header, must_arrive=must_arrive)
         except BridgeError:
             self._number -= 1  # who gets the error counts it: as sent, it would be lost as well
             raise
@@ -215,9 +242,11 @@ class FlowReceiver:
         transport: carries it.
         key: name of the flow on the link.
         name: of whoever takes, for records and for a thread of its own.
-        take: the consumer; what it raises is counted and told to the sending end.
+        take: the consumer, also of the writer's name where the sending end said one; what it
+            raises is counted and told to the sending end.
         ended: told, after the last message, how the flow ended.
         counter: where how many messages the consumer has taken is written down.
+        let_go: told whose messages stand no more.
     """
 
     def __init__(
@@ -226,14 +255,16 @@ class FlowReceiver:
         key: str,
         *,
         name: str,
-        take: Callable[[Message], None],
+        take: Callable[..., None],
         ended: Callable[[Ending], None],
         counter: SharedCounter | None = None,
+        let_go: Callable[[str], None] = lambda _: None,
     ) -> None:
         self._transport = transport
         self._key = key
         self._name = name
         self._take = take
+        self._let_go = let_go
         self._ended = ended
         self._counter = counter
         self._closed = False
@@ -277,26 +308,28 @@ class FlowReceiver:
             self.close()
 
     def _handle(self, frame: Frame, header: bytes) -> None:
-        told = _header(header)
+        read = _header(header)
         if (
-            told is None or told[0] <= self._number
+            read is None or read[0] <= self._number
         ):  # damaged, or sent once more by whoever heard it
             self.failed += 1
             self.last_error = "a frame without a header of its own, or one that came before"
             return
-        number, skipped, sent_at, ending = told
+        number, skipped, sent_at, more = read
         before = self.raised
         self.lost += number - self._number - 1 + skipped - self._skipped
         self._skipped = skipped
         now = self._transport.clock() + self._transport.ahead()
         self.latency = max(0.0, (now - sent_at) / 1e9)
-        if ending is not None:
-            self._ended(ending)
+        if isinstance(more, Ending):
+            self._ended(more)
+        elif isinstance(more, LetGo):
+            self._let_go(more.writer)
         else:
             self.received += 1
             HANDLING.counter, HANDLING.number = self._counter, self.received
             try:
-                foreign(self._take, unpack(frame))
+                foreign(self._take, unpack(frame), *(more,) if more else ())
             except Exception as error:  # noqa: BLE001 - a consumer may raise anything
                 self._fail(error)
             HANDLING.counter = None
@@ -324,18 +357,25 @@ class FlowReceiver:
         self._transport.tell(f"{self._key}/handled", header)
 
 
-def _header(octets: bytes) -> tuple[int, int, int, Ending | None] | None:
-    """Return number, skipped, time and ending of a frame; None where it is no header of a flow."""
+def _header(octets: bytes) -> tuple[int, int, int, Ending | LetGo | str] | None:
+    """Return number, skipped, time of a frame, and its ending, what is let go, or its writer.
+
+    None where it is no header of a flow.
+    """
     if len(octets) < _HEADER.size:
         return None
     kind, number, skipped, sent_at = _HEADER.unpack_from(octets)
     if kind != _IS_HEADER:
         return None
     if len(octets) == _HEADER.size:
-        return number, skipped, sent_at, None
+        return number, skipped, sent_at, ""
     match _plain(octets[_HEADER.size :]):
         case [str(health), str(cause)]:
             return number, skipped, sent_at, Ending(health, cause)
+        case ["writer", str(writer), True]:
+            return number, skipped, sent_at, writer
+        case ["writer", str(writer), False]:
+            return number, skipped, sent_at, LetGo(writer)
     return None
 
 

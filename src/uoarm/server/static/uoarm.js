@@ -172,7 +172,7 @@ export class Stream {
   async #next() {
     const { value, done } = await this.#mailbox.next();
     if (done) return { value: undefined, done };
-    if (this.#last) this.lost += value.number - this.#last - 1;
+    if (this.#last && value.number) this.lost += value.number - this.#last - 1;
     this.#last = value.number;
     return { value: value.message, done: false };
   }
@@ -284,7 +284,10 @@ export class Robot {
 
   #take(told) {
     const { op, type, id, jsonMessage: message } = told;
-    if (op === "Data") this.#streams.get(type)?.take(told["x-number"], message);
+    if (op === "Data") {
+      const number = told["x-standing"] ? 0 : told["x-number"];  // 0: what lies between is not lost
+      this.#streams.get(type)?.take(number, message);
+    }
     else if (op === "Status") this.#takeStatus(type, message);
     else this.#takeAnswer(op, type, id, message);
   }

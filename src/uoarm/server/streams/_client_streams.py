@@ -19,7 +19,7 @@ from uoarm.model import LeaseHolder, Message, OverflowPolicy, QueuePolicy, Valid
 from uoarm.server._failures import LimitError, UnknownError
 from uoarm.server._limits import Limits
 from uoarm.server.streams._encoder import Encoder
-from uoarm.server.streams._feed import Envelope, Feed, FeedKey
+from uoarm.server.streams._feed import Envelope, Feed, FeedKey, Write
 from uoarm.server.streams._feed_registry import FeedRegistry
 from uoarm.server.streams._input_sender import Done, InputSender, read_message
 from uoarm.server.streams._memory import Account
@@ -63,6 +63,7 @@ class Stream:
         self._outbox = outbox
         self._key = form.name
         self._write = functools.partial(form.write_data, feed.connection.id)
+        self._write_standing = functools.partial(self._write, standing=True)
         self._every = every
         self._clock = clock
         self._due = 0.0
@@ -71,19 +72,23 @@ class Stream:
 
     def prepare(self, encoder: Encoder, envelope: Envelope) -> asyncio.Future[object] | None:
         """Have a long message written beside the loop, unless it comes too soon anyway."""
-        if self._every and self._clock() < self._due:
+        if self._every and envelope.joiner is None and self._clock() < self._due:
             return None
-        return envelope.prepare(self._key, self._write, encoder)
+        return envelope.prepare(*self._form_of(envelope), encoder)
 
     def offer(self, envelope: Envelope) -> None:
         """Take one message unless it comes too soon after the last."""
-        if self._every:
+        if self._every and envelope.joiner is None:
             now = self._clock()
             if now < self._due:
                 self.skipped += 1
                 return
             self._due = now + self._every
-        self._outbox.put(self.lane, envelope.written(self._key, self._write))
+        self._outbox.put(self.lane, envelope.written(*self._form_of(envelope)))
+
+    def _form_of(self, envelope: Envelope) -> tuple[str, Write]:
+        """Return in which form a message is written; one that is for this client alone stood."""
+        return self._key, self._write if envelope.joiner is None else self._write_standing
 
     def miss(self) -> None:
         """Count a message that was let go of before it came here."""

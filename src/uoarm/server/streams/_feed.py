@@ -6,7 +6,7 @@ import asyncio
 import logging
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from typing import Protocol, TypeAlias
 
@@ -22,7 +22,7 @@ from uoarm.server.streams._backlog import Backlog
 from uoarm.server.streams._encoder import Encoder, takes_long
 from uoarm.server.streams._loop_mailbox import LoopMailbox
 
-__all__ = ["Envelope", "Feed", "FeedKey", "Listener", "Prepare"]
+__all__ = ["Envelope", "Feed", "FeedKey", "Listener", "Prepare", "Write"]
 
 _log = logging.getLogger("uoarm.server")
 _TURN_SECONDS = 0.001
@@ -62,6 +62,7 @@ class Envelope:
         message: the message as it came.
         octets: of memory that it holds, where that is known already.
         came: when, in seconds of the feed's clock.
+        joiner: who alone gets it, since it stood when that one joined; None: it is for all.
         is_late: whether only those get it who want all.
     """
 
@@ -69,6 +70,7 @@ class Envelope:
     message: Message
     _octets: int | None = None
     came: float = 0.0
+    joiner: Listener | None = None
     is_late: bool = field(default=False, init=False)
     _long: bool | None = field(default=None, init=False)
     _written: dict[str, bytes | MessageError] = field(factory=dict, init=False)
@@ -155,6 +157,21 @@ class Listener(Protocol):
         """Called once: no more will come, and why."""
 
 
+@frozen
+class _Place:
+    """What the feed knows of a listener.
+
+    Attributes:
+        prepare: asked about each message first.
+        missed: called instead for what is late.
+        first: the number of its first message; what stood before it gets apart.
+    """
+
+    prepare: Prepare | None
+    missed: Missed | None
+    first: int
+
+
 class Feed:
     """The messages of one open connection, fanned out in the loop's thread.
 
@@ -185,7 +202,10 @@ class Feed:
         self._pending = False
         self._is_writing = False
         self._is_done = False
-        self._listeners: dict[Listener, tuple[Prepare | None, Missed | None]] = {}
+        self._listeners: dict[Listener, _Place] = {}
+        self._known: list[tuple[int, Message]] = []  # what may stand, with its number
+        self._most_known = 0
+        self._handed = 0  # the number of the last message that was taken to be handed out
         self._heard_since = 0.0
         self._backlog = Backlog()
         self.connection: Connection | None = None
@@ -200,6 +220,7 @@ class Feed:
     def take(self, message: Message) -> None:
         """Take one message in the thread in which it came. Waits for nothing."""
         self._number += 1
+        self._remember(self._number, message)
         self._waiting.append(Envelope(self._number, message, came=self._clock()))
         if len(self._waiting) > self._limits.feed_messages:
             self._lose_oldest()
@@ -208,6 +229,24 @@ class Feed:
         if not self._pending:
             self._pending = True
             self._mailbox.put(self._hand_out)
+
+    def _remember(self, number: int, message: Message) -> None:
+        """Know the number of a message for as long as it stands, in the thread in which it came."""
+        self._known.append((number, message))
+        if len(self._known) <= self._most_known:
+            return
+        if self.connection is None:  # whether its output is latched is known once it is open
+            if len(self._known) > self._limits.feed_messages:
+                del self._known[0]
+            return
+        self._known = _of_those(self._known, self._standing())
+        self._most_known = 2 * len(self._known)
+
+    def _standing(self) -> tuple[Message, ...]:
+        connection = self.connection
+        if connection is None:
+            return ()
+        return connection._standing()  # noqa: SLF001 - the server is within the house
 
     def _bound_memory(self) -> None:
         """Lose the oldest until what waits holds no more than it may; what came last is kept."""
@@ -232,6 +271,8 @@ class Feed:
     ) -> None:
         """Hand messages to a listener from now on; to the first one what came before it, too.
 
+        What stands at a latched output it gets first, each message with its own number.
+
         Args:
             listener: takes them.
             prepare: asked about each message first; what it begins is waited for.
@@ -240,7 +281,11 @@ class Feed:
         """
         if not self._listeners:
             self._heard_since = self._clock()  # nobody was late for what waited for the first
-        self._listeners[listener] = prepare, missed
+        self._listeners[listener] = _Place(prepare, missed, self._handed + 1)
+        for number, message in reversed(_of_those(tuple(self._known), self._standing())):
+            if number <= self._handed:  # others are on their way to all
+                envelope = Envelope(number, message, came=self._clock(), joiner=listener)
+                self._waiting.appendleft(envelope)
         if self._is_done:
             assert self.end is not None, "only what has ended is done"
             _end(listener, *self.end)
@@ -303,10 +348,10 @@ class Feed:
             return False
         writing = [
             future
-            for listener, (prepare, missed) in tuple(self._listeners.items())
-            if prepare is not None
-            and not (envelope.is_late and missed)
-            and (future := self._prepared(listener, prepare, envelope)) is not None
+            for listener, place in self._takers(envelope)
+            if place.prepare is not None
+            and not (envelope.is_late and place.missed)
+            and (future := self._prepared(listener, place.prepare, envelope)) is not None
         ]
         if writing:
             self._is_writing = True
@@ -322,11 +367,24 @@ class Feed:
             envelope = self._waiting.popleft()
         except IndexError:  # it was lost since, to make room
             return None
+        if envelope.joiner is not None:
+            return envelope
+        self._handed = envelope.number
         came = max(envelope.came, self._heard_since)
         envelope.is_late = self._backlog.lets_go(waiting, came, self._clock())
         if not self._waiting:
             self._backlog.worked_off()
         return envelope
+
+    def _takers(self, envelope: Envelope) -> list[tuple[Listener, _Place]]:
+        """Return whom a message is for, of those who are there now."""
+        if envelope.joiner is None:
+            places = self._listeners.items()
+            return [
+                (listener, place) for listener, place in places if envelope.number >= place.first
+            ]
+        place = self._listeners.get(envelope.joiner)
+        return [] if place is None else [(envelope.joiner, place)]
 
     def _written(self, envelope: Envelope) -> None:
         self._is_writing = False
@@ -334,10 +392,10 @@ class Feed:
         self._hand_out()
 
     def _hand_one(self, envelope: Envelope) -> None:
-        for listener, (_, missed) in tuple(self._listeners.items()):
+        for listener, place in self._takers(envelope):
             try:
-                if envelope.is_late and missed is not None:
-                    foreign(missed)
+                if envelope.is_late and place.missed is not None:
+                    foreign(place.missed)
                 else:
                     foreign(_offer, listener, envelope)
             except Exception:  # noqa: BLE001 - a listener of a front end may raise anything
@@ -357,6 +415,20 @@ class Feed:
         _log.exception("a listener of %s failed", type(listener).__module__)
         self._listeners.pop(listener, None)
         _end(listener, "failed", "the server failed; its log says more")
+
+
+def _of_those(
+    known: Sequence[tuple[int, Message]], standing: Sequence[Message]
+) -> list[tuple[int, Message]]:
+    """Return of known messages those that stand, which are the very same objects, in order."""
+    if not standing:
+        return []
+    numbers: dict[int, list[int]] = {}
+    for number, message in known:
+        numbers.setdefault(id(message), []).append(number)
+    # An object may stand twice, as small integers do: from the newest one on.
+    found = [(numbers[id(one)].pop(), one) for one in reversed(standing) if numbers.get(id(one))]
+    return found[::-1]
 
 
 def _offer(listener: Listener, envelope: Envelope) -> None:

@@ -1,0 +1,63 @@
+"""Every subscriber of a latched topic gets what stands, whoever came before it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import pytest
+from ros import Enter
+
+from uoarm import RobotManager
+from uoarm.bridge import Registry
+from uoarm.config import loads
+from uoarm.testing import Emitter, MemoryBridge
+
+ROBOT = """
+version: 1
+bridges: {memory: {plugin: python}}
+functions: {map: {components: [{name: map, bridge: memory, output: {endpoint: [map]}}]}}
+"""
+NUMBER = {"type": "object", "properties": {"data": {"type": "integer"}}, "required": ["data"]}
+
+
+@pytest.fixture
+def latched() -> tuple[MemoryBridge, Emitter]:
+    memory = MemoryBridge()
+    return memory, memory.emitter("map", NUMBER, latched=True)
+
+
+@pytest.fixture
+def robot(latched: tuple[MemoryBridge, Emitter]) -> Iterator[RobotManager]:
+    bridges = {"memory": latched[0]}
+    with RobotManager(loads(ROBOT), registry=Registry(()), bridges=bridges) as robot:
+        yield robot
+
+
+def test_a_second_subscriber_gets_the_last_of_each_writer_at_any_rate(
+    enter: Enter, latched: tuple[MemoryBridge, Emitter]
+) -> None:
+    first, second = enter(), enter()
+    _, emitter = latched
+    emitter.emit({"data": 0}, "a")
+    first.send(op="subscribe", topic="/uoarm/map")
+    assert first.messages(1) == [{"data": 0}]
+    emitter.emit({"data": 1}, "b")
+    emitter.emit({"data": 2}, "a")
+    assert first.messages(2) == [{"data": 1}, {"data": 2}]
+    second.send(op="subscribe", topic="/uoarm/map", throttle_rate=60_000)
+    assert second.messages(2) == [{"data": 1}, {"data": 2}]
+
+
+def test_what_clients_latched_stands_for_each_of_them(enter: Enter) -> None:
+    publishers, late, after = (enter(), enter()), enter(), enter()
+    for number, publisher in enumerate(publishers):
+        publisher.send(op="advertise", topic="/tf_static", type="a/Tf", latch=True)
+        publisher.send(op="publish", topic="/tf_static", msg={"data": number})
+        publisher.call("/rosapi/get_time", {})
+    late.send(op="subscribe", topic="/tf_static")
+    assert late.messages(2) == [{"data": 0}, {"data": 1}]
+    publishers[0].send(op="unadvertise", topic="/tf_static")
+    publishers[0].call("/rosapi/get_time", {})
+    after.send(op="subscribe", topic="/tf_static")
+    assert after.messages(1) == [{"data": 1}]
+    after.call("/rosapi/get_time", {})
