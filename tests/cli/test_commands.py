@@ -31,6 +31,9 @@ functions:
   greeting:
     components:
       - {name: greeter, bridge: python, service: {endpoint: ["cli_counting:greet"]}}
+  divided:
+    components:
+      - {name: divider, bridge: python, service: {endpoint: ["cli_counting:divide"]}}
   kept:
     components:
       - name: keeper
@@ -73,6 +76,12 @@ class Number(TypedDict):
     n: int
 class Text(TypedDict):
     text: str
+class Numbers(TypedDict):
+    n: list[float]
+class Nothing(TypedDict):
+    pass
+def divide(message: Nothing) -> Numbers:
+    return {"n": [float("nan"), float("-inf")]}
 def count() -> Iterator[Number]:
     for n in range(4):
         yield {"n": n}
@@ -111,7 +120,7 @@ def run(*arguments: str) -> Result:
 def test_check_counts_what_is_there(robot: str) -> None:
     result = run("check", robot)
     assert result.exit_code == 0
-    assert "no errors (functions: 10, bridges: 1)" in result.output
+    assert "no errors (functions: 11, bridges: 1)" in result.output
 
 
 def test_check_exits_with_three_and_tells_where(tmp_path: Path) -> None:
@@ -207,6 +216,18 @@ def test_call_prints_the_reply(robot: str) -> None:
     }
     assert run("call", "greeting", '{"n": "x"}', "-f", robot).exit_code == 1
     assert run("call", "greeting", "{", "-f", robot).exit_code == 2
+
+
+@pytest.mark.parametrize("number", ["1e400", "NaN", "-Infinity", '1, "n": 2'])
+def test_an_argument_that_readers_of_json_disagree_on_is_refused(robot: str, number: str) -> None:
+    result = run("call", "greeting", f'{{"n": {number}}}', "-f", robot)
+    assert result.exit_code == 2
+    assert "not JSON: " in result.stderr
+
+
+def test_what_is_not_finite_is_printed_as_json(robot: str) -> None:
+    result = run("call", "divided", "{}", "-f", robot)
+    assert json.loads(result.stdout, parse_constant=pytest.fail) == {"n": ["NaN", "-Infinity"]}
 
 
 def test_doctor_and_bridges_know_the_built_in_bridge() -> None:

@@ -147,6 +147,33 @@ def test_a_state_that_lacks_what_the_rules_need_is_unreadable_and_the_next_is_ta
     assert follower.facts()["states_unreadable"] == 1
 
 
+@pytest.mark.parametrize("asked", [True, False])
+def test_a_goal_that_ends_for_want_of_states_says_which_came_and_could_not_be_read(
+    asked: bool,
+) -> None:
+    release = RELEASES["2.1"]
+    transport = TransportState(release)
+    if not asked:
+        transport.state(state(VehicleState(release, frozenset())), 0.0)
+    transport.goal(goal("a", "b", order="one"), 0.0)
+    for _ in range(8):
+        transport.unreadable("state: 'errors' is a required property")
+    [(status, reason)] = ends(transport.tick(1000.0))
+    what = "sent no state that can be read" if asked else "did not take it"
+    why = "8 states came that cannot be read: state: 'errors' is a required property"
+    assert (status, reason) == ("aborted", f"the vehicle {what} within 15 s; {why}")
+
+
+def test_silence_is_told_apart_from_states_that_cannot_be_read() -> None:
+    health = VehicleHealth(30.0)
+    health.connected(0.0)
+    health.unreadable("no JSON")
+    assert health.tick(31.0) == (
+        Health.DEGRADED,
+        "its state cannot be read: no JSON; no state that can be read within 30 s",
+    )
+
+
 def test_an_order_that_the_client_fails_to_send_is_rejected_and_the_next_state_is_taken() -> None:
     release = RELEASES["2.1"]
     whole = state(VehicleState(release, frozenset()))

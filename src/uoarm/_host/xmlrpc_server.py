@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import logging
 import math
 import re
@@ -20,7 +19,7 @@ from xmlrpc.server import SimpleXMLRPCRequestHandler, SimpleXMLRPCServer
 
 from uoarm.bridge import Bridge
 from uoarm.errors import BridgeError, FailureReason
-from uoarm.model import Endpoint, to_json
+from uoarm.model import Endpoint, to_json, write_json
 
 __all__ = ["XmlRpcServer"]
 
@@ -97,11 +96,11 @@ class _Database:
         if endpoint is None:
             text = f"there is no port {port!r} of a component {component!r}"
             raise BridgeError(text, FailureReason.NOT_FOUND)
-        return json.dumps(to_json(self._bridge.describe(endpoint, timeout=_DESCRIBE_SECONDS)))
+        return write_json(to_json(self._bridge.describe(endpoint, timeout=_DESCRIBE_SECONDS)))
 
     def discover(self) -> str:
         """Return the components that are visible now as JSON text."""
-        return json.dumps(to_json(list(self._bridge.discover(timeout=_DESCRIBE_SECONDS))))
+        return write_json(to_json(list(self._bridge.discover(timeout=_DESCRIBE_SECONDS))))
 
 
 class _Handler(SimpleXMLRPCRequestHandler):

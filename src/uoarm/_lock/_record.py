@@ -25,6 +25,7 @@ from uoarm.model import (
     from_json,
     to_json,
 )
+from uoarm.model import read_json as json_of
 
 __all__ = ["Lock", "LockError", "read_json", "read_lock", "record", "write_lock"]
 
@@ -256,6 +257,6 @@ def read_json(path: Path) -> Any:
     try:
         if path.stat().st_size > _MOST_OCTETS:
             raise LockError(f"{path}: larger than {_MOST_OCTETS:,} octets")
-        return json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError) as error:
+        return json_of(path.read_text(encoding="utf-8"), unique=True)
+    except (OSError, ValueError) as error:
         raise LockError(f"{path}: cannot be read: {error}") from error

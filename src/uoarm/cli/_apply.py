@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Mapping
 from datetime import datetime, timezone
@@ -15,6 +14,7 @@ from uoarm import errors
 from uoarm.cli._file import takes_configuration
 from uoarm.cli._remote import Remote, asked, remote_options
 from uoarm.cli._shared import json_option, reporting
+from uoarm.model import write_json
 
 __all__ = ["apply", "history"]
 
@@ -66,7 +66,7 @@ def apply(
         return change
 
     change = asked(server, change_it)
-    click.echo(json.dumps(change, indent=2) if as_json else change["text"])
+    click.echo(write_json(change, indent=2) if as_json else change["text"])
 
 
 @click.command()
@@ -84,7 +84,7 @@ def history(*, server: Remote, as_json: bool) -> None:
 
     revisions = asked(server, ask)
     if as_json:
-        click.echo(json.dumps(revisions, indent=2))
+        click.echo(write_json(revisions, indent=2))
         return
     for one in revisions:
         when = datetime.fromtimestamp(one["time"], timezone.utc).isoformat(timespec="seconds")

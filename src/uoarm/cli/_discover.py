@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import sys
 import time
 from collections.abc import Iterable, Iterator
@@ -21,7 +20,7 @@ from uoarm.cli._width import fitted
 from uoarm.config import is_blank, load, merge
 from uoarm.config import suggest as suggestion_for
 from uoarm.errors import UsageError
-from uoarm.model import BridgeFindings, BridgeSpec, Robot, to_json
+from uoarm.model import BridgeFindings, BridgeSpec, Robot, to_json, write_json
 
 __all__ = [
     "discover",
@@ -165,7 +164,7 @@ def with_every_plugin(robot: Robot, registry: Registry) -> Robot:
 
 def _print_json(findings: tuple[BridgeFindings, ...], *, in_one_line: bool) -> None:
     if in_one_line:
-        click.echo(json.dumps(to_json(findings)))
+        click.echo(write_json(to_json(findings)))
     else:
         print_json(findings)
 

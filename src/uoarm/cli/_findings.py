@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
@@ -12,7 +11,7 @@ from xml.etree import ElementTree as ET
 
 import uoarm
 from uoarm._lock import Finding, Outcome
-from uoarm.model import to_json
+from uoarm.model import to_json, write_json
 
 __all__ = ["FORMS"]
 
@@ -35,7 +34,7 @@ def _text(findings: list[Finding], _: Path) -> str:
 
 
 def _json(findings: list[Finding], _: Path) -> str:
-    return json.dumps(to_json({"findings": findings}), indent=2)
+    return write_json(to_json({"findings": findings}), indent=2)
 
 
 def _github(findings: list[Finding], lock: Path) -> str:
@@ -86,7 +85,7 @@ def _sarif(findings: list[Finding], lock: Path) -> str:
         "version": "2.1.0",
         "runs": [run],
     }
-    return json.dumps(log, indent=2)
+    return write_json(log, indent=2)
 
 
 def _result(one: Finding, place: str) -> dict[str, Any]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import time
 from collections.abc import Callable, Iterable
 
@@ -15,7 +14,7 @@ from rich.text import Text
 from uoarm import Connection, RobotManager
 from uoarm.cli._shared import plain
 from uoarm.cli._width import fitted
-from uoarm.model import Message, RouteStatus
+from uoarm.model import Message, RouteStatus, write_json
 
 __all__ = ["show_live"]
 
@@ -69,7 +68,7 @@ def show_live(robot: RobotManager, connection: Connection, messages: Iterable[Me
     with Live(get_renderable=table, console=console, refresh_per_second=period):
         for message in messages:
             if shown.has_line():
-                line = json.dumps(plain(message, _ITEMS))[: console.width + 1]
+                line = write_json(plain(message, _ITEMS))[: console.width + 1]
                 console.print(Text(line), no_wrap=True, overflow="ellipsis")
 
 

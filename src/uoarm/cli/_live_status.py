@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import json
 import sys
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -12,7 +11,7 @@ import click
 
 from uoarm.cli._remote import Remote, asked
 from uoarm.cli._width import fitted, terminal_width
-from uoarm.model import tell_status, to_json
+from uoarm.model import tell_status, to_json, write_json
 
 __all__ = ["show_live_status"]
 
@@ -47,13 +46,13 @@ def show_live_status(server: Remote, *, watch: bool, every: float, as_json: bool
 async def _follow_events(robot: Any, *, as_json: bool) -> None:
     async for event in robot.watch():
         if as_json:
-            click.echo(json.dumps({"event": to_json(event)}))
+            click.echo(write_json({"event": to_json(event)}))
         else:
             click.echo(fitted(str(event)))
 
 
 def _print_json(status: Mapping[str, Any]) -> None:
-    click.echo(json.dumps(to_json(status)))
+    click.echo(write_json(to_json(status)))
 
 
 def _print_tables(status: Mapping[str, Any]) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import logging
 import sys
 import threading
@@ -20,7 +19,7 @@ from uoarm.cli._shared import (
     json_option,
     open_robot,
 )
-from uoarm.model import OfferState, OfferStatus, StatusEvent, to_json
+from uoarm.model import OfferState, OfferStatus, StatusEvent, to_json, write_json
 
 __all__ = ["offer"]
 
@@ -46,7 +45,7 @@ def offer(file: str, *, as_json: bool, once: bool) -> None:
         statuses = robot.offer()
         try:
             for status in statuses:
-                click.echo(json.dumps(to_json(status)) if as_json else _line(status))
+                click.echo(write_json(to_json(status)) if as_json else _line(status))
             if not once:
                 _follow(robot, statuses, as_json=as_json)
         except (KeyboardInterrupt, SystemExit):  # Ctrl-C and SIGTERM are how offering ends
@@ -68,7 +67,7 @@ def _follow(robot: RobotManager, statuses: tuple[OfferStatus, ...], *, as_json: 
             event.change,
             event.cause,
         ):
-            click.echo(json.dumps(to_json(event)) if as_json else event)
+            click.echo(write_json(to_json(event)) if as_json else event)
         if _is_over(robot.status().offers):
             over.set()
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import sys
 import time
 from collections.abc import Iterator
@@ -21,7 +20,7 @@ from uoarm.cli._shared import (
     tell_warning,
 )
 from uoarm.errors import UsageError
-from uoarm.model import ConnectionState, Health, Message
+from uoarm.model import ConnectionState, Health, Message, read_json, write_json
 
 __all__ = ["call", "request"]
 
@@ -71,7 +70,7 @@ def request(
             show_live(robot, connection, reading)
         else:
             for message in reading:
-                click.echo(json.dumps(plain(message)))
+                click.echo(write_json(plain(message)))
         failure = reading.failure()
     if failure:
         fail(failure, BRIDGE)
@@ -94,11 +93,11 @@ def call(name: str, message: str, file: str, *, timeout: float) -> None:
     MESSAGE is JSON, and so is what is printed.
     """
     try:
-        asked = json.loads(message)
-    except (ValueError, RecursionError) as error:
+        asked = read_json(message, unique=True)
+    except ValueError as error:
         raise click.BadParameter(f"not JSON: {error}", param_hint="MESSAGE") from error
     with open_robot(file) as robot:
-        click.echo(json.dumps(plain(robot.call(name, asked, timeout=timeout))))
+        click.echo(write_json(plain(robot.call(name, asked, timeout=timeout))))
 
 
 class _Reading:

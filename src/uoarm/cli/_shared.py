@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import signal
 import sys
@@ -17,7 +16,7 @@ import click
 from uoarm import RobotManager, errors
 from uoarm._origin import install_command
 from uoarm.config import load
-from uoarm.model import Function, Message, Role, to_json
+from uoarm.model import Function, Message, Role, to_json, write_json
 
 __all__ = [
     "fail",
@@ -125,7 +124,7 @@ def open_robot(file: str, stop_file: Path | None = None) -> Iterator[RobotManage
 
 def print_json(value: Any) -> None:
     """Print a value of the model, or plain data, as indented JSON."""
-    click.echo(json.dumps(to_json(value), indent=2))
+    click.echo(write_json(to_json(value), indent=2))
 
 
 def plain(message: Message, most: int | None = None) -> Any:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import sys
 from typing import Any
 
@@ -10,6 +9,7 @@ import click
 
 from uoarm.cli._remote import Remote, asked, remote_options
 from uoarm.cli._shared import json_option
+from uoarm.model import write_json
 
 __all__ = ["stop"]
 
@@ -33,5 +33,5 @@ def stop(*, server: Remote, release: bool, as_json: bool) -> None:
     if release:
         click.echo("{}" if as_json else "commands are let through again")
         return
-    click.echo(json.dumps(told, indent=2) if as_json else told["text"])
+    click.echo(write_json(told, indent=2) if as_json else told["text"])
     sys.exit(0 if told["stopped"] else 1)

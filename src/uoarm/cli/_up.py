@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -18,7 +17,7 @@ from uoarm.cli._serve import cannot_listen, listening_options, say, stop_file_of
 from uoarm.cli._shared import json_option, needing, reporting
 from uoarm.config import add_functions, load
 from uoarm.errors import ConnectionClosedError, UoarmError
-from uoarm.model import BridgeFindings, Robot, to_json
+from uoarm.model import BridgeFindings, Robot, to_json, write_json
 
 __all__ = ["up"]
 
@@ -130,7 +129,7 @@ class _Follower:
                 if others.get(name) != told:
                     self._echo(f"{click.style(name, bold=True)}  {told}")
         elif (before, others) != (findings, functions):
-            self._echo(json.dumps({"findings": to_json(findings), "functions": functions}))
+            self._echo(write_json({"findings": to_json(findings), "functions": functions}))
 
     def _told(self, name: str) -> str:
         try:

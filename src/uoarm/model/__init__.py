@@ -33,6 +33,7 @@ from uoarm.model._component import (
 from uoarm.model._control import ControlMessage, Op
 from uoarm.model._control_wire import read_control, write_control
 from uoarm.model._discovery import BridgeFindings, FoundComponent, FoundPort
+from uoarm.model._json import finite, read_json, write_json
 from uoarm.model._json_scan import scan_json
 from uoarm.model._listening import Listening, place_problem
 from uoarm.model._octets import message_octets
@@ -140,10 +141,12 @@ __all__ = [
     "StopOutcome",
     "StopReport",
     "ValidationMode",
+    "finite",
     "from_json",
     "message_octets",
     "place_problem",
     "read_control",
+    "read_json",
     "scan_json",
     "show_value",
     "tell_reason",
@@ -151,4 +154,5 @@ __all__ = [
     "tell_status",
     "to_json",
     "write_control",
+    "write_json",
 ]

@@ -11,6 +11,7 @@ from uoarm.bridge import (
     Bridge,
     Capabilities,
     Channel,
+    Delivery,
     Description,
     Discovered,
     Handler,
@@ -20,7 +21,7 @@ from uoarm.bridge import (
     reading_endpoint,
 )
 from uoarm.errors import BridgeError, FailureReason
-from uoarm.model import Deliver, Endpoint, Message, MessageStructure, Options, Role
+from uoarm.model import Endpoint, Message, MessageStructure, Options, Role
 from uoarm_mqtt._channels import TopicSink, TopicSource
 from uoarm_mqtt._codec import STRUCTURES, Codec, with_topic
 from uoarm_mqtt._known import Components, read_schema
@@ -60,7 +61,7 @@ class MqttBridge(Bridge):
         return self._description(endpoint, port)
 
     def _open_source(
-        self, endpoint: Endpoint, structure: MessageStructure, deliver: Deliver
+        self, endpoint: Endpoint, structure: MessageStructure, deliver: Delivery
     ) -> Source:
         port = self._port(endpoint)
         self._require_there(endpoint, port)

@@ -7,9 +7,9 @@ from collections import deque
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from uoarm.bridge import Channel, Sink, Source
+from uoarm.bridge import Channel, Delivery, Sink, Source
 from uoarm.errors import BridgeError, FailureReason, MessageError
-from uoarm.model import Deliver, Endpoint, Health, Message
+from uoarm.model import Endpoint, Health, Message
 from uoarm_mqtt._codec import CONTENT_TYPES, Codec
 from uoarm_mqtt._link import BrokerConnection, Outcome
 from uoarm_mqtt._options import Port
@@ -76,7 +76,21 @@ class Backlog:
 
 
 class TopicSource(Source):
-    """What is published on a topic, or on all that a filter matches."""
+    """What is published on a topic, or on all that a filter matches.
+
+    Where its last messages stand, the last one of each topic does. An empty payload clears what is
+    retained on its topic: nothing stands of it any more.
+
+    Args:
+        endpoint: where it is open.
+        topic: or a filter.
+        port: options.
+        codec: reads what comes.
+        link: to the broker.
+        deliver: takes the messages.
+        report: told how the source is.
+        latched: whether the last messages stand; None: where the broker retains them.
+    """
 
     def __init__(
         self,
@@ -85,15 +99,16 @@ class TopicSource(Source):
         port: Port,
         codec: Codec,
         link: BrokerConnection,
-        deliver: Deliver,
+        deliver: Delivery,
         report: Report,
+        *,
+        latched: bool | None = None,
     ) -> None:
-        has_one_topic = not {"+", "#"} & set(topic.split("/"))
-        super().__init__(endpoint, latched=port.retain and has_one_topic)
+        super().__init__(endpoint, latched=port.retain if latched is None else latched)
         self._port, self._codec, self._link = port, codec, link
         self._deliver, self._report = deliver, report
         self._breaks = link.breaks
-        self._received = self._unreadable = 0
+        self._received = self._unreadable = self._cleared = 0
         self._is_degraded = False
         budget = codec.budget
         most, octets = link.settings.backlog, 8 * budget.octets
@@ -116,6 +131,7 @@ class TopicSource(Source):
         return {
             "received": self._received,
             "unreadable": self._unreadable,
+            "cleared": self._cleared,
             "under_way": len(self._backlog),
             "lost_on_link": self._backlog.dropped,
             "interruptions": self._link.breaks - self._breaks,
@@ -127,6 +143,11 @@ class TopicSource(Source):
 
     def _take(self, incoming: Incoming) -> None:
         self._received += 1
+        is_cleared = not incoming.payload
+        self._cleared += is_cleared
+        if is_cleared and self._codec.content == "json":
+            self._deliver.let_go(incoming.topic)
+            return
         try:
             message = self._codec.decode(incoming.payload, content_type(incoming))
         except MessageError as error:
@@ -140,7 +161,9 @@ class TopicSource(Source):
             self._report(self, Health.OK, "a payload that can be read came")
         if self._port.with_topic:
             message = {"topic": incoming.topic, "message": message}
-        self._deliver(message)
+        self._deliver(message, incoming.topic if self.latched else "")
+        if is_cleared:  # an empty text, or no octets: it may be meant, but nothing stands
+            self._deliver.let_go(incoming.topic)
 
 
 class TopicSink(Sink):

@@ -10,7 +10,15 @@ from typing import Any
 from attrs import frozen
 
 from uoarm.errors import ControlMessageError, MessageError
-from uoarm.model import Budget, Message, MessageStructure, Schema, Spending, scan_json
+from uoarm.model import (
+    Budget,
+    Message,
+    MessageStructure,
+    Schema,
+    Spending,
+    read_json,
+    scan_json,
+)
 
 __all__ = ["CONTENT_TYPES", "STRUCTURES", "Codec", "with_topic"]
 
@@ -106,7 +114,7 @@ class Codec:
         if content_type and "json" not in content_type:
             raise ValueError(f"its content type is {content_type[:80]!r}, expected JSON")
         scan_json(text, spending)
-        value = json.loads(text, parse_constant=_refuse)
+        value = read_json(text)
         return value if self.convert is None else self.convert(value)
 
 
@@ -214,7 +222,3 @@ def _plain(value: Any) -> Any:
     if callable(listed := getattr(value, "tolist", None)):
         return listed()
     raise TypeError(f"a {type(value).__name__} has no form in JSON")
-
-
-def _refuse(name: str) -> Any:
-    raise ValueError(f"{name} is no number of JSON")

@@ -19,6 +19,7 @@ from uoarm_mqtt.connection import (
 from uoarm.bridge import (
     Bridge,
     Capabilities,
+    Delivery,
     Description,
     Discovered,
     ServiceStructures,
@@ -27,7 +28,7 @@ from uoarm.bridge import (
     reading_endpoint,
 )
 from uoarm.errors import MessageError
-from uoarm.model import Deliver, Endpoint, Health, Message, MessageStructure, Options
+from uoarm.model import Endpoint, Health, Message, MessageStructure, Options
 from uoarm_vda5050._follower import Follower
 from uoarm_vda5050._health_state import VehicleHealth
 from uoarm_vda5050._messages import Headers, VdaCodec, check_of
@@ -82,7 +83,7 @@ class Vda5050Bridge(Bridge):
         return self._description(place)
 
     def _open_source(
-        self, endpoint: Endpoint, structure: MessageStructure, deliver: Deliver
+        self, endpoint: Endpoint, structure: MessageStructure, deliver: Delivery
     ) -> Source:
         place = self._place(endpoint)
         follower = self._follow(place, endpoint)
@@ -93,7 +94,17 @@ class Vda5050Bridge(Bridge):
         is_kept = place.topic in _RETAINED
         port = Port(qos=1 if place.topic == "connection" else 0, retain=is_kept)
         topic = self._topic(place, place.topic)
-        return TopicSource(endpoint, topic, port, codec, self._broker, deliver, self._tell)
+        # A state stands until the next one, as what is retained does; the broker keeps none of it.
+        return TopicSource(
+            endpoint,
+            topic,
+            port,
+            codec,
+            self._broker,
+            deliver,
+            self._tell,
+            latched=is_kept or place.topic == "state",
+        )
 
     def _open_sink(self, endpoint: Endpoint, structure: MessageStructure) -> Sink:
         place = self._place(endpoint)

@@ -127,9 +127,13 @@ class Follower:
         try:
             self._take_state(event, now)
         except (MessageError, LookupError, TypeError, ValueError) as error:
+            if not event.payload:  # what was retained there was cleared
+                return
             # A schema of the user's may allow what the rules of the standard cannot do without.
             self._unreadable += 1
             why = str(error) if isinstance(error, MessageError) else repr(error)
+            with self._lock:
+                self._transport.unreadable(why)
             self._tell(self._health.unreadable(why))
 
     def _take_state(self, event: Incoming, now: float) -> None:

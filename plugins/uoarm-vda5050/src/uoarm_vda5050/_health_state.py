@@ -51,7 +51,8 @@ class VehicleHealth:
         """Let time pass; return what to tell."""
         due = self.wake_at()
         if due is not None and now >= due:
-            self._ails["silent"] = f"no state within {self.timeout:g} s"
+            what = "no state that can be read" if "unreadable" in self._ails else "no state"
+            self._ails["silent"] = f"{what} within {self.timeout:g} s"
         return self._news()
 
     def wake_at(self) -> float | None:

@@ -10,7 +10,7 @@ from typing import Any
 from jsonschema import Draft202012Validator, SchemaError
 
 from uoarm.errors import ConfigurationError
-from uoarm.model import MessageStructure
+from uoarm.model import MessageStructure, read_json
 from uoarm_vda5050._releases import TOPICS, Release
 from uoarm_vda5050._structures import HEADER, body_of
 
@@ -80,7 +80,7 @@ def _read(file: Path, release: Release) -> Any:
 def _decoded(octets: bytes) -> dict[str, Any]:
     if len(octets) > _MOST_OCTETS:
         raise ValueError(f"{len(octets):,} octets; {_MOST_OCTETS:,} are allowed")
-    schema = json.loads(octets.decode("utf-8-sig"))
+    schema = read_json(octets.decode("utf-8-sig"))
     if not isinstance(schema, dict) or not isinstance(schema.get("properties"), dict):
         text = "it is no schema of an object, for want of `properties`"
         if isinstance(schema, dict) and schema.keys() >= {"type", "headerId"}:

@@ -125,6 +125,8 @@ class TransportState:
     _abandoned: dict[str, str] = field(factory=dict)  # order to the action that cancels it
     _abandoned_at: float = 0.0
     _made: int = 0
+    _unread: int = 0  # states that could not be read, since the last that could
+    _why_unread: str = ""
 
     @property
     def goal_id(self) -> str:
@@ -187,6 +189,7 @@ class TransportState:
     def state(self, body: Mapping[str, Any], now: float) -> list[Action]:
         """Take a state of the vehicle."""
         known = self._known = Report.of(body, self.release)
+        self._unread = 0
         actions = self._cancel_abandoned(known, now)
         if self.phase is Phase.ASKING:
             if known.is_busy and known.order_id != self.goal_id:
@@ -198,13 +201,18 @@ class TransportState:
             return [*actions, *self._following(known, now)]
         return actions
 
+    def unreadable(self, why: str) -> None:
+        """Take the news that a state came that cannot be read: it is what silence comes from."""
+        self._unread += 1
+        self._why_unread = why
+
     def unsendable(self, why: str) -> list[Action]:
         """Take the news that the order cannot be sent at all, as one that is too large cannot."""
         return self._end("rejected", why) if self._order is not None else []
 
     def connection(self, online: bool, why: str) -> list[Action]:  # noqa: FBT001
         """Take the news that the vehicle came or went; what it did before is not known any more."""
-        self._online, self._known = online, None
+        self._online, self._known, self._unread = online, None, 0
         if not online and self._order is not None:
             return self._end("lost", why)
         return []
@@ -216,12 +224,15 @@ class TransportState:
             return []
         if self.phase in {Phase.ASKING, Phase.SENT} and now >= self._give_up_at:
             what = "said nothing of its state" if self.phase is Phase.ASKING else "did not take it"
-            return self._end("aborted", f"the vehicle {what} within {self.times.accept:g} s")
+            if self._unread and self.phase is Phase.ASKING:
+                what = "sent no state that can be read"
+            text = f"the vehicle {what} within {self.times.accept:g} s"
+            return self._end("aborted", text + self._unread_states())
         if self._settle_at is not None and now >= self._settle_at:
             known = self._known
             silent = [one for one in order.actions if known is None or not known.status_of(one)]
             text = f"the vehicle does not say what became of {', '.join(silent)}"
-            return self._end("aborted", text)
+            return self._end("aborted", text + self._unread_states())
         actions: list[Action] = []
         if self._cancel_id and now >= self._cancel_at:
             self._cancel_at = now + self.times.repeat
@@ -367,6 +378,13 @@ class TransportState:
             return []
         self._abandoned_at = now + self.times.repeat
         return [self._cancelling(action_id, known.order_id)]
+
+    def _unread_states(self) -> str:
+        """Say what came and could not be read, for the end of a sentence."""
+        if not self._unread:
+            return ""
+        count = "a state came" if self._unread == 1 else f"{self._unread:,} states came"
+        return f"; {count} that cannot be read: {self._why_unread}"
 
     def _new_id(self) -> str:
         self._made += 1
