@@ -19,6 +19,7 @@ ROOT = Path(uoarm.__file__).parent
 LAYERS = [
     {
         "errors",
+        "_arguments",
         "_interrupts",
         "_log_lines",
         "_run_as_module",
@@ -91,7 +92,7 @@ ALONE = {
     "_wire": {"_wire", "model", "errors"},
     "_yaml": {"_yaml"},
     "local": {"local", "bridge", "_hints", "model", "errors"}
-    | {"_mistakes", "_raised", "_spelling", "_workers"},
+    | {"_arguments", "_mistakes", "_raised", "_spelling", "_workers"},
 }
 
 # Within a package: what each folder may import of it; what is not in a folder may import all.

@@ -90,6 +90,7 @@ def lengthen(seconds: float) -> None:
 
 def _set_default(function: Callable[..., Any], name: str, value: float) -> None:
     """Change the default of one parameter."""
+    function = inspect.unwrap(function)
     parameters = inspect.signature(function).parameters.values()
     by_name = function.__kwdefaults__ or {}
     if name in by_name:

@@ -16,6 +16,7 @@ from typing import Any, Concatenate, Generic, ParamSpec, TypeVar, final, overloa
 
 from typing_extensions import Self
 
+from uoarm._arguments import arguments
 from uoarm._control.connection import Connection
 from uoarm._control.robot_manager import RobotManager
 from uoarm._dataplane import Clock
@@ -185,6 +186,7 @@ class AsyncConnection(_Twin[Connection[T]], Generic[T]):
                 return
             yield message
 
+    @arguments()
     def subscribe(self, callback: Callable[[T], None]) -> Callable[[], None]:
         """Give messages to a callback from now on, in the loop; returns what ends it.
 
@@ -218,6 +220,7 @@ class AsyncConnection(_Twin[Connection[T]], Generic[T]):
     routes = _at_once(Connection.routes)
 
     @asynccontextmanager
+    @arguments()
     async def hold(
         self,
         message: Message,
@@ -274,6 +277,7 @@ class AsyncRobotManager(_Twin[RobotManager]):
         robot: the manager to use. Closing the wrapper closes it.
     """
 
+    @arguments(robot="AsyncRobotManager.from_file(path) reads a file")
     def __init__(self, robot: RobotManager) -> None:
         super().__init__(robot, ThreadPoolExecutor(_AT_ONCE, thread_name_prefix="uoarm-async"))
         self.robot = robot
@@ -281,6 +285,7 @@ class AsyncRobotManager(_Twin[RobotManager]):
         self._handling = ThreadPoolExecutor(_AT_ONCE, thread_name_prefix="uoarm-async-handle")
 
     @classmethod
+    @arguments(path="AsyncRobotManager(manager) takes a RobotManager")
     def from_file(
         cls,
         path: str | PathLike[str],
@@ -347,6 +352,7 @@ class AsyncRobotManager(_Twin[RobotManager]):
         timeout: float = 60.0,
     ) -> AsyncConnection: ...
 
+    @arguments()
     async def request(
         self,
         name: str,
@@ -383,6 +389,7 @@ class AsyncRobotManager(_Twin[RobotManager]):
         self, name: str, message: Message, *, as_type: object = None, timeout: float = 10.0
     ) -> Message: ...
 
+    @arguments()
     async def call(
         self, name: str, message: Message, *, as_type: Any = None, timeout: float = 10.0
     ) -> Message:
@@ -411,6 +418,7 @@ class AsyncRobotManager(_Twin[RobotManager]):
         """Whether commands are refused, from `stop_all` to `release`."""
         return self.robot.is_stopped
 
+    @arguments()
     def listen(self, listener: Callable[[StatusEvent], None]) -> Callable[[], None]:
         """Tell a listener every change from now on, in order and in the loop; returns what ends it.
 

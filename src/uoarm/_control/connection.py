@@ -10,6 +10,7 @@ from typing import Generic, cast, final
 
 from typing_extensions import Self
 
+from uoarm._arguments import arguments
 from uoarm._control.live.application_ports import ApplicationPorts
 from uoarm._control.live.connection_runtime import ConnectionRuntime
 from uoarm._control.reconciler.state import ConnectionRecord
@@ -79,6 +80,7 @@ class Connection(Generic[T]):
         """Whether the connection is closed, for whatever reason."""
         return self._record.is_over
 
+    @arguments(timeout="connection.get(timeout=5.0) waits five seconds")
     def get(self, timeout: float | None = None) -> T:
         """Return the next message, waiting `timeout` seconds at most (None: until it ends).
 
@@ -118,6 +120,7 @@ class Connection(Generic[T]):
                 return
             yield message
 
+    @arguments()
     def send(
         self,
         message: Message,
@@ -149,6 +152,7 @@ class Connection(Generic[T]):
         way = self._ports().sender(port)
         way.send(as_message(message, way.place), self._as(sender), take_over=take_over)
 
+    @arguments()
     def stop(
         self,
         port: str | None = None,
@@ -177,6 +181,7 @@ class Connection(Generic[T]):
             raise UsageError(f"{way.place} has no stop message in the configuration")
         way.stop(self._as(sender), timeout)
 
+    @arguments()
     def hold(
         self,
         message: Message,
@@ -212,6 +217,7 @@ class Connection(Generic[T]):
 
         return renewed(message, send, partial(self.stop, port, sender=sender), seconds)
 
+    @arguments()
     def leave(self, sender: LeaseHolder) -> None:
         """Give back what leases a sender holds, and stop what it moves with them. Never raises."""
         ports = self._runtime.ports
@@ -223,6 +229,7 @@ class Connection(Generic[T]):
         ports = self._runtime.ports
         return {} if ports is None else ports.lifetimes()
 
+    @arguments()
     def flush(self, timeout: float) -> bool:
         """Wait until the component has taken what was sent, `timeout` seconds at most an input.
 
@@ -236,6 +243,7 @@ class Connection(Generic[T]):
         ports = self._runtime.ports
         return ports is None or ports.flush(timeout)
 
+    @arguments()
     def subscribe(self, callback: Callable[[T], None]) -> Callable[[], None]:
         """Give messages to a callback from now on, first those that wait; returns what ends it.
 

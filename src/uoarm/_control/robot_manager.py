@@ -12,6 +12,7 @@ from types import TracebackType
 from typing import Any, final, overload
 
 from uoarm import _bounded
+from uoarm._arguments import arguments
 from uoarm._control.bridges.bridge_set import BridgeSet
 from uoarm._control.configuration_changes import ConfigurationChanges
 from uoarm._control.connection import Connection
@@ -86,6 +87,7 @@ class RobotManager:
             a stop lasts as long as the manager.
     """
 
+    @arguments(robot="RobotManager.from_file(path) reads a file")
     def __init__(
         self,
         robot: Robot,
@@ -174,6 +176,7 @@ class RobotManager:
         return self._revisions.current.number
 
     @classmethod
+    @arguments(path="RobotManager(robot) takes a Robot")
     def from_file(
         cls,
         path: str | PathLike[str],
@@ -192,6 +195,7 @@ class RobotManager:
         robot = load(path, registry.types)
         return cls(robot, registry=registry, clock=clock, stop_file=stop_file)
 
+    @arguments()
     def resolve(self, name: str, *, timeout: float = 60.0) -> Plan:
         """Return the plan that `request` would open, without opening anything.
 
@@ -229,6 +233,7 @@ class RobotManager:
         timeout: float = 60.0,
     ) -> Connection: ...
 
+    @arguments(name="robot.request('camera') asks for the function of that name")
     def request(
         self,
         name: str,
@@ -275,6 +280,7 @@ class RobotManager:
         self, name: str, message: Message, *, as_type: object = None, timeout: float = 10.0
     ) -> Message: ...
 
+    @arguments(name="robot.call('light', message) calls the function of that name")
     def call(
         self, name: str, message: Message, *, as_type: Any = None, timeout: float = 10.0
     ) -> Message:
@@ -333,6 +339,7 @@ class RobotManager:
             lock=() if guard is None else guard.status(),
         )
 
+    @arguments()
     def structures(
         self, component: str, *, timeout: float = 60.0
     ) -> Mapping[str, MessageStructure]:
@@ -362,6 +369,7 @@ class RobotManager:
             raise ResolutionError(f"component {component!r} is not there: {answer.sentence}")
         return answer.by_port
 
+    @arguments()
     def structure_of_type(self, name: str, *, timeout: float = 5.0) -> MessageStructure | None:
         """Return what messages of a native type are like, such as `std_msgs/msg/String`.
 
@@ -386,6 +394,7 @@ class RobotManager:
                 return found
         return None
 
+    @arguments(more="what is offered stands in the configuration, under `offer`")
     def offer(self, *, timeout: float = 60.0) -> tuple[OfferStatus, ...]:
         """Open what the configuration offers in frameworks, and keep it open until `close`.
 
@@ -415,6 +424,7 @@ class RobotManager:
             revision.forget(component.name)
         return check_availability(revision.robot, revision.structures, self.resolve)
 
+    @arguments()
     def discover(
         self, *, timeout: float = 10.0, grace: float | None = None
     ) -> tuple[BridgeFindings, ...]:
@@ -437,6 +447,7 @@ class RobotManager:
         finally:
             discovery.close()
 
+    @arguments()
     def listen(self, listener: Callable[[StatusEvent], None]) -> Callable[[], None]:
         """Tell a listener every change from now on, in order; returns what ends that.
 
@@ -444,6 +455,7 @@ class RobotManager:
         """
         return self._events.listen(listener)
 
+    @arguments(robot="reload(path) reads a file, uoarm.config.load(path) too")
     def apply(
         self,
         robot: Robot,
@@ -496,6 +508,7 @@ class RobotManager:
             timeout=timeout,
         )
 
+    @arguments(path="apply(robot) takes a Robot")
     def reload(
         self,
         path: str | PathLike[str] | None = None,
@@ -524,6 +537,7 @@ class RobotManager:
             self._changes.note(robot)
         return change
 
+    @arguments()
     def rollback(
         self,
         to: int,
@@ -560,6 +574,7 @@ class RobotManager:
         """Return the last hundred revisions of the configuration, the one in force last."""
         return self._revisions.history()
 
+    @arguments()
     def stop_all(self, *, timeout: float = 2.0) -> StopReport:
         """Stop every input that moves something, and refuse commands until `release`.
 
@@ -576,6 +591,7 @@ class RobotManager:
         """
         return self._executor.live.emergency_stop.stop(timeout)
 
+    @arguments()
     def release(self, *, timeout: float = 2.0) -> None:
         """Let commands through again; what has stopped stands still until the next one.
 

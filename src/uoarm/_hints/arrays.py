@@ -12,6 +12,7 @@ from typing import Annotated, Any, Literal, NewType, TypeAlias, get_args, get_or
 
 from attrs import frozen
 
+from uoarm._arguments import built_with_arguments
 from uoarm.errors import BridgeError, FailureReason
 
 __all__ = [
@@ -37,6 +38,7 @@ class HintError(BridgeError):
         super().__init__(text, FailureReason.BAD_ENDPOINT)
 
 
+@built_with_arguments
 @frozen
 class Range:
     """Bounds of a number, both included; None where there is none."""

@@ -15,6 +15,7 @@ from websockets.asyncio.client import connect as open_socket
 from websockets.typing import Subprotocol
 
 from uoarm import errors
+from uoarm._arguments import arguments
 from uoarm._hints.applications import MessageType, T, as_message
 from uoarm._wire import BINARY_FORM, TEXT_FORM, Form
 from uoarm.client._link import LARGEST, Link, Open
@@ -48,6 +49,7 @@ class ServerError(errors.UoarmError):
         self.code = code
 
 
+@arguments()
 @asynccontextmanager
 async def connect(
     url: str,
@@ -147,6 +149,7 @@ class Client:
         wait: float = 0.0,
     ) -> RemoteStream: ...
 
+    @arguments()
     async def request(
         self,
         name: str,
@@ -200,6 +203,7 @@ class Client:
         self, name: str, message: Message, *, as_type: object = None, timeout: float = 10.0
     ) -> Message: ...
 
+    @arguments()
     async def call(
         self, name: str, message: Message, *, as_type: Any = None, timeout: float = 10.0
     ) -> Message:
@@ -214,11 +218,13 @@ class Client:
         listed: list[Mapping[str, Any]] = (await self._ask("List"))["functions"]
         return listed
 
+    @arguments()
     async def resolve(self, name: str) -> Mapping[str, Any]:
         """Return the plan of a function as data, and as text; raises ResolutionError."""
         plan: Mapping[str, Any] = await self._ask("Resolve", name)
         return plan
 
+    @arguments()
     async def configure(
         self,
         text: str,
@@ -252,6 +258,7 @@ class Client:
         what = {"text": text, "keep": keep, "reload_code": reload_code}
         return await self._change(what, dry_run, force, revision)
 
+    @arguments()
     async def rollback(
         self,
         to: int,

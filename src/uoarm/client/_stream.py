@@ -12,6 +12,7 @@ from typing import Any, Generic, cast, final
 
 from typing_extensions import Self
 
+from uoarm._arguments import arguments
 from uoarm._deadlines import event_by
 from uoarm._hints.applications import MessageType, T, as_message
 from uoarm._renewal import HeldCommand, renewal_period, renewed_in_task
@@ -51,6 +52,7 @@ class RemoteStream(Generic[T]):
         """Give messages as a type from now on; `Client.request` does it."""
         self._type = wanted
 
+    @arguments()
     async def get(self, timeout: float | None = None) -> T:
         """Return the next message, waiting `timeout` seconds at most (None: until it ends).
 
@@ -76,6 +78,7 @@ class RemoteStream(Generic[T]):
         self._last = number
         return cast("T", message) if self._type is None else self._type.read(message)
 
+    @arguments()
     async def send(
         self, message: Message, port: str | None = None, *, take_over: bool = False
     ) -> None:
@@ -96,6 +99,7 @@ class RemoteStream(Generic[T]):
         more = {"x-take-over": True} if take_over else {}
         await self._ask("Data", kind, jsonMessage=as_message(message, kind), **more)
 
+    @arguments()
     async def stop(self, port: str | None = None) -> None:
         """Have the stop message of an input sent, and give its lease back.
 
@@ -108,6 +112,7 @@ class RemoteStream(Generic[T]):
         """
         await self._ask("Stop", self._kind(port))
 
+    @arguments()
     def hold(
         self,
         message: Message,

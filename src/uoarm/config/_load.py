@@ -12,6 +12,7 @@ from typing import TypeAlias
 
 from attrs import evolve, frozen
 
+from uoarm._arguments import arguments
 from uoarm._spelling import Speller
 from uoarm._yaml import Document, Place, Problem, read, read_file
 from uoarm.bridge import BridgeType
@@ -63,6 +64,7 @@ class Report:
         raise ConfigurationError("\n".join(lines))
 
 
+@arguments(path="uoarm.config.loads(text) reads a text")
 def load(path: str | PathLike[str], types: Types = _NO_TYPES) -> Robot:
     """Read a configuration file.
 
@@ -76,6 +78,7 @@ def load(path: str | PathLike[str], types: Types = _NO_TYPES) -> Robot:
     return inspect(path, types).require()
 
 
+@arguments()
 def loads(text: str, origin: str = "", types: Types = _NO_TYPES) -> Robot:
     """Read a configuration from text.
 
@@ -90,6 +93,7 @@ def loads(text: str, origin: str = "", types: Types = _NO_TYPES) -> Robot:
     return _report(read(text, origin), origin, types).require()
 
 
+@arguments()
 def inspect(
     path: str | PathLike[str],
     types: Types = _NO_TYPES,

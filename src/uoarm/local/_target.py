@@ -12,6 +12,7 @@ from typing import Any, Generic, TypeVar, Union, get_args, get_origin, get_type_
 import attrs
 from attrs import field, frozen
 
+from uoarm._arguments import arguments
 from uoarm._hints.arrays import HintError
 from uoarm._hints.convert import reader, writer
 from uoarm._hints.schemas import schema_of
@@ -38,6 +39,7 @@ class Emit:
     message: Message
 
 
+@arguments()
 def structure(
     *,
     input: Schema | None = None,  # noqa: A002 - the port's own name

@@ -7,6 +7,7 @@ from enum import Enum
 from attrs import field, frozen
 from attrs.validators import ge, gt
 
+from uoarm._arguments import built_with_arguments
 from uoarm._mistakes import choose
 from uoarm.errors import ConfigurationError
 
@@ -25,6 +26,7 @@ def _policy(name: OverflowPolicy | str) -> OverflowPolicy:
     return choose(OverflowPolicy, name, "policy", ConfigurationError)
 
 
+@built_with_arguments
 @frozen
 class QueuePolicy:
     """Length and overflow policy of one queue.

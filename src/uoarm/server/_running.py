@@ -12,6 +12,7 @@ from collections.abc import Callable, Coroutine, Iterable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
+from uoarm._arguments import arguments
 from uoarm._control import RobotManager
 from uoarm._deadlines import result_within
 from uoarm._raised import ContainedError, foreign
@@ -30,6 +31,7 @@ _log = logging.getLogger("uoarm.server")
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 
+@arguments()
 def run(
     robot: RobotManager,
     settings: Settings,
@@ -60,6 +62,7 @@ def run(
 
 
 @contextmanager
+@arguments()
 def serve_in_thread(
     robot: RobotManager, settings: Settings, *, front_ends: Iterable[FrontEnd] | None = None
 ) -> Iterator[Server]:

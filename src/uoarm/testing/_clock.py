@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from uoarm._arguments import arguments
+
 __all__ = ["ManualClock"]
 
 
 class ManualClock:
     """Seconds that only a test moves; callable, so that it fits wherever a clock is injected."""
 
+    @arguments()
     def __init__(self, start: float = 0.0) -> None:
         self._now = start
 

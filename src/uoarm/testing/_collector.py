@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Generic, TypeVar
 
+from uoarm._arguments import arguments
 from uoarm.model import Message
 from uoarm.testing._patience import patience
 
@@ -104,6 +105,7 @@ class Collector:
 class Background(Generic[T]):
     """An action in a thread of its own, whose end a test waits for no longer than it says."""
 
+    @arguments()
     def __init__(self, action: Callable[[], T]) -> None:
         self._action = action
         self._result: T

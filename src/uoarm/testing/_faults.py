@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
+from uoarm._arguments import arguments
 from uoarm.bridge import Bridge, Channel
 from uoarm.testing._patience import patience
 
@@ -39,6 +40,7 @@ class Hang:
         self._released.wait(2 * patience())  # longer than whoever waits for what hangs here
 
 
+@arguments()
 @contextmanager
 def raising(subject: Bridge | Channel, step: str, error: BaseException) -> Iterator[None]:
     """Have a step raise, as a framework does that is broken or offline."""
@@ -50,6 +52,7 @@ def raising(subject: Bridge | Channel, step: str, error: BaseException) -> Itera
         yield
 
 
+@arguments()
 @contextmanager
 def hanging(subject: Bridge | Channel, step: str) -> Iterator[Hang]:
     """Have a step hang until `release`, or the end of the block, and then do its work."""
@@ -69,6 +72,7 @@ def hanging(subject: Bridge | Channel, step: str) -> Iterator[Hang]:
             hang.release()
 
 
+@arguments()
 @contextmanager
 def lying(subject: Bridge | Channel, step: str, answer: object) -> Iterator[None]:
     """Have a step return something that the contract does not allow."""

@@ -24,7 +24,7 @@ def default_limits(seconds: float, *, closing: bool = True) -> Iterator[None]:
             limit, and nothing fails: a long one keeps whoever closes it.
     """
     methods = (
-        method.__kwdefaults__ or {}
+        inspect.unwrap(method).__kwdefaults__ or {}
         for owner in (Bridge, Channel, RobotManager, AsyncRobotManager)
         for name, method in inspect.getmembers(owner, inspect.isfunction)
         if closing or name != "close"

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections import Counter
 
+from uoarm._arguments import arguments
 from uoarm.model import StatusMap
 
 __all__ = ["copies", "losses"]
 
 
+@arguments()
 def losses(status: StatusMap) -> Counter[str]:
     """Return how many messages were lost, by reason; 0 for each reason that is not there.
 
@@ -34,6 +36,7 @@ def losses(status: StatusMap) -> Counter[str]:
     return +found
 
 
+@arguments()
 def copies(status: StatusMap) -> int:
     """Return how many messages were given to one more route of the output that emitted them.
 

@@ -10,6 +10,7 @@ import difflib
 from collections.abc import Mapping
 from typing import TypeVar
 
+from uoarm._arguments import arguments
 from uoarm.bridge import (
     Bridge,
     Capabilities,
@@ -45,6 +46,7 @@ class MemoryBridge(Bridge):
         links: whether it connects two of its own endpoints natively.
     """
 
+    @arguments()
     def __init__(
         self, name: str = "memory", options: Options | None = None, *, links: bool = False
     ) -> None:

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import ClassVar
 
+from uoarm._arguments import arguments
 from uoarm.bridge import Channel, Handler
 from uoarm.model import Message, MessageStructure, Role
 from uoarm.testing._collector import Collector
@@ -55,6 +56,7 @@ class Emitter(_Port):
 
     roles: ClassVar[tuple[Role, ...]] = (Role.OUTPUT,)
 
+    @arguments()
     def __init__(self, structure: MessageStructure, *, latched: bool = False) -> None:
         super().__init__(structure)
         self.latched = latched
@@ -113,6 +115,7 @@ class Taker(_Port):
 
     roles: ClassVar[tuple[Role, ...]] = (Role.INPUT,)
 
+    @arguments()
     def __init__(self, structure: MessageStructure, *, blocking: bool) -> None:
         super().__init__(structure)
         self.taken = Collector()
@@ -159,6 +162,7 @@ class Service:
 
     roles: ClassVar[tuple[Role, ...]] = (Role.SERVICE,)
 
+    @arguments()
     def __init__(
         self, request: MessageStructure, reply: MessageStructure, handler: Handler
     ) -> None:

@@ -7,6 +7,8 @@ import threading
 import time
 from collections.abc import Callable
 
+from uoarm._arguments import arguments
+
 __all__ = ["patience", "slowness", "wait"]
 
 _IDLE_SECONDS = 60.0
@@ -38,6 +40,7 @@ def patience() -> float:
     return _IDLE_SECONDS * slowness()
 
 
+@arguments()
 def wait(
     ready: Callable[[], object],
     never: str = "it did not come to pass",

@@ -7,6 +7,8 @@ from contextlib import suppress
 from pathlib import Path
 from random import SystemRandom
 
+from uoarm._arguments import arguments
+
 __all__ = ["free_port"]
 
 _GIVEN = Path("/proc/sys/net/ipv4/ip_local_port_range")
@@ -14,6 +16,7 @@ _LOWEST = 10_000
 _TRIES = 100
 
 
+@arguments()
 def free_port(address: str = "127.0.0.1") -> int:
     """Return a TCP port that is free, and that the system gives to nobody who does not ask for it.
 
