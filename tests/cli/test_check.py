@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import pytest
 from click.testing import CliRunner, Result
 
 from uoarm import RobotManager
+from uoarm.bridge import Bridge, BridgeType, Registry
 from uoarm.cli import main
+from uoarm.config import inspect
 from uoarm.errors import ResolutionError
+from uoarm.model import Options
 
 COMPONENTS = """
 from collections.abc import AsyncIterator, Iterator
@@ -128,3 +132,53 @@ def test_it_ends_with_what_was_not_looked_at(folder: Path) -> None:
     ]
     told = json.loads(CliRunner().invoke(main, [*arguments, "--json"]).stdout)
     assert told["unchecked"] == [line.strip() for line in last[1:]]
+
+
+def test_what_a_plugin_doubts_is_a_warning_at_its_place(
+    tmp_path: Path,
+) -> None:
+    """Of the addresses of its own bridges, offers included; a plugin that fails is one, too."""
+    file = tmp_path / "robot.yaml"
+    file.write_text(DOUBTED, encoding="utf-8")
+    asked: list[object] = []
+
+    def doubts(options: object, addresses: frozenset[tuple[str, ...]]) -> dict[object, str]:
+        asked.append((options, addresses))
+        return {("/a", "wrong"): "there is no type 'wrong'", (): "an option is odd"}
+
+    types = {**Registry().types, "doubting": memory_type(doubts)}
+    report = inspect(file, types, parameters=True, missing=str)
+    assert asked == [({}, frozenset({("/a", "wrong"), ("/b",)}))]
+    assert [(one.path, one.sentence) for one in report.warnings] == [
+        ("$.bridges.doubting", "an option is odd"),
+        ("$.functions.f.components[0].output.endpoint", "there is no type 'wrong'"),
+    ]
+
+    def fails(options: object, addresses: object) -> dict[object, str]:
+        raise RuntimeError("no way")
+
+    report = inspect(file, {**types, "doubting": memory_type(fails)}, parameters=True, missing=str)
+    [warning] = report.warnings
+    assert warning.sentence.startswith("its addresses cannot be looked at here: RuntimeError: no")
+    assert report.robot is not None
+
+
+DOUBTED = """
+version: 1
+bridges: {doubting: {}, elsewhere: {plugin: doubting, host: {}}}
+functions:
+  f:
+    components:
+      - {name: a, priority: 2, bridge: doubting, output: {endpoint: [/a, wrong], structure: true}}
+      - {name: c, bridge: elsewhere, output: {endpoint: [/c, wrong], structure: true}}
+offer:
+  doubting:
+    f: {outputs: {default: {endpoint: [/b]}}}
+"""
+
+
+def memory_type(doubts: Any) -> BridgeType:
+    def create(name: str, options: Options) -> Bridge:
+        raise NotImplementedError
+
+    return BridgeType("doubting", "for tests", create, doubts=doubts, contract=2)

@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from click.testing import CliRunner
 from endpoints import endpoint
 from peers import DOMAIN
 from uoarm_ros2._named_types import structure_of_type
@@ -15,6 +16,7 @@ from websockets.sync.client import connect
 
 from uoarm import RobotManager
 from uoarm.bridge import Bridge
+from uoarm.cli import main
 from uoarm.config import loads
 from uoarm.model import Role
 from uoarm.server import Settings, serve_in_thread
@@ -51,6 +53,56 @@ def test_ros_1_spells_types_without_what_they_are() -> None:
 )  # fmt: skip
 def test_what_is_no_installed_message_type_is_unknown(name: str) -> None:
     assert structure_of_type(name, {}) is None
+
+
+CHECKED = """
+version: 1
+bridges:
+  ros: {plugin: ros2, options: {definitions: [messages]}}
+functions:
+  picture:
+    components:
+      - name: picture
+        bridge: ros
+        output: {endpoint: [/picture, sensor_msgs/msg/Imaeg]}
+      - name: grip
+        bridge: ros
+        outputs:
+          good: {endpoint: [/grip, claw_msgs/msg/Grip]}
+          bad: {endpoint: [/force, claw_msgs/msg/Force]}
+          none: {endpoint: [/nothing, claw_msgs/msg/Gripp]}
+          untyped: {endpoint: [/anything]}
+  turn:
+    components:
+      - name: turn
+        bridge: ros
+        service: {endpoint: [/turn, std_srvs/srv/SetBol]}
+"""
+
+
+def test_check_names_types_that_are_not_here_and_files_that_cannot_be_read(tmp_path: Path) -> None:
+    folder = tmp_path / "messages" / "claw_msgs" / "msg"
+    folder.mkdir(parents=True)
+    (folder / "Grip.msg").write_text("int8 a\n")
+    (folder / "Force.msg").write_text("uint8 newtons 300\n")
+    (tmp_path / "robot.yaml").write_text(CHECKED)
+    done = CliRunner().invoke(main, ["check", str(tmp_path / "robot.yaml"), "--json"])
+    assert done.exit_code == 0, done.output
+    warnings = {one["path"]: one["sentence"] for one in json.loads(done.stdout)["warnings"]}
+    wrong = (
+        "Force.msg: line 1: 'uint8 newtons 300': expected a whole number from 0 to 255, got '300'"
+    )
+    found = {path: text for path, text in warnings.items() if "type" in text}
+    assert len(found) == 5, found
+    whole, image, bad, none, service = (found[path] for path in sorted(found))
+    assert wrong in whole
+    assert (
+        "no package that is installed here has the type 'sensor_msgs/msg/Imaeg'; did you" in image
+    )
+    assert image.endswith("did you mean 'sensor_msgs/msg/Image'?")
+    assert wrong in bad
+    assert none.endswith("did you mean 'claw_msgs/msg/Grip'?")
+    assert service.endswith("did you mean 'std_srvs/srv/SetBool'?")
 
 
 def test_nothing_but_packages_of_messages_is_imported_and_rclpy_is_not(tmp_path: Path) -> None:

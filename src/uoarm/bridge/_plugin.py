@@ -6,7 +6,7 @@ import os
 import re
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 from attrs import field, frozen
 from typing_extensions import Self
@@ -20,6 +20,7 @@ from uoarm.model import Endpoint, MessageStructure, Options, Schema
 __all__ = ["BridgeHooks", "BridgeType"]
 
 _PATH = "x-uoarm-path"
+Address: TypeAlias = tuple[str, ...]
 _CLOSED: Schema = {"type": "object", "additionalProperties": False}
 
 
@@ -50,6 +51,10 @@ class BridgeType:
             it ten seconds; unlike the others it may import what it asks about.
         describe: takes an endpoint and the options of the bridge; returns what a bridge would
             describe. For `uoarm check`, as `check_parameters` is; raises what a bridge would.
+        doubts: takes the options of a bridge and the addresses that the configuration has of it;
+            returns what may be wrong with one in this environment, such as a native type that is
+            not installed, by the address, or by () where it is the options. `uoarm check` warns of
+            it where the bridge runs in this environment; limits as for `check_parameters`.
         structure_of_type: takes the name of a native message type and the options of the bridge;
             returns what messages of it are like, or None where the type is not known here. Asks
             neither network nor components; may import the type, and what it returns may be kept.
@@ -69,6 +74,7 @@ class BridgeType:
     check_parameters: Callable[[tuple[str, ...], Options, Options], Mapping[str, str]] | None = None
     structure_of_type: Callable[[str, Options], MessageStructure | None] | None = None
     describe: Callable[[Endpoint, Options], Description] | None = None
+    doubts: Callable[[Options, frozenset[Address]], Mapping[Address, str]] | None = None
     contract: int = field(kw_only=True)
 
     def located(self, options: Options, folder: str) -> dict[str, Any]:

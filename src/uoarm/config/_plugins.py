@@ -177,6 +177,39 @@ class PluginChecker:
                 yield self._problem(("bridges", name), told, at_key=True)
         yield from self._absent
         yield from self._undescribed
+        for name in self._bridges:
+            if not self._is_hosted(name):
+                yield from self._doubts(name)
+
+    def _doubts(self, bridge: str) -> Iterator[Problem]:
+        """Yield what a plugin doubts of the options and the addresses of a bridge."""
+        kind, options = self._bridges[bridge]
+        check = kind.doubts
+        if check is None or not isinstance(options, dict):
+            return
+        places: dict[tuple[str, ...], list[Path]] = {}
+        for component in (*components(self._document.value), *offers(self._document.value)):
+            owner = component.bridge if isinstance(component, OfferPart) else None
+            if (owner or component.text("bridge")) != bridge:
+                continue
+            for port in (*component.inputs(), *component.outputs(), *component.services()):
+                address = _address(port.value)
+                if address is not None:
+                    places.setdefault(address, []).append((*port.path, "endpoint"))
+        whole: Path = ("bridges", bridge, "options") if options else ("bridges", bridge)
+        written = kind.located(
+            bridge_options(kind.name, options, self._file), folder_of(self._file)
+        )
+        step = f"looking at the addresses of bridge {bridge}"
+        ask = partial(check, written, frozenset(places))
+        try:
+            found = dict(foreign(_bounded.run, step, _PARAMETER_SECONDS, ask))
+        except Exception as error:  # noqa: BLE001 - a plugin may raise anything
+            sentence = str(error) if isinstance(error, UoarmError) else text_of(error)
+            found = {(): f"its addresses cannot be looked at here: {sentence}"}
+        for address, sentence in found.items():
+            for path in places.get(address, [whole]):
+                yield self._problem(path, sentence)
 
     def unchecked(self) -> Iterator[str]:
         """Yield what was not looked at, and who knows it: a sentence each, without a full stop."""

@@ -14,7 +14,7 @@ from uoarm.bridge import Bridge, BridgeType, hookimpl, install_command
 from uoarm.errors import PluginError
 from uoarm.model import Options
 from uoarm_ros2._installation import absent_middleware
-from uoarm_ros2._named_types import structure_of_type
+from uoarm_ros2._named_types import doubts, structure_of_type
 from uoarm_ros2._parameters import mistakes
 from uoarm_ros2._settings import BRIDGE_OPTIONS, mistake, topic_name
 
@@ -35,6 +35,7 @@ def uoarm_bridge_types() -> list[BridgeType]:
             doctor=_doctor,
             check_parameters=_check_parameters,
             structure_of_type=structure_of_type,
+            doubts=doubts,
             contract=2,
         )
     ]

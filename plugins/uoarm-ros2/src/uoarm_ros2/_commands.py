@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
-import os
-import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
 from typing import Any
 
 from uoarm.bridge import Bridge, Description, Registry
 from uoarm.model import BridgeSpec, Endpoint, Options, Role
-from uoarm_ros2._types import import_type, kind_of, type_mistake
+from uoarm_ros2._named_types import installed
+from uoarm_ros2._types import import_type, kind_of
 
 __all__ = ["graph", "installed", "seen", "structure", "types"]
 
 Row = dict[str, Any]
-_INDEX = "share/ament_index/resource_index/rosidl_interfaces"
 
 
 @contextmanager
@@ -100,15 +97,3 @@ def _is_topic(bridge: Bridge, name: str) -> bool:
     everything = [at for each in bridge.discover() for at, _ in each.endpoints]
     kinds = {at.role for at in everything if at.address[0].strip("/") == name.strip("/")}
     return kinds != {Role.SERVICE}
-
-
-def installed() -> list[str]:
-    """Return the types whose definitions are installed, as the index of ROS 2 lists them."""
-    prefixes = [*os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep), sys.prefix]
-    found = set()
-    for prefix in filter(None, prefixes):
-        folder = Path(prefix) / _INDEX
-        for package in folder.iterdir() if folder.is_dir() else ():
-            lines = package.read_text().splitlines()
-            found |= {f"{package.name}/{each.rpartition('.')[0]}" for each in lines}
-    return sorted(name for name in found if not type_mistake(name))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import re
+from difflib import get_close_matches
 
 from uoarm.errors import BridgeError, FailureReason
 
@@ -55,6 +56,8 @@ def import_type(name: str) -> type:
     found = getattr(module, type_name, None)
     if not isinstance(found, type):
         known = sorted(each for each in vars(module) if each[:1].isupper())
-        text = f"{of_type(name)}package {package!r} has no {kind} {type_name!r}, only {known}"
+        near = get_close_matches(type_name, known, n=1)
+        meant = f"; did you mean {near[0]!r}?" if near else f", only {known}"
+        text = f"{of_type(name)}package {package!r} has no {kind} {type_name!r}{meant}"
         raise BridgeError(text, FailureReason.NOT_FOUND)
     return found

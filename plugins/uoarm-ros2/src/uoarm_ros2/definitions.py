@@ -112,6 +112,11 @@ class Reading:
         self.unread: dict[str, str] = {}
         self.twice: dict[str, tuple[Path, Path]] = {}
 
+    @property
+    def names(self) -> list[str]:
+        """The types that were read."""
+        return list(self._parts)
+
     def __contains__(self, name: object) -> bool:
         return name in self._parts
 
