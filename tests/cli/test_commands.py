@@ -13,6 +13,7 @@ from click.testing import CliRunner, Result
 from uoarm.bridge import install_command
 from uoarm.cli import main
 from uoarm.config import published_schema
+from uoarm.testing import slowness
 
 pytestmark = pytest.mark.keeps("descriptor of pipe")  # doctor: of ROS 2, for signals
 ROBOT = """
@@ -50,6 +51,21 @@ functions:
   ticks:
     components:
       - {name: ticker, bridge: python, output: {endpoint: ["cli_counting:ticks"]}}
+  wrong:
+    components:
+      - name: mistaken
+        bridge: python
+        input:
+          from: count
+          endpoint: ["cli_counting:mistaken"]
+          queue: {policy: block, timeout: 30}
+        output: {endpoint: ["cli_counting:mistaken"]}
+  endless:
+    components:
+      - name: forever
+        bridge: python
+        input: {from: ticks, endpoint: ["cli_counting:mistaken"]}
+        output: {endpoint: ["cli_counting:mistaken"]}
   failing:
     components:
       - name: thrower
@@ -93,6 +109,8 @@ def refuse(m: Number) -> Number:
     raise OSError("the sensor is gone")
 def double(m: Number) -> Number:
     return {"n": m["n"] * 2}
+def mistaken(m: Number) -> Number:
+    return {"n": "one"}
 def greet(m: Number) -> Text:
     return {"text": f"hello {m['n']}"}
 def keep(m: Number) -> None:
@@ -120,7 +138,7 @@ def run(*arguments: str) -> Result:
 def test_check_counts_what_is_there(robot: str) -> None:
     result = run("check", robot)
     assert result.exit_code == 0
-    assert "no errors (functions: 11, bridges: 1)" in result.output
+    assert "no errors (functions: 13, bridges: 1)" in result.output
 
 
 def test_check_exits_with_three_and_tells_where(tmp_path: Path) -> None:
@@ -180,6 +198,32 @@ def test_request_ends_with_the_cause_when_too_few_came_since_a_component_raised(
     assert result.exit_code == 4
     told = "it ended after 0 of 1 messages: short.default raised OSError: the sensor is gone"
     assert told in result.stderr
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["-n", "5"], "it ended after 0 of 5 messages"),
+        ([], "it ended after 0 messages"),
+        (["--validate", "always", "--json"], "it ended after 0 messages"),
+    ],
+)
+def test_request_ends_with_the_cause_when_no_message_matched(
+    robot: str, arguments: list[str], said: str
+) -> None:
+    result = run("request", "wrong", "-f", robot, *arguments)
+    assert (result.exit_code, result.stdout) == (4, "")
+    assert f"error: {said}: mistaken.default gave 4 that do not match" in result.stderr
+    assert "expected a whole number" in result.stderr
+
+
+def test_request_ends_with_the_cause_when_the_time_is_up_and_no_message_matched(
+    robot: str,
+) -> None:
+    Path(robot).write_text(ROBOT + "failover: {failing: {messages: 100000}}\n")
+    result = run("request", "endless", "--duration", str(slowness()), "-f", robot)
+    assert result.exit_code == 4
+    assert "that do not match" in result.stderr
 
 
 def test_request_prints_a_message_a_line(robot: str) -> None:

@@ -62,6 +62,6 @@ def test_help_lists_them_all_and_loads_none() -> None:
 )
 def test_one_that_cannot_be_run_says_why(name: str, said: str) -> None:
     result = CliRunner().invoke(main, [name])
-    assert result.exit_code == 1
+    assert result.exit_code == 4
     assert said in result.output
     assert not seen

@@ -48,6 +48,7 @@ def offer(file: str, *, as_json: bool, once: bool) -> None:
                 click.echo(write_json(to_json(status)) if as_json else _line(status))
             if not once:
                 _follow(robot, statuses, as_json=as_json)
+                statuses = robot.status().offers
         except (KeyboardInterrupt, SystemExit):  # Ctrl-C and SIGTERM are how offering ends
             if once:
                 raise

@@ -18,8 +18,8 @@ import click
 from uoarm._plugins import values_of
 from uoarm._raised import text_of
 from uoarm.cli._log import add_log_options
-from uoarm.cli._shared import INTERRUPTED
-from uoarm.errors import PluginError
+from uoarm.cli._shared import INTERRUPTED, exit_code_of, fail
+from uoarm.errors import PluginError, UoarmError
 from uoarm.plugins import CONTRACT_VERSION, Command, CommandHooks
 
 __all__ = ["PluginGroup"]
@@ -38,6 +38,8 @@ class PluginGroup(click.Group):
         except KeyboardInterrupt:  # which click would tell as a failure, with the code of one
             click.echo("interrupted", err=True)
             sys.exit(INTERRUPTED)
+        except UoarmError as error:  # of a plugin's command, and what a command of ours lets pass
+            fail(error, exit_code_of(error))
         except OSError as error:
             if error.errno not in _NO_ROOM:
                 raise
@@ -71,7 +73,7 @@ def _command(point: EntryPoint) -> click.Command:
         try:
             found = _load(point)
         except Exception as error:
-            raise click.ClickException(
+            raise PluginError(
                 f"the plugin {point.name} cannot be used: {text_of(error)}"
             ) from error
         sys.exit(found.run(list(arguments)))

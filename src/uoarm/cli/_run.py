@@ -20,11 +20,12 @@ from uoarm.cli._shared import (
     tell_warning,
 )
 from uoarm.errors import UsageError
-from uoarm.model import ConnectionState, Health, Message, read_json, write_json
+from uoarm.model import ConnectionState, Health, Message, RouteStatus, read_json, write_json
 
 __all__ = ["call", "request"]
 
 _GLANCE_SECONDS = 0.25
+_FAILING = frozenset({"failed", "invalid"})
 
 
 @click.command()
@@ -55,8 +56,8 @@ def request(
     below them, lines are cut at its width, and of a fast flow forty messages a second are shown and
     the others counted; elsewhere, and with --json, every message is written in full. A function
     without an output has no messages to show and runs until the same end. While no message comes,
-    components that raise are named on stderr; when the flow fails, the exit code is 4 and the last
-    line says why.
+    components that raise are named on stderr; when the flow fails, or fewer messages came than
+    asked for since others failed or did not match, the exit code is 4 and the last line says why.
     """
     with open_robot(file) as robot, robot.request(name, validate=validate) as connection:
         if connection.plan.provider.component.service is not None:
@@ -136,20 +137,34 @@ class _Reading:
             yield message
 
     def failure(self) -> str:
-        """Return why it ended where that is a failure: empty, it is none."""
+        """Return why it ended where that is a failure: empty, it is none.
+
+        That is the end that its state says, and too few messages where some failed on their way:
+        fewer than asked for, or where no number was asked for, none that got past who failed.
+        """
         connection = self._connection
         if connection.state is ConnectionState.FAILED:
             return connection.cause
-        if self._count is None or self._seen >= self._count or not connection.ended:
+        if self._seen >= (self._count or 1):
             return ""
-        raised = [
-            f"{route.consumer} raised {route.last_error}"
-            for route in connection.status().ended
-            if dict(route.dropped).get("failed")
+        wrong = [
+            route
+            for route in self._routes()
+            if _FAILING & dict(route.dropped).keys() and (self._count or not route.delivered)
         ]
-        if not raised:
+        if not wrong:
             return ""
-        return f"it ended after {self._seen} of {self._count} messages: {'; '.join(raised)}"
+        asked = f"{self._seen} of {self._count}" if self._count else str(self._seen)
+        return f"it ended after {asked} messages: {'; '.join(map(_said_of, wrong))}"
+
+    def _routes(self) -> Iterator[RouteStatus]:
+        """Yield what its messages pass: its own routes, those that ended, those that it shares."""
+        status = self._connection.status()
+        yield from self._connection.routes()
+        yield from status.ended
+        for route in self._robot.status().routes:
+            if route.consumer.partition(".")[0] in status.components:
+                yield route
 
     def _say_what_is_wrong(self) -> None:
         used = self._connection.status().components
@@ -158,6 +173,12 @@ class _Reading:
             if one.name in used and one.health is not Health.OK and said not in self._said:
                 self._said.add(said)
                 tell_warning(said)
+
+
+def _said_of(route: RouteStatus) -> str:
+    if dict(route.dropped).get("failed"):
+        return f"{route.consumer} raised {route.last_error}"
+    return f"{route.producer} gave {route.invalid} that do not match: {route.last_error}"
 
 
 def _stay(connection: Connection, duration: float | None) -> None:

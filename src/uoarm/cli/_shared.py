@@ -19,6 +19,7 @@ from uoarm.config import load
 from uoarm.model import Function, Message, Role, to_json, write_json
 
 __all__ = [
+    "exit_code_of",
     "fail",
     "function_argument",
     "json_option",
@@ -87,19 +88,21 @@ def terminable(context: click.Context) -> None:
     context.call_on_close(lambda: signal.signal(signal.SIGTERM, signal.SIG_DFL))
 
 
+def exit_code_of(error: errors.UoarmError) -> int:
+    """Return the documented exit code of a command that an error ends."""
+    if isinstance(error, errors.ConfigurationError):
+        return CONFIGURATION
+    refusals = errors.ResolutionError, errors.MessageError, errors.UsageError
+    return REFUSED if isinstance(error, refusals) else BRIDGE
+
+
 @contextmanager
 def reporting() -> Iterator[None]:
     """Turn errors into one message and the documented exit code."""
     try:
         yield
-    except errors.ConfigurationError as error:
-        fail(error, CONFIGURATION)
-    except errors.ResolutionError as error:
-        fail(error, REFUSED)
-    except (errors.MessageError, errors.UsageError) as error:
-        fail(error, REFUSED)
     except errors.UoarmError as error:
-        fail(error, BRIDGE)
+        fail(error, exit_code_of(error))
     except KeyboardInterrupt:
         click.echo("interrupted", err=True)
         sys.exit(INTERRUPTED)
