@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -101,3 +102,42 @@ def test_a_publisher_that_starts_again_is_waited_for(peer: Start) -> None:
         assert second.do("subscriptions", topic="/mortal", expected=1)["count"] == 1
         second.do("publish", topic="/mortal", count=1)
         assert connection.get(patience()) == {"data": 1}
+
+
+LATCHED = """
+  static:
+    components:
+      - name: static
+        bridge: ros
+        output: {endpoint: [/static, std_msgs/msg/Int64]}
+"""
+
+
+@pytest.mark.parametrize("host", HOSTS, ids=["here", "hosted"])
+def test_the_last_of_each_publisher_stand_as_long_as_it_is_there(peer: Start, host: str) -> None:
+    """As for a bare subscription of each application's own, such as one to `/tf_static`."""
+    writers = [peer(f"writer_{number}") for number in range(3)]
+    for number, writer in enumerate(writers):
+        writer.do("advertise", topic="/static", durability="transient_local", depth=3)
+        writer.do("publish", topic="/static", count=3, first=10 * number)
+    expected = sorted(10 * number + step for number in range(3) for step in range(3))
+
+    def standing() -> list[int]:
+        """Return what an application that comes now has at once."""
+        came = []
+        with manager.request("static") as later, suppress(TimeoutError):
+            while True:
+                came.append(later.get(0)["data"])
+        return sorted(came)
+
+    with robot(LATCHED, host=host) as manager:
+        first = manager.request("static")
+        assert sorted(first.get(patience())["data"] for _ in expected) == expected
+        assert standing() == expected
+        writers[0].end()
+        wait(lambda: standing() == expected[3:])
+        writers[1].do("publish", topic="/static", count=1, first=100)
+        assert first.get(patience()) == {"data": 100}
+        assert standing() == [*expected[3:], 100]
+        with pytest.raises(TimeoutError):
+            first.get(0)

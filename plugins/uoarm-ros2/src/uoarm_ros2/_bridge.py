@@ -14,6 +14,7 @@ from uoarm.bridge import (
     Bridge,
     Capabilities,
     Channel,
+    Delivery,
     Description,
     Discovered,
     Handler,
@@ -22,7 +23,7 @@ from uoarm.bridge import (
     Source,
 )
 from uoarm.errors import BridgeError, FailureReason, MessageError
-from uoarm.model import Deliver, Endpoint, Health, Message, MessageStructure, Options, Role
+from uoarm.model import Endpoint, Health, Message, MessageStructure, Options, Role
 from uoarm_ros2 import _action_types, _services
 from uoarm_ros2._actions import Action, ActionSink, ActionSource
 from uoarm_ros2._cdr_read import cdr_reader
@@ -165,7 +166,7 @@ class Ros2Bridge(Bridge):
         return action, full, type_name
 
     def _open_source(
-        self, endpoint: Endpoint, structure: MessageStructure, deliver: Deliver
+        self, endpoint: Endpoint, structure: MessageStructure, deliver: Delivery
     ) -> Source:
         del structure  # the native type is in the address, or on the graph
         address, settings = address_of(endpoint), settings_of(endpoint)

@@ -52,6 +52,11 @@ class End(ABC):
     Args:
         place: where it is.
         pulse: told of peers and clashes.
+
+    Attributes:
+        policies: in force.
+        native: rclpy's end.
+        departures: how often peers have gone.
     """
 
     peer_word: str
@@ -67,6 +72,7 @@ class End(ABC):
         self._shared = False
         self._shadowed = ""
         self._closed = False
+        self.departures = 0
         self.policies = self._fitting(self.peers())
         self.native = self._create()
 
@@ -160,15 +166,16 @@ class End(ABC):
         """Return the callbacks that both kinds of end have."""
         where, pulse = f"topic {self._place.topic.name}", self._pulse
         common: Events = {
-            "matched": lambda info: self._matched(info.current_count),
+            "matched": lambda info: self._matched(info.current_count, info.current_count_change),
             "incompatible_qos": lambda info: self._clash(info.total_count),
         }
         if self.policies.deadline is not None:
             common["deadline"] = lambda info: pulse.deadline(info.total_count, where)
         return common
 
-    def _matched(self, current: int) -> None:
+    def _matched(self, current: int, change: int) -> None:
         self._unlooked = True
+        self.departures += change < 0
         if not current:
             self._unanswered = _ANSWER_TICKS  # those that are left may be the ones that clash
         place = self._place

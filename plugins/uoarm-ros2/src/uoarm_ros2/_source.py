@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
-from uoarm.bridge import Source
+from uoarm.bridge import Delivery, Source
 from uoarm.errors import MessageError
 from uoarm.model import Deliver, Message
 from uoarm_ros2._end import End, Place
@@ -15,13 +15,15 @@ from uoarm_ros2._qos import KEEP_ALL_SECONDS, Policies, clashes, for_reading
 
 __all__ = ["TopicSource"]
 
+_LOOKS = 10  # ticks within which the graph knows that a publisher has gone
+
 
 class _Subscription(End):
     """The reading end of a topic."""
 
     peer_word = "publisher"
 
-    def __init__(self, place: Place, pulse: Pulse, take: Callable[[bytes], None]) -> None:
+    def __init__(self, place: Place, pulse: Pulse, take: Callable[..., None]) -> None:
         self._take = take
         super().__init__(place, pulse)
 
@@ -68,7 +70,12 @@ class _Subscription(End):
         )
         events["message_lost"] = lambda info: pulse.missed(info.total_count, where)
         return place.station.subscribe(
-            place.native, place.topic.name, self.policies, self._take, events=events
+            place.native,
+            place.topic.name,
+            self.policies,
+            self._take,
+            events=events,
+            names_writers=self.policies.durability == "transient_local",
         )
 
 
@@ -77,6 +84,9 @@ class TopicSource(Source):
 
     With `auto` policies it asks for what the publishers offer, and asks anew when all that are
     left offer something else.
+
+    What was latched stands as for a subscription of its own: the last messages of each publisher,
+    as long as the publisher is there.
 
     Args:
         place: where to subscribe.
@@ -89,12 +99,15 @@ class TopicSource(Source):
         self._place = place
         self._read = read
         self._deliver = deliver
+        self._keeping = deliver if isinstance(deliver, Delivery) else None
         self.pulse = Pulse(
             lambda health, cause: place.report(self, health, cause),
             place.settings.stale_after,
             place.clock,
             hears=True,
         )
+        self._writers: set[bytes] = set()  # whose messages stand; in the station's thread
+        self._departures = self._looks = 0
         self._end = _Subscription(place, self.pulse, self._receive)
 
     def wait(self) -> None:
@@ -111,6 +124,7 @@ class TopicSource(Source):
         peers = end.peers()
         end.require(limit, peers)
         self.latched = end.policies.durability == "transient_local"
+        self.depth = end.policies.depth
         if end.policies.history == "keep_all":
             self.patience = KEEP_ALL_SECONDS
         if matched and not self.latched:
@@ -119,6 +133,7 @@ class TopicSource(Source):
     def tick(self) -> None:
         """Look after the channel a few times a second, in the station's thread."""
         self._end.tick()
+        self._look_for_departures()
 
     def facts(self) -> Mapping[str, object]:
         """Return counters, the matched publishers and the policies in force."""
@@ -127,7 +142,21 @@ class TopicSource(Source):
     def _close(self) -> None:
         self._end.close()
 
-    def _receive(self, octets: bytes) -> None:
+    def _look_for_departures(self) -> None:
+        """Let what publishers latched that have gone stand no more, as DDS does."""
+        if not self._writers or self._keeping is None:
+            return
+        if self._end.departures != self._departures:
+            self._departures, self._looks = self._end.departures, _LOOKS
+        if not self._looks and len(self._writers) <= self._end.count():
+            return
+        self._looks = max(0, self._looks - 1)
+        there = {peer.identity for peer in self._end.peers()}
+        for writer in self._writers - there:
+            self._writers.discard(writer)
+            self._keeping.let_go(writer.hex())
+
+    def _receive(self, octets: bytes, writer: bytes = b"") -> None:
         if self._closed:
             return
         try:
@@ -136,4 +165,8 @@ class TopicSource(Source):
             self.pulse.unread(f"on topic {self._place.topic.name}: {error}")
             return
         self.pulse.beat()
-        self._deliver(message)
+        if writer and self._keeping is not None:
+            self._writers.add(writer)
+            self._keeping(message, writer.hex())
+        else:
+            self._deliver(message)

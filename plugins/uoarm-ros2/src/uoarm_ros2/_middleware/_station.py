@@ -211,11 +211,14 @@ class Station:
         native: type,
         topic: str,
         policies: Policies,
-        take: Callable[[bytes], None],
+        take: Callable[..., None],
         *,
         events: dict[str, Notify],
+        names_writers: bool = False,
     ) -> Any:
         """Create a subscription, which hands on messages as they are serialised.
+
+        With `names_writers`, with the identity of the publisher of each.
 
         Events that the middleware does not have are left out.
         """
@@ -228,7 +231,7 @@ class Station:
             event_callbacks=SubscriptionEventCallbacks(use_default_callbacks=False),
         )
         known = _rclpy.rcl_subscription_event_type_t
-        entity = SubscriptionEntity(made.handle, native, take)
+        entity = SubscriptionEntity(made.handle, native, take, names_writers=names_writers)
         heard = _events(made.handle, known, _SUBSCRIPTION_EVENTS, events, of=entity)
         return self._wait_for(made, entity, *heard)
 

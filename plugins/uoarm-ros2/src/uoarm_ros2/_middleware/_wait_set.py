@@ -16,6 +16,8 @@ from attrs import frozen
 from rclpy.exceptions import InvalidHandle
 from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
 
+from uoarm_ros2._middleware._released import take_with_writer
+
 __all__ = [
     "Entity",
     "EventEntity",
@@ -61,20 +63,30 @@ class Entity(ABC):
 class SubscriptionEntity(Entity):
     """A subscription; messages go to `deliver`, serialised as they are.
 
+    With `names_writers` the identity of the publisher goes with them.
+
     Attributes:
         active_at: when it last had a message, or began to.
     """
 
     kind = "subscription"
 
-    def __init__(self, handle: Any, native: type, deliver: Callable[[bytes], None]) -> None:
+    def __init__(
+        self, handle: Any, native: type, deliver: Callable[..., None], *, names_writers: bool
+    ) -> None:
         super().__init__(handle)
+        self._names_writers = names_writers
         self._native = native
         self._deliver = deliver
         self.active_at = time.monotonic()
 
     def take(self) -> bool:
         """Deliver one message, if there is one."""
+        if self._names_writers:
+            named = take_with_writer(self.handle)
+            if named is not None:
+                self._deliver(*named)
+            return named is not None
         taken = self.handle.take_message(self._native, True)
         if taken is None:
             return False
