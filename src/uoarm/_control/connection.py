@@ -260,7 +260,10 @@ class Connection(Generic[T]):
         return self._runtime.receiver.standing()
 
     def kill(self) -> None:
-        """End the connection and close what only it used. Once is enough; bounded in time."""
+        """End the connection and close what only it used. Once is enough; bounded in time.
+
+        In a child that was forked it does nothing: the connection is the parent's.
+        """
         self._executor.kill(self.id)
 
     def close(self) -> None:
