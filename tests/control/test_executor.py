@@ -12,6 +12,7 @@ from tests.control.world import FACE
 
 from uoarm import RobotManager
 from uoarm._control.live import parts
+from uoarm._control.reconciler.state import forget_earlier
 from uoarm._control.runtime.revisions import Revision
 from uoarm.config import loads
 from uoarm.model import ConnectionState, Health, StatusEvent
@@ -92,3 +93,11 @@ def test_an_action_that_fails_keeps_none_of_the_others_from_being_done(
     wait(lambda: connection.gaps)
     assert "failed to do Forget" in caplog.text
     assert connection.state is ConnectionState.RUNNING
+
+
+def test_what_died_long_ago_is_forgotten_however_many_names_come_and_go() -> None:
+    times = {"first": 0.0, "second": 100.0, "third": 400.0}
+    forget_earlier(times, 401.0)
+    assert times == {"third": 400.0}
+    forget_earlier(times, 1000.0)
+    assert times == {}

@@ -15,7 +15,7 @@ from uoarm._dataplane import Outlet, Route
 from uoarm.bridge import Bridge, Sink, Source
 from uoarm.config import loads
 from uoarm.errors import BridgeError
-from uoarm.model import Deliver, Endpoint, FailureLimits, MessageStructure, RouteStatus, Step
+from uoarm.model import Deliver, Endpoint, FailureLimits, Gap, MessageStructure, RouteStatus, Step
 from uoarm.testing import ManualClock, MemoryBridge, losses
 
 ROBOT = """
@@ -160,3 +160,14 @@ def test_what_a_component_emits_while_nobody_takes_it_is_in_the_status() -> None
 def _outlets(robot: RobotManager) -> list[Outlet]:
     lives = robot._executor.live.components.values()
     return [outlet for live in lives for outlet in live.outlets.values()]
+
+
+def test_gaps_find_only_so_much_room_and_the_last_is_there_in_any_case() -> None:
+    account = LossAccount()
+    for number in range(1000):
+        account.add(Gap(float(number), 0, 0.0, 0, ("a",), ("b",), "x" * 1000))
+    assert 10 < len(account.gaps) < 100
+    assert account.gaps[-1].time == 999.0
+    assert [gap.time for gap in account.gaps] == sorted(gap.time for gap in account.gaps)
+    account.add(Gap(1000.0, 0, 0.0, 0, ("a",), ("b",), "x" * 2**20))
+    assert [gap.time for gap in account.gaps] == [1000.0]

@@ -13,6 +13,7 @@ from tests.manager import stage
 
 from uoarm import RobotManager
 from uoarm._control.live.application_ports import ApplicationPorts
+from uoarm._control.runtime import revisions
 from uoarm.bridge import BridgeType, Registry
 from uoarm.config import loads
 from uoarm.errors import ConfigurationError, UsageError
@@ -128,7 +129,7 @@ def test_a_dry_run_says_what_would_happen_and_does_nothing(robot: RobotManager) 
 
 
 def test_a_change_that_would_end_a_connection_is_refused_unless_forced(
-    robot: RobotManager,
+    robot: RobotManager, caplog: pytest.LogCaptureFixture
 ) -> None:
     lamp = robot.request("lamp")
     with pytest.raises(ConfigurationError, match=rf"(?s)force it.*{lamp.id} \(lamp\) ends"):
@@ -136,9 +137,13 @@ def test_a_change_that_would_end_a_connection_is_refused_unless_forced(
     assert robot.revision == 0
     assert lamp.state.value == "running"
 
-    robot.apply(loads(NO_LAMP), force=True)
-    wait(lambda: lamp.ended)
+    with caplog.at_level("WARNING", "uoarm"):
+        robot.apply(loads(NO_LAMP), force=True)
+        wait(lambda: lamp.ended)
+        wait(lambda: "failed" in caplog.text)
     assert "the configuration has 'light' no more" in lamp.cause
+    assert [lamp.id in record.message for record in caplog.records] == [True], "said once"
+    assert "stays" not in caplog.text
 
 
 def test_a_change_made_for_another_revision_is_refused(robot: RobotManager) -> None:
@@ -154,6 +159,23 @@ def test_what_was_in_force_before_can_be_applied_again(robot: RobotManager) -> N
     robot.apply(before)
     assert [one.revision for one in robot.history()] == [0, 1, 2]
     assert robot.config.functions["camera"] == before.functions["camera"]
+
+
+def test_of_large_configurations_fewer_revisions_are_kept(
+    robot: RobotManager, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(revisions, "_KEPT_OCTETS", 3 * revisions.octets_of(robot.config))
+    for _ in range(3):
+        robot.apply(loads(OTHER_CAMERA))
+        robot.apply(loads(ROBOT))
+    kept = [change.revision for change in robot.history()]
+    assert kept in ([4, 5, 6], [5, 6])
+    with pytest.raises(UsageError, match=f"revision 1 is not kept: {kept[0]} to 6 are"):
+        robot.rollback(1)
+    monkeypatch.setattr(revisions, "_KEPT_OCTETS", 0)
+    robot.apply(loads(OTHER_CAMERA))
+    assert [change.revision for change in robot.history()] == [6, 7], "one to go back to, always"
+    robot.rollback(6)
 
 
 def test_another_order_of_candidates_moves_what_runs(robot: RobotManager, lab: Lab) -> None:

@@ -15,6 +15,7 @@ from tests.server.conftest import Serve
 from tests.server.talk import Talk
 
 from uoarm import RobotManager
+from uoarm._control.live.stop_file import StopFile
 from uoarm.bridge import Registry
 from uoarm.cli import main
 from uoarm.client import ServerError, connect
@@ -158,7 +159,11 @@ def test_the_python_client(guarded: Server) -> None:
 
 
 def test_the_command_line_says_who_has_not_stopped(
-    guarded: Server, robot: RobotManager, memory: MemoryBridge
+    guarded: Server,
+    robot: RobotManager,
+    memory: MemoryBridge,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     def stop(who: str, *more: str) -> tuple[int, str]:
         given = ["stop", "--url", url(guarded), "--token", TOKENS[who], *more]
@@ -176,6 +181,13 @@ def test_the_command_line_says_who_has_not_stopped(
         True,
     )
     memory.mend()
+    (tmp_path / "file").write_text("no folder", encoding="utf-8")
+    stops = robot._executor.live.emergency_stop
+    monkeypatch.setattr(stops, "_file", StopFile(tmp_path / "file" / "stopped"))
+    code, told = stop("driver")
+    assert "stopped      base.default" in told
+    assert (code, "NOT STOPPED AFTER A RESTART" in told) == (1, True)
+    monkeypatch.undo()
     assert stop("keeper")[0] == 4
     assert stop("keeper", "--release") == (0, "commands are let through again\n")
 

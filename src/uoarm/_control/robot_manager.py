@@ -571,7 +571,10 @@ class RobotManager:
         )
 
     def history(self) -> tuple[ConfigurationChange, ...]:
-        """Return the last hundred revisions of the configuration, the one in force last."""
+        """Return the last revisions of the configuration, the one in force last.
+
+        A hundred, or fewer of large ones: about 32 MiB in all, and at least the one before.
+        """
         return self._revisions.history()
 
     @arguments()

@@ -23,7 +23,8 @@ def stop(*, server: Remote, release: bool, as_json: bool) -> None:
 
     Commands are refused until --release. The token's role needs `stop: ["*"]`, and `release: ["*"]`
     for --release. Exit codes: 0 every open input that moves something has stopped, 1 some have not,
-    which are named, 4 the server cannot be reached or refused.
+    which are named, or the stop would not outlast a restart, 4 the server cannot be reached or
+    refused.
     """
 
     async def act(robot: Any) -> Any:
@@ -34,4 +35,4 @@ def stop(*, server: Remote, release: bool, as_json: bool) -> None:
         click.echo("{}" if as_json else "commands are let through again")
         return
     click.echo(write_json(told, indent=2) if as_json else told["text"])
-    sys.exit(0 if told["stopped"] else 1)
+    sys.exit(0 if told["stopped"] and not told.get("unkept") else 1)

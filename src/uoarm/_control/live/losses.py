@@ -23,6 +23,7 @@ Sums: TypeAlias = Mapping[tuple[str, str], RouteStatus]
 Gone: TypeAlias = tuple[LiveComponent, ...]
 
 _GAPS = 1000
+_GAP_OCTETS = 64 * 1024
 _RECENT = 8
 
 
@@ -37,9 +38,9 @@ class LossAccount:
     """The gaps of a connection, and the counters of its routes that ended.
 
     What ended last, components and routes, is still asked for its counters, since a thread that
-    was about to use one may do so late; what ended earlier is added up. Bounded: the newest
-    thousand gaps, the last few ends, and one row for each pair of ends, of which a configuration
-    has only so many.
+    was about to use one may do so late; what ended earlier is added up. Bounded: the newest gaps,
+    as many as find room, the last few ends, and one row for each pair of ends, of which a
+    configuration has only so many.
     """
 
     def __init__(self) -> None:
@@ -84,7 +85,7 @@ class LossAccount:
     def add(self, gap: Gap) -> None:
         """Take in one change of plan, whose losses are not counted yet."""
         with self._lock:
-            self.gaps = (*self.gaps, gap)[-_GAPS:]
+            self.gaps = _newest((*self.gaps[1 - _GAPS :], gap))
 
     def count(self, gap: Gap, gone: Gone, routes: Iterable[Counting]) -> None:
         """Take in a change of plan, with components that are gone and routes that ended."""
@@ -106,6 +107,16 @@ class LossAccount:
                 gone, ended = self._recent.popleft()
                 self._lost += _lost_with(gone)
                 self._sums = _added(self._sums, ended)
+
+
+def _newest(gaps: tuple[Gap, ...]) -> tuple[Gap, ...]:
+    """Return the newest gaps, as many as find room, and the last one in any case."""
+    octets = 0
+    for count, gap in enumerate(reversed(gaps)):
+        octets += 300 + len(gap.cause) + sum(len(name) for name in (*gap.before, *gap.after))
+        if count and octets > _GAP_OCTETS:
+            return gaps[-count:]
+    return gaps
 
 
 def _lost_with(gone: Gone) -> int:

@@ -32,6 +32,7 @@ from uoarm._control.reconciler.state import (
     ComponentRecord,
     ConnectionRecord,
     Placement,
+    forget_earlier,
     names,
     recently,
 )
@@ -90,6 +91,8 @@ def _judge_service(draft: Draft, name: str, event: HealthReported) -> None:
     subject = f"component {name}"
     draft.actions.append(Announce(subject, event.health.value, event.cause, event.function))
     if event.health is Health.LOST:
+        forget_earlier(draft.avoided, draft.now)
+        draft.avoided.pop(name, None)
         draft.avoided[name] = draft.now
     elif event.health is Health.OK:
         draft.avoided.pop(name, None)
@@ -118,10 +121,13 @@ def _finish(draft: Draft, component: ComponentRecord) -> None:
 
 def _lose(draft: Draft, lost: list[int], concerned: frozenset[str], event: HealthReported) -> None:
     dead = [draft.components[one].name for one in lost]
+    forget_earlier(draft.failed, draft.now)
+    forget_earlier(draft.avoided, draft.now)
     for name in dead:
         draft.failed.pop(name, None)
         draft.failed[name] = draft.now
         if event.is_avoided:
+            draft.avoided.pop(name, None)
             draft.avoided[name] = draft.now
     were = f"component {dead[0]!r} was"
     if len(dead) > 1:

@@ -39,6 +39,7 @@ __all__ = [
     "RunningOut",
     "State",
     "Switchover",
+    "forget_earlier",
     "names",
     "only_runs_out",
     "recently",
@@ -387,6 +388,17 @@ def names(plan: Plan) -> tuple[str, ...]:
 def only_runs_out(record: ComponentRecord, running_out: Mapping[str, RunningOut]) -> bool:
     """Say whether nobody uses an instance but plans that run out."""
     return running_out.keys() >= set(record.users)
+
+
+def forget_earlier(times: dict[str, float], now: float) -> None:
+    """Forget what was longer ago than is remembered: names come and go for ever.
+
+    Args:
+        times: in their own order, which is why a name is taken out before it is set anew.
+        now: the time.
+    """
+    while times and times[oldest := next(iter(times))] < now - _REMEMBERED_SECONDS:
+        del times[oldest]
 
 
 def recently(times: Mapping[str, float], now: float) -> frozenset[str]:

@@ -66,7 +66,7 @@ def found(draft: Draft, record: ConnectionRecord, event: ReplacementSought) -> N
         if event.plan is None or _serves(draft, record, event.plan):
             del members[record.id]  # what it cannot go on with is replaced after the switchover
             draft.put(record, switchover=0)
-        if event.plan is None:
+        if event.plan is None and not _is_superseded(draft, record):
             draft.actions.append(Warn(record.id, f"stays where it is: {event.error}"))
     elif event.plan is None or names(event.plan) == names(record.placement.plan):
         abandon(draft, group, event.error or "its preferred components are gone again")
@@ -210,10 +210,14 @@ def _with_whom(draft: Draft, identity: str) -> tuple[str, ...]:
 
 def _serves(draft: Draft, record: ConnectionRecord, plan: Plan) -> bool:
     """Say whether the plan that runs is the one that was found, and all of it may go on."""
-    current = record.placement
-    return names(plan) == names(current.plan) and not any(
-        draft.components[one].is_superseded for one in current.components.values()
-    )
+    is_same = names(plan) == names(record.placement.plan)
+    return is_same and not _is_superseded(draft, record)
+
+
+def _is_superseded(draft: Draft, record: ConnectionRecord) -> bool:
+    """Say whether the plan that runs uses what the configuration has no more, or otherwise."""
+    running = record.placement.components.values()
+    return any(draft.components[number].is_superseded for number in running)
 
 
 def may_move(record: ConnectionRecord) -> bool:

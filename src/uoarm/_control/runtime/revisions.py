@@ -28,9 +28,12 @@ from uoarm.errors import (
 )
 from uoarm.model import ConfigurationChange, ConnectionEffect, Effect, Plan, Robot
 
-__all__ = ["Revision", "Revisions", "StagedRevision"]
+__all__ = ["Revision", "Revisions", "StagedRevision", "octets_of"]
 
 _KEPT = 100
+_LEAST = 2  # the one in force, and the one to go back to
+_KEPT_OCTETS = 32 * 2**20
+_ENTRY_OCTETS = 3000  # of a bridge or a function with a component, as measured
 _ANEW = (
     "other machines must join anew at the same address; without failover: {wait: SECONDS} it is "
     "not waited for them. `hosts` can have another address beside, and a machine whose "
@@ -125,7 +128,7 @@ class Revisions:
         self.current = Revision(0, robot, structures, resolver, robot, guard)
         self._staged: dict[int, StagedRevision] = {}
         first = ConfigurationChange(0, is_applied=True, time=time.time(), robot=robot)
-        self._history = deque([first], maxlen=_KEPT)
+        self._history = deque([first])
 
     @contextmanager
     def alone(self, timeout: float) -> Iterator[None]:
@@ -155,7 +158,10 @@ class Revisions:
             )
 
     def history(self) -> tuple[ConfigurationChange, ...]:
-        """Return the last hundred revisions, the one in force last."""
+        """Return the last revisions, the one in force last.
+
+        A hundred, fewer of large configurations, but the one before that in force always.
+        """
         return tuple(self._history)
 
     def note_kept(self) -> None:
@@ -232,7 +238,12 @@ class Revisions:
         self._bridges.adopt(staged.bridges)
         self.current = staged.revision
         applied = evolve(staged.change, is_applied=True, time=time.time())
-        self._history.append(applied)
+        history = self._history
+        history.append(applied)
+        octets = sum(octets_of(change.robot) for change in history if change.robot is not None)
+        while len(history) > _LEAST and (len(history) > _KEPT or octets > _KEPT_OCTETS):
+            oldest = history.popleft().robot
+            octets -= 0 if oldest is None else octets_of(oldest)
 
     def _require_code(self, revision: Revision, difference: Difference) -> None:
         wrong: list[str] = []
@@ -300,6 +311,12 @@ class Revisions:
         if after == before and not is_superseded:
             return None
         return ConnectionEffect(record.id, record.wanted.function, Effect.MOVES, before, after)
+
+
+def octets_of(robot: Robot) -> int:
+    """Return about how many octets a configuration takes in memory."""
+    entries = len(robot.bridges) + len(robot.functions) + len(robot.offers)
+    return _ENTRY_OCTETS * entries + len(robot.text)
 
 
 def _hold(guard: LockGuard | None) -> Hold | None:
