@@ -33,6 +33,7 @@ _LIMITS: dict[str, dict[str, tuple[str, ...]]] = {
             "call_seconds",
         )
     },
+    "uoarm_ros1._master": {"call_api": ("seconds",)},
     "websockets.asyncio.client": {"connect": ("open_timeout", "ping_timeout")},
     "websockets.sync.client": {"connect": ("open_timeout", "ping_timeout")},
 }
@@ -66,6 +67,11 @@ _CONSTANTS = {
     "uoarm_rocos._bridge": ("_OPEN_SECONDS",),
     "uoarm_rocos._line": ("_OPEN_SECONDS",),
     "uoarm_rocos._talk": ("_CATALOGUE_SECONDS",),
+    "uoarm_ros1._bridge": ("_HEADER_SECONDS",),
+    "uoarm_ros1._node": ("_ASK_SECONDS",),
+    "uoarm_ros1._server": ("_ARRIVAL_SECONDS",),
+    "uoarm_ros1._services": ("_PROBE_SECONDS",),
+    "uoarm_ros1._subscription": ("_CONNECT_SECONDS", "_LISTED_SECONDS"),
     "uoarm_rtm._compiler": ("_LIMIT_SECONDS",),
     "uoarm_rtm._nameserver": ("_START_SECONDS", "_STOP_SECONDS"),
     "uoarm_rtm._orb": ("_DRAIN_SECONDS", "_DESTROY_SECONDS", "_WORKERS_SECONDS"),

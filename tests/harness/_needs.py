@@ -82,6 +82,17 @@ NEEDS = {
     ),
     "mosquitto": Need("apt install mosquitto", programs=("mosquitto", "/usr/sbin/mosquitto")),
     "mosquitto-clients": Need("apt install mosquitto-clients", programs=("mosquitto_sub",)),
+    "ros1": Need("pip install -e 'plugins/uoarm-ros1[dev]'", packages=("uoarm_ros1", "rosbags")),
+    "rospy": Need(
+        "apt install python3-rosmaster python3-rospy python3-std-msgs python3-sensor-msgs "
+        "python3-std-srvs python3-actionlib python3-tf2-ros",
+        files=("usr/lib/python3/dist-packages/rospy/__init__.py",),
+    ),
+    "roscpp": Need(
+        "apt install libroscpp-dev libactionlib-dev g++",
+        programs=("g++",),
+        files=("usr/include/ros/ros.h",),
+    ),
     "rosbridge": Need(
         "pip install -e 'plugins/uoarm-rosbridge[dev]'", packages=("uoarm_rosbridge", "roslibpy")
     ),
@@ -115,6 +126,9 @@ MODULES = {
     "plugins/uoarm-rocos/tests/*": ("rocos",),
     "plugins/uoarm-mqtt/tests/*": ("mqtt", "mosquitto"),
     "plugins/uoarm-vda5050/tests/*": ("vda5050", "mosquitto"),
+    "plugins/uoarm-ros1/tests/test_engine.py": ("ros1",),
+    "plugins/uoarm-ros1/tests/test_roscpp.py": ("ros1", "rospy", "roscpp"),
+    "plugins/uoarm-ros1/tests/*": ("ros1", "rospy"),
     "plugins/uoarm-rosbridge/tests/*": ("rosbridge",),
 }
 """What a whole module needs, also for being imported."""

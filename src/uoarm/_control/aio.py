@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import logging
-import os
 import time
 from abc import abstractmethod
 from collections.abc import AsyncIterator, Callable, Coroutine
@@ -61,7 +60,6 @@ class _Twin(Generic[Threaded]):
     def __init__(self, threaded: Threaded, executor: ThreadPoolExecutor) -> None:
         self._threaded = threaded
         self._executor = executor
-        self._process = os.getpid()
 
     @abstractmethod
     async def close(self) -> None: ...
@@ -78,8 +76,7 @@ class _Twin(Generic[Threaded]):
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        if os.getpid() == self._process:  # a forked child has none of the threads, and owns nothing
-            await self.close()
+        await self.close()
 
     def __repr__(self) -> str:
         return f"<Async{repr(self._threaded)[1:]}"

@@ -24,6 +24,7 @@ _GROUP = "uoarm.bridges"
 # The extra is what most need: ROS 2 itself, where none is sourced.
 _KNOWN = {
     "ros2": ("uoarm-ros2", "jazzy"),
+    "ros1": ("uoarm-ros1", ""),
     "rtm": ("uoarm-rtm", ""),
     "rocos": ("uoarm-rocos", ""),
     "mqtt": ("uoarm-mqtt", ""),

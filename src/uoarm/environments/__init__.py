@@ -8,7 +8,6 @@ from uoarm.environments._place import (
     environment_python,
     installed,
     listed,
-    passed_on,
     remove,
 )
 
@@ -21,7 +20,6 @@ __all__ = [
     "examine",
     "installed",
     "listed",
-    "passed_on",
     "remove",
     "requirements",
 ]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import contextlib
 import threading
 import time
@@ -19,7 +20,6 @@ from uoarm.bridge import (
     ServiceStructures,
     Sink,
     Source,
-    at_exit,
 )
 from uoarm.errors import BridgeError, FailureReason
 from uoarm.model import Deliver, Endpoint, Health, Message, MessageStructure, Options, Role
@@ -99,7 +99,8 @@ class RtmBridge(Bridge):
         self._attendance = Attendance(self._directory, self._component_changed, own)
         self._observers = Observers(self._orb, self._settings.component, seconds, self._soon)
         self._watch = Watch(self._ticks, self._settings.watch_seconds)
-        self._forget_exit = at_exit(partial(_let_go, weakref.ref(self)))
+        self._at_exit = partial(_let_go, weakref.ref(self))
+        atexit.register(self._at_exit)
 
     def _describe(self, endpoint: Endpoint) -> Description:
         address = address_of(endpoint)
@@ -234,7 +235,7 @@ class RtmBridge(Bridge):
         return discovered(self.name, self._directory, self._types, self._settings.call_seconds)
 
     def _close(self) -> None:
-        self._forget_exit()
+        atexit.unregister(self._at_exit)
         try:
             self._watch.close(0)
             with self._guard:

@@ -10,6 +10,7 @@ after it has let go: what is in no file was never connected, or has ended.
 
 from __future__ import annotations
 
+import atexit
 import contextlib
 import fcntl
 import json
@@ -23,8 +24,6 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from attrs import frozen
-
-from uoarm.bridge import at_exit
 
 __all__ = ["Entry", "Journal", "journal", "process_of"]
 
@@ -194,7 +193,7 @@ class _Process:
             if self._journal is None:
                 base = os.environ.get("XDG_STATE_HOME") or "~/.local/state"
                 self._journal = Journal(Path(base).expanduser() / "uoarm" / "rtm")
-                at_exit(self._journal.close)
+                atexit.register(self._journal.close)
             return self._journal
 
     def forget(self) -> None:

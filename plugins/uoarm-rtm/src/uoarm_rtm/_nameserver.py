@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import shutil
 import socket
 import struct
@@ -58,7 +57,6 @@ class NameServer:
     def __init__(
         self, port: int = 0, address: str = "127.0.0.1", folder: Path | None = None
     ) -> None:
-        self._maker = os.getpid()
         kept = folder if folder is not None else Path(tempfile.mkdtemp(prefix="uoarm-names-"))
         self._own = None if folder is not None else kept
         tries = 1 if port else _TRIES
@@ -77,9 +75,7 @@ class NameServer:
         self.address = f"corbaloc:iiop:{address}:{self.port}/NameService"
 
     def close(self) -> None:
-        """End it; names that were kept nowhere are forgotten. Nothing in a forked child."""
-        if os.getpid() != self._maker:
-            return
+        """End it; names that were kept nowhere are forgotten."""
         _end(self.process)
         self._forget()
 

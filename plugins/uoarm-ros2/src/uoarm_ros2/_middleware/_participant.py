@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
+import atexit
 import os
 import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from functools import partial
 
 from rclpy.context import Context
 
-from uoarm.bridge import at_exit
 from uoarm.errors import BridgeError, FailureReason
 from uoarm_ros2._middleware._station import Station
 from uoarm_ros2._middleware._wait_set import Turns
@@ -55,7 +54,7 @@ class Participant:
         self._context = Context()
         self._context.init(args=[], domain_id=domain_id, initialize_logging=False)
         # A thread that is inside rclpy while the interpreter ends brings down the whole process.
-        self._forget_exit = at_exit(partial(self.close, _EXIT_SECONDS))
+        atexit.register(self.close, _EXIT_SECONDS)
 
     @property
     def domain_id(self) -> int:
@@ -106,7 +105,7 @@ class Participant:
 
         Happens by itself when the interpreter ends; idempotent.
         """
-        self._forget_exit()
+        atexit.unregister(self.close)
         with self._lock:
             closed, self._closed = self._closed, True
             stations, self._stations = self._stations, []

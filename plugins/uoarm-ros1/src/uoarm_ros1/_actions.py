@@ -1,0 +1,485 @@
+"""Actions of actionlib: five topics as one call, and functions that answer goals in ROS 1."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Mapping
+from contextlib import AbstractContextManager
+from itertools import count
+from typing import Any
+
+from attrs import define, field
+
+from uoarm.bridge import Channel, Description, Handler
+from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, MessageError
+from uoarm.model import Endpoint, Message
+from uoarm_ros1._definitions import Listing, Record, Scalar, Shape, Text
+from uoarm_ros1._master import GraphState
+from uoarm_ros1._node import Node
+from uoarm_ros1._options import Address, Port
+from uoarm_ros1._publication import Publication
+from uoarm_ros1._rosout import stamp
+from uoarm_ros1._serialisation import framed_writer, reader
+from uoarm_ros1._structures import structure_of
+from uoarm_ros1._subscription import PublisherHeader, Subscription, Wanted
+from uoarm_ros1._types import ActionType, TypeStore
+
+__all__ = ["ActionCaller", "ServedAction", "described_action"]
+
+PENDING, ACTIVE, PREEMPTED, SUCCEEDED, ABORTED, REJECTED = range(6)
+PREEMPTING, RECALLING, RECALLED, LOST = range(6, 10)
+_WORDS = {
+    PREEMPTED: "preempted",
+    ABORTED: "aborted",
+    REJECTED: "rejected",
+    RECALLED: "recalled",
+    LOST: "lost",
+}
+_GOAL_ID, _STATUS_ARRAY = "actionlib_msgs/GoalID", "actionlib_msgs/GoalStatusArray"
+_WAIT_SECONDS = 2.0
+_STATUS_SECONDS = 0.2
+_KEEP_SECONDS = 5.0
+_MOST_GOALS = 256
+
+
+def described_action(
+    node: Node, types: TypeStore, endpoint: Endpoint, name: str, address: Address, port: Port
+) -> Description:
+    """Return an action as a call: the goal is the request, the result the reply.
+
+    Raises:
+        BridgeError: no server of it is there, or its type is not known here.
+    """
+    if not endpoint.is_offered and port.peer_required:
+        require_server(node, endpoint, name)
+    kinds = action_type(node, types, endpoint, name, address)
+    return Description(
+        request=structure_of(_member(kinds.goal, "goal")),
+        reply=structure_of(_member(kinds.result, "result")),
+    )
+
+
+def require_server(node: Node, endpoint: Endpoint, name: str) -> None:
+    """Raise BridgeError where no node that lives serves an action."""
+    servers = _servers(node.master.state(), name)
+    if not servers:
+        text = f"{endpoint}: there is no server of action {name}"
+        raise BridgeError(text, FailureReason.NOT_FOUND)
+    if not any(map(node.is_alive, servers)):
+        text = f"{endpoint}: of the servers of action {name} none answers: {', '.join(servers)}"
+        raise BridgeError(text, FailureReason.UNAVAILABLE)
+
+
+def action_type(
+    node: Node, types: TypeStore, endpoint: Endpoint, name: str, address: Address
+) -> ActionType:
+    """Return the type of an action: as the address says, or the type of its goals."""
+    kind = address.type
+    if not kind:
+        goals = node.master.types().get(f"{name}/goal", "")
+        if not goals.endswith("ActionGoal"):
+            text = f"{endpoint}: the type of action {name} is not known: add it to the address"
+            raise BridgeError(text, FailureReason.UNSUPPORTED)
+        kind = goals.removesuffix("Goal")
+    return types.action(kind)
+
+
+def _servers(state: GraphState, name: str) -> list[str]:
+    publishers = state.publishers.get(f"{name}/status", ())
+    subscribers = state.subscribers.get(f"{name}/goal", ())
+    return [node for node in publishers if node in subscribers]
+
+
+def _member(record: Record, name: str) -> Record:
+    for member in record.fields:
+        if member.name == name and isinstance(member.shape, Record):
+            return member.shape
+    raise BridgeError(f"{record.name} has no member {name!r}", FailureReason.UNSUPPORTED)
+
+
+@define(eq=False)
+class _Goal:
+    """A goal that was sent and has not ended."""
+
+    ended: threading.Event = field(factory=threading.Event)
+    status: int = LOST
+    text: str = ""
+    result: Message = None
+
+
+class ActionCaller:
+    """A client of one action; several goals at a time."""
+
+    def __init__(
+        self,
+        node: Node,
+        types: TypeStore,
+        endpoint: Endpoint,
+        name: str,
+        address: Address,
+        port: Port,
+    ) -> None:
+        self._node, self._name = node, name
+        self._wait = node.settings.wait if port.wait is None else port.wait
+        kinds = action_type(node, types, endpoint, name, address)
+        budget = node.settings.budget
+        self._write_goal = framed_writer(kinds.goal)
+        self._read_result = reader(kinds.result, budget)
+        cancel = types.require(_GOAL_ID)
+        self._write_cancel = framed_writer(cancel)
+        # Guards the goals under way, between threads that call, and those in which results come.
+        self._lock = threading.Lock()
+        self._goals: dict[str, _Goal] = {}
+        self._numbers = count(1)
+        self._subscription = Subscription(
+            Wanted(
+                node.name,
+                f"{name}/result",
+                kinds.result.name,
+                kinds.result.md5,
+                most=budget.octets,
+                silence=node.settings.silence,
+            ),
+            self._take_result,
+            lambda _: None,
+            self._went,
+        )
+        self._publications: list[Publication] = []
+        try:
+            node.subscribe(self._subscription)
+            self._publications.append(node.advertise(f"{name}/goal", kinds.goal))
+            self._publications.append(node.advertise(f"{name}/cancel", cancel))
+        except BaseException:
+            self.close()
+            raise
+
+    def call(
+        self,
+        endpoint: Endpoint,
+        message: Message,
+        timeout: float,
+        cancelling: Callable[[Callable[[], object]], AbstractContextManager[None]],
+    ) -> Message:
+        """Send a goal and return its result; a goal that is given up is cancelled.
+
+        Raises:
+            BridgeError: no server, or the goal was rejected, aborted, preempted or lost.
+            BridgeTimeoutError: no result within `timeout` seconds.
+            MessageError: the goal does not fit its type.
+        """
+        deadline = time.monotonic() + timeout
+        self._require_server(endpoint, min(deadline, time.monotonic() + self._wait))
+        now = stamp(time.time())
+        number = next(self._numbers)
+        identity = f"{self._node.name}-{number}-{now['secs']}.{now['nsecs']:09d}"
+        goal_id = {"stamp": now, "id": identity}
+        header = {"seq": number, "stamp": now, "frame_id": ""}
+        frame = self._write_goal({"header": header, "goal_id": goal_id, "goal": message})
+        goal = _Goal()
+        with self._lock:
+            if len(self._goals) >= _MOST_GOALS:
+                text = f"{endpoint}: {_MOST_GOALS} goals are under way already"
+                raise BridgeError(text, FailureReason.UNAVAILABLE)
+            self._goals[identity] = goal
+        try:
+            with cancelling(lambda: self._cancel(identity)):
+                self._publications[0].send(frame)
+                if not goal.ended.wait(max(0.0, deadline - time.monotonic())):
+                    self._cancel(identity)
+                    raise BridgeTimeoutError(f"{endpoint}: no result within {timeout:g} s")
+        finally:
+            with self._lock:
+                self._goals.pop(identity, None)
+        if goal.status == SUCCEEDED:
+            return goal.result
+        word = _WORDS.get(goal.status, f"ended with status {goal.status}")
+        lost = goal.status == LOST
+        reason = FailureReason.UNAVAILABLE if lost else FailureReason.RAISED
+        why = f": {goal.text}" if goal.text else ""
+        raise BridgeError(f"{endpoint}: the goal was {word}{why}", reason)
+
+    def close(self) -> None:
+        """End it; goals under way are lost."""
+        self._node.unsubscribe(self._subscription)
+        for publication in self._publications:
+            self._node.withdraw(publication)
+        self._end_all("the client was closed")
+
+    def _require_server(self, endpoint: Endpoint, deadline: float) -> None:
+        """Wait until one server has all: it sends results, and takes goals and their ends."""
+
+        def servers() -> set[str]:
+            found = {header.node for header in self._subscription.connected}
+            for publication in self._publications:
+                found &= set(publication.callers)
+            return found
+
+        while not servers():
+            left = deadline - time.monotonic()
+            if left <= 0:
+                require_server(self._node, endpoint, self._name)
+                why = "; ".join(self._subscription.failures)
+                text = f"{endpoint}: the server of action {self._name} did not connect in time"
+                raise BridgeError(f"{text}{f': {why}' if why else ''}", FailureReason.UNAVAILABLE)
+            self._publications[0].wait(lambda _: bool(servers()), min(left, 0.02))
+
+    def _cancel(self, identity: str) -> bool:
+        goal_id = {"stamp": {"secs": 0, "nsecs": 0}, "id": identity}
+        self._publications[1].send(self._write_cancel(goal_id))
+        return bool(self._publications[1].callers)
+
+    def _take_result(self, frame: bytes | bytearray, _: str) -> None:
+        try:
+            message = self._read_result(frame)
+        except MessageError:
+            return
+        status = message["status"]
+        with self._lock:
+            goal = self._goals.get(status["goal_id"]["id"])
+        if goal is not None and not goal.ended.is_set():
+            goal.status, goal.text = status["status"], status["text"][:1000]
+            goal.result = message["result"]
+            goal.ended.set()
+
+    def _went(self, name: str, cause: str, was_connected: bool) -> None:  # noqa: FBT001 - of the subscription
+        if was_connected and not self._subscription.connected:
+            self._end_all(f"its server is gone: {name}: {cause}")
+
+    def _end_all(self, why: str) -> None:
+        with self._lock:
+            goals = [goal for goal in self._goals.values() if not goal.ended.is_set()]
+        for goal in goals:
+            goal.status, goal.text = LOST, why
+            goal.ended.set()
+
+
+@define(eq=False)
+class _Served:
+    """A goal that came.
+
+    Attributes:
+        goal_id: as its client gave it.
+        status: as actionlib numbers it.
+        text: that goes with it.
+        until: when it is forgotten, once it has ended.
+    """
+
+    goal_id: Message
+    status: int = PENDING
+    text: str = ""
+    until: float = float("inf")
+
+    @property
+    def message(self) -> Message:
+        return {"goal_id": self.goal_id, "status": self.status, "text": self.text}
+
+
+class ServedAction(Channel):
+    """A function that answers goals: as many at a time as are allowed, the others wait.
+
+    A goal that waits is recalled when it is cancelled. One that runs goes on, as a function cannot
+    be interrupted, and ends as preempted.
+    """
+
+    def __init__(
+        self,
+        endpoint: Endpoint,
+        node: Node,
+        types: TypeStore,
+        name: str,
+        kinds: ActionType,
+        handler: Handler,
+        at_once: int,
+    ) -> None:
+        super().__init__(endpoint)
+        self._node, self._handler = node, handler
+        budget = node.settings.budget
+        goal_id, status = types.require(_GOAL_ID), types.require(_STATUS_ARRAY)
+        self._read_goal, self._read_cancel = reader(kinds.goal, budget), reader(goal_id, budget)
+        self._write_result = framed_writer(kinds.result)
+        self._write_status = framed_writer(status)
+        self._turns = threading.BoundedSemaphore(at_once)
+        # Guards the goals, and the order in which their states are published.
+        self._lock = threading.Lock()
+        self._goals: dict[str, _Served] = {}
+        self._numbers = count(1)
+        self._answered = self._failed = self._refused = 0
+        self._publications: list[Publication] = []
+        self._subscriptions: list[Subscription] = []
+        self._stopped = threading.Event()
+        try:
+            for part, record in (("result", kinds.result), ("feedback", kinds.feedback)):
+                self._publications.append(node.advertise(f"{name}/{part}", record))
+            self._publications.append(node.advertise(f"{name}/status", status, latching=True))
+            for part, kind, take in (
+                ("goal", kinds.goal, self._take_goal),
+                ("cancel", goal_id, self._take_cancel),
+            ):
+                wanted = Wanted(
+                    node.name,
+                    f"{name}/{part}",
+                    kind.name,
+                    kind.md5,
+                    most=budget.octets,
+                    silence=node.settings.silence,
+                )
+                made = Subscription(wanted, take, _ignore_header, _ignore_end)
+                self._subscriptions.append(made)
+                node.subscribe(made)
+        except BaseException:
+            self._close()
+            raise
+        threading.Thread(
+            target=self._publish_status, name=f"uoarm-ros1-{name}-status", daemon=True
+        ).start()
+
+    def facts(self) -> Mapping[str, object]:
+        """Return counters of goals."""
+        return {
+            "answered": self._answered,
+            "failed": self._failed,
+            "refused": self._refused,
+            "goals": len(self._goals),
+        }
+
+    def _take_goal(self, frame: bytes | bytearray, _: str) -> None:
+        try:
+            message = self._read_goal(frame)
+        except MessageError:
+            self._refused += 1
+            return
+        goal_id = message["goal_id"]
+        identity = goal_id["id"] or f"{self._node.name}-{next(self._numbers)}"
+        with self._lock:
+            if identity in self._goals:
+                # A cancellation may come before its goal, by another connection.
+                served = self._goals[identity]
+                is_new = served.status == RECALLING
+            else:
+                served, is_new = _Served({**goal_id, "id": identity}), True
+                self._goals[identity] = served
+            is_full = sum(goal.until == float("inf") for goal in self._goals.values()) > _MOST_GOALS
+        if not is_new:
+            return
+        if served.status == RECALLING:
+            self._end(served, RECALLED, None, "it was cancelled before it came")
+        elif is_full:
+            self._refused += 1
+            self._end(served, REJECTED, None, f"{_MOST_GOALS} goals are under way already")
+        else:
+            threading.Thread(
+                target=self._run,
+                args=(served, message["goal"]),
+                name=f"uoarm-ros1-goal-{identity}",
+                daemon=True,
+            ).start()
+
+    def _take_cancel(self, frame: bytes | bytearray, _: str) -> None:
+        try:
+            message = self._read_cancel(frame)
+        except MessageError:
+            return
+        identity, at = message["id"], _seconds(message["stamp"])
+        with self._lock:
+            if identity and identity not in self._goals and len(self._goals) < _MOST_GOALS:
+                until = time.monotonic() + _KEEP_SECONDS
+                self._goals[identity] = _Served(message, RECALLING, "", until)
+            for served in self._goals.values():
+                # An empty id and no time: all of them; a time: those up to it.
+                is_meant = served.goal_id["id"] == identity if identity else not at
+                if not is_meant and at:
+                    is_meant = _seconds(served.goal_id["stamp"]) <= at
+                if is_meant and served.status in {PENDING, ACTIVE}:
+                    served.status = RECALLING if served.status == PENDING else PREEMPTING
+
+    def _run(self, served: _Served, goal: Message) -> None:
+        with self._turns:
+            with self._lock:
+                is_cancelled = served.status != PENDING
+                if not is_cancelled:
+                    served.status = ACTIVE
+            if is_cancelled or self._stopped.is_set():
+                self._end(served, RECALLED, None, "it was cancelled before it began")
+                return
+            self._say_status()
+            try:
+                result = self._handler(goal)
+            except Exception as error:  # noqa: BLE001 - of the handler: the client is told
+                self._failed += 1
+                self._end(served, ABORTED, None, f"{type(error).__name__}: {error}"[:1000])
+                return
+            was_cancelled = served.status == PREEMPTING
+            self._answered += 1
+            self._end(served, PREEMPTED if was_cancelled else SUCCEEDED, result, "")
+
+    def _end(self, served: _Served, status: int, result: Message | None, text: str) -> None:
+        with self._lock:
+            served.status, served.text = status, text
+            served.until = time.monotonic() + _KEEP_SECONDS
+            value = self._empty_result() if result is None else result
+            message = {"header": self._header(), "status": served.message, "result": value}
+            try:
+                frame = self._write_result(message)
+            except MessageError as error:
+                self._failed += 1
+                served.status, served.text = ABORTED, str(error)[:1000]
+                frame = self._write_result(
+                    {
+                        "header": self._header(),
+                        "status": served.message,
+                        "result": self._empty_result(),
+                    }
+                )
+            self._publications[0].send(frame)
+        self._say_status()
+
+    def _empty_result(self) -> Message:
+        return _zero(_member(self._publications[0].record, "result"))
+
+    def _header(self) -> Message:
+        return {"seq": next(self._numbers), "stamp": stamp(time.time()), "frame_id": ""}
+
+    def _say_status(self) -> None:
+        with self._lock:
+            now = time.monotonic()
+            for identity in [key for key, goal in self._goals.items() if goal.until < now]:
+                del self._goals[identity]
+            statuses = [goal.message for goal in self._goals.values()]
+            message = {"header": self._header(), "status_list": statuses}
+            self._publications[2].send(self._write_status(message))
+
+    def _publish_status(self) -> None:
+        while not self._stopped.wait(_STATUS_SECONDS):
+            self._say_status()
+
+    def _close(self) -> None:
+        self._stopped.set()
+        for subscription in self._subscriptions:
+            self._node.unsubscribe(subscription)
+        for publication in self._publications:
+            self._node.withdraw(publication)
+
+
+def _ignore_header(_: PublisherHeader) -> None:
+    """Clients come and go."""
+
+
+def _ignore_end(name: str, cause: str, was_connected: bool) -> None:  # noqa: FBT001 - of the subscription
+    """Clients come and go."""
+    del name, cause, was_connected
+
+
+def _seconds(time_of: Message) -> float:
+    return float(time_of["secs"] + time_of["nsecs"] / 1_000_000_000)
+
+
+def _zero(shape: Shape) -> Any:
+    """Return the value of a shape in which everything is zero or empty."""
+    if isinstance(shape, Record):
+        return {member.name: _zero(member.shape) for member in shape.fields}
+    if isinstance(shape, Listing):
+        return [_zero(shape.element) for _ in range(shape.size or 0)]
+    if isinstance(shape, Text):
+        return ""
+    return 0.0 if shape in {Scalar("float32"), Scalar("float64")} else shape.name != "bool" and 0

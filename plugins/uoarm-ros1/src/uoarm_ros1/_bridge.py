@@ -1,0 +1,418 @@
+"""The bridge: which thing of ROS 1 stands behind each step of the contract."""
+
+from __future__ import annotations
+
+import os
+import threading
+import time
+from collections.abc import Callable
+from typing import TypeVar
+from weakref import WeakSet
+
+from uoarm.bridge import (
+    Bridge,
+    Capabilities,
+    Channel,
+    Delivery,
+    Description,
+    Discovered,
+    Handler,
+    ServiceStructures,
+    Sink,
+    Source,
+)
+from uoarm.errors import BridgeError, FailureReason
+from uoarm.model import Endpoint, Health, Message, MessageStructure, Options, Role
+from uoarm_ros1._actions import ActionCaller, ServedAction, described_action
+from uoarm_ros1._channels import Place, Relay, SameTopic, TopicSink, TopicSource
+from uoarm_ros1._definitions import DefinitionError, Record, Service, record_of
+from uoarm_ros1._discovery import discovered
+from uoarm_ros1._health import Lost, MasterHealth
+from uoarm_ros1._node import Node
+from uoarm_ros1._options import Address, Port, address_of, port_of, settings_of
+from uoarm_ros1._parameters import ParameterSink, ParameterSource, parameter_structure
+from uoarm_ros1._protocol import ProtocolError
+from uoarm_ros1._rosout import Clock, Rosout
+from uoarm_ros1._services import Caller, ServedService, probe_service
+from uoarm_ros1._structures import described_service, structure_of
+from uoarm_ros1._subscription import PublisherHeader, Wanted, read_publisher_header
+from uoarm_ros1._types import TypeStore
+
+__all__ = ["Ros1Bridge"]
+
+_HEADER_SECONDS = 2.0
+_TICK_SECONDS = 0.25
+_JOIN_SECONDS = 1.0
+C = TypeVar("C", bound=Channel)
+_Ticking = TopicSource | Relay | SameTopic
+
+
+class Ros1Bridge(Bridge):
+    """One node of ROS 1, of our own making.
+
+    Messages are delivered in the thread of the connection on which they come, requests to what is
+    offered in one for each client. One thread watches sockets, one the master.
+    """
+
+    capabilities = Capabilities(discover=True, call=True, serve=True, link=True)
+
+    def __init__(self, name: str, options: Options) -> None:
+        super().__init__(name, options)
+        settings = settings_of(name, options, os.environ)
+        self._settings = settings
+        self._types = TypeStore(settings.definitions)
+        self._node = Node(settings, self._asked_to_end)
+        self._master_health, self._lost = MasterHealth(), Lost()
+        self._callers: dict[tuple[str, str], Caller | ActionCaller] = {}
+        # Guards the callers, and what was lost, between steps and the watch.
+        self._table_lock = threading.Lock()
+        self._ticking: WeakSet[_Ticking] = WeakSet()
+        self._closing = threading.Event()
+        self._rosout = Rosout(self._node, self._types) if settings.rosout else None
+        self._clock = Clock(self._node, self._types) if settings.use_sim_time else None
+        self._watch = threading.Thread(
+            target=self._look_around, name=f"uoarm-ros1-watch-{name}", daemon=True
+        )
+        self._watch.start()
+
+    def report(
+        self,
+        health: Health,
+        cause: str,
+        *,
+        channel: Channel | None = None,
+        component: str | None = None,
+    ) -> None:
+        """Report a change, and say it on /rosout."""
+        if health is Health.LOST and channel is not None:
+            self._remember(channel.endpoint, may_answer=not getattr(channel, "is_silent", False))
+        super().report(health, cause, channel=channel, component=component)
+        if self._rosout is not None:
+            self._rosout.say(health, cause)
+
+    def _describe(self, endpoint: Endpoint) -> Description:
+        address, port = address_of(endpoint), port_of(endpoint)
+        try:
+            if address.is_parameter:
+                return Description(parameter_structure(self._node, endpoint, address))
+            if endpoint.role is Role.SERVICE:
+                return self._describe_service(endpoint, address, port)
+            topic = self._node.resolve(address.name)
+            record = self._record(endpoint, topic, address, port)
+            self._require_peer(endpoint, topic, port)
+        except BridgeError as error:
+            if error.reason in {FailureReason.NOT_FOUND, FailureReason.UNAVAILABLE}:
+                self._remember(endpoint)
+            raise
+        return Description(structure_of(record))
+
+    def _describe_service(self, endpoint: Endpoint, address: Address, port: Port) -> Description:
+        name = self._node.resolve(address.name)
+        if self._is_action(endpoint, address, name):
+            return described_action(self._node, self._types, endpoint, name, address, port)
+        if endpoint.is_offered or not port.peer_required:
+            if not address.type:
+                return Description()
+            return described_service(self._types.require_service(address.type, port.definition))
+        return described_service(self._service(endpoint, name, address, port))
+
+    def _is_action(self, endpoint: Endpoint, address: Address, name: str) -> bool:
+        if endpoint.role is not Role.SERVICE:
+            return False
+        if address.type:
+            return address.is_action
+        return not endpoint.is_offered and f"{name}/goal" in self._node.master.types()
+
+    def _service(self, endpoint: Endpoint, name: str, address: Address, port: Port) -> Service:
+        """Return the type of a service that is there; what its server says of it must be ours."""
+        kind, md5 = probe_service(self._node, name)
+        if address.type and kind and kind != address.type:
+            text = f"{endpoint}: {name} is served as {kind}"
+            raise BridgeError(text, FailureReason.BAD_ENDPOINT)
+        kind = kind or address.type
+        if not kind:
+            text = f"{endpoint}: the server of {name} does not say its type: add it to the address"
+            raise BridgeError(text, FailureReason.UNSUPPORTED)
+        found = self._types.require_service(kind, port.definition)
+        if md5 not in {"*", found.md5}:
+            text = (
+                f"{endpoint}: {name} is served as {kind} with md5sum {md5}, and the definition "
+                f"here has {found.md5}: name a folder with that of the server in `definitions`"
+            )
+            raise BridgeError(text, FailureReason.UNSUPPORTED)
+        return found
+
+    def _record(self, endpoint: Endpoint, topic: str, address: Address, port: Port) -> Record:
+        """Return the type of a topic: as its publishers have it, else as it is defined here."""
+        if endpoint.is_offered and address.type:
+            return self._types.require(address.type, port.definition)
+        header = self._publisher_header(endpoint, topic, address, port)
+        if header is None:
+            kind = address.type or self._node.master.types().get(topic, "")
+            if not kind:
+                text = f"{endpoint}: nobody publishes {topic}, and its type is in no address"
+                raise BridgeError(text, FailureReason.NOT_FOUND)
+            return self._types.require(kind, port.definition)
+        if header.definition and not port.definition:
+            try:
+                record = record_of(header.kind, header.definition)
+            except DefinitionError as error:
+                text = f"{endpoint}: {header.node} sends a definition that cannot be read: {error}"
+                raise BridgeError(text, FailureReason.BAD_MESSAGE) from error
+        else:
+            record = self._types.require(header.kind, port.definition)
+        if record.md5 != header.md5:
+            text = (
+                f"{endpoint}: {header.node} publishes {header.kind} with md5sum {header.md5}, and "
+                f"its definition {'as it sends it' if header.definition else 'here'} has "
+                f"{record.md5}"
+            )
+            raise BridgeError(text, FailureReason.UNSUPPORTED)
+        return record
+
+    def _publisher_header(
+        self, endpoint: Endpoint, topic: str, address: Address, port: Port
+    ) -> PublisherHeader | None:
+        """Return what a publisher of a topic says, None where an endpoint can do without.
+
+        Raises:
+            BridgeError: none is there that is required, or none of them answers.
+        """
+        node, master = self._node, self._node.master
+        publishers = master.state().publishers.get(topic, ())
+        is_output = endpoint.role is Role.OUTPUT
+        if is_output and port.node:
+            publishers = tuple(name for name in publishers if name == node.resolve(port.node))
+        failures = []
+        # Of those that were registered last first: who was killed stays registered before them.
+        for name in reversed(publishers):
+            wanted = Wanted(node.another_name(), topic, address.type)
+            try:
+                uri = node.uri if name == node.name else master.node_uri(name)
+                return read_publisher_header(uri, wanted, time.monotonic() + _HEADER_SECONDS)
+            except (BridgeError, OSError, ProtocolError) as error:
+                failures.append(f"{name}: {error}")
+        if not is_output or not port.peer_required:
+            return None
+        if failures:
+            text = f"{endpoint}: no publisher of {topic} answers: {'; '.join(failures)}"
+            raise BridgeError(text, FailureReason.UNAVAILABLE)
+        who = f"node {port.node} does not publish" if port.node else "nobody publishes"
+        raise BridgeError(f"{endpoint}: {who} {topic}", FailureReason.NOT_FOUND)
+
+    def _require_peer(self, endpoint: Endpoint, topic: str, port: Port) -> None:
+        """Refuse an input to which nobody who lives subscribes."""
+        if endpoint.role is not Role.INPUT or not port.peer_required:
+            return
+        node = self._node
+        subscribers = node.master.state().subscribers.get(topic, ())
+        if port.node:
+            subscribers = tuple(name for name in subscribers if name == node.resolve(port.node))
+        if not subscribers:
+            who = f"node {port.node} does not subscribe" if port.node else "nobody subscribes"
+            raise BridgeError(f"{endpoint}: {who} to {topic}", FailureReason.NOT_FOUND)
+        if not any(map(node.is_alive, subscribers)):
+            text = (
+                f"{endpoint}: of the subscribers of {topic} none answers: {', '.join(subscribers)}"
+            )
+            raise BridgeError(text, FailureReason.UNAVAILABLE)
+
+    def _open_source(
+        self, endpoint: Endpoint, structure: MessageStructure, deliver: Delivery
+    ) -> Source:
+        del structure  # the type is in the address, or its publishers say it
+        address, port = address_of(endpoint), port_of(endpoint)
+        if address.is_parameter:
+            return self._opened_at(ParameterSource(self._node, endpoint, address, deliver))
+        topic = self._node.resolve(address.name)
+        record = self._record(endpoint, topic, address, port)
+        return self._opened_at(TopicSource(self._place(endpoint, topic, port), record, deliver))
+
+    def _open_sink(self, endpoint: Endpoint, structure: MessageStructure) -> Sink:
+        del structure
+        address, port = address_of(endpoint), port_of(endpoint)
+        if address.is_parameter:
+            return self._opened_at(ParameterSink(self._node, endpoint, address))
+        topic = self._node.resolve(address.name)
+        record = self._record(endpoint, topic, address, port)
+        return self._opened_at(TopicSink(self._place(endpoint, topic, port), record))
+
+    def _call(
+        self, endpoint: Endpoint, structures: ServiceStructures, message: Message, timeout: float
+    ) -> Message:
+        del structures
+        address, port = address_of(endpoint), port_of(endpoint)
+        name = self._node.resolve(address.name)
+        with self._table_lock:
+            caller = self._callers.get((name, address.type))
+        if caller is None:
+            caller = self._new_caller(endpoint, name, address, port)
+        try:
+            if isinstance(caller, ActionCaller):
+                return caller.call(endpoint, message, timeout, self.cancelling)
+            return caller.call(endpoint, message, timeout)
+        except BridgeError as error:
+            if error.reason is FailureReason.UNAVAILABLE:  # another may serve it by then
+                self._forget_caller(name, address.type, caller)
+                self._remember(endpoint)
+            raise
+
+    def _new_caller(
+        self, endpoint: Endpoint, name: str, address: Address, port: Port
+    ) -> Caller | ActionCaller:
+        made: Caller | ActionCaller
+        if self._is_action(endpoint, address, name):
+            made = ActionCaller(self._node, self._types, endpoint, name, address, port)
+        else:
+            made = Caller(self._node, name, self._service(endpoint, name, address, port))
+        with self._table_lock:
+            known = self._callers.setdefault((name, address.type), made)
+        if known is not made:
+            made.close()
+        return known
+
+    def _forget_caller(self, name: str, kind: str, caller: Caller | ActionCaller) -> None:
+        with self._table_lock:
+            if self._callers.get((name, kind)) is caller:
+                del self._callers[name, kind]
+        caller.close()
+
+    def _serve(
+        self, endpoint: Endpoint, structures: ServiceStructures, handler: Handler
+    ) -> Channel:
+        del structures
+        address, port = address_of(endpoint), port_of(endpoint)
+        if not address.type:
+            text = f"{endpoint}: serving needs a type, as package/Name, in the address"
+            raise BridgeError(text, FailureReason.UNSUPPORTED)
+        name = self._node.resolve(address.name)
+        if address.is_action:
+            kinds = self._types.action(address.type)
+            return ServedAction(
+                endpoint, self._node, self._types, name, kinds, handler, port.at_once
+            )
+        kind = self._types.require_service(address.type, port.definition)
+        return ServedService(endpoint, self._node, name, kind, handler, port.at_once)
+
+    def _link(self, source: Endpoint, sink: Endpoint) -> Channel | None:
+        ends = [(end, address_of(end), port_of(end)) for end in (source, sink)]
+        if any(address.is_parameter for _, address, _ in ends):
+            return None
+        topics = [self._node.resolve(address.name) for _, address, _ in ends]
+        places = [
+            self._place(end, topic, port)
+            for (end, _, port), topic in zip(ends, topics, strict=True)
+        ]
+        if topics[0] == topics[1]:
+            return self._opened_at(SameTopic(places[0], places[1]))
+        records = [
+            self._record(end, topic, address, port)
+            for (end, address, port), topic in zip(ends, topics, strict=True)
+        ]
+        if records[0].md5 != records[1].md5 or records[0].name != records[1].name:
+            return None
+        return self._opened_at(Relay(places[0], places[1], records[0]))
+
+    def _discover(self) -> tuple[Discovered, ...]:
+        return discovered(self.name, self._node, self._describe)
+
+    def _close(self) -> None:
+        self._closing.set()
+        for caller in tuple(self._callers.values()):
+            caller.close()
+        if self._rosout is not None:
+            self._rosout.close()
+        if self._clock is not None:
+            self._clock.close()
+        self._node.close()
+        self._watch.join(_JOIN_SECONDS)
+
+    def _place(self, endpoint: Endpoint, topic: str, port: Port) -> Place:
+        wait = self._settings.wait if port.wait is None else port.wait
+        clock: Callable[[], float] = time.monotonic if self._clock is None else self._clock.now
+        return Place(self._node, endpoint, topic, port, wait, self._told, clock)
+
+    def _told(self, channel: Channel, health: Health, cause: str) -> None:
+        self.report(health, cause, channel=channel)
+
+    def _opened_at(self, channel: C) -> C:
+        with self._table_lock:
+            self._lost.forget(channel.endpoint.component)
+        if isinstance(channel, _Ticking):
+            self._ticking.add(channel)
+        return channel
+
+    def _remember(self, endpoint: Endpoint, *, may_answer: bool = True) -> None:
+        """Look from now on whether what stands behind an endpoint is back.
+
+        A node that lives and said nothing for too long is not back by answering.
+        """
+        try:
+            address = address_of(endpoint)
+        except BridgeError:
+            return
+        if address.is_parameter or endpoint.is_offered:
+            return
+        kind = {Role.OUTPUT: "publishers", Role.INPUT: "subscribers"}.get(endpoint.role, "services")
+        name = self._node.resolve(address.name)
+        if kind == "services" and address.is_action:
+            kind, name = "publishers", f"{name}/status"
+        with self._table_lock:
+            self._lost.remember((endpoint.component, kind, name), may_answer=may_answer)
+
+    def _asked_to_end(self, reason: str) -> None:
+        why = reason or "no reason is given"
+        self.report(
+            Health.LOST, f"the ROS master, or an operator, ends node {self._node.name}: {why}"
+        )
+
+    def _look_around(self) -> None:
+        """Watch the master, what was lost, and the silence of channels, until the close."""
+        next_look = 0.0
+        while not self._closing.is_set():
+            if time.monotonic() >= next_look:
+                next_look = time.monotonic() + self._settings.check
+                self._look_at_master()
+            for channel in tuple(self._ticking):
+                if not channel.closed:
+                    channel.tick()
+            left = next_look - time.monotonic()
+            self._closing.wait(max(0.0, min(_TICK_SECONDS, left)))
+
+    def _look_at_master(self) -> None:
+        node, health = self._node, self._master_health
+        try:
+            node.master.call("getPid")
+            if node.is_registered and not node.is_known():
+                node.register_again()
+            for own in (self._rosout, self._clock):
+                if own is not None:
+                    own.open()
+            report = health.answered()
+        except BridgeError as error:
+            report = health.failed(str(error))
+        if self._closing.is_set():
+            return
+        if report is not None:
+            self.report(*report)
+        if health.is_up:
+            self._look_for_lost()
+
+    def _look_for_lost(self) -> None:
+        with self._table_lock:
+            keys = self._lost.keys
+        if not keys:
+            return
+        node = self._node
+        try:
+            state = node.master.state()
+        except BridgeError:
+            return
+        for key in keys:
+            _, kind, name = key
+            registered = node.addresses(getattr(state, kind).get(name, ()))
+            answers = any(node.is_alive(other) for other, _ in registered)
+            with self._table_lock:
+                component = self._lost.look(key, registered, answers=answers)
+            if component:
+                self.report(Health.OK, f"{name} is there again", component=component)

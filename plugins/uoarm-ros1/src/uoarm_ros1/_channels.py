@@ -1,0 +1,411 @@
+"""Sources and sinks on topics, and links between them that move octets as they are."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Mapping
+
+from attrs import frozen
+
+from uoarm.bridge import Channel, Delivery, Sink, Source
+from uoarm.errors import BridgeError, FailureReason, MessageError
+from uoarm.model import Endpoint, Health, Message
+from uoarm_ros1._definitions import Record
+from uoarm_ros1._health import ChannelHealth, Report
+from uoarm_ros1._node import Node
+from uoarm_ros1._options import Port
+from uoarm_ros1._serialisation import LENGTH, framed_writer, reader
+from uoarm_ros1._subscription import PublisherHeader, Subscription, Wanted
+
+__all__ = ["Place", "Relay", "SameTopic", "TopicSink", "TopicSource"]
+
+
+@frozen
+class Place:
+    """What a channel on a topic stands on.
+
+    Attributes:
+        node: of the bridge.
+        endpoint: where it is.
+        topic: its full name.
+        port: the endpoint's options.
+        wait: seconds to wait for the other end.
+        report: has a channel's health reported.
+        clock: returns the seconds by which messages are waited for.
+    """
+
+    node: Node
+    endpoint: Endpoint
+    topic: str
+    port: Port
+    wait: float
+    report: Callable[[Channel, Health, str], None]
+    clock: Callable[[], float] = time.monotonic
+
+    def health(self, what: str) -> ChannelHealth:
+        """Return the health of a new channel here."""
+        return ChannelHealth(
+            f"{what} of {self.topic}",
+            required=self.port.peer_required,
+            stale_after=self.port.stale_after,
+            now=self.clock(),
+        )
+
+    def wanted(self, record: Record | None) -> Wanted:
+        """Return what a subscription here takes."""
+        settings, node = self.node.settings, self.port.node
+        return Wanted(
+            self.node.name,
+            self.topic,
+            "" if record is None else record.name,
+            "" if record is None else record.md5,
+            self.node.resolve(node) if node else "",
+            settings.budget.octets,
+            settings.silence,
+            self.port.nodelay,
+        )
+
+
+class _End:
+    """The health of a channel, with the lock that keeps its reports in order."""
+
+    def __init__(self, health: ChannelHealth, say: Callable[[Health, str], None]) -> None:
+        self.health = health
+        self._say = say
+        # Guards the health, and the order of its reports, between the threads of publishers, the
+        # loop and the watch. Reporting returns at once.
+        self._lock = threading.Lock()
+        self.is_closed = False
+
+    def note(self, event: Callable[[], Report | None]) -> None:
+        """Have the health take an event, and report what it says."""
+        with self._lock:
+            report = event()
+            if report is not None and not self.is_closed:
+                self._say(*report)
+
+
+class _Subscribed:
+    """A subscription, as one channel holds it, with the health of its publishers."""
+
+    def __init__(
+        self,
+        place: Place,
+        record: Record,
+        take: Callable[[bytes | bytearray, str], object],
+        say: Callable[[Health, str], None],
+        gone: Callable[[str], object] = lambda _: None,
+    ) -> None:
+        self.place = place
+        self._gone = gone
+        self.end = _End(place.health("publisher"), say)
+        self.is_latched = False
+        self.breaks = 0
+        self.subscription = Subscription(place.wanted(record), take, self._came, self._went)
+
+    def open(self) -> None:
+        """Begin to take messages; what takes them must be whole by then.
+
+        Raises:
+            BridgeError: nobody who is required is there, or the master is not.
+        """
+        self.place.node.subscribe(self.subscription)
+        try:
+            self._wait()
+        except BaseException:
+            self.close()
+            raise
+
+    @property
+    def publishers(self) -> list[str]:
+        """The nodes that are connected."""
+        return sorted(header.node for header in self.subscription.connected)
+
+    def close(self) -> None:
+        self.end.is_closed = True
+        self.place.node.unsubscribe(self.subscription)
+
+    def tick(self) -> None:
+        """Look whether messages come."""
+        self.end.note(lambda: self.end.health.tick(self.place.clock()))
+
+    def _wait(self) -> None:
+        """Wait until every publisher that is listed is connected, or could not be."""
+        place, subscription = self.place, self.subscription
+
+        def is_ready() -> bool:
+            has_one = bool(subscription.connected)
+            return subscription.is_settled() and (has_one or not place.port.peer_required)
+
+        subscription.wait(is_ready, place.wait)
+        if place.port.peer_required and not subscription.connected:
+            node = f" by {place.port.node}" if place.port.node else ""
+            why = "; ".join(subscription.failures) or f"nobody publishes it{node}"
+            text = f"{place.endpoint}: no publisher within {place.wait:g} s: {why}"
+            raise BridgeError(text, FailureReason.UNAVAILABLE)
+
+    def _came(self, header: PublisherHeader) -> None:
+        self.is_latched = self.is_latched or header.latching
+        self._count(header.node)
+
+    def _went(self, name: str, cause: str, was_connected: bool) -> None:  # noqa: FBT001 - of the subscription
+        if was_connected:
+            self.breaks += 1
+            self._gone(name)
+            self._count(f"{name}: {cause}")
+        else:
+            self.end.note(lambda: self.end.health.refused(cause))
+
+    def _count(self, cause: str) -> None:
+        self.end.note(lambda: self.end.health.connected(len(self.subscription.connected), cause))
+
+
+class TopicSource(Source):
+    """What is published on a topic; delivered in the thread of each publisher's connection."""
+
+    def __init__(self, place: Place, record: Record, deliver: Delivery) -> None:
+        super().__init__(place.endpoint)
+        self._place, self._deliver = place, deliver
+        self._read = reader(record, place.node.settings.budget)
+        self._received = self._unreadable = 0
+        self._subscribed = _Subscribed(
+            place,
+            record,
+            self._take,
+            lambda health, cause: place.report(self, health, cause),
+            deliver.let_go,  # what it latched went with it, as for a subscriber that comes now
+        )
+        self._subscribed.open()
+        self.latched = self._subscribed.is_latched
+
+    @property
+    def is_silent(self) -> bool:
+        """Whether it was lost since nothing came."""
+        return self._subscribed.end.health.is_silent
+
+    def facts(self) -> Mapping[str, object]:
+        """Return counters, and the publishers that are connected."""
+        return {
+            "received": self._received,
+            "unreadable": self._unreadable,
+            "interruptions": self._subscribed.breaks,
+            "publishers": self._subscribed.publishers,
+        }
+
+    def tick(self) -> None:
+        """Look whether messages come."""
+        self._subscribed.tick()
+
+    def _take(self, frame: bytes | bytearray, writer: str) -> None:
+        self._received += 1
+        end = self._subscribed.end
+        try:
+            message = self._read(frame)
+        except MessageError as error:
+            self._unreadable += 1
+            text = f"{self._place.topic}: {error}"
+            end.note(lambda: end.health.refused(text))
+            return
+        end.note(lambda: end.health.took(self._place.clock()))
+        self._deliver(message, writer)
+
+    def _close(self) -> None:
+        self._subscribed.close()
+
+
+class _Publishing:
+    """A publication, as one channel holds it, with the health of its subscribers."""
+
+    def __init__(self, place: Place, record: Record, say: Callable[[Health, str], None]) -> None:
+        self.place = place
+        self.end = _End(place.health("subscriber"), say)
+        self._refusal = ""
+        port, node = place.port, place.node
+        limits = (port.queue, 4 * node.settings.budget.octets)
+        self.publication = node.advertise(place.topic, record, latching=port.latch, limits=limits)
+        self._before = self.publication.lost
+        self.publication.watchers = (*self.publication.watchers, self._watch)
+        try:
+            self._wait()
+        except BaseException:
+            self.close()
+            raise
+
+    @property
+    def lost(self) -> int:
+        return self.publication.lost - self._before
+
+    def close(self) -> None:
+        self.end.is_closed = True
+        publication = self.publication
+        publication.watchers = tuple(
+            watcher for watcher in publication.watchers if watcher != self._watch
+        )
+        self.place.node.withdraw(publication)
+
+    def _watch(self, what: str, refused: bool) -> None:  # noqa: FBT001 - of the publication
+        health = self.end.health
+        if refused:
+            self._refusal = what
+            self.end.note(lambda: health.refused(what))
+        else:
+            self.end.note(lambda: health.connected(len(self.publication.callers), what))
+
+    def _wait(self) -> None:
+        """Wait until every subscriber that the master knows, and that lives, is connected."""
+        self._watch("it is opened", False)
+        place, node = self.place, self.place.node
+        deadline = time.monotonic() + place.wait
+        wanted = place.port.node and node.resolve(place.port.node)
+        while True:
+            expected = {wanted} if wanted else self._expected()
+            if not expected and not place.port.peer_required:
+                return
+
+            def are_there(callers: list[str], expected: set[str] = expected) -> bool:
+                return bool(expected) and expected <= set(callers)
+
+            left = deadline - time.monotonic()
+            if self.publication.wait(are_there, min(max(left, 0.0), 0.2)):
+                return
+            if left <= 0:
+                break
+        callers = self.publication.callers
+        if place.port.peer_required and not (wanted in callers if wanted else callers):
+            who = f"{wanted} does not subscribe" if wanted else "nobody subscribes"
+            text = f"{place.endpoint}: no subscriber within {place.wait:g} s: {who}"
+            if self._refusal:
+                text = f"{place.endpoint}: {self._refusal}"
+            elif expected and not wanted:
+                host = node.settings.host or "its own"
+                text = (
+                    f"{place.endpoint}: {', '.join(sorted(expected))} did not connect within "
+                    f"{place.wait:g} s: set the bridge's option `host`, or ROS_IP, to an address "
+                    f"under which that node reaches this one (now {host})"
+                )
+            raise BridgeError(text, FailureReason.UNAVAILABLE)
+
+    def _expected(self) -> set[str]:
+        """Return the nodes that are to connect."""
+        node, topic = self.place.node, self.place.topic
+        expected = set(node.own_callers(topic))
+        for name in node.master.state().subscribers.get(topic, ()):
+            if name != node.name and (name in self.publication.callers or node.is_alive(name)):
+                expected.add(name)
+        return expected
+
+
+class TopicSink(Sink):
+    """Publishes on a topic: what a subscriber's connection does not take at once waits for it."""
+
+    blocking = False
+    parallel = True
+
+    def __init__(self, place: Place, record: Record) -> None:
+        super().__init__(place.endpoint)
+        self._write = framed_writer(record)
+        self._publishing = _Publishing(
+            place, record, lambda health, cause: place.report(self, health, cause)
+        )
+        self._publication = self._publishing.publication
+
+    def facts(self) -> Mapping[str, object]:
+        """Return counters, and the subscribers that are connected."""
+        return {
+            "under_way": self._publication.waiting,
+            "lost_on_link": self._publishing.lost,
+            "sent": self._publication.sent,
+            "subscribers": sorted(self._publication.callers),
+        }
+
+    def drain(self, timeout: float) -> bool:
+        """Wait until every subscriber's machine has what was sent."""
+        return self._publication.drain(timeout)
+
+    def _send(self, message: Message) -> None:
+        self._publication.send(self._write(message))
+
+    def _close(self) -> None:
+        self._publishing.close()
+
+
+class Relay(Channel):
+    """Octets of one topic go out on another of the same type, as they are."""
+
+    def __init__(self, source: Place, sink: Place, record: Record) -> None:
+        super().__init__(source.endpoint)
+        self._moved = 0
+
+        def say(health: Health, cause: str) -> None:
+            source.report(self, health, cause)
+
+        self._publishing = _Publishing(sink, record, say)
+        self._subscribed = _Subscribed(source, record, self._take, say)
+        try:
+            self._subscribed.open()
+        except BaseException:
+            self._publishing.close()
+            raise
+
+    def facts(self) -> Mapping[str, object]:
+        """Return counters."""
+        publication = self._publishing.publication
+        return {
+            "moved": self._moved,
+            "under_way": publication.waiting,
+            "lost_on_link": self._publishing.lost,
+        }
+
+    def drain(self, timeout: float) -> bool:
+        """Wait until every subscriber's machine has what was moved."""
+        return self._publishing.publication.drain(timeout)
+
+    def tick(self) -> None:
+        """Look whether messages come."""
+        self._subscribed.tick()
+
+    def _take(self, frame: bytes | bytearray, _: str) -> None:
+        self._moved += 1
+        self._publishing.publication.send(LENGTH.pack(len(frame)) + frame)
+
+    def _close(self) -> None:
+        self._subscribed.close()
+        self._publishing.close()
+
+
+class SameTopic(Channel):
+    """Two nodes that have one topic in common: the master has them connected already.
+
+    It looks now and then whether both live still.
+    """
+
+    def __init__(self, source: Place, sink: Place) -> None:
+        super().__init__(source.endpoint)
+        self._source, self._sink = source, sink
+        self._is_lost = False
+        if cause := self._missing():
+            raise BridgeError(f"{source.endpoint}: {cause}", FailureReason.UNAVAILABLE)
+
+    def tick(self) -> None:
+        """Look whether both ends are there."""
+        if not self._is_lost and not self.closed and (cause := self._missing()):
+            self._is_lost = True
+            self._source.report(self, Health.LOST, cause)
+
+    def _missing(self) -> str:
+        node, topic = self._source.node, self._source.topic
+        try:
+            state = node.master.state()
+        except BridgeError:
+            return ""  # of the master's absence it says nothing
+        for place, nodes, what in (
+            (self._source, state.publishers, "publishes"),
+            (self._sink, state.subscribers, "subscribes to"),
+        ):
+            if place.port.peer_required and not any(map(node.is_alive, nodes.get(topic, ()))):
+                return f"no node that lives {what} {topic}"
+        return ""
+
+    def _close(self) -> None:
+        """Nothing was opened."""

@@ -1,0 +1,219 @@
+"""Calls of XML-RPC with a deadline, and the ROS master behind them."""
+
+from __future__ import annotations
+
+import socket
+import time
+from collections.abc import Mapping
+from typing import Any
+from urllib.parse import urlsplit
+
+from attrs import field, frozen
+
+from uoarm.errors import BridgeError, FailureReason
+from uoarm_ros1._protocol import (
+    Fault,
+    HttpReader,
+    ProtocolError,
+    decode_reply,
+    encode_call,
+    http_request,
+)
+
+__all__ = ["GraphState", "Master", "call_api", "connect", "failure_text"]
+
+_CALL_SECONDS = 2.0
+"""How long one call may take: less than a step may, so that its error says what did not come."""
+
+_MAX_OCTETS = 8 << 20
+_CHUNK = 65_536
+_DONE = 1
+_RESULT = 3
+
+
+def connect(host: str, port: int, deadline: float) -> socket.socket:
+    """Return a connection.
+
+    Raises:
+        OSError: there is none by the deadline, which is a time of `time.monotonic`.
+    """
+    left = max(0.001, deadline - time.monotonic())
+    connection = socket.create_connection((host, port), left)
+    connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    return connection
+
+
+def failure_text(what: str, host: str, port: int, error: Exception) -> str:
+    """Return why something of a peer failed: with host, port, and what to set."""
+    where = f"{what} at {host}:{port}"
+    if isinstance(error, socket.gaierror):
+        return (
+            f"{where}: the name {host!r} cannot be resolved here ({error.strerror}): set ROS_IP or "
+            f"ROS_HOSTNAME where that node runs, or enter the name in /etc/hosts here"
+        )
+    if isinstance(error, TimeoutError):
+        return (
+            f"{where}: no answer in time: it is stopped or overloaded, or a firewall or a wrong "
+            f"ROS_IP or ROS_HOSTNAME of that node is in between"
+        )
+    if isinstance(error, OSError):
+        why = error.strerror or str(error)
+        return f"{where}: {why}: it has ended, or its ROS_IP or ROS_HOSTNAME names another machine"
+    return f"{where}: {error}"
+
+
+def call_api(
+    uri: str, method: str, *arguments: Any, seconds: float = _CALL_SECONDS, what: str = "the node"
+) -> Any:
+    """Call a method of the master or of a node and return the value of its answer.
+
+    Raises:
+        BridgeError: it cannot be reached, does not answer in time or in order, or refuses; with
+            host, port and what to set.
+    """
+    try:
+        parts = urlsplit(uri)
+        host, port = parts.hostname or "", parts.port or 0
+    except ValueError:
+        host, port = "", 0
+    if not host or not port:
+        raise BridgeError(f"{what} has the address {uri[:200]!r}, which is none")
+    try:
+        result = _exchange(host, port, encode_call(method, arguments), time.monotonic() + seconds)
+    except (OSError, ProtocolError, Fault) as error:
+        text = failure_text(f"{method}: {what}", host, port, error)
+        raise BridgeError(text, FailureReason.UNAVAILABLE) from error
+    if not isinstance(result, list) or len(result) != _RESULT or type(result[0]) is not int:
+        text = f"{method}: {what} at {host}:{port} answered with no code, text and value"
+        raise BridgeError(text, FailureReason.BAD_MESSAGE)
+    code, status, value = result
+    if code != _DONE:
+        text = f"{method}: {what} at {host}:{port} refuses: {str(status)[:500]}"
+        raise BridgeError(text, FailureReason.REFUSED)
+    return value
+
+
+def _exchange(host: str, port: int, body: bytes, deadline: float) -> Any:
+    """Send a request and return what is replied; the deadline is for all of it together."""
+    with connect(host, port, deadline) as connection:
+        connection.settimeout(max(0.001, deadline - time.monotonic()))
+        connection.sendall(http_request(host, port, body))
+        reader = HttpReader(_MAX_OCTETS)
+        while True:
+            left = deadline - time.monotonic()
+            if left <= 0:
+                raise TimeoutError("no answer in time")
+            connection.settimeout(left)
+            octets = connection.recv(_CHUNK)
+            messages = reader.received(octets) if octets else [reader.ended()]
+            if not messages:
+                continue
+            message = messages[0]
+            if message is None:
+                raise ProtocolError("the connection ended before an answer")
+            if not message.is_ok:
+                raise ProtocolError(f"it answered {message.start[:100]!r}")
+            return decode_reply(message.body)
+
+
+@frozen
+class GraphState:
+    """Who publishes, subscribes and serves what, as the master knows it: nodes by name."""
+
+    publishers: Mapping[str, tuple[str, ...]] = field(factory=dict)
+    subscribers: Mapping[str, tuple[str, ...]] = field(factory=dict)
+    services: Mapping[str, tuple[str, ...]] = field(factory=dict)
+
+
+class Master:
+    """The master, as one node calls it. Each call is made once and raises BridgeError."""
+
+    def __init__(self, uri: str, caller: str, own: str) -> None:
+        self.uri = uri
+        self._caller = caller
+        self._own = own
+
+    def call(self, method: str, *arguments: Any) -> Any:
+        """Call a method.
+
+        Raises:
+            BridgeError: with host, port and what to set.
+        """
+        try:
+            return call_api(self.uri, method, self._caller, *arguments, what="the ROS master")
+        except BridgeError as error:
+            if error.reason is not FailureReason.UNAVAILABLE:
+                raise
+            hint = "start it, or set the bridge's option `master` or ROS_MASTER_URI"
+            raise BridgeError(f"{error}; {hint}", FailureReason.UNAVAILABLE) from error
+
+    def state(self) -> GraphState:
+        """Return who publishes, subscribes and serves what."""
+        value = self.call("getSystemState")
+        if not isinstance(value, list) or len(value) != _RESULT:
+            raise self._wrong("getSystemState")
+        try:
+            return GraphState(
+                *(
+                    {str(name): tuple(map(str, nodes)) for name, nodes in listing}
+                    for listing in value
+                )
+            )
+        except (TypeError, ValueError):
+            raise self._wrong("getSystemState") from None
+
+    def types(self) -> dict[str, str]:
+        """Return the types of topics, by topic; one nobody has said is not there."""
+        value = self.call("getTopicTypes")
+        try:
+            return {str(topic): str(kind) for topic, kind in value if kind != "*"}
+        except (TypeError, ValueError):
+            raise self._wrong("getTopicTypes") from None
+
+    def node_uri(self, node: str) -> str:
+        """Return the address of a node's API."""
+        return str(self.call("lookupNode", node))
+
+    def register_publisher(self, topic: str, kind: str) -> None:
+        """Say that this node publishes a topic."""
+        self.call("registerPublisher", topic, kind, self._own)
+
+    def register_subscriber(self, topic: str, kind: str) -> tuple[str, ...]:
+        """Say that this node subscribes to a topic; returns the addresses of who publishes it."""
+        value = self.call("registerSubscriber", topic, kind or "*", self._own)
+        if not isinstance(value, list) or not all(isinstance(uri, str) for uri in value):
+            raise self._wrong("registerSubscriber")
+        return tuple(value)
+
+    def unregister(self, kind: str, name: str) -> None:
+        """Take a registration back; `kind` is Publisher or Subscriber."""
+        self.call(f"unregister{kind}", name, self._own)
+
+    def register_service(self, service: str, address: str) -> None:
+        """Say that this node serves a service."""
+        self.call("registerService", service, address, self._own)
+
+    def unregister_service(self, service: str, address: str) -> None:
+        """Say that it serves it no more."""
+        self.call("unregisterService", service, address)
+
+    def service_address(self, service: str) -> tuple[str, int]:
+        """Return host and port of who serves a service."""
+        uri = str(self.call("lookupService", service))
+        try:
+            parts = urlsplit(uri)
+            host, port = parts.hostname or "", parts.port or 0
+        except ValueError:
+            host, port = "", 0
+        if not host or not port:
+            text = f"the master has {uri[:200]!r} for service {service}, which is no address"
+            raise BridgeError(text, FailureReason.BAD_MESSAGE)
+        return host, port
+
+    def watch_parameter(self, key: str) -> Any:
+        """Have changes of a parameter reported to this node; returns its value, `{}`: none."""
+        return self.call("subscribeParam", self._own, key)
+
+    def _wrong(self, method: str) -> BridgeError:
+        text = f"{method}: the ROS master at {self.uri} answered what it should not"
+        return BridgeError(text, FailureReason.BAD_MESSAGE)

@@ -1,0 +1,369 @@
+"""The bridge's node: its names, what it publishes, subscribes to and serves, and its master."""
+
+from __future__ import annotations
+
+import os
+import socket
+import threading
+from collections.abc import Callable, Iterable
+from contextlib import suppress
+from itertools import count
+from typing import Any
+
+from attrs import evolve
+
+from uoarm.errors import BridgeError, FailureReason
+from uoarm_ros1._definitions import Record
+from uoarm_ros1._loop import Loop
+from uoarm_ros1._master import Master, call_api
+from uoarm_ros1._options import Settings
+from uoarm_ros1._protocol import (
+    ParameterUpdate,
+    PublisherUpdate,
+    Shutdown,
+    Slave,
+    encode_header,
+)
+from uoarm_ros1._publication import Publication
+from uoarm_ros1._server import Server
+from uoarm_ros1._subscription import Subscription
+
+__all__ = ["Node"]
+
+_ASK_SECONDS = 0.5
+_LOOPBACK = {"localhost", "127.0.0.1", "::1"}
+Arrived = Callable[[socket.socket, dict[str, str]], None]
+
+
+class Node:
+    """One node. It is there as long as the bridge is, whether the master is or not.
+
+    Args:
+        settings: of the bridge.
+        ended: is called, with the reason, when the master or an operator asks the node to end.
+
+    Attributes:
+        name: its full name.
+        master: where it is registered.
+        loop: that watches its sockets.
+    """
+
+    def __init__(self, settings: Settings, ended: Callable[[str], object]) -> None:
+        self.settings = settings
+        self.name = settings.names.node
+        self._ended = ended
+        # Guards the tables of what is registered, between steps, the loop and the watch.
+        self._lock = threading.RLock()
+        self._publications: dict[str, tuple[Publication, int]] = {}
+        self._subscriptions: dict[str, tuple[Subscription, ...]] = {}
+        self._services: dict[str, Arrived] = {}
+        self._parameters: dict[str, tuple[Callable[[str, Any], object], ...]] = {}
+        self._is_closing = self._is_alone = False
+        self._numbers = count(2)
+        host = settings.host or _own_address(settings.master_host, settings.master_port)
+        # Who says that it is reached on this machine alone is reached from no other.
+        is_here = host in _LOOPBACK or host.startswith("127.")
+        address = ("127.0.0.1" if host == "localhost" else host) if is_here else ""
+        self._slave = Slave(self.name, settings.master, os.getpid(), host)
+        self._slave.connections = self._connections
+        self.loop = Loop(f"uoarm-ros1{self.name}")
+        try:
+            server = Server(self.loop, address or "0.0.0.0", self._answer, self._arrived)  # noqa: S104 - see above
+        except BaseException:
+            self.loop.close()
+            raise
+        self._slave.port = server.port
+        at = f"[{host}]" if ":" in host else host
+        self.uri = f"http://{at}:{server.api_port}/"
+        self.service_uri = f"rosrpc://{at}:{server.port}"
+        self.master = Master(settings.master, self.name, self.uri)
+
+    def resolve(self, name: str) -> str:
+        """Return a full name."""
+        return self.settings.names.resolve(name)
+
+    @property
+    def is_registered(self) -> bool:
+        """Whether the master should know the node."""
+        return bool(self._publications or self._subscriptions or self._services or self._parameters)
+
+    def advertise(self, topic: str, record: Record, **more: Any) -> Publication:
+        """Publish a topic; one that is published already is shared.
+
+        Raises:
+            BridgeError: it is published as another type, or the master cannot be reached.
+        """
+        with self._lock:
+            known = self._publications.get(topic)
+            if known is None:
+                made = Publication(self.loop, self.name, topic, record, **more)
+                self._publications[topic] = (made, 1)
+                self._slave.publications[topic] = record.name
+            else:
+                made, users = known
+                if made.record.md5 != record.md5:
+                    text = f"topic {topic} is published here as {made.record.name} already"
+                    raise BridgeError(text, FailureReason.REFUSED)
+                made.latching = made.latching or bool(more.get("latching"))
+                self._publications[topic] = (made, users + 1)
+                return made
+        try:
+            self.master.register_publisher(topic, record.name)
+        except BaseException:
+            self.withdraw(made)
+            raise
+        return made
+
+    def withdraw(self, publication: Publication) -> None:
+        """Publish a topic no more, once nobody here does."""
+        topic = publication.topic
+        with self._lock:
+            made, users = self._publications.get(topic, (None, 0))
+            if made is not publication:
+                return
+            if users > 1:
+                self._publications[topic] = (publication, users - 1)
+                return
+            del self._publications[topic]
+            self._slave.publications.pop(topic, None)
+        self._unregister(lambda: self.master.unregister("Publisher", topic))
+        publication.close()
+
+    def subscribe(self, subscription: Subscription) -> None:
+        """Connect a subscription to whoever publishes its topic, from now on.
+
+        Raises:
+            BridgeError: the master cannot be reached.
+        """
+        topic, kind = subscription.wanted.topic, subscription.wanted.kind
+        with self._lock:
+            before = self._subscriptions.get(topic, ())
+            if any(other.wanted.caller == self.name for other in before):
+                subscription.wanted = evolve(subscription.wanted, caller=self.another_name())
+            self._subscriptions[topic] = (*before, subscription)
+            self._slave.subscriptions[topic] = kind or "*"
+        try:
+            subscription.update(self.master.register_subscriber(topic, kind))
+        except BaseException:
+            self.unsubscribe(subscription)
+            raise
+
+    def unsubscribe(self, subscription: Subscription) -> None:
+        """Close a subscription."""
+        topic = subscription.wanted.topic
+        subscription.close()
+        with self._lock:
+            before = self._subscriptions.get(topic, ())
+            left = tuple(other for other in before if other is not subscription)
+            if left:
+                self._subscriptions[topic] = left
+                return
+            if self._subscriptions.pop(topic, None) is None:
+                return
+            self._slave.subscriptions.pop(topic, None)
+        self._unregister(lambda: self.master.unregister("Subscriber", topic))
+
+    def another_name(self) -> str:
+        """Return a name for one more connection to a topic.
+
+        A publisher of rospy ends the connection that it has to the same name.
+        """
+        return f"{self.name}_{next(self._numbers)}"
+
+    def own_callers(self, topic: str) -> list[str]:
+        """Return the names under which the node itself connects to a topic of its own."""
+        return [
+            subscription.wanted.caller
+            for subscription in self._subscriptions.get(topic, ())
+            if subscription.wanted.node in {"", self.name}
+        ]
+
+    def serve(self, service: str, arrived: Arrived) -> None:
+        """Serve a service: connections of clients go to `arrived`, in the loop's thread.
+
+        Raises:
+            BridgeError: it is served here already, or the master cannot be reached.
+        """
+        with self._lock:
+            if service in self._services:
+                text = f"service {service} is served here already"
+                raise BridgeError(text, FailureReason.REFUSED)
+            self._services[service] = arrived
+        try:
+            self.master.register_service(service, self.service_uri)
+        except BaseException:
+            self.unserve(service)
+            raise
+
+    def unserve(self, service: str) -> None:
+        """Serve a service no more."""
+        with self._lock:
+            if self._services.pop(service, None) is None:
+                return
+        self._unregister(lambda: self.master.unregister_service(service, self.service_uri))
+
+    def watch_parameter(self, key: str, changed: Callable[[str, Any], object]) -> Any:
+        """Have changes of a parameter reported; returns its value, an empty object: none.
+
+        Raises:
+            BridgeError: the master cannot be reached.
+        """
+        with self._lock:
+            self._parameters[key] = (*self._parameters.get(key, ()), changed)
+        try:
+            return self.master.watch_parameter(key)
+        except BaseException:
+            self.unwatch_parameter(key, changed)
+            raise
+
+    def unwatch_parameter(self, key: str, changed: Callable[[str, Any], object]) -> None:
+        """Have them reported no more."""
+        with self._lock:
+            left = tuple(other for other in self._parameters.get(key, ()) if other is not changed)
+            if left:
+                self._parameters[key] = left
+                return
+            if self._parameters.pop(key, None) is None:
+                return
+        self._unregister(lambda: self.master.call("unsubscribeParam", self.uri, key))
+
+    def parameter_changed(self, key: str, value: Any) -> None:
+        """Report a change here; of those that the node itself makes, the master says nothing."""
+        for watched, listeners in tuple(self._parameters.items()):
+            if f"{key}/".startswith(f"{watched.rstrip('/')}/"):
+                for changed in listeners:
+                    changed(key, value)
+
+    def is_known(self) -> bool:
+        """Whether the master knows the node; one that was started again knows nobody.
+
+        Raises:
+            BridgeError: it cannot be reached.
+        """
+        try:
+            return self.master.node_uri(self.name) == self.uri
+        except BridgeError as error:
+            if error.reason is FailureReason.REFUSED:
+                return False
+            raise
+
+    def addresses(self, nodes: Iterable[str]) -> list[tuple[str, str]]:
+        """Return the names of nodes with the addresses that the master has for them."""
+        found = []
+        for name in nodes:
+            with suppress(BridgeError):
+                found.append((name, self.master.node_uri(name)))
+        return found
+
+    def is_alive(self, node: str) -> bool:
+        """Whether a node that the master knows answers: one that was killed is known still."""
+        if node == self.name:
+            return True
+        try:
+            uri = self.master.node_uri(node)
+            call_api(uri, "getPid", self.name, seconds=_ASK_SECONDS)
+        except BridgeError:
+            return False
+        return True
+
+    def register_again(self) -> None:
+        """Tell a master that does not know the node, as after its restart, all of it.
+
+        Raises:
+            BridgeError: it cannot be reached.
+        """
+        with self._lock:
+            publications = [made for made, _ in self._publications.values()]
+            subscriptions = {topic: made for topic, made in self._subscriptions.items() if made}
+            services, parameters = tuple(self._services), dict(self._parameters)
+        for publication in publications:
+            self.master.register_publisher(publication.topic, publication.record.name)
+        for service in services:
+            self.master.register_service(service, self.service_uri)
+        for topic, made in subscriptions.items():
+            uris = self.master.register_subscriber(topic, made[0].wanted.kind)
+            for subscription in made:
+                # What is connected stays so, whether its publisher has come back to the master.
+                subscription.update((*uris, *subscription.listed))
+        for key, listeners in parameters.items():
+            value = self.master.watch_parameter(key)
+            for changed in listeners:
+                changed(key, value)
+
+    def close(self) -> None:
+        """Take every registration back, and close every socket."""
+        self._is_closing = True
+        with self._lock:
+            publications = [made for made, _ in self._publications.values()]
+            subscriptions = [made for all_of in self._subscriptions.values() for made in all_of]
+            services, parameters = tuple(self._services), dict(self._parameters)
+        for publication in publications:
+            with self._lock:
+                self._publications[publication.topic] = (publication, 1)
+            self.withdraw(publication)
+        for subscription in subscriptions:
+            self.unsubscribe(subscription)
+        for service in services:
+            self.unserve(service)
+        for key, listeners in parameters.items():
+            for changed in listeners:
+                self.unwatch_parameter(key, changed)
+        self.loop.close()
+
+    def _unregister(self, call: Callable[[], object]) -> None:
+        if self._is_alone:
+            return
+        try:
+            call()
+        except BridgeError as error:
+            # A master that is gone knows of nothing; one that stalls is waited for once.
+            self._is_alone = self._is_closing and error.reason is FailureReason.UNAVAILABLE
+
+    def _connections(self) -> list[list[Any]]:
+        listing: list[list[Any]] = []
+        for topic, (publication, _) in tuple(self._publications.items()):
+            for caller, text in publication.connections():
+                listing.append([len(listing) + 1, caller, "o", "TCPROS", topic, True, text])
+        for topic, subscriptions in tuple(self._subscriptions.items()):
+            for subscription in subscriptions:
+                for header in subscription.connected:
+                    listing.append([len(listing) + 1, header.node, "i", "TCPROS", topic, True, ""])
+        return listing
+
+    def _answer(self, method: str, arguments: list[Any]) -> Any:
+        result, event = self._slave.answer(method, arguments)
+        if isinstance(event, PublisherUpdate):
+            for subscription in self._subscriptions.get(event.topic, ()):
+                subscription.update(event.publishers)
+        elif isinstance(event, ParameterUpdate):
+            self.parameter_changed(event.key.rstrip("/"), event.value)
+        elif isinstance(event, Shutdown):
+            self._ended(event.reason)
+        return result
+
+    def _arrived(self, connection: socket.socket, header: dict[str, str]) -> None:
+        if "service" in header:
+            arrived = self._services.get(header["service"])
+            problem = f"{self.name} serves no {header['service'][:200]}"
+        else:
+            known = self._publications.get(header.get("topic", ""))
+            arrived = None if known is None else known[0].arrived
+            problem = f"{self.name} does not publish {header.get('topic', 'it')[:200]}"
+        if arrived is not None:
+            arrived(connection, header)
+            return
+        with suppress(OSError):
+            connection.send(encode_header({"error": problem, "callerid": self.name}))
+        connection.close()
+
+
+def _own_address(host: str, port: int) -> str:
+    """Return the address under which the master's machine sees this one."""
+    if host in _LOOPBACK or host.startswith("127."):
+        return "127.0.0.1" if host == "localhost" else host
+    try:
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+            probe.connect((host, port))
+            return str(probe.getsockname()[0])
+    except OSError:
+        return socket.gethostname()

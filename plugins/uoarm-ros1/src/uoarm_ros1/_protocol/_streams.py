@@ -1,0 +1,160 @@
+"""TCPROS: headers of connections, and the stream of messages that follows them."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Mapping
+
+__all__ = [
+    "MAX_HEADER_OCTETS",
+    "FrameReader",
+    "ProtocolError",
+    "ReplyReader",
+    "decode_header",
+    "encode_header",
+]
+
+MAX_HEADER_OCTETS = 1 << 20  # the definition of a type stands in it
+_MAX_FIELDS = 100
+_LENGTH = struct.Struct("<I")
+_STAGE_OCTETS = 1 << 16
+
+
+class ProtocolError(Exception):
+    """A peer does not keep to the protocol, or to its budget; the text says in what."""
+
+
+def encode_header(fields: Mapping[str, str]) -> bytes:
+    """Return a header with its length in front."""
+    parts = []
+    for name, value in fields.items():
+        entry = f"{name}={value}".encode("utf-8", "replace")
+        parts += [_LENGTH.pack(len(entry)), entry]
+    octets = b"".join(parts)
+    return _LENGTH.pack(len(octets)) + octets
+
+
+def decode_header(octets: bytes | bytearray) -> dict[str, str]:
+    """Return the fields of a header, without the length that stood in front.
+
+    Raises:
+        ProtocolError: it is cut short, too long, or a field has no name.
+    """
+    if len(octets) > MAX_HEADER_OCTETS:
+        raise ProtocolError(
+            f"a header of {len(octets):,} octets; {MAX_HEADER_OCTETS:,} are allowed"
+        )
+    fields: dict[str, str] = {}
+    at = 0
+    while at < len(octets):
+        if at + _LENGTH.size > len(octets):
+            raise ProtocolError("a header that ends within the length of a field")
+        (length,) = _LENGTH.unpack_from(octets, at)
+        at += _LENGTH.size
+        if at + length > len(octets):
+            raise ProtocolError(f"a header with a field of {length:,} octets, more than it has")
+        name, separator, value = octets[at : at + length].decode("utf-8", "replace").partition("=")
+        if not separator or not name:
+            raise ProtocolError(f"a header with a field without a name: {name[:80]!r}")
+        fields[name] = value
+        if len(fields) > _MAX_FIELDS:
+            raise ProtocolError(f"a header with more than {_MAX_FIELDS} fields")
+        at += length
+    return fields
+
+
+class FrameReader:
+    """Takes a stream apart into frames, each of which stands behind its length in four octets.
+
+    Octets are received into `buffer`; small frames are copied out of it, large ones are received
+    where they stay. A frame is the reader's no more once it was returned.
+
+    Args:
+        most: octets that a frame may have.
+
+    Attributes:
+        ready: frames that came together with one that was asked for.
+    """
+
+    def __init__(self, most: int) -> None:
+        self.most = most
+        self.ready: list[bytes | bytearray] = []
+        self._stage = bytearray(_STAGE_OCTETS)
+        self._filled = 0
+        self._large: bytearray | None = None
+        self._large_filled = 0
+
+    @property
+    def is_between_frames(self) -> bool:
+        """Whether nothing of a frame that is not whole has come."""
+        return self._large is None and not self._filled
+
+    def buffer(self) -> memoryview:
+        """Return where the next octets go; never empty."""
+        if self._large is not None:
+            return memoryview(self._large)[self._large_filled :]
+        return memoryview(self._stage)[self._filled :]
+
+    def received(self, count: int) -> list[bytes | bytearray]:
+        """Take note of so many octets in the buffer; returns the frames that are whole by them.
+
+        Raises:
+            ProtocolError: a frame is longer than is allowed.
+        """
+        if self._large is not None:
+            self._large_filled += count
+            if self._large_filled < len(self._large):
+                return []
+            frame, self._large = self._large, None
+            return [frame]
+        self._filled += count
+        frames: list[bytes | bytearray] = []
+        stage, at = self._stage, 0
+        while self._filled - at >= _LENGTH.size:
+            (length,) = _LENGTH.unpack_from(stage, at)
+            if length > self.most:
+                raise ProtocolError(f"a message of {length:,} octets; {self.most:,} are allowed")
+            start = at + _LENGTH.size
+            end = start + length
+            if end > self._filled:
+                if end - at > _STAGE_OCTETS:
+                    self._large = bytearray(length)
+                    self._large_filled = self._filled - start
+                    self._large[: self._large_filled] = memoryview(stage)[start : self._filled]
+                    at = self._filled
+                break
+            frames.append(bytes(memoryview(stage)[start:end]))
+            at = end
+        self._filled -= at
+        if at and self._filled:
+            stage[: self._filled] = stage[at : at + self._filled]
+        return frames
+
+
+class ReplyReader:
+    """Takes replies of a service apart: an octet that says whether it succeeded, then a frame."""
+
+    def __init__(self, most: int) -> None:
+        self._most = most
+        self._octets = bytearray()
+
+    def received(self, octets: bytes) -> tuple[bool, bytes] | None:
+        """Take octets; returns whether the call succeeded, and its reply, once that is whole.
+
+        Raises:
+            ProtocolError: the reply is longer than is allowed, or more came than one reply.
+        """
+        self._octets += octets
+        head = 1 + _LENGTH.size
+        if len(self._octets) < head:
+            return None
+        (length,) = _LENGTH.unpack_from(self._octets, 1)
+        if length > self._most:
+            raise ProtocolError(f"a reply of {length:,} octets; {self._most:,} are allowed")
+        if len(self._octets) < head + length:
+            return None
+        if len(self._octets) > head + length:
+            raise ProtocolError("a second reply to one request")
+        reply = bool(self._octets[0]), bytes(self._octets[head:])
+        self._octets = bytearray()
+        return reply

@@ -1,0 +1,237 @@
+"""XML-RPC as the master and the nodes of ROS 1 speak it, read within a budget.
+
+No document type and so no entity is accepted: nothing that comes can grow in being read.
+"""
+
+from __future__ import annotations
+
+import base64
+import binascii
+import math
+import re
+from collections.abc import Sequence
+from typing import Any
+from xml.parsers import expat
+from xml.sax.saxutils import escape
+
+from attrs import define, field
+
+from uoarm.model import Budget
+from uoarm_ros1._protocol._streams import ProtocolError
+
+__all__ = ["XML_BUDGET", "Fault", "decode_call", "decode_reply", "encode_call", "encode_reply"]
+
+XML_BUDGET = Budget(octets=8 << 20, elements=200_000, depth=64)
+_LEAST, _MOST = -(2**31), 2**31 - 1
+_LEAVES = frozenset(
+    {"int", "i4", "i8", "boolean", "double", "string", "base64", "dateTime.iso8601", "nil"}
+)
+_UNWRITABLE = re.compile("[^\t\n\r\u0020-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
+_LEVELS_EACH = 4  # value, struct, member, value: of one level of the message
+
+
+class Fault(Exception):  # noqa: N818 - the protocol's own word
+    """The other side answered that it failed; the text says why."""
+
+
+def encode_call(method: str, arguments: Sequence[Any]) -> bytes:
+    """Return a call as a document.
+
+    Raises:
+        ValueError: an argument has no form in XML-RPC.
+    """
+    params = "".join(f"<param>{_encoded(argument)}</param>" for argument in arguments)
+    name = f"<methodName>{escape(method)}</methodName>"
+    text = f"<methodCall>{name}<params>{params}</params></methodCall>"
+    return f"<?xml version='1.0'?>\n{text}\n".encode()
+
+
+def encode_reply(result: Any) -> bytes:
+    """Return a reply as a document; of a Fault one that says so."""
+    if isinstance(result, Fault):
+        fault = _encoded({"faultCode": 1, "faultString": str(result)})
+        text = f"<methodResponse><fault>{fault}</fault></methodResponse>"
+    else:
+        value = _encoded(result)
+        text = f"<methodResponse><params><param>{value}</param></params></methodResponse>"
+    return f"<?xml version='1.0'?>\n{text}\n".encode()
+
+
+def decode_call(octets: bytes, budget: Budget = XML_BUDGET) -> tuple[str, list[Any]]:
+    """Return the method and the arguments of a call.
+
+    Raises:
+        ProtocolError: it is no call, or more than the budget allows.
+    """
+    reading = _read(octets, budget)
+    if reading.root != "methodCall" or reading.method is None:
+        raise ProtocolError("expected a call of XML-RPC")
+    return reading.method, reading.params
+
+
+def decode_reply(octets: bytes, budget: Budget = XML_BUDGET) -> Any:
+    """Return what a call returned.
+
+    Raises:
+        Fault: it failed.
+        ProtocolError: it is no reply, or more than the budget allows.
+    """
+    reading = _read(octets, budget)
+    if reading.root != "methodResponse" or len(reading.params) != 1:
+        raise ProtocolError("expected a reply of XML-RPC with one value")
+    (value,) = reading.params
+    if reading.is_fault:
+        said = value.get("faultString", "") if isinstance(value, dict) else value
+        raise Fault(str(said)[:500])
+    return value
+
+
+def _encoded(value: Any) -> str:
+    if value is True or value is False:
+        inner = f"<boolean>{int(value)}</boolean>"
+    elif isinstance(value, int):
+        if not _LEAST <= value <= _MOST:
+            raise ValueError(f"{value} has more than the 32 bits of an integer in XML-RPC")
+        inner = f"<int>{value}</int>"
+    elif isinstance(value, float):
+        if not math.isfinite(value):
+            raise ValueError(f"{value} has no form in XML-RPC")
+        inner = f"<double>{value!r}</double>"
+    elif isinstance(value, str):
+        inner = f"<string>{escape(_writable(value))}</string>"
+    elif isinstance(value, bytes | bytearray | memoryview):
+        inner = f"<base64>{base64.b64encode(value).decode()}</base64>"
+    elif isinstance(value, dict):
+        inner = f"<struct>{''.join(map(_member, value.items()))}</struct>"
+    elif isinstance(value, list | tuple):
+        inner = f"<array><data>{''.join(map(_encoded, value))}</data></array>"
+    else:
+        raise ValueError(f"{type(value).__name__} has no form in XML-RPC")
+    return f"<value>{inner}</value>"
+
+
+def _member(item: tuple[Any, Any]) -> str:
+    name, value = item
+    if not isinstance(name, str):
+        raise ValueError(f"a member is named by {name!r}, and XML-RPC has texts for names")  # noqa: TRY004
+    return f"<member><name>{escape(_writable(name))}</name>{_encoded(value)}</member>"
+
+
+def _writable(text: str) -> str:
+    if found := _UNWRITABLE.search(text):
+        raise ValueError(f"{text[:60]!r} has the character {found[0]!r}, which XML has not")
+    return text
+
+
+@define
+class _Level:
+    """An element that is open.
+
+    Attributes:
+        tag: its name.
+        texts: what stood in it directly.
+        values: of the elements within that are closed.
+        name: of a member.
+    """
+
+    tag: str
+    texts: list[str] = field(factory=list)
+    values: list[Any] = field(factory=list)
+    name: str = ""
+
+
+class _Document:
+    """One document while it is read."""
+
+    def __init__(self, budget: Budget) -> None:
+        self._budget = budget
+        self._levels: list[_Level] = []
+        self._elements = 0
+        self.root = ""
+        self.method: str | None = None
+        self.params: list[Any] = []
+        self.is_fault = False
+
+    def start(self, tag: str, attributes: object) -> None:
+        del attributes
+        self._elements += 1
+        if self._elements > _LEVELS_EACH * self._budget.elements:
+            raise ProtocolError(f"XML of more than {self._budget.elements:,} values")
+        if len(self._levels) > _LEVELS_EACH * self._budget.depth:
+            raise ProtocolError(f"XML nested more than {self._budget.depth} levels deep")
+        self.root = self.root or tag
+        self._levels.append(_Level(tag))
+
+    def text(self, text: str) -> None:
+        if self._levels:
+            self._levels[-1].texts.append(text)
+
+    def refuse(self, *_: object) -> None:
+        raise ProtocolError("XML with a document type, of which XML-RPC has none")
+
+    def end(self, tag: str) -> None:
+        level = self._levels.pop()
+        above = self._levels[-1] if self._levels else _Level("")
+        text = "".join(level.texts)
+        if tag in _LEAVES:
+            above.values.append(_leaf(tag, text))
+        elif tag == "value":
+            above.values.append(level.values[0] if level.values else text)
+        elif tag == "name":
+            above.name = text
+        elif tag == "member":
+            above.values.append((level.name, level.values[0] if level.values else ""))
+        elif tag == "struct":
+            above.values.append(_struct(level.values))
+        elif tag == "array":
+            above.values.append(level.values)
+        elif tag == "methodName":
+            self.method = text.strip()
+        elif tag in {"param", "fault"}:
+            self.params.extend(level.values[:1])
+            self.is_fault = self.is_fault or tag == "fault"
+        elif tag in {"data", "params"}:
+            above.values.extend(level.values)
+        elif self._levels:
+            raise ProtocolError(f"XML with an element {tag[:40]!r}, which XML-RPC has not")
+
+
+def _struct(members: list[Any]) -> dict[str, Any]:
+    if not all(isinstance(member, tuple) for member in members):
+        raise ProtocolError("a structure in XML-RPC with something that is no member")
+    return dict(members)
+
+
+def _leaf(tag: str, text: str) -> Any:
+    try:
+        if tag in {"int", "i4", "i8"}:
+            if len(text.strip()) > len(str(2**64)):
+                raise ValueError(text)  # noqa: TRY301 - as int does with other texts
+            return int(text)
+        if tag == "boolean":
+            return {"1": True, "0": False, "true": True, "false": False}[text.strip()]
+        if tag == "double":
+            return float(text)
+        if tag == "base64":
+            return base64.b64decode("".join(text.split()), validate=True)
+    except (ValueError, KeyError, binascii.Error):
+        raise ProtocolError(f"XML-RPC with {text[:40]!r} for a {tag}") from None
+    return None if tag == "nil" else text
+
+
+def _read(octets: bytes, budget: Budget) -> _Document:
+    if len(octets) > budget.octets:
+        raise ProtocolError(f"XML of {len(octets):,} octets; {budget.octets:,} are allowed")
+    document = _Document(budget)
+    parser = expat.ParserCreate()
+    parser.buffer_text = True
+    parser.StartElementHandler = document.start
+    parser.EndElementHandler = document.end
+    parser.CharacterDataHandler = document.text
+    parser.StartDoctypeDeclHandler = document.refuse
+    parser.EntityDeclHandler = document.refuse
+    try:
+        parser.Parse(octets, True)
+    except (expat.ExpatError, LookupError, ValueError) as error:
+        raise ProtocolError(f"no XML: {error}") from error
+    return document

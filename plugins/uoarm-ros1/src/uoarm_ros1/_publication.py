@@ -1,0 +1,283 @@
+"""A topic that the node publishes: subscribers, and what waits for each of them."""
+
+from __future__ import annotations
+
+import fcntl
+import socket
+import struct
+import termios
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+
+from uoarm_ros1._definitions import Record
+from uoarm_ros1._loop import Handler, Loop
+from uoarm_ros1._protocol import encode_header, publisher_header, subscriber_problem
+
+__all__ = ["Publication", "keep_alive"]
+
+_CHUNK = 4096
+_LOOK_SECONDS = 0.002
+
+
+def keep_alive(connection: socket.socket) -> None:
+    """Have the system notice within seconds that the machine at the other end is gone."""
+    with suppress(OSError, AttributeError):
+        connection.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPIDLE, 5)
+        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPINTVL, 2)
+        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPCNT, 3)
+        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, 15_000)
+
+
+class _Subscriber(Handler):
+    """One connection to a subscriber.
+
+    What the socket takes is written in the thread that sends; the loop writes the rest.
+    """
+
+    def __init__(
+        self,
+        connection: socket.socket,
+        caller: str,
+        loop: Loop,
+        limits: tuple[int, int],
+        gone: Callable[[_Subscriber, str], None],
+    ) -> None:
+        super().__init__(connection)
+        self.caller = caller
+        self.lost = 0
+        self._loop, self._gone = loop, gone
+        self._most, self._most_octets = limits
+        # Guards the queue, and that octets of two messages do not mix: between the threads that
+        # send and the loop. What is done under it never blocks.
+        self._lock = threading.Lock()
+        self._waiting: deque[memoryview] = deque()
+        self._octets = 0
+        self._is_begun = False  # whether a part of the first that waits was written
+        self._is_closed = False
+
+    @property
+    def waiting(self) -> int:
+        """How many messages wait here."""
+        return len(self._waiting)
+
+    def is_drained(self) -> bool:
+        """Whether the other machine has all that was sent."""
+        if self._waiting:
+            return False
+        try:
+            left = fcntl.ioctl(self.socket.fileno(), termios.TIOCOUTQ, struct.pack("i", 0))
+        except (OSError, ValueError):
+            return True  # closed, or no such question here
+        return left == bytes(len(left))
+
+    def send(self, frame: bytes | bytearray) -> None:
+        """Hand a frame over; the oldest that waits is dropped where too many do."""
+        with self._lock:
+            if self._is_closed:
+                return
+            view = memoryview(frame)
+            if not self._waiting:
+                try:
+                    sent = self.socket.send(view)
+                except BlockingIOError:
+                    sent = 0
+                except OSError:
+                    return  # the loop notices
+                if sent == len(view):
+                    return
+                self._is_begun = sent > 0
+                view = view[sent:]
+                self._loop.write(self)
+            self._waiting.append(view)
+            self._octets += len(view)
+            while len(self._waiting) > 1 and (
+                len(self._waiting) > self._most or self._octets > self._most_octets
+            ):
+                if self._is_begun and len(self._waiting) <= 2:  # noqa: PLR2004 - that one, and this
+                    break
+                # The first may be half written: then the second is the oldest.
+                at = 1 if self._is_begun else 0
+                self._octets -= len(self._waiting[at])
+                del self._waiting[at]
+                self.lost += 1
+
+    def writable(self) -> bool:
+        with self._lock, suppress(BlockingIOError):
+            while self._waiting:
+                view = self._waiting[0]
+                sent = self.socket.send(view)
+                self._octets -= sent
+                if sent < len(view):
+                    self._waiting[0] = view[sent:]
+                    self._is_begun = True
+                else:
+                    self._waiting.popleft()
+                    self._is_begun = False
+        return bool(self._waiting)
+
+    def readable(self) -> None:
+        if not self.socket.recv(_CHUNK):
+            raise ConnectionError(f"subscriber {self.caller} closed the connection")
+
+    def failed(self, cause: str) -> None:
+        self.end()
+        self._gone(self, cause)
+
+    def end(self) -> None:
+        """Take nothing more."""
+        with self._lock:
+            self._is_closed = True
+            self.lost += len(self._waiting)
+            self._waiting.clear()
+
+
+class Publication:
+    """One topic, with one type.
+
+    Args:
+        loop: that watches the connections.
+        caller: the node's own name.
+        topic: its full name.
+        record: of its messages.
+        latching: whether the last message is given to each subscriber that comes.
+        limits: messages, and octets, that may wait for one subscriber.
+
+    Attributes:
+        watchers: called, in the loop's thread, with what has happened, and whether it is that a
+            node was refused; else one has come or gone.
+    """
+
+    def __init__(
+        self,
+        loop: Loop,
+        caller: str,
+        topic: str,
+        record: Record,
+        *,
+        latching: bool = False,
+        limits: tuple[int, int] = (100, 1 << 26),
+    ) -> None:
+        self.topic, self.record, self.latching = topic, record, latching
+        self._loop, self._caller, self._limits = loop, caller, limits
+        # Guards who is subscribed and what is latched: one who comes gets what was latched before,
+        # or what is sent from then on, never neither.
+        self._changed = threading.Condition()
+        self._subscribers: tuple[_Subscriber, ...] = ()
+        self._latched: bytes | bytearray | None = None
+        self._lost = 0
+        self.sent = 0
+        self.watchers: tuple[Callable[[str, bool], None], ...] = ()
+
+    @property
+    def callers(self) -> list[str]:
+        """The names of the nodes that are connected, once for each connection."""
+        return [subscriber.caller for subscriber in self._subscribers]
+
+    @property
+    def lost(self) -> int:
+        """How many messages were dropped for subscribers that did not take them."""
+        return self._lost + sum(subscriber.lost for subscriber in self._subscribers)
+
+    @property
+    def waiting(self) -> int:
+        """How many messages wait, for all subscribers together."""
+        return sum(subscriber.waiting for subscriber in self._subscribers)
+
+    def connections(self) -> list[tuple[str, str]]:
+        """Return the nodes that are connected and the texts of their connections."""
+        found = []
+        for subscriber in self._subscribers:
+            with suppress(OSError, ValueError):
+                own, peer = subscriber.socket.getsockname(), subscriber.socket.getpeername()
+                text = f"TCPROS connection on port {own[1]} to [{peer[0]}:{peer[1]} on socket "
+                found.append((subscriber.caller, f"{text}{subscriber.socket.fileno()}]"))
+        return found
+
+    def send(self, frame: bytes | bytearray) -> None:
+        """Send a frame to all who are subscribed; returns at once."""
+        if self.latching:
+            with self._changed:
+                self._latched = frame
+                subscribers = self._subscribers
+        else:
+            subscribers = self._subscribers
+        self.sent += 1
+        for subscriber in subscribers:
+            subscriber.send(frame)
+
+    def arrived(self, connection: socket.socket, header: Mapping[str, str]) -> None:
+        """Take a connection in, or refuse it; in the loop's thread."""
+        caller = header.get("callerid", "a node without a name")[:200]
+        problem = subscriber_problem(header, self.topic, self.record.name, self.record.md5)
+        if problem:
+            with suppress(OSError):
+                connection.send(encode_header({"error": problem, "callerid": self._caller}))
+            connection.close()
+            self._say(problem, refused=True)
+            return
+        keep_alive(connection)
+        if header.get("tcp_nodelay") == "0":
+            with suppress(OSError):
+                connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 0)
+        subscriber = _Subscriber(connection, caller, self._loop, self._limits, self._gone)
+        record = self.record
+        answer = publisher_header(
+            self._caller,
+            self.topic,
+            record.name,
+            record.md5,
+            record.definition,
+            latching=self.latching,
+        )
+        connection.setblocking(False)
+        self._loop.add(subscriber)
+        with self._changed:
+            subscriber.send(encode_header(answer))
+            if self._latched is not None:
+                subscriber.send(self._latched)
+            self._subscribers = (*self._subscribers, subscriber)
+            self._changed.notify_all()
+        self._say(f"{caller} is connected")
+
+    def wait(self, is_there: Callable[[list[str]], bool], seconds: float) -> bool:
+        """Wait until the nodes that are connected are those that are waited for."""
+        with self._changed:
+            return self._changed.wait_for(lambda: is_there(self.callers), seconds)
+
+    def drain(self, seconds: float) -> bool:
+        """Wait until every subscriber's machine has what was sent."""
+        deadline = time.monotonic() + seconds
+        pause = threading.Event()
+        while not all(subscriber.is_drained() for subscriber in self._subscribers):
+            if time.monotonic() >= deadline:
+                return False
+            pause.wait(_LOOK_SECONDS)
+        return True
+
+    def close(self) -> None:
+        """Close every connection; the system still delivers what it took."""
+        with self._changed:
+            subscribers, self._subscribers = self._subscribers, ()
+        for subscriber in subscribers:
+            self._loop.discard(subscriber)
+            subscriber.end()
+            self._lost += subscriber.lost
+
+    def _gone(self, subscriber: _Subscriber, cause: str) -> None:
+        with self._changed:
+            if subscriber not in self._subscribers:
+                return
+            self._subscribers = tuple(
+                other for other in self._subscribers if other is not subscriber
+            )
+            self._lost += subscriber.lost
+            self._changed.notify_all()
+        self._say(cause or f"{subscriber.caller} is gone")
+
+    def _say(self, what: str, *, refused: bool = False) -> None:
+        for watcher in self.watchers:
+            watcher(what, refused)

@@ -1,0 +1,313 @@
+"""Services: calls over connections that stay open, and functions that answer in ROS 1."""
+
+from __future__ import annotations
+
+import select
+import socket
+import threading
+import time
+from collections.abc import Mapping
+from contextlib import suppress
+
+from uoarm.bridge import Channel, Handler
+from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, MessageError
+from uoarm.model import Budget, Endpoint, Message
+from uoarm_ros1._definitions import Service
+from uoarm_ros1._master import connect, failure_text
+from uoarm_ros1._node import Node
+from uoarm_ros1._protocol import (
+    FrameReader,
+    ProtocolError,
+    ReplyReader,
+    decode_header,
+    encode_header,
+    service_header,
+    service_problem,
+)
+from uoarm_ros1._publication import keep_alive
+from uoarm_ros1._serialisation import LENGTH, framed_writer, reader
+
+__all__ = ["Caller", "ServedService", "probe_service"]
+
+_CHUNK = 65_536
+_PROBE_SECONDS = 2.0
+_MAX_HEADER_OCTETS = 1 << 20
+_MOST_IDLE = 8
+_ANSWER_SECONDS = 10.0
+_SHORTEST = 0.001
+
+
+def probe_service(node: Node, service: str) -> tuple[str, str]:
+    """Return type and md5sum of a service, as its server says them.
+
+    Raises:
+        BridgeError: nobody serves it, or the server cannot be reached or does not say.
+    """
+    try:
+        host, port = node.master.service_address(service)
+    except BridgeError as error:
+        if error.reason is not FailureReason.REFUSED:
+            raise
+        text = f"nobody serves {service}: {error}"
+        raise BridgeError(text, FailureReason.NOT_FOUND) from error
+    header = service_header(node.name, service, probe=True)
+    connection, answer = _open(host, port, service, header, time.monotonic() + _PROBE_SECONDS)
+    connection.close()
+    return answer.get("type", ""), answer.get("md5sum", "")
+
+
+def _open(
+    host: str, port: int, service: str, header: Mapping[str, str], deadline: float
+) -> tuple[socket.socket, dict[str, str]]:
+    """Return a connection to a server, and what it answered.
+
+    Raises:
+        BridgeError: it cannot be reached, or refuses.
+    """
+    what = f"the server of {service}"
+    connection = None
+    try:
+        connection = connect(host, port, deadline)
+        connection.settimeout(max(_SHORTEST, deadline - time.monotonic()))
+        connection.sendall(encode_header(header))
+        # Exactly the header: what follows it are replies.
+        octets = _receive_exactly(connection, LENGTH.size, deadline)
+        (length,) = LENGTH.unpack(octets)
+        answer = decode_header(_receive_exactly(connection, length, deadline))
+        problem = f"it refuses: {answer['error'][:500]}" if "error" in answer else ""
+    except (OSError, ProtocolError) as error:
+        if connection is not None:
+            connection.close()
+        text = failure_text(what, host, port, error)
+        raise BridgeError(text, FailureReason.UNAVAILABLE) from error
+    if problem:
+        connection.close()
+        raise BridgeError(f"{what} at {host}:{port}: {problem}", FailureReason.UNAVAILABLE)
+    keep_alive(connection)
+    return connection, answer
+
+
+def _receive_exactly(connection: socket.socket, count: int, deadline: float) -> bytes:
+    if count > _MAX_HEADER_OCTETS:
+        raise ProtocolError(f"a header of {count:,} octets")
+    octets = bytearray()
+    while len(octets) < count:
+        connection.settimeout(max(_SHORTEST, deadline - time.monotonic()))
+        part = connection.recv(min(_CHUNK, count - len(octets)))
+        if not part:
+            raise ProtocolError("it closed the connection")
+        if time.monotonic() > deadline:
+            raise TimeoutError
+        octets += part
+    return bytes(octets)
+
+
+class Caller:
+    """A client of one service. Several calls at a time have a connection each."""
+
+    def __init__(self, node: Node, service: str, kind: Service) -> None:
+        self._node, self._service, self._kind = node, service, kind
+        budget = node.settings.budget
+        self._write, self._read = framed_writer(kind.request), reader(kind.reply, budget)
+        self._most = budget.octets
+        # Guards the connections that are idle, between threads that call.
+        self._lock = threading.Lock()
+        self._idle: list[socket.socket] = []
+        self._is_closed = False
+
+    def call(self, endpoint: Endpoint, message: Message, timeout: float) -> Message:
+        """Send a request and return the reply to it; a request is sent once.
+
+        Raises:
+            BridgeError: nobody serves it, the service failed, or its server is gone.
+            BridgeTimeoutError: no reply within `timeout` seconds.
+            MessageError: the request does not fit its type.
+        """
+        deadline = time.monotonic() + timeout
+        request = self._write(message)
+        connection = self._take() or self._connect(endpoint, deadline)
+        try:
+            succeeded, reply = self._exchange(connection, request, deadline)
+        except TimeoutError:
+            connection.close()
+            text = f"{endpoint}: no reply within {timeout:g} s"
+            raise BridgeTimeoutError(text) from None
+        except (OSError, ProtocolError) as error:
+            connection.close()
+            text = f"{endpoint}: the server ended the connection before it replied: {error}"
+            raise BridgeError(text, FailureReason.UNAVAILABLE) from error
+        self._give_back(connection)
+        if not succeeded:
+            text = reply.decode("utf-8", "replace")[:1000]
+            raise BridgeError(f"{endpoint}: the service failed: {text or 'it says not why'}")
+        try:
+            return self._read(reply)
+        except MessageError as error:
+            text = f"{endpoint}: the reply cannot be read: {error}"
+            raise BridgeError(text, FailureReason.BAD_MESSAGE) from error
+
+    def close(self) -> None:
+        """Close the connections that are idle, and those in use as they are given back."""
+        with self._lock:
+            self._is_closed = True
+            idle, self._idle = self._idle, []
+        for connection in idle:
+            connection.close()
+
+    def _connect(self, endpoint: Endpoint, deadline: float) -> socket.socket:
+        host, port = self._node.master.service_address(self._service)
+        header = service_header(self._node.name, self._service, self._kind.md5, persistent=True)
+        try:
+            connection, _ = _open(host, port, self._service, header, deadline)
+        except BridgeError as error:
+            raise BridgeError(f"{endpoint}: {error}", error.reason) from error
+        return connection
+
+    def _exchange(
+        self, connection: socket.socket, request: bytearray, deadline: float
+    ) -> tuple[bool, bytes]:
+        connection.settimeout(max(_SHORTEST, deadline - time.monotonic()))
+        connection.sendall(request)
+        replies = ReplyReader(self._most)
+        while True:
+            left = deadline - time.monotonic()
+            if left <= 0:
+                raise TimeoutError
+            connection.settimeout(left)
+            octets = connection.recv(_CHUNK)
+            if not octets:
+                raise ProtocolError("it closed the connection")
+            if (reply := replies.received(octets)) is not None:
+                return reply
+
+    def _take(self) -> socket.socket | None:
+        """Return a connection that is idle and whose server has not ended it."""
+        while True:
+            with self._lock:
+                if not self._idle:
+                    return None
+                connection = self._idle.pop()
+            poller = select.poll()
+            poller.register(connection, select.POLLIN | select.POLLHUP | select.POLLERR)
+            if not poller.poll(0):
+                return connection
+            connection.close()
+
+    def _give_back(self, connection: socket.socket) -> None:
+        with self._lock:
+            if not self._is_closed and len(self._idle) < _MOST_IDLE:
+                self._idle.append(connection)
+                return
+        connection.close()
+
+
+class ServedService(Channel):
+    """A function that answers in ROS 1: requests of one client one after the other."""
+
+    def __init__(
+        self,
+        endpoint: Endpoint,
+        node: Node,
+        service: str,
+        kind: Service,
+        handler: Handler,
+        at_once: int,
+    ) -> None:
+        super().__init__(endpoint)
+        self._node, self._service, self._kind = node, service, kind
+        self._handler = handler
+        budget: Budget = node.settings.budget
+        self._read, self._write = reader(kind.request, budget), framed_writer(kind.reply)
+        self._most = budget.octets
+        self._turns = threading.BoundedSemaphore(at_once)
+        self._most_clients = 8 * at_once
+        # Guards the connections, between the loop, their threads and the close.
+        self._lock = threading.Lock()
+        self._clients: set[socket.socket] = set()
+        self._answered = self._failed = self._refused = 0
+        node.serve(service, self._arrived)
+
+    def facts(self) -> Mapping[str, object]:
+        """Return counters of requests."""
+        return {
+            "answered": self._answered,
+            "failed": self._failed,
+            "refused": self._refused,
+            "clients": len(self._clients),
+        }
+
+    def _arrived(self, connection: socket.socket, header: dict[str, str]) -> None:
+        """Take a client; in the loop's thread."""
+        kind = self._kind
+        problem = service_problem(header, self._service, kind.name, kind.md5)
+        with self._lock:
+            is_full = self.closed or len(self._clients) >= self._most_clients
+            if not problem and not is_full and header.get("probe") != "1":
+                self._clients.add(connection)
+        if is_full:
+            problem = problem or f"{self._service} has {self._most_clients} clients already"
+        if problem:
+            self._refused += 1
+            answer = {"error": problem, "callerid": self._node.name}
+        else:
+            answer = {
+                "callerid": self._node.name,
+                "md5sum": kind.md5,
+                "request_type": kind.request.name,
+                "response_type": kind.reply.name,
+                "type": kind.name,
+            }
+        with suppress(OSError):
+            connection.send(encode_header(answer))
+        if problem or header.get("probe") == "1":
+            connection.close()
+            return
+        keep_alive(connection)
+        thread = threading.Thread(
+            target=self._answer_client,
+            args=(connection, header.get("persistent") == "1"),
+            name=f"uoarm-ros1-{self._service}",
+            daemon=True,
+        )
+        thread.start()
+
+    def _answer_client(self, connection: socket.socket, is_persistent: bool) -> None:  # noqa: FBT001 - of a thread
+        requests = FrameReader(self._most)
+        try:
+            connection.settimeout(None)
+            while not self.closed:
+                count = connection.recv_into(requests.buffer())
+                if not count:
+                    return
+                for frame in requests.received(count):
+                    connection.settimeout(_ANSWER_SECONDS)  # a client that reads nothing
+                    connection.sendall(self._reply(frame))
+                    connection.settimeout(None)
+                    if not is_persistent:
+                        return
+        except (OSError, ProtocolError):
+            return
+        finally:
+            with self._lock:
+                self._clients.discard(connection)
+            connection.close()
+
+    def _reply(self, frame: bytes | bytearray) -> bytes:
+        try:
+            with self._turns:
+                reply = self._handler(self._read(frame))
+            octets = self._write(reply)
+        except Exception as error:  # noqa: BLE001 - of the handler: the caller is told
+            self._failed += 1
+            text = f"{type(error).__name__}: {error}"[:1000].encode("utf-8", "replace")
+            return b"\0" + LENGTH.pack(len(text)) + text
+        self._answered += 1
+        return b"\1" + octets
+
+    def _close(self) -> None:
+        self._node.unserve(self._service)
+        with self._lock:
+            clients = list(self._clients)
+        for connection in clients:
+            with suppress(OSError):
+                connection.shutdown(socket.SHUT_RDWR)

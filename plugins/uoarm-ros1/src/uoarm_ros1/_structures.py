@@ -1,0 +1,132 @@
+"""Message structures of ROS 1 types: JSON Schema with exact ranges, types and units."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import lru_cache
+from typing import Any
+
+from uoarm.bridge import Description
+from uoarm.model import MessageStructure
+from uoarm_ros1._definitions import NUMBERS, Field, Listing, Record, Scalar, Service, Shape, Text
+from uoarm_ros1._values import FLOAT32_MAX, integer_range
+
+__all__ = ["described_service", "structure_of"]
+
+# As REP-103 and the comments of the definitions state them.
+_UNITS: Mapping[str, Mapping[str, str]] = {
+    "duration": {"secs": "s", "nsecs": "ns"},
+    "time": {"secs": "s", "nsecs": "ns"},
+    "geometry_msgs/Accel": {"linear": "m/s2", "angular": "rad/s2"},
+    "geometry_msgs/Inertia": {"m": "kg", "com": "m"},
+    "geometry_msgs/Point": {"x": "m", "y": "m", "z": "m"},
+    "geometry_msgs/Point32": {"x": "m", "y": "m", "z": "m"},
+    "geometry_msgs/Pose2D": {"x": "m", "y": "m", "theta": "rad"},
+    "geometry_msgs/Quaternion": {"x": "1", "y": "1", "z": "1", "w": "1"},
+    "geometry_msgs/Transform": {"translation": "m"},
+    "geometry_msgs/Twist": {"linear": "m/s", "angular": "rad/s"},
+    "geometry_msgs/Wrench": {"force": "N", "torque": "N.m"},
+    "nav_msgs/GridCells": {"cell_width": "m", "cell_height": "m"},
+    "nav_msgs/MapMetaData": {"resolution": "m"},
+    "sensor_msgs/BatteryState": {
+        "voltage": "V",
+        "temperature": "degC",
+        "current": "A",
+        "charge": "A.h",
+        "capacity": "A.h",
+        "design_capacity": "A.h",
+        "percentage": "1",
+        "cell_voltage": "V",
+        "cell_temperature": "degC",
+    },
+    "sensor_msgs/FluidPressure": {"fluid_pressure": "Pa"},
+    "sensor_msgs/Illuminance": {"illuminance": "lx"},
+    "sensor_msgs/Imu": {"angular_velocity": "rad/s", "linear_acceleration": "m/s2"},
+    "sensor_msgs/LaserScan": {
+        "angle_min": "rad",
+        "angle_max": "rad",
+        "angle_increment": "rad",
+        "time_increment": "s",
+        "scan_time": "s",
+        "range_min": "m",
+        "range_max": "m",
+        "ranges": "m",
+    },
+    "sensor_msgs/MagneticField": {"magnetic_field": "T"},
+    "sensor_msgs/NavSatFix": {"latitude": "deg", "longitude": "deg", "altitude": "m"},
+    "sensor_msgs/Range": {
+        "field_of_view": "rad",
+        "min_range": "m",
+        "max_range": "m",
+        "range": "m",
+    },
+    "sensor_msgs/RelativeHumidity": {"relative_humidity": "1"},
+    "sensor_msgs/Temperature": {"temperature": "degC"},
+}
+
+
+@lru_cache(maxsize=1024)
+def structure_of(record: Record) -> MessageStructure:
+    """Return the structure of a record: a closed object with every field required."""
+    return MessageStructure(_schema_of(record, None), native_type=record.name)
+
+
+def described_service(service: Service) -> Description:
+    """Return the structures of a service."""
+    return Description(request=structure_of(service.request), reply=structure_of(service.reply))
+
+
+def _schema_of(shape: Shape, unit: str | None) -> dict[str, Any]:
+    """Return the schema of a shape; `unit` holds for the numbers in it that state none."""
+    if isinstance(shape, Record):
+        return _object(shape, unit)
+    if isinstance(shape, Listing):
+        return _array(shape, unit)
+    if isinstance(shape, Text):
+        return {"type": "string"}
+    return _scalar(shape, unit)
+
+
+def _object(record: Record, unit: str | None) -> dict[str, Any]:
+    stated = {"name": record.name, "hash": record.md5} if record.md5 else record.name
+    schema: dict[str, Any] = {
+        "type": "object",
+        "properties": {member.name: _member(record, member, unit) for member in record.fields},
+        "required": [member.name for member in record.fields],
+        "additionalProperties": False,
+        "x-native-type": record.name,
+        "x-type": stated,
+    }
+    if record.constants:
+        schema["x-constants"] = dict(record.constants)
+    return schema
+
+
+def _member(record: Record, member: Field, unit: str | None) -> dict[str, Any]:
+    # A vector that is a velocity counts metres a second, whatever its own type would say.
+    return _schema_of(member.shape, unit or _UNITS.get(record.name, {}).get(member.name))
+
+
+def _array(listing: Listing, unit: str | None) -> dict[str, Any]:
+    schema: dict[str, Any] = {"type": "array", "items": _schema_of(listing.element, unit)}
+    if listing.size is not None:
+        schema["minItems"] = schema["maxItems"] = listing.size
+    if isinstance(listing.element, Scalar) and NUMBERS.get(listing.element.name) == "B":
+        schema["x-octets"] = True
+    return schema
+
+
+def _scalar(scalar: Scalar, unit: str | None) -> dict[str, Any]:
+    if scalar.name == "bool":
+        return {"type": "boolean"}
+    schema: dict[str, Any] = {"type": "integer", "x-native-type": scalar.name}
+    limits = integer_range(scalar.name)
+    if limits is not None:
+        schema["minimum"], schema["maximum"] = limits
+    else:
+        schema.update({"type": "number", "x-nonfinite": True})
+        if scalar.name == "float32":
+            schema["minimum"], schema["maximum"] = -FLOAT32_MAX, FLOAT32_MAX
+    if unit is not None:
+        schema["x-unit"] = unit
+    return schema

@@ -1,0 +1,400 @@
+"""A topic that the node subscribes to: a connection, and a thread, for each of its publishers."""
+
+from __future__ import annotations
+
+import re
+import socket
+import threading
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from typing import Any
+
+from attrs import frozen
+
+from uoarm.errors import BridgeError
+from uoarm_ros1._master import call_api, connect, failure_text
+from uoarm_ros1._protocol import (
+    FrameReader,
+    ProtocolError,
+    decode_header,
+    encode_header,
+    publisher_problem,
+    subscriber_header,
+)
+from uoarm_ros1._publication import keep_alive
+
+__all__ = ["PublisherHeader", "Subscription", "Wanted", "read_publisher_header"]
+
+_CONNECT_SECONDS = 2.0
+_LISTED_SECONDS = 1.0
+_LISTED_LOOK_SECONDS = 0.002
+_RETRY_SECONDS = (0.1, 2.0)
+_MAX_HEADER_OCTETS = 1 << 20
+_ASKED_IN_VAIN = 2
+
+
+@frozen
+class Wanted:
+    """What a subscription takes.
+
+    Attributes:
+        caller: the node's own name.
+        topic: its full name.
+        kind: type of messages; empty: any.
+        md5: of the type; empty: any.
+        node: the publisher that is meant; empty: all.
+        most: octets that a message may have.
+        silence: seconds without a message until a publisher is asked whether it is alive.
+        nodelay: whether the publisher is to send small messages at once.
+    """
+
+    caller: str
+    topic: str
+    kind: str = ""
+    md5: str = ""
+    node: str = ""
+    most: int = 16_777_216
+    silence: float = 5.0
+    nodelay: bool = True
+
+
+@frozen
+class PublisherHeader:
+    """What a publisher says of itself."""
+
+    node: str
+    kind: str
+    md5: str
+    definition: str
+    latching: bool
+
+    @staticmethod
+    def of(header: dict[str, str]) -> PublisherHeader:
+        """Read the fields of a header."""
+        return PublisherHeader(
+            header.get("callerid", ""),
+            header.get("type", ""),
+            header.get("md5sum", ""),
+            header.get("message_definition", ""),
+            header.get("latching") == "1",
+        )
+
+
+def read_publisher_header(uri: str, wanted: Wanted, deadline: float) -> PublisherHeader:
+    """Ask a publisher what it publishes, and take nothing of it.
+
+    Raises:
+        BridgeError: it cannot be reached, or refuses.
+        OSError, ProtocolError: its port cannot be reached, or does not keep to the protocol.
+    """
+    connection, header, _ = _subscribe(uri, wanted, deadline)
+    connection.close()
+    return PublisherHeader.of(header)
+
+
+def _subscribe(
+    uri: str, wanted: Wanted, deadline: float
+) -> tuple[socket.socket, dict[str, str], FrameReader]:
+    """Return a connection behind whose headers messages follow."""
+    answer = call_api(uri, "requestTopic", wanted.caller, wanted.topic, [["TCPROS"]])
+    match answer:
+        case ["TCPROS", str() as host, int() as port] if 0 < port < 1 << 16:
+            pass
+        case _:
+            raise ProtocolError(f"the node at {uri} offers no TCPROS for {wanted.topic}")
+    what = f"topic {wanted.topic}"
+    try:
+        connection = connect(host, port, deadline)
+    except OSError as error:
+        raise ConnectionError(failure_text(what, host, port, error)) from error
+    try:
+        header = subscriber_header(wanted.caller, wanted.topic, nodelay=wanted.nodelay)
+        connection.sendall(encode_header(header))
+        answered, reader = _receive_header(connection, wanted, deadline)
+    except OSError as error:
+        connection.close()
+        raise ConnectionError(failure_text(what, host, port, error)) from error
+    except BaseException:
+        connection.close()
+        raise
+    keep_alive(connection)
+    return connection, answered, reader
+
+
+def _receive_header(
+    connection: socket.socket, wanted: Wanted, deadline: float
+) -> tuple[dict[str, str], FrameReader]:
+    """Return what a publisher answers, and what takes the messages behind it apart."""
+    reader = FrameReader(max(_MAX_HEADER_OCTETS, wanted.most))
+    frames: list[bytes | bytearray] = []
+    while not frames:
+        left = deadline - time.monotonic()
+        if left <= 0:
+            raise TimeoutError
+        connection.settimeout(left)
+        count = connection.recv_into(reader.buffer())
+        if not count:
+            raise ProtocolError(f"topic {wanted.topic}: the publisher ended it unanswered")
+        frames = reader.received(count)
+    answered = decode_header(frames[0])
+    if problem := publisher_problem(answered, wanted.topic, wanted.kind, wanted.md5):
+        raise ProtocolError(problem)
+    reader.most = wanted.most
+    reader.ready = frames[1:]
+    return answered, reader
+
+
+class _Publisher:
+    """One publisher of the topic, and the thread that reads from it."""
+
+    def __init__(self, uri: str, owner: Subscription) -> None:
+        self.uri = uri
+        self.header: PublisherHeader | None = None
+        self.failure = ""  # why it was not reached last time; empty: it was, or is not tried yet
+        self.is_listed = True
+        self._owner = owner
+        self._closed = threading.Event()
+        self._poked = threading.Event()
+        self._socket: socket.socket | None = None
+        name = f"uoarm-ros1-{owner.wanted.topic}"
+        self._thread = threading.Thread(target=self._run, name=name, daemon=True)
+
+    @property
+    def is_settled(self) -> bool:
+        """Whether it is connected, or could not be."""
+        return self.header is not None or bool(self.failure)
+
+    def start(self) -> None:
+        """Begin to connect."""
+        self._thread.start()
+
+    def poke(self) -> None:
+        """Try again now: the master named it anew."""
+        self.is_listed = True
+        self._poked.set()
+
+    def close(self) -> None:
+        """End it; does not wait for its thread, which may be in a delivery."""
+        self._closed.set()
+        self._poked.set()
+        connection = self._socket
+        if connection is not None:
+            with suppress(OSError):
+                connection.shutdown(socket.SHUT_RDWR)
+
+    def _run(self) -> None:
+        pause = _RETRY_SECONDS[0]
+        while not self._closed.is_set():
+            try:
+                cause = self._connect_and_read()
+            except (OSError, ProtocolError, BridgeError) as error:
+                cause = str(error)
+            except Exception as error:  # noqa: BLE001 - of what takes messages: it is reported
+                cause = f"{type(error).__name__}: {error}"
+            header, self.failure, self.header = self.header, cause, None
+            if self._closed.is_set():
+                break
+            pause = min(2 * pause, _RETRY_SECONDS[1]) if header is None else _RETRY_SECONDS[0]
+            name = self.uri if header is None else header.node
+            self._owner.ended(name, cause, was_connected=header is not None)
+            if not self.is_listed:
+                break
+            self._poked.wait(pause)
+            self._poked.clear()
+        self._owner.left(self)
+
+    def _connect_and_read(self) -> str:
+        wanted = self._owner.wanted
+        connection, fields, reader = _subscribe(
+            self.uri, wanted, time.monotonic() + _CONNECT_SECONDS
+        )
+        with connection:
+            self._socket = connection
+            if self._closed.is_set():
+                return ""
+            header = PublisherHeader.of(fields)
+            if wanted.node and header.node != wanted.node:
+                self.is_listed = False
+                return ""
+            self._await_listing(connection)
+            self.header, self.failure = header, ""
+            self._owner.came(self, header)
+            return self._read(connection, reader)
+
+    def _await_listing(self, connection: socket.socket) -> None:
+        """Wait until the publisher has added us: it answers first, and loses what comes between."""
+        host, port = connection.getsockname()[:2]
+        ends = re.compile(rf"to \[(?:{re.escape(host)}|[^\]]*):{port}\b")
+        deadline = time.monotonic() + _LISTED_SECONDS
+        pause = threading.Event()
+        while time.monotonic() < deadline and not self._closed.is_set():
+            try:
+                listing: Any = call_api(
+                    self.uri, "getBusInfo", self._owner.wanted.caller, seconds=_LISTED_SECONDS
+                )
+            except BridgeError:
+                return  # a node that does not say
+            if not isinstance(listing, list):
+                return
+            if any(self._is_this(entry, ends) for entry in listing):
+                return
+            pause.wait(_LISTED_LOOK_SECONDS)
+
+    def _is_this(self, entry: object, ends: re.Pattern[str]) -> bool:
+        """Whether an entry of a listing stands for a connection, as far as it says which."""
+        match entry:
+            case [_, _, "o", _, topic, *more] if topic == self._owner.wanted.topic:
+                return len(more) < len(("connected", "text")) or bool(ends.search(str(more[1])))
+        return False
+
+    def _read(self, connection: socket.socket, reader: FrameReader) -> str:
+        """Take messages until the connection ends; returns why it did."""
+        take, wanted = self._owner.take, self._owner.wanted
+        writer = "" if self.header is None else self.header.node
+        for frame in reader.ready:
+            take(frame, writer)
+        connection.settimeout(wanted.silence)
+        receive, buffer, received = connection.recv_into, reader.buffer, reader.received
+        asked = 0
+        while True:
+            try:
+                count = receive(buffer())
+            except TimeoutError:
+                asked += 1
+                if cause := self._ask():
+                    if asked >= _ASKED_IN_VAIN:
+                        return cause
+                else:
+                    asked = 0
+                continue
+            except OSError as error:
+                return f"the connection broke: {error.strerror or error}"
+            if not count:
+                return "it closed the connection"
+            asked = 0
+            for frame in received(count):
+                take(frame, writer)
+
+    def _ask(self) -> str:
+        """Return why a publisher that is silent is taken for dead, nothing where it answers."""
+        try:
+            call_api(self.uri, "getPid", self._owner.wanted.caller, what="the publisher")
+        except BridgeError as error:
+            return str(error)
+        return ""
+
+
+class Subscription:
+    """One topic, kept connected to whoever the master says publishes it.
+
+    Args:
+        wanted: what it takes.
+        take: takes the octets of messages and the name of their node, in the thread of each
+            publisher.
+        came: is called when a publisher is connected, with its header.
+        went: is called when one that was connected is not any more, or one cannot be connected,
+            with its name or address, the cause, and whether it had been connected.
+    """
+
+    def __init__(
+        self,
+        wanted: Wanted,
+        take: Callable[[bytes | bytearray, str], object],
+        came: Callable[[PublisherHeader], object],
+        went: Callable[[str, str, bool], object],
+    ) -> None:
+        self.wanted, self.take = wanted, take
+        self._came, self._went = came, went
+        # Guards the table of publishers, between the loop, in which the master's word comes, and
+        # their threads.
+        self._changed = threading.Condition()
+        self._publishers: dict[str, _Publisher] = {}
+        self._closed = False
+
+    @property
+    def connected(self) -> list[PublisherHeader]:
+        """What the publishers that are connected say of themselves."""
+        return [
+            publisher.header
+            for publisher in tuple(self._publishers.values())
+            if publisher.header is not None
+        ]
+
+    @property
+    def failures(self) -> list[str]:
+        """Why publishers that are listed are not connected."""
+        return [
+            publisher.failure for publisher in tuple(self._publishers.values()) if publisher.failure
+        ]
+
+    @property
+    def listed(self) -> list[str]:
+        """The addresses of the publishers that the master named last."""
+        return [
+            publisher.uri for publisher in tuple(self._publishers.values()) if publisher.is_listed
+        ]
+
+    def update(self, uris: tuple[str, ...]) -> None:
+        """Take note of who publishes the topic now; returns at once."""
+        started = []
+        with self._changed:
+            if self._closed:
+                return
+            for uri, publisher in self._publishers.items():
+                # What it sent before it left still comes: its connection is its own to close.
+                publisher.is_listed = uri in uris
+            for uri in uris:
+                known = self._publishers.get(uri)
+                if known is None:
+                    self._publishers[uri] = _Publisher(uri, self)
+                    started.append(self._publishers[uri])
+                else:
+                    known.poke()
+            self._changed.notify_all()
+        for publisher in started:
+            publisher.start()
+
+    def wait(self, is_ready: Callable[[], bool], seconds: float) -> bool:
+        """Wait until something holds of the publishers."""
+        with self._changed:
+            return self._changed.wait_for(is_ready, seconds)
+
+    def is_settled(self) -> bool:
+        """Whether each publisher that is listed is connected, or could not be."""
+        return all(publisher.is_settled for publisher in self._publishers.values())
+
+    def close(self) -> None:
+        """Close every connection; waits for no thread."""
+        with self._changed:
+            self._closed = True
+            publishers = list(self._publishers.values())
+            self._publishers.clear()
+        for publisher in publishers:
+            publisher.close()
+
+    def came(self, publisher: _Publisher, header: PublisherHeader) -> None:
+        """Take note of a connection; for its thread."""
+        del publisher
+        self._came(header)
+        with self._changed:
+            self._changed.notify_all()
+
+    def ended(self, name: str, cause: str, *, was_connected: bool) -> None:
+        """Take note that a publisher is not connected, and why; for its thread."""
+        with self._changed:
+            self._changed.notify_all()
+            if self._closed:
+                return
+        if cause:
+            self._went(name, cause, was_connected)
+
+    def left(self, publisher: _Publisher) -> None:
+        """Forget a publisher that is listed no more; for its thread, as it ends."""
+        with self._changed:
+            if self._publishers.get(publisher.uri) is publisher:
+                del self._publishers[publisher.uri]
+            again = publisher.is_listed and not self._closed
+            self._changed.notify_all()
+        if again:  # listed again while its thread was ending
+            self.update((*self.listed, publisher.uri))

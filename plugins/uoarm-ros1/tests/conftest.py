@@ -1,0 +1,48 @@
+"""A real ROS master on a loopback address of its own, for each process of tests."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from hypothesis import settings
+
+sys.path.insert(0, str(Path(__file__).parent))  # for the modules that the tests share
+
+from peers import Master, Peer, running
+from uoarm_ros1._master import call_api
+
+from uoarm.testing import patience, slowness
+from uoarm.testing._limits import default_limits
+
+settings.register_profile("ros1-short", max_examples=40, deadline=None, derandomize=True)
+settings.register_profile("ros1-long", max_examples=1000, deadline=None)
+settings.load_profile(f"ros1-{os.environ.get('HYPOTHESIS_PROFILE', 'short')}")
+
+
+@pytest.fixture(autouse=True)
+def _in_time() -> Iterator[None]:
+    """Have what is opened, asked and closed last as long as a busy machine may need."""
+    with default_limits(patience()):
+        yield
+
+
+@pytest.fixture
+def short(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A limit of calls to the master and to nodes that a test about being late runs into."""
+    monkeypatch.setitem(call_api.__kwdefaults__ or {}, "seconds", slowness())
+
+
+@pytest.fixture(scope="session")
+def master(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Master]:
+    with running(tmp_path_factory.mktemp("master")) as made:
+        yield made
+
+
+@pytest.fixture(scope="session")
+def lasting(master: Master) -> Peer:
+    """A node that serves every test."""
+    return master.peer("lasting")

@@ -1,0 +1,262 @@
+"""A node of rospy that does what lines of JSON say; run by the Python that has rospy.
+
+    python3 peer_node.py NAME
+
+Each line is {"do": command, ...}; each is answered by one line.
+"""
+
+# Of Debian's own Python, which knows nothing of this repository.
+# mypy: ignore-errors
+
+import base64
+import importlib
+import json
+import os
+import sys
+import threading
+import time
+
+import genpy
+import roslib.message
+import rospy
+
+PUBLISHERS, CAME, KEPT = {}, {}, []
+
+
+def filled(message, values):
+    for name, kind in zip(message.__slots__, message._slot_types):
+        if name in values:
+            setattr(message, name, converted(kind, values[name]))
+    return message
+
+
+def converted(kind, value):
+    if kind.endswith("]"):
+        element = kind[:-1].rpartition("[")[0]
+        items = [converted(element, item) for item in value]
+        return bytes(items) if element in ("uint8", "char") else items
+    if kind == "time":
+        return genpy.Time(value["secs"], value["nsecs"])
+    if kind == "duration":
+        return genpy.Duration(value["secs"], value["nsecs"])
+    if isinstance(value, dict):
+        return filled(roslib.message.get_message_class(kind)(), value)
+    return value
+
+
+def plain(message):
+    if isinstance(message, (genpy.Time, genpy.Duration)):
+        return {"secs": message.secs, "nsecs": message.nsecs}
+    if isinstance(message, genpy.Message):
+        return {name: plain(getattr(message, name)) for name in message.__slots__}
+    if isinstance(message, bytes):
+        return list(message)
+    if isinstance(message, (list, tuple)):
+        return [plain(item) for item in message]
+    return message
+
+
+def message_class(name):
+    return roslib.message.get_message_class(name)
+
+
+def service_class(name):
+    package, own = name.split("/")
+    return getattr(importlib.import_module(package + ".srv"), own)
+
+
+def advertise(topic, type, latch=False, queue=1000):
+    PUBLISHERS[topic] = rospy.Publisher(topic, message_class(type), latch=latch, queue_size=queue)
+
+
+def unadvertise(topic):
+    PUBLISHERS.pop(topic).unregister()
+
+
+def publish(topic, type, values, count=1, gap=0):
+    kind = message_class(type)
+    for _ in range(count):
+        PUBLISHERS[topic].publish(filled(kind(), values))
+        if gap:
+            time.sleep(gap)
+
+
+def advertise_octets(topic, type):
+    known = message_class(type)
+
+    class Raw(rospy.AnyMsg):
+        _type, _md5sum, _full_text = known._type, known._md5sum, known._full_text
+
+    PUBLISHERS[topic] = rospy.Publisher(topic, Raw, queue_size=1000)
+
+
+def publish_octets(topic, octets):
+    message = PUBLISHERS[topic].data_class()
+    message._buff = base64.b64decode(octets)
+    PUBLISHERS[topic].publish(message)
+
+
+def stream(topic, type, values, rate):
+    def run():
+        while not rospy.is_shutdown() and topic in PUBLISHERS:
+            try:
+                publish(topic, type, values)
+            except Exception:
+                return
+            time.sleep(1 / rate)
+
+    threading.Thread(target=run, daemon=True).start()
+
+
+def connections(topic):
+    return PUBLISHERS[topic].get_num_connections()
+
+
+def subscribe(topic, type):
+    CAME[topic] = []
+    KEPT.append(
+        rospy.Subscriber(topic, message_class(type), lambda m: CAME[topic].append(plain(m)))
+    )
+
+
+def echo(topic, to, type):
+    out = rospy.Publisher(to, message_class(type), queue_size=1000)
+    KEPT.append((out, rospy.Subscriber(topic, message_class(type), out.publish)))
+
+
+def came(topic):
+    return CAME[topic]
+
+
+def count(topic):
+    return len(CAME[topic])
+
+
+def take(topic):
+    taken, CAME[topic] = CAME[topic], []
+    return taken
+
+
+def serve(service, type, how="ok"):
+    kind = service_class(type)
+
+    def answer(request):
+        if how == "fail":
+            raise rospy.ServiceException("the service is broken")
+        if how == "silent":
+            threading.Event().wait(3600)
+        reply = kind._response_class()
+        if hasattr(reply, "success"):
+            reply.success = bool(getattr(request, "data", True))
+            reply.message = "data is %s" % getattr(request, "data", None)
+        return reply
+
+    KEPT.append(rospy.Service(service, kind, answer))
+
+
+def call(service, type, values):
+    proxy = rospy.ServiceProxy(service, service_class(type))
+    try:
+        return plain(proxy(filled(service_class(type)._request_class(), values)))
+    except rospy.ServiceException as error:
+        return {"error": str(error)}
+
+
+def act(action, type, how="ok"):
+    import actionlib
+
+    package, own = type.split("/")
+    module = importlib.import_module(package + ".msg")
+    stem = own[: -len("Action")]
+
+    def execute(goal):
+        feedback, result = getattr(module, stem + "Feedback")(), getattr(module, stem + "Result")()
+        server.publish_feedback(feedback)
+        if how == "abort":
+            server.set_aborted(result, "it cannot")
+        elif how == "wait":
+            while not server.is_preempt_requested() and not rospy.is_shutdown():
+                time.sleep(0.01)
+            server.set_preempted(result, "it was asked to stop")
+        else:
+            if hasattr(result, "sum"):
+                result.sum = goal.a + goal.b
+            server.set_succeeded(result)
+
+    server = actionlib.SimpleActionServer(action, getattr(module, own), execute, auto_start=False)
+    server.start()
+    KEPT.append(server)
+
+
+def send_goal(action, type, values, timeout=30, cancel=False):
+    import actionlib
+
+    package, own = type.split("/")
+    module = importlib.import_module(package + ".msg")
+    client = actionlib.SimpleActionClient(action, getattr(module, own))
+    if not client.wait_for_server(rospy.Duration(timeout)):
+        return {"error": "no server"}
+    client.send_goal(filled(getattr(module, own[: -len("Action")] + "Goal")(), values))
+    if cancel:
+        while client.get_state() == 0:
+            time.sleep(0.01)
+        client.cancel_goal()
+    client.wait_for_result(rospy.Duration(timeout))
+    result = client.get_result()
+    return {
+        "state": client.get_state(),
+        "text": client.get_goal_status_text(),
+        "result": None if result is None else plain(result),
+    }
+
+
+def static_transforms(frames):
+    import geometry_msgs.msg
+    import tf2_ros
+
+    broadcaster = tf2_ros.StaticTransformBroadcaster()
+    made = []
+    for frame in frames:
+        transform = geometry_msgs.msg.TransformStamped()
+        transform.header.frame_id, transform.child_frame_id = "world", frame
+        transform.transform.rotation.w = 1.0
+        made.append(transform)
+    broadcaster.sendTransform(made)
+    KEPT.append(broadcaster)
+
+
+def set_param(name, value):
+    rospy.set_param(name, value)
+
+
+def get_param(name):
+    return rospy.get_param(name, None)
+
+
+def delete_param(name):
+    rospy.delete_param(name)
+
+
+def threads():
+    return threading.active_count()
+
+
+COMMANDS = {name: value for name, value in globals().items() if callable(value)}
+
+
+def main():
+    rospy.init_node(sys.argv[1], disable_signals=True)
+    replies = os.fdopen(os.dup(1), "w")
+    os.dup2(2, 1)  # what rospy prints is no reply
+    print(json.dumps({"is": "ready"}), file=replies, flush=True)
+    for line in sys.stdin:
+        given = json.loads(line)
+        try:
+            result = {"is": COMMANDS[given.pop("do")](**given)}
+        except Exception as error:
+            result = {"raised": "%s: %s" % (type(error).__name__, error)}
+        print(json.dumps(result), file=replies, flush=True)
+    os._exit(0)
+
+
+main()

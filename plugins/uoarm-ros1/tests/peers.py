@@ -1,0 +1,163 @@
+"""A ROS master, and nodes that know nothing of uoarm, in processes of their own on loopback."""
+
+from __future__ import annotations
+
+import json
+import os
+import random
+import shutil
+import socket
+import subprocess
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import IO, Any
+
+from uoarm.testing import patience, wait
+
+ROS_PYTHON = "/usr/bin/python3"  # what Debian installs belongs to it alone
+HERE = Path(__file__).parent
+MASTER = "/usr/bin/rosmaster"
+
+
+class Master:
+    """rosmaster in a process of its own, on a loopback address that nobody else chooses.
+
+    An address and not only a port: it can be killed, and comes back at the same place.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        folder.mkdir(exist_ok=True)
+        self.host = "127." + ".".join(str(random.randint(1, 254)) for _ in range(3))
+        self.port = 11311
+        self._process: subprocess.Popen[bytes] | None = None
+        self._peers: list[Peer] = []
+
+    @property
+    def uri(self) -> str:
+        return f"http://{self.host}:{self.port}"
+
+    @property
+    def environment(self) -> dict[str, str]:
+        keep = {"PATH": os.environ.get("PATH", ""), "LANG": "C.UTF-8"}
+        ros = {"ROS_MASTER_URI": self.uri, "ROS_IP": self.host, "ROS_HOME": str(self.folder)}
+        return {**keep, **ros, "HOME": str(self.folder), "PYTHONUNBUFFERED": "1"}
+
+    def start(self) -> None:
+        with (self.folder / "master.log").open("ab") as log:
+            self._process = subprocess.Popen(
+                [MASTER, "--core", "-p", str(self.port)],
+                stdout=log,
+                stderr=log,
+                env=self.environment,
+            )
+        wait(self._answers, "the master does not answer", patience())
+
+    def kill(self) -> None:
+        """End it without a word, as a loss of power does."""
+        if self._process is not None:
+            self._process.kill()
+            self._process.wait()
+            self._process = None
+
+    def send_signal(self, number: int) -> None:
+        assert self._process is not None
+        self._process.send_signal(number)
+
+    def peer(self, name: str) -> Peer:
+        self._peers.append(Peer(self, [ROS_PYTHON, str(HERE / "debian" / "peer_node.py"), name]))
+        return self._peers[-1]
+
+    def program(self, *words: str) -> Peer:
+        # What listens on loopback alone does so on its first address in roscpp.
+        self._peers.append(Peer(self, [*words], ROS_IP="127.0.0.1"))
+        return self._peers[-1]
+
+    def end_peers(self) -> None:
+        for peer in self._peers:
+            peer.kill()
+        self._peers.clear()
+
+    def _answers(self) -> bool:
+        assert self._process is not None
+        log = (self.folder / "master.log").read_text(encoding="utf-8", errors="replace")
+        assert self._process.poll() is None, log
+        try:
+            socket.create_connection((self.host, self.port), 1).close()
+        except OSError:
+            return False
+        return True
+
+
+class Peer:
+    """A node in a process of its own, which does what it is asked by lines of JSON."""
+
+    def __init__(self, master: Master, words: list[str], **environment: str) -> None:
+        self.master = master
+        self._log = (master.folder / "peers.log").open("ab")
+        self.process = subprocess.Popen(
+            words,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=self._log,
+            env={**master.environment, **environment},
+        )
+        self._answer()
+
+    def do(self, command: str, **given: Any) -> Any:
+        stream = self._stream(self.process.stdin)
+        stream.write(json.dumps({"do": command, **given}).encode() + b"\n")
+        stream.flush()
+        return self._answer()
+
+    def wait_for(self, command: str, fits: Callable[[Any], bool], **given: Any) -> Any:
+        seen: list[Any] = [None]
+
+        def has_come() -> bool:
+            seen[0] = self.do(command, **given)
+            return fits(seen[0])
+
+        wait(has_come, f"{command} {given}: what came last was {seen}", patience())
+        return seen[0]
+
+    def send_signal(self, number: int) -> None:
+        self.process.send_signal(number)
+
+    def kill(self) -> None:
+        self.process.kill()
+        self.process.wait()
+        for stream in (self.process.stdin, self.process.stdout, self._log):
+            if stream is not None and not stream.closed:
+                try:
+                    stream.close()
+                except OSError:
+                    continue
+
+    def _answer(self) -> Any:
+        line = self._stream(self.process.stdout).readline()
+        assert line, (self.master.folder / "peers.log").read_text(errors="replace")[-4000:]
+        answer = json.loads(line)
+        assert "raised" not in answer, answer
+        return answer["is"]
+
+    @staticmethod
+    def _stream(stream: IO[bytes] | None) -> IO[bytes]:
+        assert stream is not None
+        return stream
+
+
+@contextmanager
+def running(folder: Path) -> Iterator[Master]:
+    """A master while a block runs."""
+    master = Master(folder)
+    master.start()
+    try:
+        yield master
+    finally:
+        master.end_peers()
+        master.kill()
+
+
+def compiler() -> str | None:
+    return shutil.which("g++")

@@ -1,0 +1,346 @@
+"""Hostile nodes, and a master that stalls, lies, answers late, or is started again."""
+
+from __future__ import annotations
+
+import signal
+import socket
+import struct
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+import pytest
+from endpoints import Reports, bridge_to, input_, output, service
+from peers import Master, Peer, running
+from uoarm_ros1._node import Node
+from uoarm_ros1._protocol import decode_call, encode_header, encode_reply, http_reply
+
+from uoarm.bridge import Bridge
+from uoarm.errors import BridgeError
+from uoarm.model import Health, MessageStructure
+from uoarm.testing import Collector, patience, slowness
+
+INT = "std_msgs/Int32"
+ANY = MessageStructure(True)
+
+
+@contextmanager
+def listening(answer: Callable[[socket.socket], object]) -> Iterator[int]:
+    """Something that listens on loopback, and answers each connection as it is told."""
+    server = socket.create_server(("127.0.0.1", 0))
+    threads: list[threading.Thread] = []
+    ended = threading.Event()
+
+    def serve(connection: socket.socket) -> None:
+        with connection:
+            try:
+                answer(connection)
+            except OSError:
+                return
+
+    def run() -> None:
+        while not ended.is_set():
+            try:
+                connection, _ = server.accept()
+            except OSError:
+                return
+            threads.append(threading.Thread(target=serve, args=(connection,)))
+            threads[-1].start()
+
+    accepting = threading.Thread(target=run)
+    accepting.start()
+    try:
+        yield server.getsockname()[1]
+    finally:
+        ended.set()
+        server.shutdown(socket.SHUT_RDWR)
+        server.close()
+        for thread in (accepting, *threads):
+            thread.join(patience())
+
+
+def calls(answers: dict[str, Any]) -> Callable[[socket.socket], None]:
+    """Answer calls of XML-RPC: octets as they are, anything else as what is returned."""
+
+    def answer(connection: socket.socket) -> None:
+        octets = b""
+        while b"</methodCall>" not in octets:
+            part = connection.recv(65536)
+            if not part:
+                return
+            octets += part
+        method, _ = decode_call(octets.partition(b"\r\n\r\n")[2])
+        reply = answers.get(method, [1, "", 0])
+        if callable(reply):
+            reply = reply()
+        if not isinstance(reply, bytes):
+            reply = http_reply(encode_reply(reply), keeps=False)
+        connection.sendall(reply)
+
+    return answer
+
+
+def graph(uri: str) -> dict[str, Any]:
+    """What a master answers of one node that publishes /t and serves /s."""
+    return {
+        "getSystemState": [1, "", [[["/t", ["/bad"]]], [], [["/s", ["/bad"]]]]],
+        "getTopicTypes": [1, "", [["/t", INT]]],
+        "lookupNode": [1, "", uri],
+        "registerSubscriber": [1, "", [uri]],
+    }
+
+
+BOMB = (
+    b'<?xml version="1.0"?><!DOCTYPE b [<!ENTITY a "aaaa"><!ENTITY b "&a;&a;&a;&a;&a;">]>'
+    b"<methodResponse><params><param><value>&b;</value></param></params></methodResponse>"
+)
+LIES: dict[str, Any] = {
+    "no list": 5,
+    "no code": ["a", "b", "c"],
+    "half of it": [1, "", [[["/t"]], []]],
+    "another type": [1, "", [[5], [], []]],
+    "a refusal": [-1, "go away", 0],
+    "a bomb": http_reply(BOMB, keeps=False),
+    "no XML": http_reply(b"hello", keeps=False),
+    "no HTTP": b"hello\r\n\r\n",
+    "an error": http_reply(b"", keeps=False, status="500 Oops"),
+    "nothing": b"",
+    "endless": b"HTTP/1.0 200 OK\r\n\r\n" + b" " * (9 << 20),
+    "a lie of length": b"HTTP/1.0 200 OK\r\nContent-Length: 99999999999\r\n\r\n",
+}
+
+
+@pytest.mark.parametrize("lie", LIES)
+def test_a_master_that_lies_is_an_error_that_names_it(master: Master, lie: str) -> None:
+    with listening(calls({"getSystemState": LIES[lie]})) as port:
+        uri = f"http://127.0.0.1:{port}"
+        with (
+            bridge_to(master, master=uri) as bridge,
+            pytest.raises(BridgeError, match=str(port)),
+        ):
+            bridge.describe(output("/t"), timeout=patience())
+
+
+@pytest.mark.usefixtures("short")
+def test_a_master_that_answers_drop_by_drop_is_given_up(master: Master) -> None:
+    """A limit on each receiving would never be met: the deadline is one for the whole call."""
+
+    def drip(connection: socket.socket) -> None:
+        connection.recv(65536)
+        pause = threading.Event()
+        for octet in b"HTTP/1.0 200 OK\r\n" + b"X-Header: a\r\n" * 1000:
+            connection.sendall(bytes((octet,)))
+            pause.wait(0.01)
+
+    with listening(drip) as port:
+        uri = f"http://127.0.0.1:{port}"
+        with (
+            bridge_to(master, master=uri) as bridge,
+            pytest.raises(BridgeError, match="no answer in time"),
+        ):
+            bridge.describe(output("/t"), timeout=patience())
+
+
+def headers(*octets: bytes) -> Callable[[socket.socket], None]:
+    def answer(connection: socket.socket) -> None:
+        connection.recv(65536)
+        for part in octets:
+            connection.sendall(part)
+        connection.shutdown(socket.SHUT_WR)
+        connection.recv(65536)
+
+    return answer
+
+
+def typed(**more: str) -> bytes:
+    fields = {"type": INT, "md5sum": "da5909fbe378aeaf85e547e830cc1bb7", "callerid": "/bad"}
+    return encode_header({**fields, **more})
+
+
+PUBLISHERS: dict[str, tuple[bytes, str]] = {
+    "a header that never ends": (struct.pack("<I", 100), "unanswered"),
+    "a header of gigabytes": (struct.pack("<I", 2**32 - 1), "are allowed"),
+    "a header of noise": (struct.pack("<I", 8) + b"\xff" * 8, "more than it has"),
+    "no header": (b"", "unanswered"),
+    "no type": (encode_header({"callerid": "/bad"}), "no field md5sum"),
+    "a refusal": (encode_header({"error": "not you"}), "not you"),
+    "another type": (typed(type="std_msgs/String"), "std_msgs/String"),
+    "a definition of another sum": (typed(message_definition="int8 data"), "md5sum"),
+    "a definition without an end": (
+        typed(message_definition="Other o"),
+        "cannot be read",
+    ),
+}
+
+
+@pytest.mark.parametrize("what", PUBLISHERS)
+def test_a_publisher_that_lies_is_an_error_that_names_it(master: Master, what: str) -> None:
+    octets, words = PUBLISHERS[what]
+    with listening(headers(octets)) as port:
+        api = {"requestTopic": [1, "", ["TCPROS", "127.0.0.1", port]]}
+        with listening(calls(api)) as api_port:
+            answers = graph(f"http://127.0.0.1:{api_port}/")
+            with listening(calls(answers)) as master_port:
+                uri = f"http://127.0.0.1:{master_port}"
+                with bridge_to(master, master=uri) as bridge:
+                    with pytest.raises(BridgeError, match=words) as caught:
+                        bridge.describe(output("/t", INT), timeout=patience())
+                    assert "/bad" in str(caught.value)
+                    assert len(str(caught.value)) < 3000
+
+
+@pytest.mark.parametrize(
+    "protocol", [[], ["TCPROS"], ["TCPROS", "h", 99999], ["TCPROS", 5, "h"], 7, ["UDPROS"]]
+)
+def test_a_node_that_offers_nonsense_is_refused(master: Master, protocol: Any) -> None:
+    with listening(calls({"requestTopic": [1, "", protocol]})) as api_port:
+        answers = graph(f"http://127.0.0.1:{api_port}/")
+        with (
+            listening(calls(answers)) as port,
+            bridge_to(master, master=f"http://127.0.0.1:{port}") as bridge,
+            pytest.raises(BridgeError, match="offers no TCPROS"),
+        ):
+            bridge.describe(output("/t", INT), timeout=patience())
+
+
+SERVERS: dict[str, tuple[bytes, str]] = {
+    "no answer": (b"", "closed the connection"),
+    "a header of gigabytes": (struct.pack("<I", 2**32 - 1), "4,294,967,295"),
+    "a reply of gigabytes": (
+        encode_header({"md5sum": "*"}) + b"\1" + struct.pack("<I", 2**32 - 1),
+        "are allowed",
+    ),
+    "half a reply": (encode_header({"md5sum": "*"}) + b"\1\4\0\0\0ab", "closed the connection"),
+    "two replies": (encode_header({"md5sum": "*"}) + 2 * b"\0\0\0\0\0", "a second reply"),
+    "a refusal": (encode_header({"error": "not you"}), "not you"),
+}
+
+
+@pytest.mark.parametrize("what", SERVERS)
+def test_a_server_that_lies_is_an_error(master: Master, what: str) -> None:
+    octets, words = SERVERS[what]
+
+    def answer(connection: socket.socket) -> None:
+        if b"probe" in connection.recv(65536):
+            connection.sendall(encode_header({"md5sum": "*", "type": "std_srvs/Empty"}))
+            return
+        connection.sendall(octets)
+        connection.shutdown(socket.SHUT_WR)
+        connection.recv(65536)
+
+    with listening(answer) as port:
+        answers = {"lookupService": [1, "", f"rosrpc://127.0.0.1:{port}"]}
+        with (
+            listening(calls(answers)) as master_port,
+            bridge_to(master, master=f"http://127.0.0.1:{master_port}") as bridge,
+            pytest.raises(BridgeError, match=words),
+        ):
+            bridge.call(service("/s", "std_srvs/Empty"), {}, timeout=patience())
+
+
+NOISE = [
+    b"",
+    b"GET / HTTP/1.1\r\n\r\n",
+    b"\xff" * 1000,
+    struct.pack("<I", 2**31),
+    encode_header({"topic": "/none"}),
+    encode_header({"topic": "/t", "callerid": "/x", "type": "a/B", "md5sum": "1"}),
+    encode_header({"service": "/none", "callerid": "/x", "md5sum": "*"}),
+    encode_header({"topic": "/t"}) + b"more",
+    b"POST / HTTP/1.1\r\nContent-Length: 5\r\n\r\nhello",
+    b"POST / HTTP/1.1\r\nContent-Length: 999999999\r\n\r\n",
+    b"POST / HTTP/1.1\r\n" + b"a" * 70_000,
+    http_reply(BOMB, keeps=False).replace(b"HTTP/1.1 200 OK", b"POST / HTTP/1.1"),
+]
+
+
+def test_strangers_at_our_doors_disturb_nobody(master: Master, lasting: Peer) -> None:
+    lasting.do("subscribe", topic="/t", type=INT)
+    with bridge_to(master) as bridge:
+        sink = bridge.open_sink(input_("/t", INT, wait=patience()), ANY, timeout=patience())
+        node: Node = bridge._node  # type: ignore[attr-defined]  # of this bridge
+        api = int(node.uri.rstrip("/").rpartition(":")[2])
+        held = []
+        for port in (api, node._slave.port):
+            for noise in NOISE:
+                connection = socket.create_connection((node._slave.host, port))
+                with suppress(OSError):
+                    connection.sendall(noise)
+                held.append(connection)
+        sink.send({"data": 1})
+        lasting.wait_for("count", lambda count: count == 1, topic="/t")
+        for connection in held:
+            connection.close()
+
+
+def test_more_strangers_than_there_is_room_for_are_turned_away(master: Master) -> None:
+    with bridge_to(master) as bridge:
+        node: Node = bridge._node  # type: ignore[attr-defined]  # of this bridge
+        held = [socket.create_connection((node._slave.host, node._slave.port)) for _ in range(300)]
+        held[-1].settimeout(patience())
+        assert held[-1].recv(1) == b""
+        for connection in held:
+            connection.close()
+
+
+def test_a_master_that_is_started_again_is_registered_with_again(tmp_path: Path) -> None:
+    with running(tmp_path / "master") as world, bridge_to(world) as bridge:
+        reports = Reports(bridge)
+        collector = Collector()
+        pair = ("/pair", INT)
+        bridge.open_source(output(*pair, peer="optional"), ANY, collector.deliver)
+        sink = bridge.open_sink(input_(*pair, peer="optional"), ANY, timeout=patience())
+        bridge.serve(
+            service("/served", "std_srvs/SetBool"), lambda _: {"success": True, "message": ""}
+        )
+        reports_ok(bridge, reports)
+        world.kill()
+        reports.wait(Health.DEGRADED, world.host)
+        sink.send({"data": 1})  # what is connected needs no master
+        assert collector.wait(1, patience()) == [{"data": 1}]
+        world.start()
+        reports.wait(Health.OK, "answers again")
+        peer = world.peer("after")
+        peer.do("subscribe", topic="/pair", type=INT)
+        peer.do("advertise", topic="/pair", type=INT)
+        peer.wait_for("connections", lambda count: count == 2, topic="/pair")  # itself, too
+        sink.send({"data": 2})
+        peer.wait_for("came", lambda came: {"data": 2} in came, topic="/pair")
+        peer.do("publish", topic="/pair", type=INT, values={"data": 3})
+        assert {"data": 3} in collector.wait(3, patience())
+        called = peer.do("call", service="/served", type="std_srvs/SetBool", values={"data": True})
+        assert called["success"]
+
+
+def reports_ok(bridge: Bridge, reports: Reports) -> None:
+    """The master has answered once, so that its death is one."""
+    known: Any = bridge
+    from uoarm.testing import wait
+
+    wait(lambda: known._master_health.is_up, "the master was not asked", patience())
+    assert not [event for event in reports.events if event.health is Health.LOST]
+
+
+@pytest.mark.usefixtures("short")
+def test_a_master_that_stalls_holds_up_no_message_and_no_close(tmp_path: Path) -> None:
+    with running(tmp_path / "master") as world:
+        with bridge_to(world) as bridge:
+            reports = Reports(bridge)
+            collector = Collector()
+            at = ("/pair", INT)
+            bridge.open_source(output(*at, peer="optional"), ANY, collector.deliver)
+            sink = bridge.open_sink(input_(*at, peer="optional"), ANY, timeout=patience())
+            reports_ok(bridge, reports)
+            world.send_signal(signal.SIGSTOP)
+            reports.wait(Health.DEGRADED, "no answer in time")
+            sink.send({"data": 1})
+            assert collector.wait(1, patience()) == [{"data": 1}]
+            world.send_signal(signal.SIGCONT)
+            reports.wait(Health.OK, "answers again")
+            world.send_signal(signal.SIGSTOP)
+            with pytest.raises(BridgeError, match="no answer in time"):
+                bridge.describe(output("/t"), timeout=patience())
+            bridge.close(timeout=10 * slowness())
+        world.send_signal(signal.SIGCONT)

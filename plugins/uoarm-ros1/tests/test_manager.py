@@ -1,0 +1,179 @@
+"""What applications meet when functions are ROS 1: takeovers, offers, commands that expire."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+from endpoints import bridge_to
+from peers import Master, Peer
+
+from uoarm import RobotManager
+from uoarm.config import loads
+from uoarm.model import ConnectionState, OfferState
+from uoarm.testing import MemoryBridge, patience, slowness, wait
+
+NUMBER = {
+    "type": "object",
+    "properties": {"data": {"type": "integer", "minimum": -(2**31), "maximum": 2**31 - 1}},
+    "required": ["data"],
+    "additionalProperties": False,
+}
+HEADER = """
+version: 1
+{more}
+bridges:
+  ros: {{plugin: ros1, options: {{master: "{master}", check: 0.1, wait: 60}}{host}}}
+functions:
+{functions}
+"""
+
+
+def robot(master: Master, functions: str, more: str = "", host: str = "") -> str:
+    return HEADER.format(more=more, master=master.uri, host=host, functions=functions)
+
+
+def test_a_camera_that_is_killed_is_replaced_and_returned_to(master: Master) -> None:
+    functions = """
+  numbers:
+    components:
+      - name: first
+        bridge: ros
+        output: {endpoint: [/camera/first, std_msgs/Int32]}
+      - name: second
+        bridge: ros
+        output: {endpoint: [/camera/second, std_msgs/Int32]}
+"""
+    peers = {name: master.peer(name) for name in ("first", "second")}
+    for name, peer in peers.items():
+        peer.do("advertise", topic=f"/camera/{name}", type="std_msgs/Int32")
+    more = "failover: {return_after: 0.1}"
+    text = robot(master, functions, more)
+    with RobotManager(loads(text)) as manager, manager.request("numbers") as connection:
+        came: list[Any] = []
+        connection.subscribe(came.append)
+
+        def comes_from(name: str, number: int) -> None:
+            # What is published while nobody is connected goes to nobody: that is ROS 1.
+            def has_come() -> bool:
+                topic = f"/camera/{name}"
+                values = {"data": number}
+                peers[name].do("publish", topic=topic, type="std_msgs/Int32", values=values)
+                return values in came
+
+            wait(has_come, f"nothing of {name}: {came}", patience())
+
+        comes_from("first", 1)
+        peers["first"].kill()
+        comes_from("second", 2)
+        peers["first"] = master.peer("first")
+        peers["first"].do("advertise", topic="/camera/first", type="std_msgs/Int32")
+        comes_from("first", 3)
+        assert connection.state is ConnectionState.RUNNING
+    for peer in peers.values():
+        peer.kill()
+
+
+def test_functions_are_offered_as_topics_services_and_actions(
+    master: Master, lasting: Peer
+) -> None:
+    functions = """
+  counter: {components: [{name: counter, bridge: one, output: {endpoint: [counter]}}]}
+  arm: {components: [{name: arm, bridge: one, input: {endpoint: [arm]}}]}
+offer:
+  ros:
+    counter: {output: {endpoint: [/offered/count, std_msgs/Int32]}}
+    arm: {input: {endpoint: [/offered/goal, std_msgs/Int32]}}
+"""
+    memory = MemoryBridge("one")
+    counter: Any = memory.emitter("counter", NUMBER)
+    arm = memory.taker("arm", NUMBER)
+    text = robot(master, functions).replace("\nfunctions", "\n  one: {plugin: memory}\nfunctions")
+    with (
+        bridge_to(master) as bridge,
+        RobotManager(loads(text), bridges={"ros": bridge, "one": memory}) as manager,
+    ):
+        manager.offer()
+        wait(lambda: {one.state for one in manager.status().offers} == {OfferState.OPEN})
+        lasting.do("subscribe", topic="/offered/count", type="std_msgs/Int32")
+        lasting.do("advertise", topic="/offered/goal", type="std_msgs/Int32")
+
+        def has_come() -> bool:
+            counter.emit({"data": 5})
+            return bool(lasting.do("count", topic="/offered/count"))
+
+        wait(has_come, "nothing is published", patience())
+        lasting.wait_for("connections", lambda count: count == 1, topic="/offered/goal")
+        lasting.do("publish", topic="/offered/goal", type="std_msgs/Int32", values={"data": 9})
+        wait(lambda: {"data": 9} in arm.taken.messages, "nothing is taken", patience())
+
+
+TWIST = """
+  drive:
+    components:
+      - name: base
+        bridge: ros
+        input:
+          endpoint: [{topic}, geometry_msgs/Twist]
+          options: {{wait: 60}}
+          lifetime: {lifetime}
+          stop: {stop}
+          meaning: stated
+"""
+ZERO = {axis: {"x": 0.0, "y": 0.0, "z": 0.0} for axis in ("linear", "angular")}
+STOP = "{message: {linear: {x: 0, y: 0, z: 0}, angular: {x: 0, y: 0, z: 0}}}"
+FORWARD = {**ZERO, "linear": {"x": 1.0, "y": 0.0, "z": 0.0}}
+
+
+def test_a_twist_that_nobody_repeats_is_followed_by_the_stop(master: Master, lasting: Peer) -> None:
+    topic = "/expiring/cmd_vel"
+    lasting.do("subscribe", topic=topic, type="geometry_msgs/Twist")
+    lifetime = 0.2 * slowness()
+    functions = TWIST.format(topic=topic, lifetime=lifetime, stop=STOP)
+    with (
+        RobotManager(loads(robot(master, functions))) as manager,
+        manager.request("drive") as connection,
+    ):
+        connection.send(FORWARD)
+        lasting.wait_for("came", lambda came: came[:2] == [FORWARD, ZERO], topic=topic)
+
+
+DRIVER = """
+import sys
+from uoarm import RobotManager
+from uoarm.config import load
+
+with RobotManager(load(sys.argv[1])) as manager:
+    with manager.request("drive") as connection:
+        still = {"x": 0.0, "y": 0.0, "z": 0.0}
+        forward = {"linear": {**still, "x": 1.0}, "angular": still}
+        while True:
+            connection.send(forward)
+            print("sent", flush=True)
+            sys.stdin.readline()
+"""
+
+
+def test_the_base_stops_when_the_manager_is_killed(
+    master: Master, lasting: Peer, tmp_path: Path
+) -> None:
+    """The bridge is in a host: it outlives the manager for as long as it takes to stop."""
+    topic = "/orphaned/cmd_vel"
+    lasting.do("subscribe", topic=topic, type="geometry_msgs/Twist")
+    functions = TWIST.format(topic=topic, lifetime=60, stop=STOP)
+    host = f", host: {{silence: {patience()}, start: {patience()}}}"
+    file = tmp_path / "robot.yaml"
+    file.write_text(robot(master, functions, host=host))
+    driver = subprocess.Popen(
+        [sys.executable, "-c", DRIVER, str(file)], stdin=subprocess.PIPE, stdout=subprocess.PIPE
+    )
+    try:
+        assert driver.stdout is not None
+        assert driver.stdout.readline() == b"sent\n"
+        lasting.wait_for("came", lambda came: came == [FORWARD], topic=topic)
+    finally:
+        driver.kill()
+        driver.communicate()
+    lasting.wait_for("came", lambda came: came[-1] == ZERO, topic=topic)

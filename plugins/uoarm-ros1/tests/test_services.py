@@ -1,0 +1,232 @@
+"""Services, actions, parameters and discovery with real nodes of rospy and actionlib."""
+
+from __future__ import annotations
+
+import threading
+from typing import Any
+
+import pytest
+from endpoints import Reports, bridge_to, input_, output, service
+from peers import Master, Peer
+
+from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, MessageError
+from uoarm.model import Health, MessageStructure, Role
+from uoarm.testing import Background, Collector, patience, slowness, wait
+
+SET = "std_srvs/SetBool"
+ADD = "actionlib/TwoIntsAction"
+ANY = MessageStructure(True)
+
+
+def test_a_service_is_described_by_what_its_server_says(master: Master, lasting: Peer) -> None:
+    lasting.do("serve", service="/set", type=SET)
+    with bridge_to(master) as bridge:
+        described: Any = bridge.describe(service("/set"))
+        assert described.request.native_type == "std_srvs/SetBoolRequest"
+        reply = bridge.call(service("/set"), {"data": True}, timeout=patience())
+        assert reply == {"success": True, "message": "data is True"}
+        with pytest.raises(MessageError, match=r"\$\.data: expected true or false"):
+            bridge.call(service("/set"), {"data": 1}, timeout=patience())
+        with pytest.raises(BridgeError, match="is served as std_srvs/SetBool"):
+            bridge.describe(service("/set", "std_srvs/Trigger"))
+
+
+def test_a_service_of_another_definition_is_refused_with_both_sums(
+    master: Master, lasting: Peer
+) -> None:
+    lasting.do("serve", service="/summed", type=SET)
+    with bridge_to(master) as bridge:
+        at = service("/summed", SET, definition="bool data\n---\nbool success\n")
+        with pytest.raises(BridgeError, match="09fb03525b03e7ea1fd3992bafd87e16"):
+            bridge.describe(at)
+
+
+def test_a_service_that_nobody_serves_is_named_and_its_coming_is_said(master: Master) -> None:
+    with bridge_to(master) as bridge:
+        reports = Reports(bridge)
+        with pytest.raises(BridgeError, match="nobody serves /nowhere") as caught:
+            bridge.describe(service("/nowhere"))
+        assert caught.value.reason is FailureReason.NOT_FOUND
+        peer = master.peer("coming")
+        wait(lambda: bridge._lost._seen, "it is not looked for", patience())  # type: ignore[attr-defined]
+        # A look that finds nobody comes first: what was there before is no return.
+        lost: Any = bridge
+        wait(
+            lambda: lost._lost._seen[("nowhere", "services", "/nowhere")] is not None,
+            "it was not looked for",
+            patience(),
+        )
+        peer.do("serve", service="/nowhere", type=SET)
+        assert reports.wait(Health.OK, "/nowhere").component == "nowhere"
+        assert bridge.describe(service("/nowhere")).request is not None
+        peer.kill()
+
+
+def test_a_server_that_was_started_again_is_called_again(master: Master) -> None:
+    first = master.peer("serving")
+    first.do("serve", service="/again", type=SET)
+    with bridge_to(master) as bridge:
+        at = service("/again")
+        assert bridge.call(at, {"data": True}, timeout=patience())["success"]
+        first.kill()
+        with pytest.raises(BridgeError) as caught:
+            bridge.call(at, {"data": True}, timeout=patience())
+        assert caught.value.reason is FailureReason.UNAVAILABLE
+        second = master.peer("serving")
+        second.do("serve", service="/again", type=SET)
+        assert bridge.call(at, {"data": False}, timeout=patience())["message"] == "data is False"
+        second.kill()
+
+
+def test_a_function_is_served_to_clients_of_ros(master: Master, lasting: Peer) -> None:
+    calls: list[Any] = []
+
+    def answer(request: Any) -> Any:
+        calls.append(request)
+        if not request["data"]:
+            raise ValueError("it must be on")
+        return {"success": True, "message": "Kia ora"}
+
+    with bridge_to(master) as bridge:
+        served = bridge.serve(service("/served", SET), answer)
+        ask = {"service": "/served", "type": SET}
+        reply = lasting.do("call", **ask, values={"data": True})
+        assert reply == {"success": True, "message": "Kia ora"}
+        failed = lasting.do("call", **ask, values={"data": False})
+        assert "it must be on" in failed["error"]
+        wrong = lasting.do("call", service="/served", type="std_srvs/Trigger", values={})
+        assert "std_srvs/SetBool" in wrong["error"]
+        assert served.facts()["refused"] == 1
+        served.close()
+        gone = lasting.do("call", **ask, values={"data": True})
+        assert "error" in gone
+    assert calls == [{"data": True}, {"data": False}]
+
+
+def test_an_action_is_a_call(master: Master, lasting: Peer) -> None:
+    lasting.do("act", action="/add", type=ADD)
+    with bridge_to(master) as bridge:
+        described: Any = bridge.describe(service("/add"))
+        assert described.request.schema["required"] == ["a", "b"]
+        assert described.reply.schema["required"] == ["sum"]
+        at = service("/add", ADD)
+        assert bridge.call(at, {"a": 2, "b": 40}, timeout=patience()) == {"sum": 42}
+        feedback: Any = bridge.describe(output("/add/feedback")).message
+        assert "feedback" in feedback.schema["properties"]
+
+
+def test_an_action_that_fails_says_how(master: Master) -> None:
+    peer = master.peer("acting")
+    peer.do("act", action="/abort", type=ADD, how="abort")
+    peer.do("act", action="/waiting", type=ADD, how="wait")
+    with bridge_to(master) as bridge:
+        goal = {"a": 1, "b": 2}
+        with pytest.raises(BridgeError, match="the goal was aborted: it cannot"):
+            bridge.call(service("/abort", ADD), goal, timeout=patience())
+        with pytest.raises(BridgeError, match="there is no server of action /none"):
+            bridge.describe(service("/none", ADD))
+        with pytest.raises(BridgeTimeoutError):
+            bridge.call(service("/waiting", ADD), goal, timeout=slowness())
+        caller: Any = bridge
+        goals = caller._callers[("/waiting", ADD)]._goals
+        wait(lambda: not goals, "the goal that was given up is waited for", patience())
+        cancelled = Background(
+            lambda: bridge.call(service("/waiting", ADD), goal, timeout=patience(), number=5)
+        )
+        wait(lambda: goals, "the goal was not sent", patience())
+        wait(lambda: bridge.cancel_call(5), "it cannot be cancelled", patience())
+        with pytest.raises(
+            BridgeError, match=r"the goal was (preempted: it was asked to stop|recalled)"
+        ):
+            cancelled.result(patience())
+        lost = Background(lambda: bridge.call(service("/waiting", ADD), goal, timeout=patience()))
+        wait(lambda: goals, "the goal was not sent", patience())
+        peer.kill()
+        with pytest.raises(BridgeError, match="the goal was lost"):
+            lost.result(patience())
+
+
+def test_a_function_answers_goals_of_actionlib(master: Master, lasting: Peer) -> None:
+    holding, begun = threading.Event(), threading.Event()
+
+    def add(goal: Any) -> Any:
+        if goal["a"] < 0:
+            raise ValueError("no negative numbers")
+        if goal["a"] == 7:
+            begun.set()
+            holding.wait(patience())
+        return {"sum": goal["a"] + goal["b"]}
+
+    with bridge_to(master) as bridge:
+        bridge.serve(service("/ours/add", ADD, at_once=1), add)
+        ask = {"action": "/ours/add", "type": ADD, "timeout": patience()}
+        done = lasting.do("send_goal", **ask, values={"a": 1, "b": 2})
+        assert done == {"state": 3, "text": "", "result": {"sum": 3}}
+        failed = lasting.do("send_goal", **ask, values={"a": -1, "b": 2})
+        assert (failed["state"], failed["text"]) == (4, "ValueError: no negative numbers")
+
+        # A function that runs cannot be interrupted: its goal ends as preempted when it has ended.
+        def release() -> None:
+            begun.wait(patience())
+            holding.set()
+
+        threading.Thread(target=release).start()
+        stopped = lasting.do("send_goal", **ask, values={"a": 7, "b": 2}, cancel=True)
+        assert stopped["state"] in {2, 3}
+        described: Any = bridge.describe(service("/ours/add", ADD))
+        assert described.reply is not None
+
+
+def test_parameters_are_read_watched_and_set(master: Master, lasting: Peer) -> None:
+    lasting.do("set_param", name="/robot/speed", value=1.5)
+    with bridge_to(master) as bridge:
+        at = output("/robot/speed", "parameter")
+        message: Any = bridge.describe(at).message
+        assert message.schema == {"type": "number"}
+        collector = Collector()
+        source = bridge.open_source(at, message, collector.deliver)
+        assert source.latched
+        assert collector.wait(1, patience()) == [1.5]
+        lasting.do("set_param", name="/robot/speed", value=2.5)
+        assert collector.wait(2, patience()) == [1.5, 2.5]
+        sink = bridge.open_sink(input_("/robot/speed", "parameter"), ANY)
+        sink.send(3.5)
+        assert lasting.do("get_param", name="/robot/speed") == 3.5
+        assert collector.wait(3, patience())[-1] == 3.5
+        with pytest.raises(MessageError, match="32 bits"):
+            sink.send(2**40)
+        whole = Collector()
+        bridge.open_source(output("/robot", "parameter"), ANY, whole.deliver)
+        assert whole.wait(1, patience()) == [{"speed": 3.5}]
+        lasting.do("set_param", name="/robot/speed", value=4.5)
+        assert whole.wait(2, patience())[-1] == {"speed": 4.5}
+        with pytest.raises(BridgeError, match="the parameter /robot/none is not set"):
+            bridge.describe(output("/robot/none", "parameter"))
+
+
+def test_every_node_is_discovered_with_structures(master: Master) -> None:
+    peer = master.peer("discovered")
+    peer.do("advertise", topic="/found/out", type="sensor_msgs/Image")
+    peer.do("subscribe", topic="/found/in", type="geometry_msgs/Twist")
+    peer.do("serve", service="/found/set", type=SET)
+    peer.do("act", action="/found/act", type=ADD)
+    dead = master.peer("dead")
+    dead.do("advertise", topic="/dead", type="std_msgs/Int32")
+    dead.kill()
+    with bridge_to(master) as bridge:
+        found = {one.name: one for one in bridge.discover(timeout=patience())}
+        assert "/dead" not in found  # though it is registered still
+        ports = {at.address: (at.role, known) for at, known in found["/discovered"].endpoints}
+        role, image = ports["/found/out", "sensor_msgs/Image"]
+        assert role is Role.OUTPUT
+        assert image.message is not None
+        role, twist = ports["/found/in", "geometry_msgs/Twist"]
+        assert role is Role.INPUT
+        assert twist.message is not None
+        assert ports["/found/set",][1].request is not None
+        assert ports["/found/act", ADD][1].request is not None
+        assert not [address for address in ports if "rosout" in address[0]]
+        assert not [address for address in ports if address[0].startswith("/found/act/")]
+        for at, known in found["/discovered"].endpoints:
+            assert bridge.describe(at) == known
+    peer.kill()
