@@ -207,7 +207,8 @@ def _described(schema: Any) -> Description | None:
     if schema is None:
         return None
     if isinstance(schema, dict) and schema.keys() and schema.keys() <= {"request", "reply"}:
-        return Description(**{name: MessageStructure(one) for name, one in schema.items()})
+        sides = {name: MessageStructure(side) for name, side in schema.items()}
+        return Description(request=sides.get("request"), reply=sides.get("reply"))
     return Description(MessageStructure(schema))
 
 
