@@ -22,6 +22,7 @@ LAYERS = [
         "_arguments",
         "_interrupts",
         "_log_lines",
+        "_forks",
         "_run_as_module",
         "_version",
         "_origin",

@@ -326,6 +326,37 @@ if [ "$1" = venv ]; then mkdir -p "$4/bin"; cp {script} "$4/bin/python"; fi"""
     )
 
 
+def test_an_environment_is_examined_without_the_libraries_of_our_own_middleware(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As hosts are started: what wheels of ROS put into the environment of this process is ours."""
+    monkeypatch.setenv("UOARM_HOME", str(tmp_path))
+    monkeypatch.setenv("_ROS_WHEELS_BOOTSTRAP_COMPLETE", "1")
+    monkeypatch.setenv("LD_LIBRARY_PATH", f"{sys.prefix}/lib/ros:/opt/mine")
+    monkeypatch.setenv("PYTHONPATH", "/ours")
+    folder = tmp_path / "environments" / "kd"
+    traces = tmp_path / "traces"
+    message = json.dumps({"uoarm": {"version": "1"}})
+    text = f"""
+echo "$1 ${{LD_LIBRARY_PATH}} ${{_ROS_WHEELS_BOOTSTRAP_COMPLETE}} ${{PYTHONPATH}}." >> {traces}
+if [ "$1" = -m ]; then echo '{message}'; else exec {sys.executable} "$@"; fi"""
+    _executable(folder / "bin" / "python", text)
+    (folder / "uoarm-environment.json").write_text('{"requirements": []}')
+    [found] = map(environments.examine, environments.listed())
+    assert found.problem == ""
+    assert traces.read_text() == "-I /opt/mine  .\n-m /opt/mine  .\n"
+    _doctor.extras_in(folder / "bin" / "python", ("uoarm",))
+    assert traces.read_text().endswith("\n-I /opt/mine  .\n")
+
+
+@pytest.mark.needs("ros2")
+def test_a_distribution_that_there_is_not_is_answered_with_those_that_there_are() -> None:
+    with pytest.raises(
+        PluginError, match=r"has no distribution 'humble': there are jazzy, kilted$"
+    ):
+        environments.requirements("ros2", "humble")
+
+
 def test_the_commands(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PATH", str(tmp_path), prepend=":")
     _fake_uv(tmp_path, "")

@@ -243,7 +243,7 @@ def test_a_session_ends_when_its_time_is_over(
         with pytest.raises(ConnectionClosedError, match="dropped"):
             await client.status()
 
-    run(proxy, work)
+    run(proxy, work, reconnect=0)
 
 
 def test_sessions_without_a_connection_are_limited(
@@ -253,7 +253,7 @@ def test_sessions_without_a_connection_are_limited(
     first, second = between(server), between(server)
 
     async def work(one: Client) -> None:
-        async with connect(f"ws://127.0.0.1:{second.port}/") as other:
+        async with connect(f"ws://127.0.0.1:{second.port}/", reconnect=0) as other:
             streams = await one.request("numbers"), await other.request("echo")
             first.cut(admit=False)
             await until(lambda: clients(server) == 1)
@@ -282,7 +282,7 @@ def test_where_one_side_does_not_want_it_a_drop_is_the_end(
             await stream.get()
         await until(lambda: not robot.status().connections)
 
-    run(proxy, work, resume=keeping == "client")
+    run(proxy, work, resume=keeping == "client", reconnect=0)
 
 
 def test_a_client_that_says_goodbye_leaves_nothing(

@@ -11,6 +11,7 @@ from brokers import Broker, Peer
 
 from uoarm import RobotManager
 from uoarm.config import loads
+from uoarm.errors import MessageError
 from uoarm.model import Health
 from uoarm.testing import patience, wait
 
@@ -32,6 +33,9 @@ functions:
           endpoint: ["plant/+"]
           structure: true
           options: {{retain: true, with_topic: true}}
+  note:
+    components:
+      - {{name: note, bridge: mqtt, input: {{endpoint: [note], structure: true}}}}
   text:
     components:
       - name: board
@@ -123,3 +127,14 @@ def test_what_is_no_number_or_text_is_refused(
     [component] = [one for one in robot.status().components if one.name == "scanner"]
     assert component.health in {Health.OK, Health.DEGRADED}
     assert facts(robot, "scanner")["unreadable"] == 1
+
+
+@pytest.mark.parametrize(
+    ("message", "why"), [(float("nan"), "not JSON compliant"), ("x" * 2_000_000, "are allowed")]
+)
+def test_what_has_no_form_is_an_error_of_the_send(
+    robot: RobotManager, message: object, why: str
+) -> None:
+    note = robot.request("note")
+    with pytest.raises(MessageError, match=why):
+        note.send(message)

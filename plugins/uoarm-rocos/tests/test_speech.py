@@ -6,6 +6,7 @@ import io
 import shutil
 import stat
 import struct
+import subprocess
 import sys
 import threading
 import wave
@@ -94,6 +95,38 @@ class Slow(Engine):
             self.begun.set()
             assert self.go_on.wait(LIMIT)
         return Sound(bytes(200), 8000)
+
+
+FORKED = """
+import os, sys
+from uoarm_rocos.speech._device import Speech
+from uoarm_rocos.speech._engine import Sound
+
+class Engine:
+    name = voice = "quick"
+    def check(self):
+        pass
+    def speak(self, text, voice, rate, timeout):
+        return Sound(bytes(200), 8000)
+
+speech = Speech("voice", Engine(), {"play": "never"})
+(api,) = speech.catalogue(0.0).apis.values()
+file = speech.call(api, {"text": "x"}, 60.0)["file"]
+pid = os.fork()
+if pid == 0:
+    sys.exit(3)
+print("child", os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]), os.path.exists(file))
+print(file)
+"""
+
+
+def test_a_child_that_is_forked_leaves_the_files_of_its_parent() -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", FORKED], capture_output=True, text=True, check=False, timeout=LIMIT
+    )
+    line, file = done.stdout.splitlines()
+    assert line == "child 3 True", done.stderr
+    assert not Path(file).parent.exists(), "the parent removes them as it ends"
 
 
 def test_a_device_that_is_closed_while_it_speaks_leaves_no_files_behind() -> None:

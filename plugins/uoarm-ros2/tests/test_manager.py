@@ -12,6 +12,7 @@ from peers import DOMAIN, MORTAL, Peer
 
 from uoarm import RobotManager
 from uoarm.config import loads
+from uoarm.errors import MessageError
 from uoarm.model import ConnectionState, QueuePolicy
 from uoarm.testing import patience, wait
 
@@ -141,3 +142,20 @@ def test_the_last_of_each_publisher_stand_as_long_as_it_is_there(peer: Start, ho
         assert standing() == [*expected[3:], 100]
         with pytest.raises(TimeoutError):
             first.get(0)
+
+
+WRITTEN = """
+  words:
+    components:
+      - name: words
+        bridge: ros
+        input: {endpoint: [/words, std_msgs/msg/String], options: {peer: optional}}
+"""
+
+
+@pytest.mark.parametrize("text", ["a\0b", "\ud800"])
+def test_a_text_that_ros_2_has_no_form_for_is_an_error_of_the_send(text: str) -> None:
+    with robot(WRITTEN) as manager, manager.request("words") as words:
+        words.send({"data": "fine"})
+        with pytest.raises(MessageError, match="expected a string"):
+            words.send({"data": text})

@@ -24,7 +24,7 @@ HERE = Path(__file__).parent
 Start = Callable[..., Peer]
 
 OPENS = """
-import signal, sys
+import os, signal, sys
 sys.path.insert(0, {here!r})
 from endpoints import ANSWERS, Inbox, endpoint, sink, source
 from uoarm.bridge import Registry
@@ -37,7 +37,14 @@ out, into = at(Role.OUTPUT, "From", "out"), at(Role.INPUT, "Into", "in")
 linked = bridge.link(out, into, timeout=patience())
 channels = [linked, source(bridge, out, Inbox()), sink(bridge, into)]
 print("open", flush=True)
-sys.stdin.read()
+if sys.stdin.readline() == "fork\\n":
+    pid = os.fork()
+    if pid == 0:
+        linked.close()
+        bridge.close()
+        sys.exit(3)
+    print("child", os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]), flush=True)
+    sys.stdin.read()
 """
 
 
@@ -54,6 +61,22 @@ def holding(nameserver: str) -> Iterator[subprocess.Popen[str]]:
             yield process
         finally:
             process.kill()
+
+
+def test_a_child_that_is_forked_ends_nothing_of_its_parent(
+    nameserver: str, peer: Start, state: Path
+) -> None:
+    """Neither our connectors, nor the journal of them, by which the next process would end them."""
+    ends = peer("From"), peer("Into")
+    with holding(nameserver) as process:
+        assert process.stdin is not None
+        assert process.stdout is not None
+        before = [end.connectors() for end in ends]
+        process.stdin.write("fork\n")
+        process.stdin.flush()
+        assert process.stdout.readline() == "child 3\n"
+        assert [end.connectors() for end in ends] == before
+        assert list(state.glob("*/*.json"))
 
 
 def test_a_connector_says_who_made_it(bridge: Bridge, peer: Start) -> None:

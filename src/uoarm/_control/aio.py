@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import os
 import time
 from abc import abstractmethod
 from collections.abc import AsyncIterator, Callable, Coroutine
@@ -60,6 +61,7 @@ class _Twin(Generic[Threaded]):
     def __init__(self, threaded: Threaded, executor: ThreadPoolExecutor) -> None:
         self._threaded = threaded
         self._executor = executor
+        self._process = os.getpid()
 
     @abstractmethod
     async def close(self) -> None: ...
@@ -76,7 +78,8 @@ class _Twin(Generic[Threaded]):
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        await self.close()
+        if os.getpid() == self._process:  # a forked child has none of the threads, and owns nothing
+            await self.close()
 
     def __repr__(self) -> str:
         return f"<Async{repr(self._threaded)[1:]}"

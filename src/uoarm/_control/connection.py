@@ -145,7 +145,10 @@ class Connection(Generic[T]):
         Raises:
             CommandRefusedError: the emergency stop holds the input, until it is released, or
                 somebody else its lease. What else the last hop refuses is counted in the status.
-            MessageError: the message does not match the input's structure.
+            MessageError: the message does not match the input's structure, or has no form in the
+                framework.
+            BridgeError: the component took it at once and failed, or the framework takes none.
+                Where a queue or a host is between, what becomes of it is in the status.
             UsageError: there is no such input for the application.
             ConnectionClosedError: the connection has ended.
         """
@@ -260,7 +263,10 @@ class Connection(Generic[T]):
         return self._runtime.receiver.standing()
 
     def kill(self) -> None:
-        """End the connection and close what only it used. Once is enough; bounded in time."""
+        """End the connection and close what only it used. Once is enough; bounded in time.
+
+        In a child that was forked it does nothing: the connection is the parent's.
+        """
         self._executor.kill(self.id)
 
     def close(self) -> None:

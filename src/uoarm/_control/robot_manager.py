@@ -613,7 +613,10 @@ class RobotManager:
         """Kill every connection and close every bridge. Idempotent; bounded in time.
 
         In the main thread Ctrl-C and SIGTERM wait for its end; a second one is raised at once.
+        In a child that was forked it does nothing: what is open is the parent's.
         """
+        if self._executor.is_foreign:
+            return
         with Uninterrupted():
             self._discovery.close()
             self._candidates.close()
@@ -644,6 +647,9 @@ class RobotManager:
             guard.hold_offer(offer.name, offered_structures(offer, bridge))
 
     def _require_open(self) -> None:
+        if self._executor.is_foreign:
+            text = "the robot manager belongs to the process that made it, of which this is a child"
+            raise ConnectionClosedError(f"{text}: make another one here")
         if self._executor.state.is_closing:
             raise ConnectionClosedError("the robot manager is closed")
 

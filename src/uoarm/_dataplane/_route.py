@@ -145,8 +145,13 @@ class Route:
         self._worker: threading.Thread | None = None
         self._put: Deliver | None = None  # that of the queue
 
-    def deliver(self, message: Message) -> None:
-        """Take one message, in the thread in which it arrived. Never raises."""
+    def deliver(self, message: Message) -> Exception | None:
+        """Take one message, in the thread in which it arrived. Never raises.
+
+        Returns:
+            What it came to here, which is counted already; None where it was taken, or waits.
+        """
+        failure: Exception | None = None
         now = self._clock()
         self.received += 1
         self.last_time = now
@@ -173,12 +178,14 @@ class Route:
             failure = contained(error)
             if is_checked:
                 failure = self._judged(failure, message, is_adapted=is_adapted)
-            self._fail(failure)
+            if not self._fail(failure):
+                failure = None
         if self._loss:
             # Here, since `drop` is called with a queue's lock held, and handlers of logs may block.
             reason, self._loss = self._loss, ""
             text = f"{self.producer} -> {self.consumer}: a message was dropped: {reason}"
             self._losses.write(logging.WARNING, text)
+        return failure
 
     def drop(self, reason: str) -> None:
         """Count one lost message, from any thread."""
@@ -215,7 +222,7 @@ class Route:
         if self._worker is not None and self._worker is not threading.current_thread():
             self._worker.join(_WORKER_SECONDS)
         # They refer back to the route, which is to be gone with its last user.
-        self._hand = self._put = self._queue = None
+        self._hand = self._put = self._queue = self.judge = None
 
     def status(self) -> RouteStatus:
         """Return the counters as they are now."""
@@ -297,10 +304,11 @@ class Route:
             return wrong
         return error
 
-    def _fail(self, error: Exception) -> None:
+    def _fail(self, error: Exception) -> bool:
+        """Count a failure; False where it is of a route that was closed meanwhile."""
         if self._closed:
             self.drop("closed")
-            return
+            return False
         self.failures += 1
         if isinstance(error, MessageError):
             self.invalid += 1
@@ -315,6 +323,7 @@ class Route:
             known = CommandRefusedError, MessageError
             trace = None if isinstance(error, known) and error.__cause__ is None else error
             self._records.write(logging.WARNING, f"{place}: {text}", trace)
+        return True
 
     def _turn_window(self, now: float) -> None:
         self._window_rate = self._window_count / (now - self._window_start)

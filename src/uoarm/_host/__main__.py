@@ -14,6 +14,7 @@ from contextlib import suppress
 from queue import SimpleQueue
 from typing import Any
 
+from uoarm._forks import default_in_children
 from uoarm._host.agent.dispatcher import RequestDispatcher
 from uoarm._host.process.limits import die_with_parent, limit_memory, outlive_parent
 from uoarm._host.transport import keys
@@ -74,6 +75,7 @@ def main() -> int:
     threading.Thread(target=_watch_manager, args=(main_thread,), daemon=True).start()
     # In a thread: a handler must not take the lock that the thread it interrupts may hold.
     signal.signal(signal.SIGTERM, lambda *_: threading.Thread(target=main_thread.end).start())
+    default_in_children([signal.SIGTERM])
     for inherited in (*orders["link"], orders["counters"]):
         os.set_inheritable(inherited, False)  # processes that the bridge starts have no part in it
     transport = SocketTransport(LinkSockets.inherited(orders["link"]))

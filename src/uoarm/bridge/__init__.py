@@ -1,5 +1,6 @@
 """The bridge contract: what a framework plugin implements and what the manager may rely on."""
 
+from uoarm._forks import at_exit
 from uoarm._origin import install_command
 from uoarm._plugins import PluginProblem, hookimpl
 from uoarm._raised import foreign
@@ -35,6 +36,7 @@ __all__ = [
     "ServiceStructures",
     "Sink",
     "Source",
+    "at_exit",
     "boot_seconds",
     "foreign",
     "hookimpl",

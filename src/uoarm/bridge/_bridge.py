@@ -71,6 +71,7 @@ class Bridge(ABC):
         self._lock = threading.Lock()
         self._open: set[Channel] = set()
         self._is_closed = False
+        self._process = os.getpid()
         self._listener: Callable[[HealthEvent], None] | None = None
         self._pending_calls = CallsUnderWay()
 
@@ -304,11 +305,13 @@ class Bridge(ABC):
 
     @final
     def close(self, *, timeout: float = 5.0) -> None:
-        """Close every channel, then the bridge. Idempotent.
+        """Close every channel, then the bridge. Idempotent; does nothing in a forked child.
 
         Raises:
             BridgeError: something failed while closing; the rest was closed all the same.
         """
+        if os.getpid() != self._process:
+            return  # in a child that was forked: it is its parent's
         with self._lock:
             if self._is_closed:
                 return
@@ -485,6 +488,9 @@ class Bridge(ABC):
     ) -> T:
         if self._is_closed:
             raise BridgeError(f"bridge {self.name!r} is closed: {what}", FailureReason.CLOSED)
+        if os.getpid() != self._process:
+            text = f"bridge {self.name!r} belongs to the parent of this process: {what}"
+            raise BridgeError(text, FailureReason.CLOSED)
         step = Step(f"bridge {self.name!r}: ", what)
         with translated(step):
             return _bounded.run(

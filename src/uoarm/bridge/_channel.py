@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import threading
 from collections.abc import Callable, Mapping
 from typing import final
@@ -42,6 +43,7 @@ class Channel:
         self._close_given = close
         self._closing = threading.Lock()
         self._closed = False
+        self._process = os.getpid()
         self._let_go = False
         self._when_closed: Callable[[Channel], None] | None = None
         self._gate: Gate | None = None
@@ -63,6 +65,8 @@ class Channel:
     def close(self, *, timeout: float = _CLOSE_SECONDS) -> None:
         """Close the link. Idempotent; may be called from any thread, that of `deliver` too.
 
+        Does nothing in a forked child.
+
         The channel counts as closed from the beginning of the call, also when it raises. No
         `deliver` begins after it has returned; one under way may still finish.
 
@@ -70,6 +74,8 @@ class Channel:
             BridgeTimeoutError: the framework did not let go within `timeout` seconds.
             BridgeError: the framework failed while closing.
         """
+        if os.getpid() != self._process:
+            return  # in a child that was forked: it is its parent's
         with self._closing:
             if self._closed:
                 return

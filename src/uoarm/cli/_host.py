@@ -10,6 +10,7 @@ from collections.abc import Callable
 
 import click
 
+from uoarm._forks import default_in_children
 from uoarm.bridge import Registry
 from uoarm.cli._file import takes_configuration
 from uoarm.cli._log import at_least
@@ -97,6 +98,7 @@ def _join(
     )
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: _begin_end(joined.close))
+    default_in_children((signal.SIGTERM, signal.SIGINT))
     failures: list[BaseException] = []
 
     def serve() -> None:

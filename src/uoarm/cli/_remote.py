@@ -130,7 +130,7 @@ def asked(server: Remote, work: Callable[[Any], Awaitable[Any]], *, watches: boo
 
     async def ask() -> Any:
         tls = await asyncio.to_thread(server.tls)
-        async with connect(server.url, token=server.token, tls=tls) as robot:
+        async with connect(server.url, token=server.token, tls=tls, reconnect=0) as robot:
             return await work(robot)
 
     with reporting():

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 import click
 
 from uoarm import RobotManager
+from uoarm._forks import default_in_children
 from uoarm._whole_file import stamp_of
 from uoarm.cli._file import takes_configuration
 from uoarm.cli._shared import (
@@ -208,6 +209,7 @@ def stopping(manager: RobotManager) -> Iterator[None]:
         for name, act in (("SIGUSR1", stop), ("SIGUSR2", release))
         if (number := getattr(signal, name, None)) is not None  # not on every system
     }
+    default_in_children(former)
     try:
         yield
     finally:
@@ -253,6 +255,7 @@ def _reloading(manager: RobotManager, *, watch: bool) -> Iterator[None]:
 
     hangup = getattr(signal, "SIGHUP", None)  # not on every system
     former = signal.signal(hangup, hang_up) if hangup is not None else None
+    default_in_children([hangup] if hangup is not None else [])
     try:
         yield
     finally:

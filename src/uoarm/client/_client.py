@@ -59,6 +59,7 @@ async def connect(
     tls: ssl.SSLContext | None = None,
     timeout: float = 10.0,
     resume: bool = True,
+    reconnect: float = 60.0,
 ) -> AsyncIterator[Client]:
     """Connect to a server for the length of a block.
 
@@ -71,6 +72,9 @@ async def connect(
         timeout: seconds for connecting.
         resume: whether to connect again after a drop and go on with the same session, as long as
             the server keeps it; what was lost meanwhile is in `RemoteStream.lost`.
+        reconnect: seconds for which it is tried to begin a new session where that one is gone, as
+            after a restart of the server, and to open what was open; `RemoteStream.gaps` counts
+            it. What waited for an answer fails; no command is repeated. 0: everything fails.
 
     Raises:
         OSError: nobody listens there.
@@ -93,7 +97,7 @@ async def connect(
             **secured,
         )
 
-    client = Client(opening, form)
+    client = Client(opening, form, reconnect)
     await client.start(resume=resume)
     reading = asyncio.ensure_future(client.read())
     try:
@@ -109,14 +113,23 @@ async def connect(
 class Client:
     """A robot elsewhere. Made by `connect`; all methods in the loop in which it was made."""
 
-    def __init__(self, opening: Open, form: Form) -> None:
+    def __init__(self, opening: Open, form: Form, reconnect: float = 0.0) -> None:
         self.hello: Mapping[str, Any] = {}
         self._form = form
-        self._link = Link(opening, form, self._take)
+        self._link = Link(opening, form, self._take, reconnect, self._lose, self._open_again)
         self._ids = itertools.count(1)
         self._asked: dict[str, tuple[str, asyncio.Future[Any]]] = {}
         self._streams: dict[str, RemoteStream[Any]] = {}
         self._watchers: set[_Changes] = set()
+        # Each stream with what opens it again; those that are being opened again by message.
+        self._requests: dict[RemoteStream[Any], tuple[str, Mapping[str, Any]]] = {}
+        self._renewed: dict[str, RemoteStream[Any]] = {}
+        self._renewing: set[asyncio.Task[None]] = set()
+
+    @property
+    def restarts(self) -> int:
+        """How often the session was gone and a new one was begun, as `reconnect` says."""
+        return self._link.session
 
     @property
     def resumed(self) -> int:
@@ -191,6 +204,7 @@ class Client:
         wanted = await self._typed(as_type, name, f"function {name!r}", "output.")
         stream: RemoteStream[Any] = await self._ask("Request", name, jsonMessage=options)
         stream.give_as(wanted)
+        self._requests[stream] = name, options
         return stream
 
     @overload
@@ -210,7 +224,8 @@ class Client:
         """Call a service; raises as `RobotManager.call`, and ServerError."""
         wanted = await self._typed(as_type, name, f"the reply of {name!r}", "reply")
         sent = as_message(message, f"request to {name!r}")
-        reply = await self._ask("Call", name, jsonMessage=sent, **{"x-timeout": timeout})
+        limit: dict[str, Any] = {"x-timeout": timeout}
+        reply = await self._ask("Call", name, jsonMessage=sent, **limit)
         return reply if wanted is None else wanted.read(reply)
 
     async def functions(self) -> list[Mapping[str, Any]]:
@@ -327,7 +342,7 @@ class Client:
         return status
 
     async def watch(self) -> AsyncIterator[StatusEvent]:
-        """Yield changes of the robot until the connection ends.
+        """Yield changes of the robot until the connection ends for good; see `connect`.
 
         Of those that wait to be taken the newest are kept; a gap in `number` is what was lost.
         """
@@ -353,12 +368,56 @@ class Client:
         try:
             await self._link.run()
         finally:
-            for _, future in self._asked.values():
-                if not future.done():
-                    future.set_exception(errors.ConnectionClosedError(self._link.closed))
-            for stream in self._streams.values():
+            for renewing in self._renewing:
+                renewing.cancel()
+            self._fail(self._link.closed)
+            for stream in {*self._streams.values(), *self._requests}:
                 stream.finish("failed", self._link.closed)
             self._tell_watchers(None)
+
+    def _fail(self, cause: str) -> None:
+        """Fail everything that waits for an answer, which will not come."""
+        for _, future in self._asked.values():
+            if not future.done():
+                future.set_exception(errors.ConnectionClosedError(cause))
+
+    def _lose(self, cause: str) -> None:
+        """Fail what waits, and let nothing be sent to connections of a session that is gone."""
+        self._fail(cause)
+        for stream in self._streams.values():
+            if stream in self._requests:
+                stream.suspend()
+            else:  # whoever asked for it has not got it yet
+                stream.finish("failed", cause)
+        self._streams.clear()
+
+    def _open_again(self) -> None:
+        """Have a new session open what the one before had, and tell what changes."""
+        streams = [stream for stream in self._requests if not stream.ended]
+        self._requests = {stream: self._requests[stream] for stream in streams}
+        works = [self._renew(stream, *self._requests[stream]) for stream in streams]
+        if self._watchers:
+            works.append(self._watch_again())
+        for work in works:
+            renewing = asyncio.ensure_future(work)
+            self._renewing.add(renewing)
+            renewing.add_done_callback(self._renewing.discard)
+
+    async def _renew(
+        self, stream: RemoteStream[Any], name: str, options: Mapping[str, Any]
+    ) -> None:
+        session = self._link.session
+        try:
+            await self._ask("Request", name, renewed=stream, jsonMessage=options)
+            if stream.ended:  # it was given back meanwhile
+                await self._ask("Kill", stream.connection)
+        except errors.UoarmError as error:
+            if session == self._link.session:  # otherwise it is tried again already
+                stream.finish("failed", f"after a restart of the server: {error}")
+
+    async def _watch_again(self) -> None:
+        with suppress(errors.UoarmError):
+            await self._ask("Status", "watch")
 
     async def _typed(self, hint: Any, name: str, place: str, port: str) -> MessageType[Any] | None:
         """Return the type that is wanted, proven to be what the server's plan gives."""
@@ -374,12 +433,16 @@ class Client:
         wanted.require(structures[only]["schema"])
         return wanted
 
-    async def _ask(self, op: str, kind: str = "", **more: Any) -> Any:
+    async def _ask(
+        self, op: str, kind: str = "", renewed: RemoteStream[Any] | None = None, **more: Any
+    ) -> Any:
         if self._link.closed:
             raise errors.ConnectionClosedError(self._link.closed)
         identity = str(next(self._ids))
         future: asyncio.Future[Any] = asyncio.get_running_loop().create_future()
         self._asked[identity] = op, future
+        if renewed is not None:
+            self._renewed[identity] = renewed
         try:
             await self._link.send(
                 {"op": op, "id": identity, **more} | ({"type": kind} if kind else {})
@@ -387,6 +450,7 @@ class Client:
             return await future
         finally:
             self._asked.pop(identity, None)
+            self._renewed.pop(identity, None)
 
     def _take(self, told: Mapping[str, Any]) -> None:
         op, message = told["op"], told.get("jsonMessage")
@@ -417,6 +481,7 @@ class Client:
             watcher.put_nowait(change)
 
     def _take_answer(self, told: Mapping[str, Any], message: Message) -> None:
+        stream: RemoteStream[Any] | None
         op, future = self._asked.get(told.get("id", ""), ("", None))
         if future is None or future.done():
             return
@@ -424,7 +489,11 @@ class Client:
             future.set_exception(_error(message["code"], message["text"]))
         elif op == "Request":
             # Made here, since the first message may follow before whoever asked has woken.
-            stream = RemoteStream(message, self._ask, _HELD)
+            stream = self._renewed.get(told["id"])
+            if stream is None:
+                stream = RemoteStream(message, self._ask, _HELD)
+            else:
+                stream.renew(message)
             self._streams[stream.connection] = stream
             future.set_result(stream)
         else:

@@ -1,4 +1,7 @@
-"""The connection to a server: one WebSocket, and after a drop another one with the same session."""
+"""The connection to a server: one WebSocket, and after a drop another one with the same session.
+
+Where the session is gone, as after a restart of the server, a new one is begun, if that is wanted.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +11,7 @@ from collections.abc import Awaitable, Callable, Mapping
 from typing import Any
 
 from websockets.asyncio.client import ClientConnection
-from websockets.exceptions import ConnectionClosed, InvalidHandshake
+from websockets.exceptions import ConnectionClosed, InvalidHandshake, InvalidStatus
 from websockets.frames import CloseCode
 
 from uoarm._deadlines import result_within
@@ -23,8 +26,17 @@ LARGEST = Budget(octets=268_435_456, elements=2_000_000, depth=512, dimensions=3
 # What reading a message raises that is none, or lacks what the protocol says it has.
 _STRANGE = (ControlMessageError, AttributeError, LookupError, TypeError, ValueError)
 _KEEP, _RESUME = "keep", "resume"
+_OF_CONNECTIONS = frozenset({"Data", "Kill", "Stop"})
 _MOST_WAITING = 4096
 _FIRST_PAUSE, _LONGEST_PAUSE = 0.05, 5.0
+# Closed for what this client did or may not do: it would be so again.
+_FINAL = frozenset({
+    CloseCode.NORMAL_CLOSURE, CloseCode.PROTOCOL_ERROR, CloseCode.UNSUPPORTED_DATA,
+    CloseCode.INVALID_DATA, CloseCode.POLICY_VIOLATION, CloseCode.MESSAGE_TOO_BIG,
+    CloseCode.MANDATORY_EXTENSION,
+})  # fmt: skip
+# A proxy whose server is away, or a server that is full, answers with these.
+_TRY_AGAIN = frozenset({429, 502, 503, 504})
 
 Open = Callable[[], Awaitable[ClientConnection]]
 Take = Callable[[Mapping[str, Any]], None]
@@ -37,9 +49,23 @@ class Link:
         opening: makes a WebSocket.
         form: in which messages are.
         take: gets each message of the server but those about resuming.
+        again_seconds: how long to try to begin a new session where this one is gone; 0: not at all.
+        lost: told why the session is gone, before a new one is begun.
+        begun: told when a new one was.
+
+    Attributes:
+        session: how many sessions were begun after the first.
     """
 
-    def __init__(self, opening: Open, form: Form, take: Take) -> None:
+    def __init__(
+        self,
+        opening: Open,
+        form: Form,
+        take: Take,
+        again_seconds: float = 0.0,
+        lost: Callable[[str], object] = str,
+        begun: Callable[[], None] = lambda: None,
+    ) -> None:
         self._open = opening
         self._form = form
         self._take = take
@@ -48,13 +74,20 @@ class Link:
         self._unanswered: dict[str, None] = {}
         self._key = ""
         self._seconds = 0.0
+        self._again_seconds = again_seconds
+        self._lost = lost
+        self._begun = begun
+        self._resume = False
+        self._is_final = False
         self.resumed = 0
+        self.session = 0
         self.closed = ""
 
     async def start(self, *, resume: bool) -> None:
         """Connect; with `resume` ask the server to keep the session over drops."""
         self._socket = await self._open()
         self._ready.set()
+        self._resume = resume
         if resume:
             await self._write(self._socket, {"op": "Resume", "id": _KEEP})
 
@@ -63,17 +96,21 @@ class Link:
 
         Raises:
             MessageError: it has no form.
-            ConnectionClosedError: it has ended for good.
+            ConnectionClosedError: it has ended for good; or another session was begun meanwhile,
+                and the message is for a connection of the one before, whose name may be another's.
         """
         frame = self._form.write(fields)
+        session = self.session
         await self._ready.wait()
         if self.closed or self._socket is None:
             raise ConnectionClosedError(self.closed)
+        if session != self.session and fields["op"] in _OF_CONNECTIONS:
+            raise ConnectionClosedError("the server has begun anew meanwhile; it was not sent")
         self._unanswered[fields["id"]] = None
         try:
             await self._socket.send(frame, text=self._form.text)
         except ConnectionClosed as error:
-            if not self._key:
+            if not self._key or session != self.session:
                 raise ConnectionClosedError(f"the server is gone: {error}") from error
             # Whether it arrived is known when the session goes on: then it has its answer.
 
@@ -81,7 +118,10 @@ class Link:
         """Read until the connection has ended for good; `closed` then says why."""
         try:
             while not self.closed:
-                self.closed = await self._read()
+                cause = await self._read()
+                if cause and self._again_seconds and not self._is_final:
+                    cause = await self._begin_anew(cause)
+                self.closed = cause
         finally:
             self.closed = self.closed or "the client was closed"
             self._ready.set()
@@ -98,13 +138,57 @@ class Link:
             async for frame in self._socket:
                 self._hear(self._form.read(frame, Spending(LARGEST)))
         except ConnectionClosed as error:
+            self._is_final = error.rcvd is not None and error.rcvd.code in _FINAL
             if error.rcvd is not None or not self._key:
                 return f"the connection to the server ended: {error}"
             return await self._renew(f"the connection to the server dropped: {error}")
         except _STRANGE as error:
+            self._is_final = True
             await self._socket.close(CloseCode.PROTOCOL_ERROR)
             return _strange(error)
+        self._is_final = self._socket.close_code in _FINAL
         return "the server closed the connection"
+
+    async def _begin_anew(self, cause: str) -> str:
+        """Begin another session; returns why that failed, or nothing."""
+        self._ready.clear()
+        self._key = ""
+        self._unanswered.clear()
+        self.session += 1
+        self._lost(cause)
+        loop = asyncio.get_running_loop()
+        deadline, pause = loop.time() + self._again_seconds, _FIRST_PAUSE
+        why = cause
+        while loop.time() < deadline:
+            try:
+                await result_within(deadline - loop.time(), self._greet())
+            except (OSError, ConnectionClosed, InvalidHandshake, asyncio.TimeoutError) as error:
+                why = f"{cause}; connecting again failed: {error}"
+                if isinstance(error, InvalidStatus) and (
+                    error.response.status_code not in _TRY_AGAIN
+                ):
+                    return why
+                await asyncio.sleep(pause * random.uniform(0.5, 1.0))  # noqa: S311 - not a secret
+                pause = min(2 * pause, _LONGEST_PAUSE)
+            except _STRANGE as error:
+                return f"{cause}; {_strange(error)}"
+            else:
+                self._ready.set()
+                self._begun()
+                return ""
+        return why
+
+    async def _greet(self) -> None:
+        """Connect, and take the greeting of a new session."""
+        socket = await self._open()
+        try:
+            self._hear(self._form.read(await socket.recv(), Spending(LARGEST)))
+            if self._resume:
+                await self._write(socket, {"op": "Resume", "id": _KEEP})
+        except BaseException:
+            socket.transport.abort()
+            raise
+        self._socket = socket
 
     async def _renew(self, cause: str) -> str:
         """Go on with the session over a new connection; returns why that failed, or nothing."""
@@ -120,6 +204,7 @@ class Link:
                 await asyncio.sleep(pause * random.uniform(0.5, 1.0))  # noqa: S311 - not a secret
                 pause = min(2 * pause, _LONGEST_PAUSE)
             except _STRANGE as error:
+                self._is_final = True
                 return f"{cause}; {_strange(error)}"
             else:
                 if refused:

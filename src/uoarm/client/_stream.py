@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections import deque
 from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
-from contextlib import AbstractAsyncContextManager
+from contextlib import AbstractAsyncContextManager, suppress
 from functools import partial
 from types import TracebackType
 from typing import Any, Generic, cast, final
@@ -33,20 +33,44 @@ class RemoteStream(Generic[T]):
         inputs: inputs that `send` can feed.
         lifetimes: seconds for which a command lives, by input; of those that have one.
         lost: messages that did not get here, as gaps in their numbers.
+        gaps: how often the server began anew meanwhile, so that nobody knows what was lost.
+        state: `open`; or how it ended: `closed`, `finished` or `failed`.
+        cause: why it ended; empty while it is open, and where this client gave it back.
     """
 
     def __init__(self, opened: Mapping[str, Any], ask: Ask, length: int) -> None:
+        self.lost = 0
+        self.gaps = 0
+        self.state = "open"
+        self.cause = ""
+        self._is_away = False
+        self._describe(opened)
+        self._ask = ask
+        self._waiting: deque[tuple[int, int | None, Message]] = deque(maxlen=length)
+        self._changed = asyncio.Event()
+        self._last: tuple[int, int] | None = None  # of the message that was read last
+        self._type: MessageType[T] | None = None
+
+    def _describe(self, opened: Mapping[str, Any]) -> None:
         self.connection: str = opened["connection"]
         self.inputs: tuple[str, ...] = tuple(opened["inputs"])
         self.warnings: tuple[str, ...] = tuple(opened["warnings"])
         self.lifetimes: Mapping[str, float] = opened.get("lifetimes", {})
-        self.lost = 0
-        self._ask = ask
-        self._waiting: deque[tuple[int | None, Message]] = deque(maxlen=length)
-        self._changed = asyncio.Event()
-        self._last: int | None = None
-        self._end: tuple[str, str] | None = None
-        self._type: MessageType[T] | None = None
+
+    @property
+    def ended(self) -> bool:
+        """Whether no more messages come."""
+        return self.state != "open"
+
+    def renew(self, opened: Mapping[str, Any]) -> None:
+        """Go on as another connection, of a server that has begun anew; `Client` does it."""
+        self._describe(opened)
+        self._is_away = False
+        self.gaps += 1
+
+    def suspend(self) -> None:
+        """Send nothing until `renew`: its name may be another connection's by then."""
+        self._is_away = True
 
     def give_as(self, wanted: MessageType[T] | None) -> None:
         """Give messages as a type from now on; `Client.request` does it."""
@@ -65,17 +89,20 @@ class RemoteStream(Generic[T]):
         loop = asyncio.get_running_loop()
         deadline = None if timeout is None else loop.time() + timeout
         while not self._waiting:
-            if self._end is not None:
-                state, cause = self._end
-                raise ConnectionClosedError(f"connection {self.connection} is {state}: {cause}")
+            if self.ended:
+                text = f"connection {self.connection} is {self.state}: {self.cause}"
+                raise ConnectionClosedError(text)
             if deadline is not None and loop.time() >= deadline:
                 raise TimeoutError(f"no message within {timeout:g} s")
             self._changed.clear()
             await event_by(self._changed, deadline)
-        number, message = self._waiting.popleft()
-        if self._last is not None and number is not None:
-            self.lost += number - self._last - 1
-        self._last = number
+        session, number, message = self._waiting.popleft()
+        if number is None:
+            self._last = None
+        else:
+            if self._last is not None and self._last[0] == session:
+                self.lost += number - self._last[1] - 1
+            self._last = session, number
         return cast("T", message) if self._type is None else self._type.read(message)
 
     @arguments()
@@ -95,7 +122,7 @@ class RemoteStream(Generic[T]):
             UsageError: there is no such input.
             ConnectionClosedError: the function has ended.
         """
-        kind = self._kind(port)
+        kind = self._there(port)
         more = {"x-take-over": True} if take_over else {}
         await self._ask("Data", kind, jsonMessage=as_message(message, kind), **more)
 
@@ -110,7 +137,7 @@ class RemoteStream(Generic[T]):
             UsageError: there is no such input, or it has no stop message.
             ConnectionClosedError: the function has ended, and was stopped with that.
         """
-        await self._ask("Stop", self._kind(port))
+        await self._ask("Stop", self._there(port))
 
     @arguments()
     def hold(
@@ -148,26 +175,35 @@ class RemoteStream(Generic[T]):
 
     async def kill(self) -> None:
         """Give the function back. Once is enough."""
-        if self._end is None:
+        if not self.ended:
             self.finish("closed", "")
-            await self._ask("Kill", self.connection)
+            if self._is_away:
+                return
+            with suppress(ConnectionClosedError):  # then it has ended at the server, too
+                await self._ask("Kill", self.connection)
+
+    def _there(self, port: str | None) -> str:
+        if self._is_away:
+            text = f"the server of {self.connection} has gone, and has not opened it again yet"
+            raise ConnectionClosedError(f"{text}: nothing was sent")
+        return self._kind(port)
 
     def _kind(self, port: str | None) -> str:
         return self.connection if port is None else f"{self.connection}.{port}"
 
     def take(self, number: int | None, message: Message) -> None:
         """Take one message from the client's reader; without a number, one that stood already."""
-        self._waiting.append((number, message))
+        self._waiting.append((self.gaps, number, message))
         self._changed.set()
 
     def finish(self, state: str, cause: str) -> None:
         """Hear that no more will come."""
-        if self._end is None:
-            self._end = (state, cause)
+        if not self.ended:
+            self.state, self.cause = state, cause
         self._changed.set()
 
     async def __aiter__(self) -> AsyncIterator[T]:
-        """Yield messages until the function is killed or its source finishes.
+        """Yield messages until the function is killed or its source finishes; see `cause`.
 
         Raises:
             ConnectionClosedError: it failed; the text says why.
@@ -176,7 +212,7 @@ class RemoteStream(Generic[T]):
             try:
                 message = await self.get()
             except ConnectionClosedError:
-                if self._end is not None and self._end[0] == "failed":
+                if self.state == "failed":
                     raise
                 return
             yield message

@@ -8,6 +8,7 @@ from uoarm.environments._place import (
     environment_python,
     installed,
     listed,
+    passed_on,
     remove,
 )
 
@@ -20,6 +21,7 @@ __all__ = [
     "examine",
     "installed",
     "listed",
+    "passed_on",
     "remove",
     "requirements",
 ]

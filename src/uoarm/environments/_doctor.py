@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 from collections.abc import Iterable
 from pathlib import Path
@@ -10,7 +11,7 @@ from pathlib import Path
 from attrs import field, frozen
 
 from uoarm._version import __version__
-from uoarm.environments._place import Environment, environment_python
+from uoarm.environments._place import Environment, environment_python, passed_on
 
 __all__ = ["Finding", "examine", "extras_in"]
 
@@ -63,7 +64,12 @@ def examine(environment: Environment) -> Finding:
     command = [str(environment_python(name)), "-I", "-c", _QUESTION]
     try:
         done = subprocess.run(  # noqa: S603 - the environment's own interpreter
-            command, capture_output=True, text=True, timeout=_SECONDS, check=False
+            command,
+            capture_output=True,
+            env=passed_on(os.environ, is_environment=True),
+            text=True,
+            timeout=_SECONDS,
+            check=False,
         )
     except (OSError, subprocess.TimeoutExpired) as error:
         return Finding(name, {}, f"its interpreter does not run: {error}")
@@ -92,6 +98,7 @@ def extras_in(interpreter: Path, names: Iterable[str]) -> dict[str, list[str]]:
         done = subprocess.run(  # noqa: S603 - the environment's own interpreter
             [str(interpreter), "-I", "-c", _EXTRAS, *names],
             capture_output=True,
+            env=passed_on(os.environ, is_environment=True),
             text=True,
             timeout=_SECONDS,
             check=False,
@@ -108,6 +115,7 @@ def _unusable(interpreter: Path) -> dict[str, str]:
         done = subprocess.run(  # noqa: S603 - the environment's own interpreter
             [str(interpreter), "-m", "uoarm", "doctor", "--json"],
             capture_output=True,
+            env=passed_on(os.environ, is_environment=True),
             text=True,
             timeout=_SECONDS,
             check=False,

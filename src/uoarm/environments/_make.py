@@ -23,7 +23,12 @@ from tempfile import TemporaryDirectory
 from uoarm._origin import installed, origin_of
 from uoarm._whole_file import write_whole
 from uoarm.environments._doctor import extras_in
-from uoarm.environments._place import MARK, environment_folder, environment_python
+from uoarm.environments._place import (
+    MARK,
+    environment_folder,
+    environment_python,
+    passed_on,
+)
 from uoarm.errors import PluginError
 
 __all__ = ["create", "extras_of", "handed_on", "repack", "requirements", "unknown_extra"]
@@ -70,6 +75,8 @@ def _belongs(entry: PurePosixPath) -> bool:
 
 _GROUP = "uoarm.bridges"
 _CORE = "uoarm"
+# `ros-jazzy-rclpy; extra == 'jazzy'`: the middleware that an extra brings in this version.
+_BROUGHT = re.compile(r"([A-Za-z0-9._-]+)[^;]*;.*\bextra == ['\"]([^'\"]+)")
 _WITH_EXTRAS = re.compile(r"([A-Za-z0-9._-]+)\[([^\]]*)\]")
 _PINNED = re.compile(r"([A-Za-z0-9._-]+)(\[[^\]]*\])?==([^ ;]+)")
 
@@ -142,7 +149,10 @@ def _require_extra(provider: Distribution, extra: str) -> None:
     """Pip only warns of an extra that a distribution has not."""
     known = provider.metadata.get_all("Provides-Extra") or []
     if extra not in known:
-        raise PluginError(unknown_extra(provider.name, extra, known))
+        brought = [_BROUGHT.match(text) for text in provider.requires or ()]
+        versions = {found[2] for found in brought if found and f"-{found[2]}-" in found[1]}
+        there = [text for text in known if text in versions] or known
+        raise PluginError(unknown_extra(provider.name, extra, there))
 
 
 def _is_ours(found: Distribution) -> bool:
@@ -167,7 +177,6 @@ def _names(requirement: str, project: str) -> bool:
 
 _LIMIT_SECONDS = 1800.0
 _SHOWN = 15
-_TRACES = ("PYTHONHOME", "PYTHONPATH", "VIRTUAL_ENV")
 
 Tell = Callable[[str], None]
 """Takes one line of progress."""
@@ -241,7 +250,7 @@ def _normal(extra: str) -> str:
 
 def _run(step: list[str], tell: Tell | None) -> None:
     """Run one step, telling what it prints as it prints it."""
-    variables = {key: value for key, value in os.environ.items() if key not in _TRACES}
+    variables = passed_on(os.environ, is_environment=True)
     lines: deque[str] = deque(maxlen=_SHOWN)
     take = lines.append if tell is None else tell
     command = " ".join(step)

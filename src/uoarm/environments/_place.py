@@ -6,6 +6,8 @@ import json
 import os
 import re
 import shutil
+import sys
+from collections.abc import Mapping
 from pathlib import Path
 
 from attrs import frozen
@@ -19,12 +21,16 @@ __all__ = [
     "environment_python",
     "installed",
     "listed",
+    "passed_on",
     "remove",
 ]
 
 MARK = "uoarm-environment.json"
 """A file in every environment that was made to its end; says of what it was made."""
 
+_OF_A_PYTHON = ("PYTHONHOME", "PYTHONPATH", "VIRTUAL_ENV")
+_MARK_OF_ROS_WHEELS = "_ROS_WHEELS_BOOTSTRAP_COMPLETE"
+_LIBRARIES = "LD_LIBRARY_PATH"
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}")
 
 
@@ -105,6 +111,34 @@ def remove(name: str) -> None:
         shutil.rmtree(folder)
     except OSError as error:
         raise PluginError(f"environment {name!r} cannot be removed: {error}") from error
+
+
+def passed_on(inherited: Mapping[str, str], *, is_environment: bool) -> dict[str, str]:
+    """Return the variables of this process that a process with another Python may have.
+
+    Wheels of ROS from a package index put their libraries on the loader's path and mark that they
+    did (`ros-*-rclpy` 2026 bootstrap); a child that inherits either loads the libraries of its
+    parent's ROS. Both are taken away.
+
+    Args:
+        inherited: the variables of this process.
+        is_environment: whether the other Python is that of an environment: then what belongs to
+            this one is taken away, too.
+    """
+    left = dict(inherited)
+    if left.pop(_MARK_OF_ROS_WHEELS, None) is not None and _LIBRARIES in left:
+        ours = [str(Path(prefix)) for prefix in (sys.prefix, sys.base_prefix)]
+        paths = [
+            path
+            for path in left.pop(_LIBRARIES).split(os.pathsep)
+            if path and not any(path.startswith(prefix) for prefix in ours)
+        ]
+        if paths:
+            left[_LIBRARIES] = os.pathsep.join(paths)
+    if is_environment:
+        for name in _OF_A_PYTHON:
+            left.pop(name, None)
+    return left
 
 
 def _home() -> Path:

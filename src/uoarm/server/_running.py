@@ -15,6 +15,7 @@ from typing import Any
 from uoarm._arguments import arguments
 from uoarm._control import RobotManager
 from uoarm._deadlines import result_within
+from uoarm._forks import default_in_children
 from uoarm._raised import ContainedError, foreign
 from uoarm._switch_interval import short_switch_interval
 from uoarm.server._server import Server
@@ -124,6 +125,7 @@ async def _until_signal(server: Server, ready: Callable[[Server], None] | None) 
     stop = asyncio.Event()
     for one in _SIGNALS:
         loop.add_signal_handler(one, stop.set)
+    default_in_children(_SIGNALS)
     await server.start()
     try:
         if ready is not None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import atexit
 import contextlib
 import threading
 import time
@@ -20,6 +19,7 @@ from uoarm.bridge import (
     ServiceStructures,
     Sink,
     Source,
+    at_exit,
 )
 from uoarm.errors import BridgeError, FailureReason
 from uoarm.model import Deliver, Endpoint, Health, Message, MessageStructure, Options, Role
@@ -99,8 +99,7 @@ class RtmBridge(Bridge):
         self._attendance = Attendance(self._directory, self._component_changed, own)
         self._observers = Observers(self._orb, self._settings.component, seconds, self._soon)
         self._watch = Watch(self._ticks, self._settings.watch_seconds)
-        self._at_exit = partial(_let_go, weakref.ref(self))
-        atexit.register(self._at_exit)
+        self._forget_exit = at_exit(partial(_let_go, weakref.ref(self)))
 
     def _describe(self, endpoint: Endpoint) -> Description:
         address = address_of(endpoint)
@@ -235,7 +234,7 @@ class RtmBridge(Bridge):
         return discovered(self.name, self._directory, self._types, self._settings.call_seconds)
 
     def _close(self) -> None:
-        atexit.unregister(self._at_exit)
+        self._forget_exit()
         try:
             self._watch.close(0)
             with self._guard:

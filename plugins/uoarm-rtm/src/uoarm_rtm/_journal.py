@@ -10,7 +10,6 @@ after it has let go: what is in no file was never connected, or has ended.
 
 from __future__ import annotations
 
-import atexit
 import contextlib
 import fcntl
 import json
@@ -24,6 +23,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from attrs import frozen
+
+from uoarm.bridge import at_exit
 
 __all__ = ["Entry", "Journal", "journal", "process_of"]
 
@@ -193,7 +194,7 @@ class _Process:
             if self._journal is None:
                 base = os.environ.get("XDG_STATE_HOME") or "~/.local/state"
                 self._journal = Journal(Path(base).expanduser() / "uoarm" / "rtm")
-                atexit.register(self._journal.close)
+                at_exit(self._journal.close)
             return self._journal
 
     def forget(self) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 import socket
 import struct
@@ -57,6 +58,7 @@ class NameServer:
     def __init__(
         self, port: int = 0, address: str = "127.0.0.1", folder: Path | None = None
     ) -> None:
+        self._maker = os.getpid()
         kept = folder if folder is not None else Path(tempfile.mkdtemp(prefix="uoarm-names-"))
         self._own = None if folder is not None else kept
         tries = 1 if port else _TRIES
@@ -75,7 +77,9 @@ class NameServer:
         self.address = f"corbaloc:iiop:{address}:{self.port}/NameService"
 
     def close(self) -> None:
-        """End it; names that were kept nowhere are forgotten."""
+        """End it; names that were kept nowhere are forgotten. Nothing in a forked child."""
+        if os.getpid() != self._maker:
+            return
         _end(self.process)
         self._forget()
 

@@ -6,7 +6,6 @@ An ORB that the application itself has begun is used as it is and left alone.
 
 from __future__ import annotations
 
-import atexit
 import logging
 import threading
 import time
@@ -16,6 +15,7 @@ import omniORB
 from attrs import frozen
 from omniORB import CORBA
 
+from uoarm.bridge import at_exit
 from uoarm.errors import BridgeError, FailureReason
 from uoarm_rtm._calls import calls
 from uoarm_rtm._faults import corba_errors
@@ -245,7 +245,7 @@ def _end_at_exit() -> None:
         calls.end(_DRAIN_SECONDS)
 
 
-atexit.register(_end_at_exit)
+at_exit(_end_at_exit)
 
 
 def _wait_for_workers() -> None:

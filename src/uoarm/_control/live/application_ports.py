@@ -12,11 +12,13 @@ from attrs import define, field, frozen
 
 from uoarm._control.live.component import LiveComponent
 from uoarm._dataplane import Clock, Inbox, Outlet, Route, make_check
+from uoarm._raised import text_of
 from uoarm.bridge import boot_seconds
 from uoarm.errors import (
     BridgeError,
     CommandRefusedError,
     FailureReason,
+    MessageError,
     UoarmError,
     UsageError,
 )
@@ -190,19 +192,31 @@ class Sender:
 
         Raises:
             CommandRefusedError: the emergency stop holds the input, or somebody else its lease.
-            MessageError: it does not match the input's structure.
+            MessageError: it does not match the input's structure, or has no form there.
+            BridgeError: the component took it at once, and failed, or is not there.
         """
         self._require_released()
         if self._check is not None:
             self._check(message)
         if self._policy is None:
-            self._route.deliver(message)
+            self._require_taken(self._route.deliver(message))
             return
         if self._lease is not None:
             self._lease.ask(sender, take_over=take_over)
             self._last_sender = sender
         # Its number before its time: what is numbered after a stop was sent after it.
-        self._route.deliver(_Command(message, sender, next(self._numbers), boot_seconds()))
+        command = _Command(message, sender, next(self._numbers), boot_seconds())
+        self._require_taken(self._route.deliver(command))
+
+    def _require_taken(self, failure: Exception | None) -> None:
+        """Have the sender know what a message came to that waits in no queue; it is counted."""
+        if failure is None or isinstance(failure, CommandRefusedError):
+            return  # what the last hop refuses is mostly known later: that is in the status
+        if isinstance(failure, MessageError):
+            raise MessageError(f"{self.place}: {failure}") from failure
+        if isinstance(failure, UoarmError):
+            raise failure
+        raise BridgeError(f"{self.place} raised {text_of(failure)}") from failure
 
     @property
     def can_stop(self) -> bool:

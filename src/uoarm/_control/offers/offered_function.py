@@ -298,7 +298,11 @@ class OfferedFunction:
         place = f"{self.offer.name}.{port.name}"
         route = Route(place, connection.id, send, clock=self._clock, transfer=adapted)
         self._routes.append(route)
-        source = self.bridge.open_source(port.endpoint, given, route.deliver, timeout=_OPEN_SECONDS)
+
+        def deliver(message: Message) -> None:
+            route.deliver(message)  # what it came to is counted: nobody asked for an answer
+
+        source = self.bridge.open_source(port.endpoint, given, deliver, timeout=_OPEN_SECONDS)
         self._channels.append(source)
 
     def _open_service(self, service: OfferedService) -> None:

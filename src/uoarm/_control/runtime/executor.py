@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import itertools
 import logging
+import os
 import threading
 import time
 from collections import deque
@@ -71,6 +72,7 @@ class Executor:
         clock: Clock,
         emergency_stop: EmergencyStop,
     ) -> None:
+        self._process = os.getpid()
         self.state = state
         self.live = LiveParts(
             bridges, lambda: self.state, clock, self._judged, emergency_stop, events.post
@@ -147,8 +149,15 @@ class Executor:
                 self.live.runtimes.pop(runtime.id, None)
             raise
 
+    @property
+    def is_foreign(self) -> bool:
+        """Whether this is a forked child: what is open is its parent's, and locks may be held."""
+        return os.getpid() != self._process
+
     def kill(self, identity: str, cause: str = "", *, is_failure: bool = False) -> None:
         """End a connection, and close in this thread what only it used. Idempotent."""
+        if self.is_foreign:
+            return
         waiter = f"kill {next(self._numbers)}"
         self._ask(ev.Killed(identity, waiter, cause, is_failure))
 

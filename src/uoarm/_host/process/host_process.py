@@ -11,9 +11,11 @@ import sys
 import threading
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
+from io import BufferedWriter
 from pathlib import Path
 from queue import SimpleQueue
 
+from uoarm._forks import close_in_children
 from uoarm._log_lines import HOST_LINE, read_host_line
 from uoarm.errors import BridgeError, FailureReason
 
@@ -153,6 +155,9 @@ class HostProcess:
                 start_new_session=True,
                 pass_fds=self._passed,
             )
+            assert isinstance(process.stdin, BufferedWriter), "stdin is a pipe"
+            # A child that is forked would hold open what shows the host that we died.
+            close_in_children(process.stdin.raw)
         except OSError as error:
             started.put(error)
             return

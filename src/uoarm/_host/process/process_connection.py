@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import atexit
 import logging
 import os
 import time
@@ -10,6 +9,7 @@ from collections.abc import Callable, Mapping
 from contextlib import closing
 from typing import IO, Any
 
+from uoarm._forks import at_exit
 from uoarm._host.process.host_process import HostProcess, host_command
 from uoarm._host.process.settings import HostSettings
 from uoarm._host.transport import keys
@@ -62,6 +62,8 @@ class ProcessConnection:
         self._name = spec.name
         self._memory = settings.memory
         self._given_up = ""
+        self._process = os.getpid()
+        self._forget_exit: Callable[[], None] = lambda: None
         self._liveness = LivenessMonitor(spec.name, on_doubt, on_death)
         self._transport: SocketTransport | None = None
         self._started: HostProcess | None = None
@@ -104,7 +106,7 @@ class ProcessConnection:
             on_silence=self._give_up,
         )
         self._heartbeat.start()
-        atexit.register(self._end_with_python)
+        self._forget_exit = at_exit(self._end_with_python)
 
     @property
     def dead(self) -> str:
@@ -139,7 +141,9 @@ class ProcessConnection:
             UoarmError: the bridge in the host failed while closing; the host has ended anyway.
             BridgeError: its process does not end.
         """
-        atexit.unregister(self._end_with_python)
+        if os.getpid() != self._process:
+            return  # in a child that was forked: the host is its parent's
+        self._forget_exit()
         self._liveness.expect_end()
         if self._heartbeat is not None:
             self._heartbeat.stop()

@@ -10,15 +10,12 @@ from typing import Any
 
 from attrs import field, frozen
 
-from uoarm.environments import environment_python
+from uoarm.environments import environment_python, passed_on
 from uoarm.errors import BridgeError, FailureReason
 from uoarm.model import Options
 
 __all__ = ["HostSettings"]
 
-_OF_A_PYTHON = ("PYTHONHOME", "PYTHONPATH", "VIRTUAL_ENV")
-_MARK_OF_ROS_WHEELS = "_ROS_WHEELS_BOOTSTRAP_COMPLETE"
-_LIBRARIES = "LD_LIBRARY_PATH"
 _UNITS = {"MiB": 2**20, "GiB": 2**30}
 
 
@@ -79,26 +76,8 @@ class HostSettings:
         return found
 
     def process_variables(self, inherited: Mapping[str, str]) -> dict[str, str]:
-        """Return the variables of the host's process.
-
-        Wheels of ROS from a package index put their libraries on the loader's path and mark
-        that they did (`ros-*-rclpy` 2026 bootstrap); a child that inherits either loads the
-        libraries of its parent's ROS. Both are taken away, and what belongs to the
-        application's Python is when the host's is another.
-        """
-        left = dict(inherited)
-        if left.pop(_MARK_OF_ROS_WHEELS, None) is not None and _LIBRARIES in left:
-            ours = [str(Path(prefix)) for prefix in (sys.prefix, sys.base_prefix)]
-            paths = [
-                path
-                for path in left.pop(_LIBRARIES).split(os.pathsep)
-                if path and not any(path.startswith(prefix) for prefix in ours)
-            ]
-            if paths:
-                left[_LIBRARIES] = os.pathsep.join(paths)
-        if self.environment is not None:
-            for name in _OF_A_PYTHON:
-                left.pop(name, None)
+        """Return the variables of the host's process, without what belongs to another Python."""
+        left = passed_on(inherited, is_environment=self.environment is not None)
         for name, value in self.variables.items():
             left.pop(name, None)
             if value is not None:

@@ -8,6 +8,8 @@ from contextlib import ExitStack
 
 from attrs import frozen
 
+from uoarm._forks import close_in_children
+
 __all__ = ["LinkSockets"]
 
 
@@ -38,12 +40,14 @@ class LinkSockets:
         with ExitStack() as made:
             (asks, answers), (here, there), (from_here, to_there) = (_pair(made) for _ in range(3))
             made.pop_all()
+        close_in_children(asks, here, from_here)
         return cls(asks, here, from_here), cls(answers, to_there, there)
 
     @classmethod
     def inherited(cls, descriptors: Sequence[int]) -> LinkSockets:
         """Return the end whose `descriptors` a process has inherited."""
         requests, incoming, outgoing = (socket.socket(fileno=one) for one in descriptors)
+        close_in_children(requests, incoming, outgoing)
         return cls(requests, incoming, outgoing)
 
     @property

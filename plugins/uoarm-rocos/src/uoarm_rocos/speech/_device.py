@@ -7,10 +7,12 @@ import subprocess
 import tempfile
 import threading
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
+from uoarm.bridge import at_exit
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason
 from uoarm_rocos._catalogue import Api, Catalogue, Kind
 from uoarm_rocos._device import Device
@@ -58,7 +60,7 @@ class Speech(Device):
         self._voice = str(options.get("voice", engine.voice))
         self._may_play = options.get("play", "auto") == "auto"
         self._directory = options.get("directory", "")
-        self._temporary: tempfile.TemporaryDirectory[str] | None = None
+        self._forget_exit: Callable[[], None] | None = None
         self._speaking = threading.Lock()
         self._count = 0
         self._player: subprocess.Popen[bytes] | None = None
@@ -137,10 +139,9 @@ class Speech(Device):
         self._count += 1
         try:
             if not self._directory:
-                self._temporary = tempfile.TemporaryDirectory(
-                    prefix="uoarm-speech-", ignore_cleanup_errors=True
-                )
-                self._directory = self._temporary.name
+                # No TemporaryDirectory: a forked child that ends would remove it.
+                self._directory = tempfile.mkdtemp(prefix="uoarm-speech-")
+                self._forget_exit = at_exit(partial(shutil.rmtree, self._directory, True))
             path = Path(self._directory) / f"{self._name}-{self._count % 100:02}.wav"
             path.write_bytes(sound.wav())
         except OSError as error:
@@ -151,8 +152,9 @@ class Speech(Device):
         """Remove the temporary directory, or leave it to the call that is still writing there."""
         if self._speaking.acquire(blocking=False):
             try:
-                if self._temporary is not None:
-                    self._temporary.cleanup()
+                if self._forget_exit is not None:
+                    self._forget_exit()
+                    shutil.rmtree(self._directory, ignore_errors=True)
             finally:
                 self._speaking.release()
 

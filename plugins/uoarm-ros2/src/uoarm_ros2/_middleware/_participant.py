@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-import atexit
 import os
 import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import partial
 
 from rclpy.context import Context
 
+from uoarm.bridge import at_exit
 from uoarm.errors import BridgeError, FailureReason
 from uoarm_ros2._middleware._station import Station
 from uoarm_ros2._middleware._wait_set import Turns
@@ -54,7 +55,7 @@ class Participant:
         self._context = Context()
         self._context.init(args=[], domain_id=domain_id, initialize_logging=False)
         # A thread that is inside rclpy while the interpreter ends brings down the whole process.
-        atexit.register(self.close, _EXIT_SECONDS)
+        self._forget_exit = at_exit(partial(self.close, _EXIT_SECONDS))
 
     @property
     def domain_id(self) -> int:
@@ -105,7 +106,7 @@ class Participant:
 
         Happens by itself when the interpreter ends; idempotent.
         """
-        atexit.unregister(self.close)
+        self._forget_exit()
         with self._lock:
             closed, self._closed = self._closed, True
             stations, self._stations = self._stations, []

@@ -1,0 +1,141 @@
+"""A child that is forked ends nothing of its parent's: no host, no link, no connection."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from tests.host.hosted import COMPONENTS
+
+from uoarm.testing import patience
+
+PROGRAM = """
+import atexit, os, signal, sys
+from contextlib import ExitStack
+from uoarm import RobotManager
+from uoarm.errors import BridgeError, ConnectionClosedError
+
+def child(how, robot, connection, host):
+    if how == "raise":
+        raise RuntimeError("in the child")
+    if how == "exit":
+        sys.exit(3)
+    if how == "close":
+        connection.kill()
+        robot.close()
+        atexit._run_exitfuncs()
+        os._exit(3)
+    if how == "ask":
+        try:
+            robot.request("forever")
+        except ConnectionClosedError as error:
+            print(error)
+        bridge = robot._bridges.get("far")
+        try:
+            bridge.describe(robot.config.functions["forever"].components[0].outputs[0].endpoint)
+        except BridgeError as error:
+            print(error)
+        bridge.close()
+        sys.stdout.flush()
+        os._exit(3)
+    if how == "terminate":
+        signal.pause()
+
+def main(how, keeps, limit):
+    with ExitStack() as held:
+        robot = held.enter_context(RobotManager.from_file("robot.yaml"))
+        connection = held.enter_context(robot.request("forever"))
+        number = connection.get(timeout=limit)
+        host = robot.status().bridges[0].process
+        if keeps:
+            held.pop_all()  # the interpreter ends with all of it open
+        pid = os.fork()
+        if pid == 0:
+            return child(how, robot, connection, host)
+        if how == "terminate":
+            os.kill(pid, signal.SIGTERM)
+        _, status = os.waitpid(pid, 0)
+        for _ in range(100):
+            later = connection.get(timeout=limit)
+            assert later > number, (number, later)
+            number = later
+        os.kill(host, 0)
+        assert not connection.gaps
+        assert robot.status().bridges[0].process == host
+        print("child", os.waitstatus_to_exitcode(status), connection.state.value)
+
+main(sys.argv[1], sys.argv[2] == "open", float(sys.argv[3]))
+"""
+ROBOT = """
+version: 1
+bridges:
+  far: {plugin: python, options: {path: ["."]}, host: {silence: PATIENCE, start: PATIENCE}}
+functions:
+  forever:
+    components: [{name: forever, bridge: far, output: {endpoint: [hosted_parts:forever]}}]
+"""
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    (tmp_path / "hosted_parts.py").write_text(COMPONENTS)
+    (tmp_path / "robot.yaml").write_text(ROBOT.replace("PATIENCE", str(patience())))
+    (tmp_path / "program.py").write_text(PROGRAM)
+    return tmp_path
+
+
+@pytest.mark.parametrize("kept", ["with", "open"])
+@pytest.mark.parametrize(
+    ("how", "status"),
+    [("return", 0), ("raise", 1), ("exit", 3), ("close", 3), ("ask", 3), ("terminate", -15)],
+)
+def test_a_child_ends_nothing_of_its_parent(folder: Path, how: str, status: int, kept: str) -> None:
+    done = subprocess.run(
+        [sys.executable, "program.py", how, kept, str(patience())],
+        cwd=folder,
+        capture_output=True,
+        text=True,
+        timeout=4 * patience(),
+        check=False,
+    )
+    assert done.stdout.splitlines()[-1:] == [f"child {status} running"], done.stdout + done.stderr
+    assert done.returncode == 0, done.stderr
+    if how == "ask":
+        assert "make another one here" in done.stdout
+        assert "belongs to the parent of this process" in done.stdout
+
+
+SERVED = """
+import os, signal, sys, threading
+from uoarm import RobotManager
+from uoarm.config import loads
+from uoarm.server import Settings, run
+
+def work():
+    pid = os.fork()
+    if pid == 0:
+        threading.Event().wait(float(sys.argv[1]))
+        os._exit(9)
+    os.kill(pid, signal.SIGTERM)
+    _, status = os.waitpid(pid, 0)
+    print("child", os.waitstatus_to_exitcode(status), flush=True)
+    os.kill(os.getpid(), signal.SIGTERM)
+
+with RobotManager(loads("{version: 1, bridges: {}, functions: {}}")) as robot:
+    run(robot, Settings(port=0), ready=lambda _: threading.Thread(target=work).start())
+    print("served")
+"""
+
+
+def test_a_child_of_what_serves_ends_at_sigterm_alone(tmp_path: Path) -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", SERVED, str(patience())],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        timeout=4 * patience(),
+        check=False,
+    )
+    assert done.stdout.splitlines() == ["child -15", "served"], done.stdout + done.stderr

@@ -1,0 +1,57 @@
+"""The answer of a send says what the sink did, where nothing is between them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import pytest
+
+from uoarm import RobotManager
+from uoarm.bridge import Registry, Sink
+from uoarm.config import loads
+from uoarm.errors import BridgeError, FailureReason, MessageError
+from uoarm.model import Endpoint, Message, MessageStructure
+from uoarm.testing import MemoryBridge
+
+ROBOT = """
+version: 1
+bridges: {memory: {plugin: memory}}
+functions: {board: {components: [{name: board, bridge: memory, input: {endpoint: [board]}}]}}
+"""
+
+
+class Fussy(MemoryBridge):
+    """Its sinks do not block, and refuse what their framework has no form for."""
+
+    def _open_sink(self, endpoint: Endpoint, structure: MessageStructure) -> Sink:
+        def send(message: Message) -> None:
+            if message == "large":
+                raise MessageError("the payload has 9 octets; 4 are allowed")
+            if message == "away":
+                raise BridgeError("the broker is away", FailureReason.UNAVAILABLE)
+            if message == "odd":
+                raise ValueError("nobody thought of it")
+
+        return Sink(endpoint, send, lambda: None, blocking=False)
+
+
+@pytest.fixture
+def robot() -> Iterator[RobotManager]:
+    memory = Fussy()
+    memory.taker("board", {"type": "string"})
+    bridges = {"memory": memory}
+    with RobotManager(loads(ROBOT), registry=Registry(()), bridges=bridges) as robot:
+        yield robot
+
+
+def test_what_a_sink_discards_is_an_error_of_the_send(robot: RobotManager) -> None:
+    board = robot.request("board")
+    board.send("fine")
+    with pytest.raises(MessageError, match=r"^board\.default: the payload has 9 octets"):
+        board.send("large")
+    with pytest.raises(BridgeError, match=r"^the broker is away$"):
+        board.send("away")
+    with pytest.raises(BridgeError, match=r"^board\.default raised ValueError: nobody thought"):
+        board.send("odd")
+    [route] = board.routes()
+    assert (route.delivered, route.dropped) == (1, (("failed", 2), ("invalid", 1)))

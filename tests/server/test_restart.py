@@ -1,0 +1,177 @@
+"""A server that restarts: its clients connect again, and ask again for what they had."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Callable, Iterator
+from contextlib import contextmanager
+
+import pytest
+from tests.server.robot import script
+from tests.server.talk import SECONDS, eventually
+
+from uoarm import ConnectionClosedError, RobotManager
+from uoarm.client import Client, connect
+from uoarm.server import Limits, Server, Settings, serve_in_thread
+
+Restart = Callable[[], Awaitable[None]]
+FORMS = pytest.mark.parametrize("binary", [False, True], ids=["json", "cbor"])
+
+
+class Restarting:
+    """A server that can be stopped, and started again on its port."""
+
+    def __init__(self, robot: RobotManager) -> None:
+        self._robot = robot
+        self._serving = self._serve(0)
+        self.server = self._serving.__enter__()
+        self.port = self.server.ports[0]
+
+    @contextmanager
+    def _serve(self, port: int) -> Iterator[Server]:
+        with serve_in_thread(self._robot, Settings(port=port, limits=Limits())) as server:
+            yield server
+
+    def stop(self) -> None:
+        self._serving.__exit__(None, None, None)
+
+    def start(self) -> None:
+        self._serving = self._serve(self.port)
+        self.server = self._serving.__enter__()
+
+
+@pytest.fixture
+def restarting(robot: RobotManager) -> Iterator[Restarting]:
+    made = Restarting(robot)
+    yield made
+    made.stop()
+
+
+def run(
+    restarting: Restarting, work: Callable[[Client], Awaitable[None]], **options: object
+) -> None:
+    async def within() -> None:
+        url = f"ws://127.0.0.1:{restarting.port}/"
+        async with connect(url, **options) as client:  # type: ignore[arg-type] # as in `connect`
+            await asyncio.wait_for(work(client), SECONDS)
+
+    asyncio.run(within())
+
+
+async def restart(restarting: Restarting) -> None:
+    await asyncio.to_thread(restarting.stop)
+    await asyncio.to_thread(restarting.start)
+
+
+async def until(condition: Callable[[], bool]) -> None:
+    await asyncio.to_thread(eventually, condition, "what the test waits for")
+
+
+@FORMS
+@pytest.mark.parametrize("resume", [False, True])
+def test_a_stream_goes_on_after_a_restart_with_a_gap_that_is_marked(
+    restarting: Restarting, binary: bool, resume: bool
+) -> None:
+    async def work(client: Client) -> None:
+        stream = await client.request("numbers")
+        script.put({"value": 1})
+        assert await stream.get() == {"value": 1}
+        await restart(restarting)
+        await until(lambda: stream.gaps == 1)
+        script.put({"value": 2})
+        assert await stream.get() == {"value": 2}
+        assert (client.restarts, stream.lost, stream.state) == (1, 0, "open")
+        assert await client.call("add", {"a": 1, "b": 2})
+        await stream.kill()
+
+    run(restarting, work, binary=binary, resume=resume)
+
+
+def test_what_waits_for_an_answer_fails_and_nothing_is_done_twice(restarting: Restarting) -> None:
+    async def work(client: Client) -> None:
+        slow = asyncio.ensure_future(client.call("slow", {"value": 1}))
+        await client.status()
+        await restart(restarting)
+        with pytest.raises(ConnectionClosedError):
+            await slow
+        script.release()
+
+    run(restarting, work)
+
+
+def test_a_command_of_before_reaches_nothing_of_after(restarting: Restarting) -> None:
+    """Names of connections are the server's: one of before may be another's after."""
+
+    async def work(client: Client) -> None:
+        stream = await client.request("echo")
+        await asyncio.to_thread(restarting.stop)
+        await until(lambda: client.restarts == 1)
+        with pytest.raises(ConnectionClosedError, match="nothing was sent"):
+            await stream.send({"value": 5})
+        call = asyncio.ensure_future(client.call("add", {"a": 1, "b": 2}))
+        await asyncio.to_thread(restarting.start)
+        assert await call
+        await until(lambda: stream.gaps == 1)
+        await stream.send({"value": 7})
+        assert await stream.get() == {"value": 7}
+
+    run(restarting, work)
+
+
+def test_changes_go_on(restarting: Restarting) -> None:
+    async def work(client: Client) -> None:
+        changes = client.watch()
+        first = asyncio.ensure_future(anext(changes))
+        await client.status()
+        stream = await client.request("numbers")
+        assert (await first).change
+        await restart(restarting)
+        await until(lambda: stream.gaps == 1)
+        await client.status()
+        async for change in changes:
+            if change.change == "running":
+                break
+
+    run(restarting, work)
+
+
+def test_it_fails_where_it_is_told_not_to_reconnect(restarting: Restarting) -> None:
+    async def work(client: Client) -> None:
+        stream = await client.request("numbers")
+        await asyncio.to_thread(restarting.stop)
+        with pytest.raises(ConnectionClosedError):
+            await stream.get()
+        assert stream.state == "failed"
+        assert stream.cause
+        restarting.start()
+
+    run(restarting, work, reconnect=0)
+
+
+def test_it_fails_with_the_cause_when_no_server_comes_back(restarting: Restarting) -> None:
+    async def work(client: Client) -> None:
+        stream = await client.request("numbers")
+        await asyncio.to_thread(restarting.stop)
+        with pytest.raises(ConnectionClosedError, match="connecting again failed"):
+            await stream.get()
+        restarting.start()
+
+    run(restarting, work, reconnect=0.3)
+
+
+def test_a_loop_that_ends_because_of_a_kill_has_its_cause(restarting: Restarting) -> None:
+    async def work(client: Client) -> None:
+        stream = await client.request("numbers")
+        connection = restarting.server._robot.connections()[0]
+        killing = asyncio.to_thread(connection.kill)
+        taking = asyncio.ensure_future(_all(stream))
+        await killing
+        assert await taking == []
+        assert stream.state == "closed"
+        assert "killed" in stream.cause
+
+    run(restarting, work)
+
+
+async def _all(stream: object) -> list[object]:
+    return [message async for message in stream]  # type: ignore[attr-defined]
