@@ -16,7 +16,7 @@ async def _never(*_: object, **__: object) -> Any:
 
 
 def _stream() -> RemoteStream:
-    return RemoteStream({"connection": "c1", "inputs": [], "warnings": []}, _never, 8)
+    return RemoteStream({"connection": "c1", "inputs": [], "warnings": []}, {}, _never, 8)
 
 
 def test_nothing_in_time_is_a_timeout() -> None:

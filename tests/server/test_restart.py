@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import asyncio
+import subprocess
 from collections.abc import Awaitable, Callable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
 
 import pytest
+from tests.server.conftest import Between, Serve
 from tests.server.robot import script
 from tests.server.talk import SECONDS, eventually
 
 from uoarm import ConnectionClosedError, RobotManager
 from uoarm.client import Client, connect
 from uoarm.server import Limits, Server, Settings, serve_in_thread
+from uoarm.testing import slowness
 
 Restart = Callable[[], Awaitable[None]]
 FORMS = pytest.mark.parametrize("binary", [False, True], ids=["json", "cbor"])
@@ -99,6 +103,30 @@ def test_what_waits_for_an_answer_fails_and_nothing_is_done_twice(restarting: Re
     run(restarting, work)
 
 
+def test_what_was_asked_during_a_drop_is_not_done_by_the_session_after(
+    serve: Serve, between: Between, caplog: pytest.LogCaptureFixture
+) -> None:
+    """It has failed, and may be asked again by then."""
+    caplog.set_level("INFO", "uoarm.audit")
+    proxy = between(serve(Limits(resume_seconds=slowness())))
+
+    async def work() -> None:
+        async with connect(f"ws://127.0.0.1:{proxy.port}/") as client:
+            await client.status()
+            proxy.cut(admit=False)
+            await until(lambda: proxy.refused > 0)
+            lost = asyncio.ensure_future(client.call("add", {"a": 1, "b": 2}))
+            await until(lambda: client.restarts == 1)
+            proxy.admit()
+            with pytest.raises(ConnectionClosedError):
+                await lost
+            assert await client.call("parrot", {"text": "polly"}) == {"text": "polly"}
+        assert '"parrot"' in caplog.text
+        assert '"add"' not in caplog.text
+
+    asyncio.run(asyncio.wait_for(work(), SECONDS))
+
+
 def test_a_command_of_before_reaches_nothing_of_after(restarting: Restarting) -> None:
     """Names of connections are the server's: one of before may be another's after."""
 
@@ -175,3 +203,34 @@ def test_a_loop_that_ends_because_of_a_kill_has_its_cause(restarting: Restarting
 
 async def _all(stream: object) -> list[object]:
     return [message async for message in stream]  # type: ignore[attr-defined]
+
+
+@pytest.mark.needs("node")
+@pytest.mark.parametrize("form", ["json", "cbor"])
+def test_the_javascript_client_begins_anew_too(restarting: Restarting, form: str) -> None:
+    url = f"ws://127.0.0.1:{restarting.port}/"
+    flags = ["--experimental-websocket", "--no-warnings"]
+    program = Path(__file__).parent / "clients" / "with_restarts.mjs"
+    command = ["node", *flags, str(program), url, form, str(SECONDS)]
+    with subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, stdin=subprocess.PIPE, text=True
+    ) as process:
+        assert process.stdout is not None
+        assert process.stdin is not None
+        does = {"stop": restarting.stop, "start": restarting.start}
+        try:
+            for line in process.stdout:
+                word, _, value = line.strip().partition(" ")
+                if word == "done":
+                    break
+                if word == "put":
+                    script.put({"value": int(value)})
+                else:
+                    assert word in does, line + process.stdout.read()
+                    does[word]()
+                process.stdin.write("\n")
+                process.stdin.flush()
+            assert process.wait(SECONDS) == 0
+        finally:
+            process.kill()
+    restarting.start()

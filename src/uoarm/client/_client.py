@@ -10,6 +10,7 @@ from contextlib import asynccontextmanager, suppress
 from functools import partial
 from typing import Any, TypeAlias, final, overload
 
+from attrs import frozen
 from websockets.asyncio.client import ClientConnection
 from websockets.asyncio.client import connect as open_socket
 from websockets.typing import Subprotocol
@@ -47,6 +48,15 @@ class ServerError(errors.UoarmError):
     def __init__(self, code: str, text: str) -> None:
         super().__init__(text)
         self.code = code
+
+
+@frozen(eq=False)
+class _Asked:
+    """What waits for an answer; `renewed` is the stream that a Request opens again, if it does."""
+
+    fields: Mapping[str, Any]
+    answer: asyncio.Future[Any]
+    renewed: RemoteStream[Any] | None = None
 
 
 @arguments()
@@ -118,12 +128,11 @@ class Client:
         self._form = form
         self._link = Link(opening, form, self._take, reconnect, self._lose, self._open_again)
         self._ids = itertools.count(1)
-        self._asked: dict[str, tuple[str, asyncio.Future[Any]]] = {}
+        self._asked: dict[str, _Asked] = {}
         self._streams: dict[str, RemoteStream[Any]] = {}
         self._watchers: set[_Changes] = set()
-        # Each stream with what opens it again; those that are being opened again by message.
-        self._requests: dict[RemoteStream[Any], tuple[str, Mapping[str, Any]]] = {}
-        self._renewed: dict[str, RemoteStream[Any]] = {}
+        # Streams of a session that is gone, until this one has opened them again.
+        self._away: set[RemoteStream[Any]] = set()
         self._renewing: set[asyncio.Task[None]] = set()
 
     @property
@@ -204,7 +213,6 @@ class Client:
         wanted = await self._typed(as_type, name, f"function {name!r}", "output.")
         stream: RemoteStream[Any] = await self._ask("Request", name, jsonMessage=options)
         stream.give_as(wanted)
-        self._requests[stream] = name, options
         return stream
 
     @overload
@@ -371,31 +379,28 @@ class Client:
             for renewing in self._renewing:
                 renewing.cancel()
             self._fail(self._link.closed)
-            for stream in {*self._streams.values(), *self._requests}:
+            for stream in {*self._streams.values(), *self._away}:
                 stream.finish("failed", self._link.closed)
             self._tell_watchers(None)
 
     def _fail(self, cause: str) -> None:
         """Fail everything that waits for an answer, which will not come."""
-        for _, future in self._asked.values():
-            if not future.done():
-                future.set_exception(errors.ConnectionClosedError(cause))
+        for asked in self._asked.values():
+            if not asked.answer.done():
+                asked.answer.set_exception(errors.ConnectionClosedError(cause))
 
     def _lose(self, cause: str) -> None:
         """Fail what waits, and let nothing be sent to connections of a session that is gone."""
         self._fail(cause)
         for stream in self._streams.values():
-            if stream in self._requests:
-                stream.suspend()
-            else:  # whoever asked for it has not got it yet
-                stream.finish("failed", cause)
+            stream.suspend()
+            self._away.add(stream)
         self._streams.clear()
 
     def _open_again(self) -> None:
         """Have a new session open what the one before had, and tell what changes."""
-        streams = [stream for stream in self._requests if not stream.ended]
-        self._requests = {stream: self._requests[stream] for stream in streams}
-        works = [self._renew(stream, *self._requests[stream]) for stream in streams]
+        self._away = {stream for stream in self._away if not stream.ended}
+        works = [self._renew(stream) for stream in self._away]
         if self._watchers:
             works.append(self._watch_again())
         for work in works:
@@ -403,16 +408,16 @@ class Client:
             self._renewing.add(renewing)
             renewing.add_done_callback(self._renewing.discard)
 
-    async def _renew(
-        self, stream: RemoteStream[Any], name: str, options: Mapping[str, Any]
-    ) -> None:
+    async def _renew(self, stream: RemoteStream[Any]) -> None:
         session = self._link.session
         try:
+            name, options = stream.request["type"], stream.request["jsonMessage"]
             await self._ask("Request", name, renewed=stream, jsonMessage=options)
             if stream.ended:  # it was given back meanwhile
                 await self._ask("Kill", stream.connection)
         except errors.UoarmError as error:
             if session == self._link.session:  # otherwise it is tried again already
+                self._away.discard(stream)
                 stream.finish("failed", f"after a restart of the server: {error}")
 
     async def _watch_again(self) -> None:
@@ -434,23 +439,21 @@ class Client:
         return wanted
 
     async def _ask(
-        self, op: str, kind: str = "", renewed: RemoteStream[Any] | None = None, **more: Any
+        self, op: str, kind: str = "", *, renewed: RemoteStream[Any] | None = None, **more: Any
     ) -> Any:
         if self._link.closed:
             raise errors.ConnectionClosedError(self._link.closed)
         identity = str(next(self._ids))
-        future: asyncio.Future[Any] = asyncio.get_running_loop().create_future()
-        self._asked[identity] = op, future
-        if renewed is not None:
-            self._renewed[identity] = renewed
+        fields = {"op": op, **more} | ({"type": kind} if kind else {})
+        asked = _Asked(fields, asyncio.get_running_loop().create_future(), renewed)
+        self._asked[identity] = asked
         try:
-            await self._link.send(
-                {"op": op, "id": identity, **more} | ({"type": kind} if kind else {})
-            )
-            return await future
+            await self._link.send(fields | {"id": identity})
+            return await asked.answer
         finally:
             self._asked.pop(identity, None)
-            self._renewed.pop(identity, None)
+            if asked.answer.done() and not asked.answer.cancelled():
+                asked.answer.exception()  # it is seen, also where sending failed before
 
     def _take(self, told: Mapping[str, Any]) -> None:
         op, message = told["op"], told.get("jsonMessage")
@@ -481,25 +484,25 @@ class Client:
             watcher.put_nowait(change)
 
     def _take_answer(self, told: Mapping[str, Any], message: Message) -> None:
-        stream: RemoteStream[Any] | None
-        op, future = self._asked.get(told.get("id", ""), ("", None))
-        if future is None or future.done():
+        asked = self._asked.get(told.get("id", ""))
+        if asked is None or asked.answer.done():
             return
         if told["op"] == "Error":
-            future.set_exception(_error(message["code"], message["text"]))
-        elif op == "Request":
+            asked.answer.set_exception(_error(message["code"], message["text"]))
+        elif asked.fields["op"] == "Request":
             # Made here, since the first message may follow before whoever asked has woken.
-            stream = self._renewed.get(told["id"])
+            stream = asked.renewed
             if stream is None:
-                stream = RemoteStream(message, self._ask, _HELD)
+                stream = RemoteStream(message, asked.fields, self._ask, _HELD)
             else:
                 stream.renew(message)
+            self._away.discard(stream)
             self._streams[stream.connection] = stream
-            future.set_result(stream)
+            asked.answer.set_result(stream)
         else:
-            if op == "Kill":
+            if asked.fields["op"] == "Kill":
                 self._streams.pop(told["type"], None)
-            future.set_result(message)
+            asked.answer.set_result(message)
 
 
 def _error(code: str, text: str) -> errors.UoarmError:

@@ -26,7 +26,6 @@ LARGEST = Budget(octets=268_435_456, elements=2_000_000, depth=512, dimensions=3
 # What reading a message raises that is none, or lacks what the protocol says it has.
 _STRANGE = (ControlMessageError, AttributeError, LookupError, TypeError, ValueError)
 _KEEP, _RESUME = "keep", "resume"
-_OF_CONNECTIONS = frozenset({"Data", "Kill", "Stop"})
 _MOST_WAITING = 4096
 _FIRST_PAUSE, _LONGEST_PAUSE = 0.05, 5.0
 # Closed for what this client did or may not do: it would be so again.
@@ -96,15 +95,15 @@ class Link:
 
         Raises:
             MessageError: it has no form.
-            ConnectionClosedError: it has ended for good; or another session was begun meanwhile,
-                and the message is for a connection of the one before, whose name may be another's.
+            ConnectionClosedError: it has ended for good; or another session was begun meanwhile:
+                what was asked of the one before has failed, and is not done after that.
         """
         frame = self._form.write(fields)
         session = self.session
         await self._ready.wait()
         if self.closed or self._socket is None:
             raise ConnectionClosedError(self.closed)
-        if session != self.session and fields["op"] in _OF_CONNECTIONS:
+        if session != self.session:
             raise ConnectionClosedError("the server has begun anew meanwhile; it was not sent")
         self._unanswered[fields["id"]] = None
         try:

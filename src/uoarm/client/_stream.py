@@ -36,9 +36,13 @@ class RemoteStream(Generic[T]):
         gaps: how often the server began anew meanwhile, so that nobody knows what was lost.
         state: `open`; or how it ended: `closed`, `finished` or `failed`.
         cause: why it ended; empty while it is open, and where this client gave it back.
+        request: what opened it, and opens it again.
     """
 
-    def __init__(self, opened: Mapping[str, Any], ask: Ask, length: int) -> None:
+    def __init__(
+        self, opened: Mapping[str, Any], request: Mapping[str, Any], ask: Ask, length: int
+    ) -> None:
+        self.request = request
         self.lost = 0
         self.gaps = 0
         self.state = "open"

@@ -70,3 +70,44 @@ test("a robot that is closed while it connects again stays closed", async () => 
   assert(second.closed);
   await assert.rejects(robot.status(), { code: "closed" });
 });
+
+test("what was asked during a drop fails where a new session is begun, and is not asked of that", async () => {
+  const lost = [];
+  const { robot, second } = await dropped((robot) => lost.push(robot.call("add", 1)));
+  second.tell({ op: "Error", id: "resume", jsonMessage: { code: "unknown", text: "begin anew" } });
+  await assert.rejects(lost[0], { code: "closed" });
+  const asked = robot.call("add", 2);
+  const third = Socket.made.at(-1);
+  third.tell({ op: "Status", type: "hello", jsonMessage: {} });
+  assert.deepEqual(third.sent, [
+    { op: "Resume", id: "keep" }, { op: "Call", type: "add", id: "2", jsonMessage: 2 }]);
+  third.tell({ op: "Reply", id: "2", jsonMessage: 3 });
+  assert.equal(await asked, 3);
+  robot.close();
+});
+
+test("a client that was closed for what it did does not come again", async () => {
+  const connecting = connect("ws://x/", { WebSocket: Socket });
+  const socket = Socket.made.at(-1);
+  socket.tell({ op: "Status", type: "hello", jsonMessage: {} });
+  const robot = await connecting;
+  socket.onclose({ code: 1008, reason: "its rights have changed" });
+  await assert.rejects(robot.status(), /its rights have changed/);
+  assert.equal(Socket.made.at(-1), socket);
+});
+
+test("a server that sends what is no message is left, with the reason", async () => {
+  for (const data of ["no JSON", "null", "[".repeat(1e6)]) {
+    const connecting = connect("ws://x/", { WebSocket: Socket });
+    const socket = Socket.made.at(-1);
+    socket.tell({ op: "Status", type: "hello", jsonMessage: {} });
+    const robot = await connecting;
+    const asked = robot.status();
+    socket.onmessage({ data });
+    await assert.rejects(asked, { code: "unreadable" });
+    assert(socket.closed);
+    const refused = connect("ws://x/", { WebSocket: Socket });
+    Socket.made.at(-1).onmessage({ data });
+    await assert.rejects(refused, { code: "closed" });
+  }
+});

@@ -1,4 +1,5 @@
 // The connection to a server: one WebSocket, and after a drop another one with the same session.
+// Where the session is gone, as after a restart of the server, a new one is begun, if that is wanted.
 
 const DROPPED = 1006;
 const KEEP = "keep";
@@ -6,6 +7,8 @@ const RESUME = "resume";
 const MOST_WAITING = 4096;
 const FIRST_PAUSE = 50;
 const LONGEST_PAUSE = 5000;
+// Closed for what this client did or may not do: it would be so again.
+const FINAL = new Set([1000, 1002, 1003, 1007, 1008, 1009, 1010]);
 // A WebSocket does not say which of these it was.
 const REFUSED =
   "nothing listens there, its certificate is not trusted, or it refused the token or the origin";
@@ -19,37 +22,55 @@ export class UoarmError extends Error {
   }
 }
 
-/** Sends and receives control messages; `take` gets all but those about resuming. */
+/**
+ * Sends and receives control messages; `take` gets all but those about resuming.
+ *
+ * Where the session is gone, `lost` is called with the reason and a new one is tried for `reconnect`
+ * seconds; `begun` is called when there is one, `ended` with the reason when there is none.
+ */
 export class Link {
   #open;
   #form;
-  #take;
-  #ended;
   #timeout;
+  #resume;
+  #reconnect;
+  #take;
+  #lost;
+  #begun;
+  #ended;
   #socket = null;
+  #trying = null;
   #unanswered = new Set();
   #queue = [];
   #key = null;
   #seconds = 0;
   #over = false;
+  #wake = () => {};
   resumed = 0;
+  restarts = 0;
 
-  constructor({ open, form, timeout, take, ended }) {
+  constructor({ open, form, timeout, resume, reconnect, take, lost, begun, ended }) {
     this.#open = open;
     this.#form = form;
     this.#timeout = timeout;
+    this.#resume = resume;
+    this.#reconnect = reconnect;
     this.#take = take;
+    this.#lost = lost;
+    this.#begun = begun;
     this.#ended = ended;
   }
 
   /** Connect; with `resume` the server is asked to keep the session over drops. */
-  start(resume) {
-    return this.#connect(this.#timeout, (socket, told, greeted) => {
-      this.#socket = socket;
-      this.#take(told);
-      if (resume) this.#write(socket, { op: "Resume", id: KEEP });
-      greeted();
-    });
+  start() {
+    return this.#connect(this.#timeout, (...greeting) => this.#greet(...greeting));
+  }
+
+  #greet(socket, told, greeted) {
+    this.#socket = socket;
+    this.#take(told);
+    if (this.#resume) this.#write(socket, { op: "Resume", id: KEEP });
+    greeted();
   }
 
   /** Send one message that will be answered, at once or when the connection is renewed. */
@@ -61,13 +82,15 @@ export class Link {
 
   close() {
     this.#over = true;
-    this.#socket?.close();
+    this.#wake();
+    (this.#socket ?? this.#trying)?.close();
   }
 
   /** Open a socket; `greet` gets its first message, and calls `greeted` when all is well. */
   #connect(timeout, greet) {
     return new Promise((resolve, reject) => {
       const socket = this.#open();
+      this.#trying = socket;
       socket.binaryType = "arraybuffer";
       let state = "opening";
       const fail = (error) => {
@@ -84,8 +107,7 @@ export class Link {
         clearTimeout(late);
         resolve();
       };
-      socket.onmessage = ({ data }) => {
-        const told = this.#form.read(data);
+      const hear = (told) => {
         if (state === "opening") {
           state = "greeting";
           greet(socket, told, greeted);
@@ -93,6 +115,20 @@ export class Link {
           if (told.op === "Reply") greet(socket, told, greeted);
           else fail(new UoarmError("unknown", told.jsonMessage.text));
         } else if (state !== "failed") this.#hear(told);
+      };
+      socket.onmessage = ({ data }) => {
+        try {
+          hear(this.#form.read(data));
+        } catch (error) {
+          const strange = new UoarmError("unreadable", `the server sent what is no message: ${error.message}`);
+          if (state !== "greeted") fail(strange);
+          else {
+            socket.onmessage = socket.onclose = null;
+            this.#socket = null;
+            socket.close();
+            this.#end(strange);
+          }
+        }
       };
       socket.onerror = () => fail(new UoarmError("closed", REFUSED));
       socket.onclose = (event) => {
@@ -102,28 +138,49 @@ export class Link {
     });
   }
 
-  #closed({ code, reason }) {
+  async #closed({ code, reason }) {
     this.#socket = null;
-    const error = new UoarmError("closed", `the connection ended (${code}) ${reason}`);
-    if (code === DROPPED && this.#key && !this.#over) this.#renew(error);
-    else this.#end(error);
+    let error = new UoarmError("closed", `the connection ended (${code}) ${reason}`);
+    if (code === DROPPED && this.#key) {
+      error = await this.#retry(error, this.#seconds, (timeout) => this.#goOn(timeout));
+    }
+    if (error && this.#reconnect && !FINAL.has(code) && !this.#over) error = await this.#beginAnew(error);
+    if (error) this.#end(error);
   }
 
-  async #renew(error) {
-    const deadline = Date.now() + this.#seconds * 1000;
+  /** Try until it is done, for so many seconds; resolves to why it is not, or null. */
+  async #retry(error, seconds, attempt) {
+    const deadline = Date.now() + seconds * 1000;
     let why = error;
     for (let pause = FIRST_PAUSE; Date.now() < deadline && !this.#over;
       pause = Math.min(2 * pause, LONGEST_PAUSE)) {
       try {
-        await this.#goOn(Math.min(this.#timeout, (deadline - Date.now()) / 1000));
-        return;
+        await attempt(Math.min(this.#timeout, (deadline - Date.now()) / 1000));
+        return null;
       } catch (refused) {
         why = refused;
-        if (refused.code === "unknown") break;
+        if (refused.code !== "closed") break;
       }
-      await new Promise((wake) => setTimeout(wake, pause * (0.5 + Math.random() / 2)));
+      await new Promise((wake) => {
+        this.#wake = wake;
+        setTimeout(wake, pause * (0.5 + Math.random() / 2));
+      });
     }
-    this.#end(new UoarmError("closed", `${error.message}; connecting again: ${why.message}`));
+    return new UoarmError("closed", `${error.message}; connecting again: ${why.message}`);
+  }
+
+  /** What was asked of the session that is gone is not asked of the new one; what is asked meanwhile is. */
+  #beginAnew(error) {
+    this.#key = null;
+    this.#unanswered.clear();
+    this.#queue = [];
+    this.restarts += 1;
+    this.#lost(error);
+    return this.#retry(error, this.#reconnect, (timeout) => this.#connect(timeout, (socket, ...greeting) => {
+      this.#greet(socket, ...greeting);
+      this.#begun();
+      this.#passQueued(socket);
+    }));
   }
 
   /** Take the session up over a new connection; what waited to be sent follows. */
@@ -142,9 +199,13 @@ export class Link {
       greeted();
       const lost = { code: "closed", text: "too much waited when the connection dropped" };
       for (const id of beyond) this.#hear({ op: "Error", id, jsonMessage: lost });
-      if (this.#over) socket.close();
-      else for (const told of this.#queue.splice(0)) this.#pass(told);
+      this.#passQueued(socket);
     });
+  }
+
+  #passQueued(socket) {
+    if (this.#over) socket.close();
+    else for (const told of this.#queue.splice(0)) this.#pass(told);
   }
 
   #pass({ id, frame }) {

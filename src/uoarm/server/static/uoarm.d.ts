@@ -42,6 +42,12 @@ export class Stream<T = Message> implements AsyncIterable<T> {
   readonly warnings: readonly string[];
   /** Messages that did not get here, as gaps in their numbers. */
   readonly lost: number;
+  /** How often the server began anew meanwhile, so that nobody knows what was lost. */
+  readonly gaps: number;
+  /** `open`, or how it ended. */
+  readonly state: "open" | "closed" | "finished" | "failed";
+  /** Why it ended; empty while it is open, and where this client gave it back. */
+  readonly cause: string;
   [Symbol.asyncIterator](): AsyncIterator<T, undefined>;
   /** The next message, or undefined when no more will come; rejects when the function failed. */
   get(): Promise<T | undefined>;
@@ -83,6 +89,8 @@ export class Robot {
   readonly hello: Record<string, unknown>;
   /** How often the connection dropped and the session went on over another. */
   readonly resumed: number;
+  /** How often the session was gone and a new one was begun, as `reconnect` says. */
+  readonly restarts: number;
   request<T = Message>(name: string, options?: RequestOptions): Promise<Stream<T>>;
   call<T = Message>(name: string, message: Message, options?: { timeout?: number }): Promise<T>;
   functions(): Promise<FunctionInfo[]>;
@@ -117,6 +125,11 @@ export interface ConnectOptions {
   timeout?: number;
   /** Whether to connect again after a drop and go on with the same session; true by default. */
   resume?: boolean;
+  /**
+   * Seconds for which a new session is tried where that one is gone, as after a restart of the
+   * server, and what was open is opened again; 60 by default. 0: everything that waits fails.
+   */
+  reconnect?: number;
   /** A WebSocket class, where there is no global one. */
   WebSocket?: new (url: string, protocols: string[]) => unknown;
 }

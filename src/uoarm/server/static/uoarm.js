@@ -94,16 +94,29 @@ export class HeldCommand {
 export class Stream {
   #ask;
   #mailbox = new Mailbox();
-  #last = 0;
-  #ended = false;
+  #last = { gaps: 0, number: 0 };
+  #away = true;
+  lost = 0;
+  gaps = -1;
+  state = "open";
+  cause = "";
 
-  constructor(opened, ask) {
-    this.connection = opened.connection;
-    this.inputs = opened.inputs;
-    this.warnings = opened.warnings;
-    this.lifetimes = opened.lifetimes ?? {};
-    this.lost = 0;
+  /** `request` opens it: of this server, and of the one after a restart. */
+  constructor(request, ask) {
+    this.request = request;
     this.#ask = ask;
+  }
+
+  /** Is a connection of this server from now on; the first time, or after a gap. */
+  open({ connection, inputs, warnings, lifetimes = {} }) {
+    Object.assign(this, { connection, inputs, warnings, lifetimes });
+    this.gaps += 1;
+    this.#away = false;
+  }
+
+  /** Sends nothing until it is open again: its name may be another connection's by then. */
+  suspend() {
+    this.#away = true;
   }
 
   [Symbol.asyncIterator]() {
@@ -121,12 +134,12 @@ export class Stream {
   /** Hand one message to an input; resolves when the server has taken it. */
   async send(message, input, { takeOver = false } = {}) {
     const more = takeOver ? { "x-take-over": true } : {};
-    await this.#ask({ op: "Data", type: this.#type(input), jsonMessage: message, ...more });
+    await this.#ask({ op: "Data", type: this.#there(input), jsonMessage: message, ...more });
   }
 
   /** Have an input stopped, and give its lease back; what was sent before and waits is discarded. */
   async stop(input) {
-    await this.#ask({ op: "Stop", type: this.#type(input) });
+    await this.#ask({ op: "Stop", type: this.#there(input) });
   }
 
   /**
@@ -151,30 +164,42 @@ export class Stream {
 
   /** Give the function back. Once is enough. */
   async kill() {
-    if (this.#ended) return;
+    if (this.state !== "open") return;
     this.finish("closed", "");
-    await this.#ask({ op: "Kill", type: this.connection });
+    if (this.#away) return;
+    try {
+      await this.#ask({ op: "Kill", type: this.connection });
+    } catch (error) {
+      if (error.code !== "closed") throw error; // otherwise it has ended at the server, too
+    }
   }
 
   #type(input) {
     return input === undefined ? this.connection : `${this.connection}.${input}`;
   }
 
+  #there(input) {
+    if (!this.#away) return this.#type(input);
+    const gone = `the server of ${this.connection} has gone, and has not opened it again yet`;
+    throw new UoarmError("closed", `${gone}: nothing was sent`);
+  }
+
   take(number, message) {
-    this.#mailbox.put({ number, message });
+    this.#mailbox.put({ gaps: this.gaps, number, message });
   }
 
   finish(state, cause) {
-    this.#ended = true;
-    this.#mailbox.finish(state === "failed" ? new UoarmError("closed", cause) : null);
+    if (this.state === "open") Object.assign(this, { state, cause });
+    this.#mailbox.finish(this.state === "failed" ? new UoarmError("closed", this.cause) : null);
   }
 
   async #next() {
     const { value, done } = await this.#mailbox.next();
     if (done) return { value: undefined, done };
-    if (this.#last && value.number) this.lost += value.number - this.#last - 1;
-    this.#last = value.number;
-    return { value: value.message, done: false };
+    const { gaps, number, message } = value;
+    if (this.#last.gaps === gaps && this.#last.number && number) this.lost += number - this.#last.number - 1;
+    this.#last = { gaps, number };
+    return { value: message, done: false };
   }
 }
 
@@ -183,14 +208,20 @@ export class Robot {
   #link;
   #asked = new Map();
   #streams = new Map();
+  #away = new Set(); // streams of a session that is gone, until this one has opened them again
   #watchers = new Set();
   #next = 1;
   #ended = null;
 
-  constructor(open, form, timeout) {
+  constructor(options) {
     this.hello = null;
-    const take = (told) => this.#take(told);
-    this.#link = new Link({ open, form, timeout, take, ended: (error) => this.#finish(error) });
+    this.#link = new Link({
+      ...options,
+      take: (told) => this.#take(told),
+      lost: (error) => this.#lose(error),
+      begun: () => this.#openAgain(),
+      ended: (error) => this.#finish(error),
+    });
   }
 
   /** How often the connection dropped and the session went on over another. */
@@ -198,9 +229,14 @@ export class Robot {
     return this.#link.resumed;
   }
 
+  /** How often the session was gone and a new one was begun, as `reconnect` says. */
+  get restarts() {
+    return this.#link.restarts;
+  }
+
   /** Connect; `connect` does it. */
-  async start(resume) {
-    await this.#link.start(resume);
+  async start() {
+    await this.#link.start();
     return this;
   }
 
@@ -255,7 +291,7 @@ export class Robot {
     return this.#ask({ op: "Status" });
   }
 
-  /** Changes of the robot, for `for await`, from now on. */
+  /** Changes of the robot, for `for await`, from now on until the connection ends for good. */
   async watch() {
     const mailbox = new Mailbox();
     this.#watchers.add(mailbox);
@@ -273,12 +309,12 @@ export class Robot {
     this.#link.close();
   }
 
-  #ask(fields) {
+  #ask(fields, stream = null) {
     if (this.#ended) return Promise.reject(this.#ended);
     const id = String(this.#next++);
     return new Promise((resolve, reject) => {
       this.#link.send({ ...fields, id });
-      this.#asked.set(id, { op: fields.op, resolve, reject });
+      this.#asked.set(id, { fields, stream, resolve, reject });
     });
   }
 
@@ -306,41 +342,82 @@ export class Robot {
     this.#asked.delete(id);
     if (!asked) return;
     if (op === "Error") asked.reject(new UoarmError(message.code, message.text));
-    else if (asked.op === "Request") {
+    else if (asked.fields.op === "Request") {
       // Made here, since the first message may follow before whoever asked has woken.
-      const stream = new Stream(message, (fields) => this.#ask(fields));
+      const stream = asked.stream ?? new Stream(asked.fields, (fields) => this.#ask(fields));
+      stream.open(message);
+      this.#away.delete(stream);
       this.#streams.set(stream.connection, stream);
       asked.resolve(stream);
     } else {
-      if (asked.op === "Kill") this.#streams.delete(type);
+      if (asked.fields.op === "Kill") this.#streams.delete(type);
       asked.resolve(message);
+    }
+  }
+
+  #fail(error) {
+    for (const { reject } of this.#asked.values()) reject(error);
+    this.#asked.clear();
+  }
+
+  /** Fails what waits, and lets nothing be sent to connections of a session that is gone. */
+  #lose(error) {
+    this.#fail(error);
+    for (const stream of this.#streams.values()) {
+      stream.suspend();
+      this.#away.add(stream);
+    }
+    this.#streams.clear();
+  }
+
+  /** Has a new session open what the one before had, and tell what changes. */
+  #openAgain() {
+    for (const stream of this.#away) {
+      if (stream.state === "open") this.#renew(stream);
+      else this.#away.delete(stream);
+    }
+    if (this.#watchers.size) this.#ask({ op: "Status", type: "watch" }).catch(() => {});
+  }
+
+  async #renew(stream) {
+    const { restarts } = this;
+    try {
+      await this.#ask(stream.request, stream);
+      if (stream.state !== "open") await this.#ask({ op: "Kill", type: stream.connection });
+    } catch (error) {
+      if (restarts !== this.restarts) return; // it is tried again already
+      this.#away.delete(stream);
+      stream.finish("failed", `after a restart of the server: ${error.message}`);
     }
   }
 
   #finish(error) {
     this.#ended ??= error;
-    for (const { reject } of this.#asked.values()) reject(this.#ended);
-    for (const stream of this.#streams.values()) stream.finish("failed", this.#ended.message);
+    this.#fail(this.#ended);
+    for (const stream of [...this.#streams.values(), ...this.#away]) stream.finish("failed", this.#ended.message);
     for (const watcher of this.#watchers) watcher.finish(null);
-    this.#asked.clear();
     this.#streams.clear();
+    this.#away.clear();
   }
 }
 
 /**
  * Connect to a server. With `binary` octets come as Uint8Array instead of base64 text; with
- * `resume` a connection that drops is renewed, and the session goes on.
+ * `resume` a connection that drops is renewed, and the session goes on. Where that is gone, as after
+ * a restart of the server, a new one is tried for `reconnect` seconds and what was open is opened
+ * again; `gaps` of a stream counts it. What waited for an answer fails; no command is repeated.
  */
 export async function connect(
-  url, { token, binary = false, timeout = 10, resume = true, WebSocket } = {},
+  url, { token, binary = false, timeout = 10, resume = true, reconnect = 60, WebSocket } = {},
 ) {
   const Socket = WebSocket ?? globalThis.WebSocket;
   if (!Socket) throw new UoarmError("usage", NO_SOCKET);
   const form = binary ? FORMS.cbor : FORMS.json;
   const protocols = [form.protocol];
   if (token !== undefined) protocols.push(`uoarm.token.${token}`);
+  const open = () => new Socket(url, protocols);
   try {
-    return await new Robot(() => new Socket(url, protocols), form, timeout).start(resume);
+    return await new Robot({ open, form, timeout, resume, reconnect }).start();
   } catch (error) {
     throw error instanceof UoarmError ? new UoarmError("closed", `${url}: ${error.message}`) : error;
   }
