@@ -12,7 +12,7 @@ from tests.control.world import FACE
 
 from uoarm import RobotManager
 from uoarm._control.live import parts
-from uoarm._control.reconciler.state import forget_earlier
+from uoarm._control.reconciler.state import forget_earlier, listed
 from uoarm._control.runtime.revisions import Revision
 from uoarm.config import loads
 from uoarm.model import ConnectionState, Health, StatusEvent
@@ -101,3 +101,8 @@ def test_what_died_long_ago_is_forgotten_however_many_names_come_and_go() -> Non
     assert times == {"third": 400.0}
     forget_earlier(times, 1000.0)
     assert times == {}
+
+
+def test_of_many_that_die_together_a_few_are_named() -> None:
+    assert listed(["a", "b"]) == "'a', 'b'"
+    assert listed([f"c{number}" for number in range(1000)]).endswith("'c7' and 992 more")

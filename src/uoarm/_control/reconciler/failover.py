@@ -33,6 +33,7 @@ from uoarm._control.reconciler.state import (
     ConnectionRecord,
     Placement,
     forget_earlier,
+    listed,
     names,
     recently,
 )
@@ -131,7 +132,7 @@ def _lose(draft: Draft, lost: list[int], concerned: frozenset[str], event: Healt
             draft.avoided[name] = draft.now
     were = f"component {dead[0]!r} was"
     if len(dead) > 1:
-        were = f"components {', '.join(map(repr, dead))} were"
+        were = f"components {listed(dead)} were"
     cause = f"{were} lost: {event.cause}"
     replace(draft, ComponentFailure(draft.now, cause, tuple(lost), concerned, concerned))
 

@@ -14,7 +14,7 @@ from uoarm._control.reconciler.draft import Draft
 from uoarm._control.reconciler.endings import cancel_switchover, drop_next
 from uoarm._control.reconciler.events import CandidatesChanged, Configured
 from uoarm._control.reconciler.failover import replace, seek
-from uoarm._control.reconciler.state import ComponentFailure, ConnectionRecord
+from uoarm._control.reconciler.state import ComponentFailure, ConnectionRecord, listed
 from uoarm._control.reconciler.switchover import begin, seek_outdated
 from uoarm.model import ConnectionState
 
@@ -116,5 +116,5 @@ def _replace_what_is_left(draft: Draft) -> None:
     lost = tuple(sorted(left))
     if lost:
         dead = frozenset(draft.components[one].name for one in lost)
-        text = f"the configuration has {', '.join(map(repr, sorted(dead)))} no more, or otherwise"
+        text = f"the configuration has {listed(sorted(dead))} no more, or otherwise"
         replace(draft, ComponentFailure(draft.now, text, lost, dead, frozenset()))

@@ -6,7 +6,7 @@ another part, so that nothing late is taken for something new.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from enum import Enum
 from types import MappingProxyType
 from typing import Any, NamedTuple
@@ -40,12 +40,14 @@ __all__ = [
     "State",
     "Switchover",
     "forget_earlier",
+    "listed",
     "names",
     "only_runs_out",
     "recently",
 ]
 
 _REMEMBERED_SECONDS = 300.0
+_LISTED = 8
 _WELL = ComponentHealth()
 _NOTHING: Mapping[Any, Any] = MappingProxyType({})
 OPEN = 0
@@ -399,6 +401,15 @@ def forget_earlier(times: dict[str, float], now: float) -> None:
     """
     while times and times[oldest := next(iter(times))] < now - _REMEMBERED_SECONDS:
         del times[oldest]
+
+
+def listed(names: Sequence[str]) -> str:
+    """Return the first of several names, and how many more there are.
+
+    Of a bridge that dies with thousands, each connection's cause would name them all.
+    """
+    shown = ", ".join(map(repr, names[:_LISTED]))
+    return f"{shown} and {len(names) - _LISTED} more" if len(names) > _LISTED else shown
 
 
 def recently(times: Mapping[str, float], now: float) -> frozenset[str]:
