@@ -100,7 +100,16 @@ def test_a_header_that_is_none_is_refused_in_words(octets: bytes, why: str) -> N
 )
 def test_frames_come_whole_however_they_are_cut(frames: list[bytes], cuts: list[int]) -> None:
     stream = b"".join(struct.pack("<I", len(frame)) + frame for frame in frames)
-    reading, came, at, turn = FrameReader(1 << 20), [], 0, 0
+    for keeps_length in (False, True):
+        came = received(stream, cuts, keeps_length=keeps_length)
+        lengths = [struct.pack("<I", len(frame)) if keeps_length else b"" for frame in frames]
+        assert came == [length + frame for length, frame in zip(lengths, frames, strict=True)]
+
+
+def received(stream: bytes, cuts: list[int], *, keeps_length: bool) -> list[bytes]:
+    came: list[bytes | bytearray] = []
+    reading, at, turn = FrameReader(1 << 20), 0, 0
+    reading.keeps_length = keeps_length
     while at < len(stream):
         buffer = reading.buffer()
         count = min(len(buffer), cuts[turn % len(cuts)], len(stream) - at)
@@ -108,8 +117,8 @@ def test_frames_come_whole_however_they_are_cut(frames: list[bytes], cuts: list[
         buffer[:count] = stream[at : at + count]
         came += reading.received(count)
         at, turn = at + count, turn + 1
-    assert [bytes(frame) for frame in came] == frames
     assert reading.is_between_frames
+    return [bytes(frame) for frame in came]
 
 
 def test_a_frame_that_is_too_long_is_refused_before_it_comes() -> None:

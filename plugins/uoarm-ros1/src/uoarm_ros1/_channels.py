@@ -6,7 +6,7 @@ import threading
 import time
 from collections.abc import Callable, Mapping
 
-from attrs import frozen
+from attrs import evolve, frozen
 
 from uoarm.bridge import Channel, Delivery, Sink, Source
 from uoarm.errors import BridgeError, FailureReason, MessageError
@@ -15,7 +15,7 @@ from uoarm_ros1._definitions import Record
 from uoarm_ros1._health import ChannelHealth, Report
 from uoarm_ros1._node import Node
 from uoarm_ros1._options import Port
-from uoarm_ros1._serialisation import LENGTH, framed_writer, reader
+from uoarm_ros1._serialisation import framed_writer, reader
 from uoarm_ros1._subscription import PublisherHeader, Subscription, Wanted
 
 __all__ = ["Place", "Relay", "SameTopic", "TopicSink", "TopicSource"]
@@ -96,13 +96,16 @@ class _Subscribed:
         take: Callable[[bytes | bytearray, str], object],
         say: Callable[[Health, str], None],
         gone: Callable[[str], object] = lambda _: None,
+        *,
+        keeps_length: bool = False,
     ) -> None:
         self.place = place
         self._gone = gone
         self.end = _End(place.health("publisher"), say)
         self.is_latched = False
         self.breaks = 0
-        self.subscription = Subscription(place.wanted(record), take, self._came, self._went)
+        wanted = evolve(place.wanted(record), keeps_length=keeps_length)
+        self.subscription = Subscription(wanted, take, self._came, self._went)
 
     def open(self) -> None:
         """Begin to take messages; what takes them must be whole by then.
@@ -207,7 +210,8 @@ class TopicSource(Source):
             text = f"{self._place.topic}: {error}"
             end.note(lambda: end.health.refused(text))
             return
-        end.note(lambda: end.health.took(self._place.clock()))
+        if end.health.is_waiting:
+            end.note(lambda: end.health.took(self._place.clock()))
         self._deliver(message, writer)
 
     def _close(self) -> None:
@@ -341,7 +345,7 @@ class Relay(Channel):
             source.report(self, health, cause)
 
         self._publishing = _Publishing(sink, record, say)
-        self._subscribed = _Subscribed(source, record, self._take, say)
+        self._subscribed = _Subscribed(source, record, self._take, say, keeps_length=True)
         try:
             self._subscribed.open()
         except BaseException:
@@ -367,7 +371,7 @@ class Relay(Channel):
 
     def _take(self, frame: bytes | bytearray, _: str) -> None:
         self._moved += 1
-        self._publishing.publication.send(LENGTH.pack(len(frame)) + frame)
+        self._publishing.publication.send(frame)
 
     def _close(self) -> None:
         self._subscribed.close()

@@ -48,6 +48,11 @@ class ChannelHealth:
         self._trouble = cause
         return Health.DEGRADED, cause
 
+    @property
+    def is_waiting(self) -> bool:
+        """Whether a message that comes changes anything: it ends a trouble, or a silence."""
+        return bool(self._trouble) or self._stale_after is not None
+
     def took(self, now: float) -> Report | None:
         """A message came that could be read."""
         self._last = now

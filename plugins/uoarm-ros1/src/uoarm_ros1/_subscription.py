@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import socket
+import struct
 import threading
 import time
 from collections.abc import Callable
@@ -47,6 +48,7 @@ class Wanted:
         most: octets that a message may have.
         silence: seconds without a message until a publisher is asked whether it is alive.
         nodelay: whether the publisher is to send small messages at once.
+        keeps_length: whether messages are wanted with their lengths in front.
     """
 
     caller: str
@@ -57,6 +59,7 @@ class Wanted:
     most: int = 16_777_216
     silence: float = 5.0
     nodelay: bool = True
+    keeps_length: bool = False
 
 
 @frozen
@@ -140,8 +143,10 @@ def _receive_header(
     answered = decode_header(frames[0])
     if problem := publisher_problem(answered, wanted.topic, wanted.kind, wanted.md5):
         raise ProtocolError(problem)
-    reader.most = wanted.most
+    reader.most, reader.keeps_length = wanted.most, wanted.keeps_length
     reader.ready = frames[1:]
+    if wanted.keeps_length:
+        reader.ready = [struct.pack("<I", len(frame)) + frame for frame in reader.ready]
     return answered, reader
 
 
@@ -254,13 +259,17 @@ class _Publisher:
         writer = "" if self.header is None else self.header.node
         for frame in reader.ready:
             take(frame, writer)
-        connection.settimeout(wanted.silence)
+        # The system's own time limit: Python's would ask it twice for each message.
+        connection.settimeout(None)
+        whole, part = divmod(wanted.silence, 1)
+        silence = struct.pack("ll", int(whole), int(part * 1_000_000))
+        connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, silence)
         receive, buffer, received = connection.recv_into, reader.buffer, reader.received
         asked = 0
         while True:
             try:
                 count = receive(buffer())
-            except TimeoutError:
+            except BlockingIOError:
                 asked += 1
                 if cause := self._ask():
                     if asked >= _ASKED_IN_VAIN:

@@ -73,13 +73,15 @@ class FrameReader:
         most: octets that a frame may have.
 
     Attributes:
+        keeps_length: whether frames are returned with their lengths in front, to be sent on.
         ready: frames that came together with one that was asked for.
     """
 
     def __init__(self, most: int) -> None:
         self.most = most
+        self.keeps_length = False
         self.ready: list[bytes | bytearray] = []
-        self._stage = bytearray(_STAGE_OCTETS)
+        self._stage = memoryview(bytearray(_STAGE_OCTETS))
         self._filled = 0
         self._large: bytearray | None = None
         self._large_filled = 0
@@ -93,7 +95,7 @@ class FrameReader:
         """Return where the next octets go; never empty."""
         if self._large is not None:
             return memoryview(self._large)[self._large_filled :]
-        return memoryview(self._stage)[self._filled :]
+        return self._stage[self._filled :] if self._filled else self._stage
 
     def received(self, count: int) -> list[bytes | bytearray]:
         """Take note of so many octets in the buffer; returns the frames that are whole by them.
@@ -118,16 +120,17 @@ class FrameReader:
             end = start + length
             if end > self._filled:
                 if end - at > _STAGE_OCTETS:
-                    self._large = bytearray(length)
-                    self._large_filled = self._filled - start
-                    self._large[: self._large_filled] = memoryview(stage)[start : self._filled]
+                    first = at if self.keeps_length else start
+                    self._large = bytearray(end - first)
+                    self._large_filled = self._filled - first
+                    self._large[: self._large_filled] = stage[first : self._filled]
                     at = self._filled
                 break
-            frames.append(bytes(memoryview(stage)[start:end]))
+            frames.append(bytes(stage[at if self.keeps_length else start : end]))
             at = end
         self._filled -= at
         if at and self._filled:
-            stage[: self._filled] = stage[at : at + self._filled]
+            stage[: self._filled] = bytes(stage[at : at + self._filled])
         return frames
 
 

@@ -1,0 +1,152 @@
+"""One ROS 1 topic to another: through uoarm, natively linked, and through a relay of rospy by hand.
+
+Relays and their client, a node of rospy, are processes of their own, measured beside one another.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import socket
+import subprocess
+import sys
+import time
+from contextlib import ExitStack
+from pathlib import Path
+from statistics import median
+
+from bench.tables import print_table, row
+
+ROS_PYTHON = "/usr/bin/python3"  # what Debian installs belongs to it alone
+PEER = str(Path(__file__).with_name("_ros1_peer.py"))
+RELAYS = (
+    "a rospy relay by hand",
+    "uoarm bridge, source to sink",
+    "uoarm native link",
+    "uoarm manager, adapted route",
+)
+KIND = "std_msgs/UInt8MultiArray"
+START_SECONDS = 30.0
+
+
+def main() -> int:
+    """Print the tables; 0 also when there is no ROS 1 to measure."""
+    master = shutil.which("rosmaster")
+    try:
+        import uoarm_ros1  # noqa: F401, PLC0415
+    except ImportError as error:
+        print(f"no relay table: {error}", file=sys.stderr)
+        return 0
+    if master is None:
+        print("no relay table: no rosmaster (apt install python3-rosmaster)", file=sys.stderr)
+        return 0
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        port = free.getsockname()[1]
+    uri = f"http://127.0.0.1:{port}"
+    environment = {**os.environ, "ROS_MASTER_URI": uri, "ROS_IP": "127.0.0.1"}
+    with ExitStack() as stack:
+        core = subprocess.Popen([master, "--core", "-p", str(port)], stdout=subprocess.DEVNULL)
+        stack.callback(core.wait)
+        stack.callback(core.kill)
+        _await(port)
+        for number, name in enumerate(RELAYS):
+            topics = (f"/here_{number}", f"/there_{number}")
+            words = [ROS_PYTHON, PEER, "relay", *topics]
+            if number:
+                words = [sys.executable, "-m", "bench.ros1_relay", name, *topics]
+            process = subprocess.Popen(
+                words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=environment
+            )
+            stack.callback(process.communicate)
+            assert process.stdout is not None
+            process.stdout.readline()
+        client = [ROS_PYTHON, PEER, "client", str(len(RELAYS))]
+        done = subprocess.run(
+            client, stdout=subprocess.PIPE, text=True, env=environment, check=True
+        )
+    times, rates = [], []
+    for line in done.stdout.splitlines():
+        found = json.loads(line)
+        for name, samples, speeds in zip(RELAYS, found["times"], found["rates"], strict=True):
+            times.append((*row(name, sorted(samples))[:3], found["size"]))
+            rates.append((name, f"{median(speeds):,.0f}", found["size"]))
+    print_table("ROS 1 relay, round trip (us)", ("relay", "median", "p99", "size"), times)
+    print_table("ROS 1 relay, one way", ("relay", "messages/s", "size"), rates)
+    return 0
+
+
+def _await(port: int) -> None:
+    deadline = time.monotonic() + START_SECONDS
+    while True:
+        try:
+            socket.create_connection(("127.0.0.1", port), 1).close()
+        except OSError:
+            if time.monotonic() > deadline:
+                raise
+            time.sleep(0.05)
+        else:
+            return
+
+
+def relay_by_manager(here: str, there: str) -> None:
+    from uoarm import RobotManager  # noqa: PLC0415
+    from uoarm.config import loads  # noqa: PLC0415
+
+    text = f"""
+version: 1
+bridges: {{ros: {{plugin: ros1, options: {{}}}}}}
+functions:
+  octets:
+    components:
+      - name: here
+        bridge: ros
+        output: {{endpoint: [{here}, {KIND}], options: {{peer: optional}}}}
+  relayed:
+    components:
+      - name: there
+        bridge: ros
+        input:
+          from: octets
+          endpoint: [{there}, {KIND}]
+          options: {{peer: optional, queue: 1000}}
+          map: {{layout: layout, data: data}}
+"""
+    with RobotManager(loads(text)) as robot, robot.request("relayed"):
+        print("ready", flush=True)
+        sys.stdin.read()
+
+
+def relay_by_bridge(here: str, there: str, *, link: bool) -> None:
+    from uoarm.bridge import Registry  # noqa: PLC0415
+    from uoarm.model import BridgeSpec, Endpoint, Role  # noqa: PLC0415
+
+    bridge = Registry().create(BridgeSpec("ros", "ros1", {}))
+    options = {"peer": "optional"}
+    source = Endpoint("ros", "here", Role.OUTPUT, (here, KIND), options=options)
+    queued = {**options, "queue": 1000}
+    sink = Endpoint("ros", "there", Role.INPUT, (there, KIND), options=queued)
+    structure = bridge.describe(source).message
+    assert structure is not None
+    if link:
+        bridge.link(source, sink)
+    else:
+        bridge.open_source(source, structure, bridge.open_sink(sink, structure).send)
+    print("ready", flush=True)
+    sys.stdin.read()
+    bridge.close()
+
+
+def relay(name: str, here: str, there: str) -> None:
+    """Be one of our relays until standard input ends."""
+    if "manager" in name:
+        relay_by_manager(here, there)
+    else:
+        relay_by_bridge(here, there, link="link" in name)
+
+
+if __name__ == "__main__":
+    if len(sys.argv) > 1:
+        relay(*sys.argv[1:])
+        sys.exit(0)
+    sys.exit(main())
