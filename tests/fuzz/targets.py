@@ -258,7 +258,7 @@ def _web() -> Mapping[str, Target]:
     )
 
     def operations(data: bytes) -> None:
-        fragments = Fragments(4096)
+        fragments = Fragments(4096, 60.0)
         for line in text_of(data).split("\n"):
             fields = read_operation(line, Spending(BUDGET))
             within(fields, BUDGET)

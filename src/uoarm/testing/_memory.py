@@ -182,8 +182,12 @@ class MemoryBridge(Bridge):
             return None
         read = codec(producer.structure.schema, ROWS).read
         write = codec(consumer.structure.schema, PAIRS).write
+
+        def relay(row: object, _writer: str = "") -> None:
+            consumer.take(write(read(row)))
+
         channel = Channel(source, lambda: producer.leave(channel))
-        producer.join(channel, lambda row: consumer.take(write(read(row))))
+        producer.join(channel, relay)
         return channel
 
     def _discover(self) -> tuple[Discovered, ...]:
