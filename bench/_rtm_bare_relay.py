@@ -12,12 +12,12 @@ from collections import deque
 from typing import Any
 
 import omniORB
+from _uoarm_rtm_stubs import RTC, OpenRTM, OpenRTM__POA
 from uoarm_rtm._connector import Connections, asked
 from uoarm_rtm._naming import NamingService
 from uoarm_rtm._orb import Orb
 from uoarm_rtm._peer import peer_at
 from uoarm_rtm._settings import Settings
-from uoarm_rtm._stubs import RTC, OpenRTM, OpenRTM__POA
 
 __all__ = ["BareRelay"]
 

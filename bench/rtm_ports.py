@@ -62,12 +62,12 @@ def _tables(address: str) -> None:
 def _bare(address: str, kind: str, message: Any, *, echo: bool) -> list[float]:
     """Measure what one would write by hand: stubs, omniORB's marshalling, one connector each."""
     import omniORB  # noqa: PLC0415
+    from _uoarm_rtm_stubs import RTC, OpenRTM, OpenRTM__POA  # noqa: PLC0415
     from uoarm_rtm._connector import Connections, asked  # noqa: PLC0415
     from uoarm_rtm._naming import NamingService  # noqa: PLC0415
     from uoarm_rtm._orb import Orb  # noqa: PLC0415
     from uoarm_rtm._peer import peer_at  # noqa: PLC0415
     from uoarm_rtm._settings import Settings  # noqa: PLC0415
-    from uoarm_rtm._stubs import RTC, OpenRTM, OpenRTM__POA  # noqa: PLC0415
 
     orb = Orb("127.0.0.1", 5.0)
     peer = peer_at("Echo0.rtc", NamingService(orb, address, 5.0).resolve("Echo0.rtc"), 5.0)

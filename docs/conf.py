@@ -30,6 +30,6 @@ _OPTIONAL = (
 sys.path += map(str, Path(__file__).parents[1].glob("plugins/*/src"))
 autodoc_mock_imports = [name for name in _OPTIONAL if find_spec(name) is None]
 if "omniORB" in autodoc_mock_imports:
-    autodoc_mock_imports.append("uoarm_rtm._stubs")  # generated, and of nothing but omniORB
+    autodoc_mock_imports.append("_uoarm_rtm_stubs")  # generated, and of nothing but omniORB
 napoleon_google_docstring = True
 napoleon_use_ivar = True

@@ -68,7 +68,10 @@ NEEDS = {
         packages=("rclpy",),
         systems=ROS,
     ),
-    "rtm": Need("pip install -e 'plugins/uoarm-rtm[dev]'", packages=("uoarm_rtm", "omniORB")),
+    "rtm": Need(
+        "pip install -e 'plugins/uoarm-rtm[dev]'",
+        packages=("uoarm_rtm", "_uoarm_rtm_stubs", "omniORB"),
+    ),
     "rocos": Need(
         "pip install -e 'plugins/uoarm-rocos[dev]'",
         packages=("uoarm_rocos", "serial", "espeakng_loader"),

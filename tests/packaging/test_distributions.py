@@ -9,7 +9,7 @@ import subprocess
 import sys
 import tarfile
 import zipfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from email.message import Message
 from email.parser import Parser
 from hashlib import sha256
@@ -24,9 +24,18 @@ PROJECTS = {
     "uoarm": ROOT,
     **{folder.name: folder for folder in sorted((ROOT / "plugins").glob("uoarm-*"))},
 }
-PARTS = ("pyproject.toml", ".gitignore", "README.md", "CHANGELOG.md", "LICENSE", "regenerate.py")
+PARTS = ("pyproject.toml", ".gitignore", "README.md", "CHANGELOG.md", "LICENSE", "hatch_build.py")
 FOLDERS = ("src", "tests", "docs", "plugins", "examples")
+STUBS = "_uoarm_rtm_stubs/"  # made of the IDL files as the wheel is built
 Built = dict[str, tuple[Path, Path]]
+
+
+def projects(names: Iterable[str]) -> pytest.MarkDecorator:
+    """Run a test for each of these projects, where what builds it is here."""
+    needs = {"uoarm-rtm": pytest.mark.needs("rtm")}  # the IDL compiler
+    return pytest.mark.parametrize(
+        "name", [pytest.param(name, marks=needs.get(name, ())) for name in names]
+    )
 
 
 def copied(project: Path, target: Path) -> Path:
@@ -88,7 +97,7 @@ def entries(source: Path) -> Iterator[str]:
             yield name.partition("/")[2]
 
 
-@pytest.mark.parametrize("name", PROJECTS)
+@projects(PROJECTS)
 def test_a_source_archive_holds_its_own_project_only(
     name: str, built: Callable[[str], tuple[Path, Path]]
 ) -> None:
@@ -101,18 +110,31 @@ def test_a_source_archive_holds_its_own_project_only(
         assert first != "src" or rest.startswith(own), entry
 
 
-@pytest.mark.parametrize("name", PROJECTS)
+@projects(PROJECTS)
 def test_a_source_archive_holds_what_its_wheel_is_built_from(
     name: str, built: Callable[[str], tuple[Path, Path]]
 ) -> None:
     source, wheel = built(name)
     there = set(entries(source))
     with zipfile.ZipFile(wheel) as archive:
-        modules = [one for one in archive.namelist() if ".dist-info/" not in one]
-    assert {f"src/{one}" for one in modules} <= there
+        modules = [name for name in archive.namelist() if ".dist-info/" not in name]
+    assert {f"src/{module}" for module in modules if not module.startswith(STUBS)} <= there
 
 
-@pytest.mark.parametrize("name", PROJECTS)
+@pytest.mark.needs("rtm")
+def test_the_wheel_of_openrtm_alone_has_stubs_of_every_idl_file(
+    built: Callable[[str], tuple[Path, Path]],
+) -> None:
+    source, wheel = built("uoarm-rtm")
+    assert not [entry for entry in entries(source) if "_stubs" in entry]
+    with zipfile.ZipFile(wheel) as archive:
+        names = archive.namelist()
+    idl = [Path(name).stem for name in names if name.endswith(".idl")]
+    assert idl
+    assert {f"{STUBS}{stem}_idl.py" for stem in idl} <= set(names)
+
+
+@projects(PROJECTS)
 def test_the_same_files_build_into_the_same_octets(
     name: str, built: Callable[[str], tuple[Path, Path]], tmp_path: Path
 ) -> None:
@@ -126,7 +148,7 @@ def test_the_same_files_build_into_the_same_octets(
     assert digests[0] == digests[1]
 
 
-@pytest.mark.parametrize("name", PROJECTS)
+@projects(PROJECTS)
 def test_the_metadata_say_whose_it_is_and_where_it_runs(
     name: str, built: Callable[[str], tuple[Path, Path]]
 ) -> None:
@@ -138,7 +160,7 @@ def test_the_metadata_say_whose_it_is_and_where_it_runs(
     assert "Programming Language :: Python :: 3.13" in classifiers
 
 
-@pytest.mark.parametrize("name", PROJECTS)
+@projects(PROJECTS)
 def test_the_page_of_an_index_links_to_nothing_that_lies_in_the_repository(
     name: str, built: Callable[[str], tuple[Path, Path]]
 ) -> None:
@@ -149,7 +171,7 @@ def test_the_page_of_an_index_links_to_nothing_that_lies_in_the_repository(
     assert not [one for one in links if not one.startswith("https://")]
 
 
-@pytest.mark.parametrize("name", [one for one in PROJECTS if one != "uoarm"])
+@projects(name for name in PROJECTS if name != "uoarm")
 def test_a_plugin_bounds_the_core_below_and_above(
     name: str, built: Callable[[str], tuple[Path, Path]]
 ) -> None:

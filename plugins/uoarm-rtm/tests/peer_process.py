@@ -14,6 +14,7 @@ import threading
 from collections.abc import Mapping
 from typing import Any
 
+from _uoarm_rtm_stubs import RTC, OpenRTM, SDOPackage
 from endpoints import HANGS_AFTER
 from plain import plain
 from uoarm_rtm import _data_ports
@@ -24,7 +25,6 @@ from uoarm_rtm._peer import pairs, peer_at, properties_of
 from uoarm_rtm._port_servant import PortServant
 from uoarm_rtm._publisher import Pulled
 from uoarm_rtm._service_port import ServicePort, servant_of
-from uoarm_rtm._stubs import RTC, OpenRTM, SDOPackage
 from uoarm_rtm._types import Types
 from uoarm_rtm._wishes import Refusal
 from uoarm_rtm.component import Callbacks, RtComponent, Sheet

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import omniORB
 import pytest
+from _uoarm_rtm_stubs import RTC
 from hypothesis import given
 from hypothesis import strategies as st
 from messages import messages
@@ -22,7 +23,6 @@ from uoarm_rtm._codec import BIG, LITTLE, Codec
 from uoarm_rtm._explain import Cursor, read_slowly
 from uoarm_rtm._orb import Orb
 from uoarm_rtm._scalars import Order
-from uoarm_rtm._stubs import RTC
 from uoarm_rtm._types import Types
 
 from uoarm.errors import BridgeError, MessageError

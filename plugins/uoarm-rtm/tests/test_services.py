@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from _uoarm_rtm_stubs import RTC
 from attrs import evolve
 from endpoints import Inbox, endpoint, sink, source, stamped
 from jsonschema import Draft202012Validator
@@ -16,7 +17,6 @@ from uoarm_rtm import _bridge
 from uoarm_rtm._own import Own
 from uoarm_rtm._peer import pairs
 from uoarm_rtm._service_call import Caller
-from uoarm_rtm._stubs import RTC
 from uoarm_rtm.errors import IdlError
 
 from uoarm.bridge import Bridge, ServiceStructures

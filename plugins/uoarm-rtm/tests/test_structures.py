@@ -5,15 +5,19 @@ from __future__ import annotations
 import filecmp
 import importlib.util
 import json
+import subprocess
+import sys
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
+import _uoarm_rtm_stubs
 import pytest
 from hypothesis import given
 from jsonschema import Draft202012Validator
 from messages import messages
 from plain import plain
+from uoarm_rtm._compiler import OUR_IDL
 from uoarm_rtm._derived import derive
 from uoarm_rtm._schema import schema_of
 from uoarm_rtm._types import Types
@@ -180,18 +184,31 @@ def test_wrong_idl_says_where(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
     assert not list((tmp_path / "uoarm" / "rtm").iterdir())
 
 
-def test_the_stubs_are_what_the_compiler_makes_of_the_idl(tmp_path: Path) -> None:
-    script = HERE.parent / "regenerate.py"
-    spec = importlib.util.spec_from_file_location("regenerate", script)
+def test_the_installed_stubs_are_what_the_compiler_makes_of_the_idl(tmp_path: Path) -> None:
+    pytest.importorskip("hatchling", reason="hatchling builds the plugin: pip install hatchling")
+    spec = importlib.util.spec_from_file_location("hatch_build", HERE.parent / "hatch_build.py")
     assert spec is not None
     assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    module.regenerate(tmp_path / "stubs")
-    made = {path.relative_to(tmp_path / "stubs") for path in (tmp_path / "stubs").rglob("*.py")}
-    assert made == {path.relative_to(module.STUBS) for path in module.STUBS.rglob("*.py")}
-    same, other, failed = filecmp.cmpfiles(tmp_path / "stubs", module.STUBS, made, shallow=False)
-    assert (len(same), other, failed) == (len(made), [], [])
+    hook = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(hook)
+    made = hook.compile_all(OUR_IDL, tmp_path)
+    installed = Path(str(_uoarm_rtm_stubs.__file__)).parent
+    names = {path.relative_to(made) for path in made.rglob("*.py")}
+    assert names == {path.relative_to(installed) for path in installed.rglob("*.py")}
+    same, differing, failed = filecmp.cmpfiles(made, installed, names, shallow=False)
+    assert (len(same), differing, failed) == (len(names), [], []), "install the plugin again"
+
+
+def test_missing_stubs_are_named_with_what_makes_them() -> None:
+    program = (
+        "import sys; sys.modules['_uoarm_rtm_stubs'] = None\n"
+        "from uoarm.bridge import Registry; from uoarm.model import BridgeSpec\n"
+        "Registry().create(BridgeSpec('rtm', 'rtm', {}))"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=False
+    )
+    assert "stubs of OpenRTM's IDL are missing: install uoarm-rtm again" in done.stderr
 
 
 def test_paths_begin_at_the_configuration() -> None:

@@ -12,7 +12,8 @@ from uoarm_rtm._settings import BRIDGE_OPTIONS, mistake
 
 __all__ = ["uoarm_bridge_types"]
 
-_INSTALL = "omniORB cannot be imported: install it with `pip install jeteve-omniorb`"
+_STUBS = "the stubs of OpenRTM's IDL are missing: install uoarm-rtm again, which makes them"
+_OMNIORB = "omniORB cannot be imported: install it with `pip install jeteve-omniorb`"
 
 
 @hookimpl
@@ -35,7 +36,7 @@ def _create(name: str, options: Options) -> Bridge:
     try:
         from uoarm_rtm._bridge import RtmBridge  # noqa: PLC0415 - imports the middleware
     except ImportError as error:
-        raise PluginError(f"bridge {name!r}: {_INSTALL} ({error})") from error
+        raise PluginError(f"bridge {name!r}: {_advice(error)} ({error})") from error
     return RtmBridge(name, options)
 
 
@@ -43,5 +44,9 @@ def _doctor() -> dict[str, str]:
     try:
         from uoarm_rtm._doctor import environment  # noqa: PLC0415 - imports the middleware
     except ImportError as error:
-        raise PluginError(f"{_INSTALL} ({error})") from error
+        raise PluginError(f"{_advice(error)} ({error})") from error
     return environment()
+
+
+def _advice(error: ImportError) -> str:
+    return _STUBS if error.name == "_uoarm_rtm_stubs" else _OMNIORB

@@ -10,6 +10,7 @@ import logging
 from collections.abc import Mapping
 from typing import Any
 
+from _uoarm_rtm_stubs import SDOPackage
 from attrs import frozen
 
 from uoarm.errors import BridgeError, FailureReason, MessageError
@@ -18,7 +19,6 @@ from uoarm_rtm._constraints import CONSTRAINTS, TYPES, WIDGETS, doubt, problem
 from uoarm_rtm._faults import corba_errors
 from uoarm_rtm._orb import narrowed
 from uoarm_rtm._peer import Peer, pairs, properties_of
-from uoarm_rtm._stubs import SDOPackage
 
 __all__ = ["configure", "limits"]
 

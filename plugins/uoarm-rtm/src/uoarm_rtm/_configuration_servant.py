@@ -6,9 +6,10 @@ import threading
 from collections.abc import Callable, Mapping
 from typing import Any
 
+from _uoarm_rtm_stubs import SDOPackage, SDOPackage__POA
+
 from uoarm_rtm._orb import Orb
 from uoarm_rtm._peer import pairs, properties_of
-from uoarm_rtm._stubs import SDOPackage, SDOPackage__POA
 
 __all__ = ["ConfigurationServant"]
 

@@ -16,6 +16,7 @@ import uuid
 from collections.abc import Mapping
 from typing import Any
 
+from _uoarm_rtm_stubs import RTC
 from attrs import frozen
 from omniORB import CORBA
 
@@ -27,7 +28,6 @@ from uoarm_rtm._leftovers import NAME, PROCESS, Leftovers, end_connector
 from uoarm_rtm._orb import Orb, limit
 from uoarm_rtm._peer import Port, pairs, properties_of
 from uoarm_rtm._settings import Settings
-from uoarm_rtm._stubs import RTC
 
 __all__ = ["Connections", "Connector", "asked"]
 

@@ -6,9 +6,10 @@ from __future__ import annotations
 import threading
 from typing import Any
 
+from _uoarm_rtm_stubs import RTC, RTC__POA
+
 from uoarm_rtm._lifecycle import Lifecycle
 from uoarm_rtm._orb import Orb
-from uoarm_rtm._stubs import RTC, RTC__POA
 
 __all__ = ["ContextServant"]
 

@@ -6,11 +6,12 @@ import time
 from collections.abc import Mapping
 from typing import Any
 
+from _uoarm_rtm_stubs import RTC
+
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, MessageError
 from uoarm.model import Message, MessageStructure
 from uoarm_rtm._faults import corba_errors
 from uoarm_rtm._peer import Peer, contexts_of, state_of
-from uoarm_rtm._stubs import RTC
 
 __all__ = [
     "CONFIGURATION_REPLY",

@@ -7,6 +7,7 @@ import threading
 from collections.abc import Callable, Mapping
 from typing import Any
 
+from _uoarm_rtm_stubs import RTC, OpenRTM, OpenRTM__POA
 from attrs import frozen
 from omniORB import CORBA
 
@@ -25,7 +26,6 @@ from uoarm_rtm._puller import Puller
 from uoarm_rtm._scalars import Order
 from uoarm_rtm._shape import Record
 from uoarm_rtm._sizes import SizeLimit
-from uoarm_rtm._stubs import RTC, OpenRTM, OpenRTM__POA
 from uoarm_rtm._types import plain_name
 from uoarm_rtm._wishes import Refusal, Wishes, read_policies, read_wishes
 

@@ -9,13 +9,13 @@ from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
+from _uoarm_rtm_stubs import RTC, SDOPackage
 from omniORB import CORBA
 
 from uoarm.errors import BridgeError
 from uoarm_rtm._calls import calls
 from uoarm_rtm._journal import Entry, journal
 from uoarm_rtm._orb import Orb, limit
-from uoarm_rtm._stubs import RTC, SDOPackage
 
 __all__ = ["NAME", "PROCESS", "Leftovers", "end_connector", "end_observer"]
 

@@ -13,10 +13,10 @@ import threading
 from collections.abc import Callable
 from typing import Any
 
+from _uoarm_rtm_stubs import RTC
 from attrs import frozen
 
 from uoarm.bridge import foreign
-from uoarm_rtm._stubs import RTC
 
 __all__ = ["Callbacks", "Lifecycle"]
 

@@ -22,6 +22,7 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
+from _uoarm_rtm_stubs import OpenRTM, OpenRTM__POA, SDOPackage
 from attrs import Factory, define
 from omniORB import CORBA
 
@@ -33,7 +34,6 @@ from uoarm_rtm._journal import Entry, journal
 from uoarm_rtm._leftovers import NAME, PROCESS, end_observer
 from uoarm_rtm._orb import Orb, limit
 from uoarm_rtm._peer import Peer, pairs
-from uoarm_rtm._stubs import OpenRTM, OpenRTM__POA, SDOPackage
 
 __all__ = ["Observers"]
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from _uoarm_rtm_stubs import RTC, SDOPackage
 from attrs import field, frozen
 from omniORB import CORBA
 from omniORB import any as corba_any
@@ -12,7 +13,6 @@ from omniORB import any as corba_any
 from uoarm.errors import BridgeError, FailureReason
 from uoarm_rtm._faults import corba_errors
 from uoarm_rtm._orb import limit, narrowed
-from uoarm_rtm._stubs import RTC, SDOPackage
 
 __all__ = [
     "Peer",

@@ -13,12 +13,12 @@ import uuid
 from collections.abc import Mapping
 from typing import Any
 
+from _uoarm_rtm_stubs import RTC, RTC__POA
 from omniORB import CORBA
 
 from uoarm_rtm._calls import calls
 from uoarm_rtm._orb import Orb, limit
 from uoarm_rtm._peer import pairs
-from uoarm_rtm._stubs import RTC, RTC__POA
 from uoarm_rtm._wishes import Refusal
 
 __all__ = ["PortServant"]

@@ -7,13 +7,13 @@ import threading
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
+from _uoarm_rtm_stubs import OpenRTM, OpenRTM__POA
 from omniORB import CORBA
 
 from uoarm_rtm._buffer import Buffer
 from uoarm_rtm._buffering import BufferPolicy, PushPolicy
 from uoarm_rtm._calls import Calls, calls
 from uoarm_rtm._sizes import SizeLimit
-from uoarm_rtm._stubs import OpenRTM, OpenRTM__POA
 
 __all__ = ["Pulled", "Pusher", "Threaded"]
 

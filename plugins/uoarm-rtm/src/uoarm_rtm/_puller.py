@@ -6,11 +6,11 @@ import threading
 from collections.abc import Callable
 from typing import Any
 
+from _uoarm_rtm_stubs import OpenRTM
 from omniORB import CORBA
 
 from uoarm_rtm._calls import Calls, calls
 from uoarm_rtm._sizes import is_there
-from uoarm_rtm._stubs import OpenRTM
 
 __all__ = ["Puller"]
 

@@ -6,6 +6,7 @@ import logging
 from collections.abc import Callable, Mapping
 from typing import Any
 
+from _uoarm_rtm_stubs import RTC
 from omniORB import CORBA
 
 from uoarm.bridge import Channel, foreign
@@ -17,7 +18,6 @@ from uoarm_rtm._operations import RETURN, Interface, Operation
 from uoarm_rtm._orb import Orb
 from uoarm_rtm._peer import Peer, Port, PortInterface, properties_of
 from uoarm_rtm._port_servant import PortServant
-from uoarm_rtm._stubs import RTC
 from uoarm_rtm.errors import IdlError
 
 __all__ = ["Offer", "ServicePort", "servant_of", "unwrapped"]

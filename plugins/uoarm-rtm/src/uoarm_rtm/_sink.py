@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from _uoarm_rtm_stubs import OpenRTM
 from omniORB import CORBA
 
 from uoarm.bridge import Sink
@@ -20,7 +21,6 @@ from uoarm_rtm._orb import limit, narrowed
 from uoarm_rtm._place import Place, Pulse
 from uoarm_rtm._publisher import Pulled, Threaded
 from uoarm_rtm._sizes import SizeLimit
-from uoarm_rtm._stubs import OpenRTM
 
 __all__ = ["InPortSink"]
 

@@ -6,6 +6,7 @@ import logging
 from collections.abc import Mapping
 from typing import Any
 
+from _uoarm_rtm_stubs import OpenRTM, OpenRTM__POA
 from omniORB import CORBA
 
 from uoarm.bridge import Source
@@ -19,7 +20,6 @@ from uoarm_rtm._faults import corba_text
 from uoarm_rtm._orb import limit, narrowed
 from uoarm_rtm._place import Place, Pulse
 from uoarm_rtm._puller import Puller
-from uoarm_rtm._stubs import OpenRTM, OpenRTM__POA
 
 __all__ = ["OutPortSource"]
 

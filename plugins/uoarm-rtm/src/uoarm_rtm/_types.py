@@ -8,6 +8,8 @@ from collections.abc import Iterable
 from functools import cached_property
 from typing import Any
 
+from _uoarm_rtm_stubs import RTC, OpenRTM, SDOPackage
+
 from uoarm.bridge import ServiceStructures
 from uoarm.errors import BridgeError, FailureReason
 from uoarm.model import MessageStructure
@@ -16,7 +18,6 @@ from uoarm_rtm._derived import derive, derive_interface
 from uoarm_rtm._descriptor import descriptors, shape_of
 from uoarm_rtm._operations import Interface, interfaces
 from uoarm_rtm._schema import structure_of
-from uoarm_rtm._stubs import RTC, OpenRTM, SDOPackage
 from uoarm_rtm._user_idl import load_idl
 
 __all__ = ["Types", "plain_name"]

@@ -8,12 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+from _uoarm_rtm_stubs import RTC
 from attrs import frozen
 
 from uoarm_rtm._buffering import BufferPolicy, PushPolicy, buffer_policy, push_policy
 from uoarm_rtm._codec import BIG, LITTLE
 from uoarm_rtm._scalars import Order
-from uoarm_rtm._stubs import RTC
 
 __all__ = ["Refusal", "Wishes", "read_policies", "read_wishes"]
 

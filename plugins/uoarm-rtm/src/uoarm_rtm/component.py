@@ -14,6 +14,7 @@ import threading
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
+from _uoarm_rtm_stubs import RTC, OpenRTM__POA, SDOPackage
 from attrs import field, frozen
 
 from uoarm.model import Message
@@ -25,7 +26,6 @@ from uoarm_rtm._lifecycle import Callbacks, Lifecycle
 from uoarm_rtm._naming import NamingService
 from uoarm_rtm._orb import Orb
 from uoarm_rtm._port_servant import PortServant
-from uoarm_rtm._stubs import RTC, OpenRTM__POA, SDOPackage
 from uoarm_rtm._types import Types
 
 __all__ = ["Callbacks", "NamingService", "Orb", "RtComponent", "Sheet", "Types"]
