@@ -7,6 +7,7 @@ import queue
 import threading
 from collections.abc import Callable
 from contextlib import suppress
+from itertools import repeat
 from typing import Any
 
 from attrs import evolve, frozen
@@ -170,6 +171,41 @@ def reporting(change: Callable[[HealthEvent], HealthEvent | None]) -> Spoil:
         return told
 
     return step("report", replace)
+
+
+# Waiting.
+
+
+def spin(world: BadWorld) -> None:
+    """Turn without a pause until the world ends."""
+    threading.Thread(target=lambda: all(not world.ended.is_set() for _ in repeat(None))).start()
+
+
+def spins_once_open(world: BadWorld, bridge: MemoryBridge, made: Source) -> None:
+    del bridge, made
+    spin(world)
+
+
+def spins_after_a_message(world: BadWorld, bridge: MemoryBridge, made: Sink) -> None:
+    del bridge
+    send, spinning = made._send, threading.Event()
+
+    def sent(message: Message) -> None:
+        send(message)
+        if not spinning.is_set():
+            spinning.set()
+            spin(world)
+
+    made._send = sent  # type: ignore[method-assign]
+
+
+def spins_after_a_death(world: BadWorld, bridge: MemoryBridge, report: Any) -> Any:
+    def told(health: Health, cause: str, **about: Any) -> None:
+        if health is Health.LOST:
+            spin(world)
+        report(health, cause, **about)
+
+    return told
 
 
 # Messages.
@@ -684,7 +720,7 @@ def _only_once(close: Callable[[], None]) -> Callable[[], None]:
 
 
 MESSAGES, ERRORS, WORDS = "messages", "errors", "what is there"
-CLOSING, BLOCKING, HEALTH = "closing", "blocking", "deaths"
+CLOSING, BLOCKING, HEALTH, WAITING = "closing", "blocking", "deaths", "waiting"
 LINKS, OPTIONS_KIND, SERVICES = "reconnecting", "options", "services"
 
 BUGS: tuple[Bug, ...] = (
@@ -1239,6 +1275,27 @@ BUGS: tuple[Bug, ...] = (
         step("_serve", serves_on),
         Services.test_a_served_function_answers_until_it_is_closed,
         "DID NOT RAISE",
+    ),
+    Bug(
+        WAITING,
+        "looks without a pause whether something came",
+        source(spins_once_open),
+        Flow.test_what_waits_takes_hardly_any_processor_time,
+        "a loop turns for nothing before the first message",
+    ),
+    Bug(
+        WAITING,
+        "waits for what it never takes after the first message",
+        sink(spins_after_a_message),
+        Flow.test_what_waits_takes_hardly_any_processor_time,
+        "a loop turns for nothing between messages",
+    ),
+    Bug(
+        WAITING,
+        "reads without a pause from what is gone",
+        step("report", spins_after_a_death),
+        Trouble.test_a_death_is_told_with_its_cause,
+        "a loop turns for nothing after a death",
     ),
 )
 """What a careful engineer gets wrong, and the kit finds."""

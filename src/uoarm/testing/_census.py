@@ -1,19 +1,35 @@
-"""A census of what this process holds: threads and file descriptors."""
+"""What this process holds, threads and file descriptors, and what processor time it takes."""
 
 from __future__ import annotations
 
 import gc
+import os
 import threading
 import time
+from contextlib import suppress
 from pathlib import Path
 
 from uoarm.testing._patience import patience
 
-__all__ = ["Census"]
+__all__ = ["Census", "processor_share"]
 
 _DESCRIPTORS = ("/proc/self/fd", "/dev/fd")
 _OF_THE_CORE = "uoarm-step"
 _GLANCE_SECONDS = 0.01
+
+
+def processor_share(seconds: float, *others: int) -> float:
+    """Return which share of one processor this process takes in so many seconds from now.
+
+    What waits takes next to none; a loop that turns for nothing takes all that it gets.
+
+    Args:
+        seconds: how long to look.
+        others: ids of processes that are counted, too, where the system tells of them: Linux.
+    """
+    begin, before = time.monotonic(), _processor_seconds(others)
+    threading.Event().wait(seconds)
+    return (_processor_seconds(others) - before) / (time.monotonic() - begin)
 
 
 class Census:
@@ -58,6 +74,16 @@ class Census:
             and thread.name != _OF_THE_CORE
             and not isinstance(thread, threading._DummyThread)  # noqa: SLF001 - nobody joins these
         ]
+
+
+def _processor_seconds(others: tuple[int, ...]) -> float:
+    seconds = time.process_time()
+    for process in others:
+        with suppress(OSError):
+            text = Path(f"/proc/{process}/stat").read_text(encoding="utf-8")
+            user, system = text.rpartition(")")[2].split()[11:13]  # its name may have blanks
+            seconds += (int(user) + int(system)) / os.sysconf("SC_CLK_TCK")
+    return seconds
 
 
 def _count_descriptors() -> int:

@@ -12,7 +12,7 @@ from uoarm.errors import BridgeError, UoarmError
 from uoarm.model import Endpoint, Health
 from uoarm.testing._collector import Background, Collector
 from uoarm.testing._patience import wait
-from uoarm.testing.conformance._line import Line, line, structure_of
+from uoarm.testing.conformance._line import Line, hold_idle, line, structure_of
 from uoarm.testing.conformance._rules import rules
 from uoarm.testing.conformance._world import World
 
@@ -78,6 +78,7 @@ class Breaking:
             with _broken(world):
                 event = _worse(told, through)
                 assert event.cause, f"{event} has no cause"
+                hold_idle(world, bridge, "while the link is broken")
             if event.health is Health.DEGRADED:
                 told.wait(*_end(told, through), lambda one: one.health in {Health.OK, Health.LOST})
             _once(told)

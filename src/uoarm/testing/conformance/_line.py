@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 
@@ -13,12 +14,18 @@ from uoarm.bridge import Bridge, Channel, Sink
 from uoarm.errors import MessageError
 from uoarm.model import Message, MessageStructure
 from uoarm.schema import check
-from uoarm.testing._collector import Collector
+from uoarm.testing._census import processor_share
+from uoarm.testing._collector import Background, Collector
+from uoarm.testing._patience import wait
 from uoarm.testing._same import same
 from uoarm.testing.conformance._types import with_octets
 from uoarm.testing.conformance._world import Pair, World
 
-__all__ = ["Line", "example_of", "line", "structure_of"]
+__all__ = ["Line", "example_of", "hold_idle", "hold_idle_between", "line", "structure_of"]
+
+_LOOK_SECONDS = 0.5
+_IDLE_SHARE = 0.05
+_TRICKLE_SECONDS = 0.2
 
 
 @frozen
@@ -79,6 +86,44 @@ def line(world: World, bridge: Bridge, kind: str) -> Iterator[Line]:
             sink.close()
     finally:
         source.close()
+
+
+def hold_idle(world: World, bridge: Bridge, moment: str) -> None:
+    """Hold that the bridge takes hardly any processor time, in this process and in its host.
+
+    One look that finds it idle is enough: a loop that turns for nothing never is. The limit is
+    below what such a loop gets on a machine where many others want the processor, too.
+    """
+    others = () if bridge.process_id is None else (bridge.process_id,)
+    shares: list[float] = []
+
+    def is_idle() -> bool:
+        shares.append(processor_share(_LOOK_SECONDS, *others))
+        return shares[-1] < _IDLE_SHARE
+
+    try:
+        wait(is_idle, timeout=world.patience)
+    except AssertionError:
+        least = f"{min(shares):.0%} of a processor"
+        text = f"a loop turns for nothing {moment}: {least} at least, in {len(shares)} looks"
+        raise AssertionError(text) from None
+
+
+def hold_idle_between(through: Line, bridge: Bridge) -> None:
+    """Hold the same while a message passes every now and then."""
+    stop = threading.Event()
+
+    def send() -> None:
+        message = through.example()
+        while not stop.wait(_TRICKLE_SECONDS):
+            through.send(message)
+
+    trickling = Background(send)
+    try:
+        hold_idle(through.world, bridge, "between messages")
+    finally:
+        stop.set()
+    trickling.result(through.world.patience)
 
 
 def structure_of(bridge: Bridge, pair: Pair, *, incoming: bool) -> MessageStructure:

@@ -13,7 +13,7 @@ from uoarm.testing._collector import Background
 from uoarm.testing._patience import wait
 from uoarm.testing._same import same
 from uoarm.testing.conformance._breaking import Told
-from uoarm.testing.conformance._line import Line, line, structure_of
+from uoarm.testing.conformance._line import Line, hold_idle, line, structure_of
 from uoarm.testing.conformance._rules import rules
 from uoarm.testing.conformance._world import World
 
@@ -59,6 +59,7 @@ class Trouble:
         event = next(filter(is_it, events))
         assert event.cause, f"{event} has no cause"
         assert event.bridge == bridge.name
+        hold_idle(world, bridge, "after a death")
         Background(channel.close).result(world.patience)
 
     def test_each_death_is_told_of_its_own_component(self, world: World, bridge: Bridge) -> None:
