@@ -24,6 +24,15 @@ bridges: {memory: {plugin: python}}
 functions:
   move: {components: [{name: base, bridge: memory, input: {endpoint: [base], stop: {message: 0}}}]}
 """
+TWICE = """
+version: 1
+bridges: {memory: {plugin: python}}
+functions:
+  range:
+    components:
+      - {name: laser, bridge: memory, priority: 1, output: {endpoint: [laser]}}
+      - {name: sonar, bridge: memory, output: {endpoint: [sonar]}}
+"""
 GUEST = """
 version: 1
 roles: {{guest: {{see: ["*"]}}}}
@@ -312,6 +321,33 @@ class TestEmergencyStop:
         assert browser.js("document.documentElement.scrollWidth") == 375
 
 
+class TestTakeover:
+    """Of a function with another candidate."""
+
+    @pytest.fixture
+    def memory(self) -> MemoryBridge:
+        memory = MemoryBridge()
+        memory.emitter("laser", {"type": "number"})
+        memory.emitter("sonar", {"type": "number"})
+        return memory
+
+    @pytest.fixture
+    def robot(self, memory: MemoryBridge) -> Iterator[RobotManager]:
+        given = {"memory": memory}
+        with RobotManager(loads(TWICE), registry=Registry(()), bridges=given) as robot:
+            yield robot
+
+    def test_what_is_watched_says_through_what_it_goes_now(
+        self, browser: Browser, visit: Open, memory: MemoryBridge
+    ) -> None:
+        visit("#/graph/function/range/use")
+        browser.click(".button.main", "Watch")
+        browser.until(says(".panel .facts", "laser"))
+        memory.die("laser")
+        browser.until(says(".panel .facts", "sonar"))
+        assert not browser.js(says(".panel .facts", "laser"))
+
+
 def test_everything_works_by_keyboard(browser: Browser, visit: Open) -> None:
     visit()
     browser.until("document.querySelector('.card')")
@@ -506,10 +542,19 @@ def test_the_page_comes_back_when_the_server_does(browser: Browser, robot: Robot
     browser.until(says(".panel .notice", "broke"))
     front.put(END)  # for the camera that was watched: it waits for a picture still
     with serve_in_thread(robot, Settings(port=port)):
-        browser.until("document.querySelector('.link-state.open')")
-        browser.click(".button.main", "Watch")
+        browser.until(says(".panel .facts", "1 time; what was missed is not known"))
         front.take((1, 2, 3))
         browser.until("document.querySelector('.picture canvas')")
+        assert not browser.js("document.querySelector('.panel .notice')")
+        browser.click(".button", "Stop")
+        eventually(lambda: robot.status().connections == (), "the connection is given back")
+        front.put(END)
+    browser.until("document.querySelector('.link-state.closed')")
+    with serve_in_thread(robot, Settings(port=port)):
+        browser.until("document.querySelector('.link-state.open')")
+        browser.click(".button.main", "Watch")
+        browser.until(says(".panel", "No message yet"))
+        assert not browser.js(says(".panel .facts", "interrupted"))
         browser.go("about:blank")
     browser.complaints.clear()  # a browser tells every address that it could not reach
 

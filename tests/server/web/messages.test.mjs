@@ -68,6 +68,8 @@ test("an address says what is shown, whatever the names", () => {
 test("a line goes from corner to corner, a level one through the middle, one point is none", () => {
   assert.equal(traced({ times: [5, 6, 9], values: [-2, 2, 0] }), "M0.00 100.00L25.00 0.00L100.00 50.00");
   assert.equal(traced({ times: [1, 2], values: [7, 7] }), "M0.00 50.00L100.00 50.00");
+  assert.equal(traced({ times: [1, 2, 4], values: [7, 7, 7], starts: [true, false, true] }),
+    "M0.00 50.00L33.33 50.00M100.00 50.00");
   assert.equal(traced({ times: [1], values: [7] }), "");
   assert.equal(traced({ times: [], values: [] }), "");
 });

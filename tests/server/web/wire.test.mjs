@@ -89,3 +89,40 @@ test("a watch has the latest message, lines of numbers, and its end", async () =
   await watches.close("f");
   assert.deepEqual(told, [["Request", "f", { every: 0.1 }]]);
 });
+
+test("a watch is opened again when the connection is back, with the gap marked", async () => {
+  const told = [];
+  const answers = [];
+  const wire = { ask: async (...asked) => {
+    told.push(asked);
+    const answer = answers.shift();
+    if (answer instanceof Refusal) throw answer;
+    return { components: ["a"], inputs: [], warnings: [], connection: answer };
+  } };
+  const watches = new Watches(wire, () => {}, () => 0);
+  answers.push("c1", "c2");
+  const watch = await watches.open("f", { every: 2 });
+  const stopped = await watches.open("g", {});
+  watches.take("c1", { x: 1 });
+  watches.see({ connections: [{ id: "c1", components: ["b", "c"] }] });
+  assert.deepEqual(watch.components, ["b", "c"]);
+  watches.broken();
+  assert.deepEqual([watch.away, watch.end], [true, null]);
+  await watches.close("g"); // tells the server nothing: it knows no such connection any more
+  watches.take("c1", { x: 2 }); // another one's, by now
+  assert.equal(watch.taken, 1);
+  answers.push(new Refusal({ code: "closed", text: "it broke once more" }), "c1");
+  await watches.again();
+  assert.deepEqual([watch.away, watch.end], [true, null]);
+  await watches.again();
+  assert.deepEqual([watch.away, watch.gaps, watch.components], [false, 1, ["a"]]);
+  watches.take("c1", { x: 3 });
+  assert.deepEqual(watch.series.get("x").starts, [true, true]);
+  watches.broken();
+  answers.push(new Refusal({ code: "resolution", text: "it is not in the configuration" }));
+  await watches.again();
+  assert.deepEqual(watch.end, { state: "failed", cause: "it is not in the configuration" });
+  assert.deepEqual(told.map(([op, name]) => `${op} ${name}`),
+    ["Request f", "Request g", "Request f", "Request f", "Request f"]);
+  assert.equal(stopped.gaps, 0);
+});

@@ -23,31 +23,40 @@ function walk(value, path, depth, found) {
   }
 }
 
-/** A line's last points; it never holds more than `most`. */
+/** A line's last points, and which of them begin it anew; it never holds more than `most`. */
 export class Series {
   constructor(most = 300) {
     this.most = most;
     this.times = [];
     this.values = [];
+    this.starts = [];
+    this.starting = true;
   }
 
   add(time, value) {
     this.times.push(time);
     this.values.push(value);
+    this.starts.push(this.starting);
+    this.starting = false;
     if (this.times.length > this.most) {
-      this.times.shift();
-      this.values.shift();
+      for (const points of [this.times, this.values, this.starts]) points.shift();
     }
+  }
+
+  /** Has no line lead to the next point: what lies between is not known. */
+  interrupt() {
+    this.starting = true;
   }
 }
 
 /** A line as an SVG path in a square of 100: times to the right, values upwards, a level line in the middle. */
-export function traced({ times, values }) {
+export function traced({ times, values, starts = [] }) {
   const scale = (all) => {
     const [low, high] = [Math.min(...all), Math.max(...all)];
     return (one) => (high > low ? (100 * (one - low)) / (high - low) : 50);
   };
   const [x, y] = [scale(times), scale(values)];
-  const points = times.map((time, at) => `${x(time).toFixed(2)} ${(100 - y(values[at])).toFixed(2)}`);
-  return points.length > 1 ? `M${points.join("L")}` : "";
+  const points = times.map((time, at) =>
+    `${at === 0 || starts[at] ? "M" : "L"}${x(time).toFixed(2)} ${(100 - y(values[at])).toFixed(2)}`);
+  return points.length > 1 ? points.join("") : "";
 }

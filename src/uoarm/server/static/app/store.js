@@ -82,6 +82,7 @@ export class Store {
     this.events = [];
     this.#happened(status.past ?? []);
     this.#see(status);
+    this.watches.again();
     this.timer = setInterval(() => this.#look(), EVERY);
   }
 
@@ -92,6 +93,7 @@ export class Store {
 
   #see(status) {
     this.status = status;
+    this.watches.see(status);
     for (const one of status.connections) this.owners.set(one.id, one.function);
     this.system = join(this.functions, status, this.events);
     this.changed();

@@ -53,16 +53,19 @@ function Shown({ store, watch }) {
   return html`
     ${watch.end && html`<${Notice} kind=${watch.end.state === "failed" ? "bad" : "info"}
       title=${watch.end.state === "failed" ? "It failed" : "It ended"}>${watch.end.cause || "closed"}</${Notice}>`}
+    ${watch.away && html`<${Notice} kind="warn" title="Interrupted">The connection to the server broke.
+      What is watched is opened again when it is back.</${Notice}>`}
     ${watch.note && html`<${Notice} kind="warn" title="A message could not be shown">${watch.note}</${Notice}>`}
     ${watch.warnings.map((one) => html`<${Notice} kind="warn">${one}</${Notice}>`)}
     <${Facts} of=${[
       ["shown", `${short(watch.taken)} (${rate(store.watches.rate(watch))})`],
       ["left out", own?.left_out ? short(own.left_out) : ""],
       ["dropped", own?.dropped ? short(own.dropped) : ""],
+      ["interrupted", watch.gaps ? `${plural(watch.gaps, "time")}; what was missed is not known` : ""],
       ["through", watch.components.join(" → ")],
     ]} />
     ${picture && html`<${Picture} picture=${picture} />`}
-    ${watch.latest === undefined && !watch.end && html`<p class="quiet" role="status">No message yet.</p>`}
+    ${watch.latest === undefined && !watch.end && !watch.away && html`<p class="quiet" role="status">No message yet.</p>`}
     <${Lines} watch=${watch} />
     ${watch.latest !== undefined && html`<h3>Latest message</h3>
       <pre class="message" tabindex="0" aria-label="Latest message">${pretty(watch.latest)}</pre>`}`;

@@ -16,24 +16,21 @@ export class Watches {
 
   /** Opens a function, or one output of it; rejects with a Refusal. */
   async open(name, options) {
-    this.#forget(name);
-    const opened = await this.wire.ask("Request", name, options);
     const watch = {
       name,
-      connection: opened.connection,
-      components: opened.components,
-      inputs: opened.inputs,
-      warnings: opened.warnings,
+      options,
       latest: undefined,
       taken: 0,
       arrivals: [],
       series: new Map(),
+      gaps: 0, // how often the connection to the server broke meanwhile
+      away: false, // whether it is broken now
       end: null,
       note: "",
     };
-    this.byName.set(name, watch);
-    this.byConnection.set(watch.connection, watch);
-    this.changed();
+    const opened = await this.wire.ask("Request", name, options);
+    this.#forget(name);
+    this.#is(watch, opened);
     return watch;
   }
 
@@ -41,7 +38,7 @@ export class Watches {
     const watch = this.byName.get(name);
     this.#forget(name);
     this.changed();
-    if (watch && !watch.end) await this.wire.ask("Kill", watch.connection);
+    if (watch && !watch.end && !watch.away) await this.wire.ask("Kill", watch.connection);
   }
 
   take(connection, message) {
@@ -69,9 +66,37 @@ export class Watches {
     this.changed();
   }
 
+  /** Takes over from the status which components each goes through now. */
+  see({ connections }) {
+    for (const { id, components } of connections) {
+      const watch = this.byConnection.get(id);
+      if (watch) watch.components = components;
+    }
+  }
+
   broken() {
-    for (const one of this.byConnection.values()) {
-      this.#end(one, "closed", "the connection to the server broke");
+    for (const watch of this.byConnection.values()) watch.away = true;
+    this.byConnection.clear();
+    this.changed();
+  }
+
+  /** Opens again what was open when the connection broke; nobody knows what was missed. */
+  async again() {
+    const away = [...this.byName.values()].filter((watch) => watch.away && !watch.end);
+    await Promise.all(away.map((watch) => this.#again(watch)));
+  }
+
+  async #again(watch) {
+    try {
+      const opened = await this.wire.ask("Request", watch.name, watch.options);
+      if (this.byName.get(watch.name) === watch) {
+        watch.away = false;
+        watch.gaps += 1;
+        for (const line of watch.series.values()) line.interrupt();
+        this.#is(watch, opened);
+      } else await this.wire.ask("Kill", opened.connection); // it was stopped meanwhile
+    } catch (error) {
+      if (error.code !== "closed") this.#end(watch, "failed", error.message); // else it is tried again
     }
   }
 
@@ -79,6 +104,13 @@ export class Watches {
     const { arrivals } = watch;
     const time = arrivals.at(-1) - arrivals[0];
     return arrivals.length > 1 && time > 0 ? (arrivals.length - 1) / time : null;
+  }
+
+  #is(watch, { connection, components, inputs, warnings }) {
+    Object.assign(watch, { connection, components, inputs, warnings });
+    this.byName.set(watch.name, watch);
+    this.byConnection.set(connection, watch);
+    this.changed();
   }
 
   #end(watch, state, cause) {
