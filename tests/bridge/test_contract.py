@@ -7,6 +7,7 @@ import threading
 from collections.abc import Callable
 from importlib.metadata import EntryPoint
 from pathlib import Path
+from typing import Any
 
 import pytest
 from attrs import evolve
@@ -17,6 +18,7 @@ from uoarm.bridge import (
     BridgeType,
     Capabilities,
     Channel,
+    Delivery,
     Description,
     Handler,
     Registry,
@@ -28,7 +30,6 @@ from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, PluginE
 from uoarm.model import (
     BridgeSpec,
     CommandPolicy,
-    Deliver,
     Endpoint,
     Message,
     MessageStructure,
@@ -47,7 +48,7 @@ class Puppet(Bridge):
     def __init__(self) -> None:
         super().__init__("b", {})
         self.step: Callable[[], object] = lambda: None
-        self.deliver: Deliver = lambda _: None
+        self.deliver: Any = lambda _: None
         self.closed_links: list[str] = []
         self.closing: Callable[[], None] = lambda: self.closed_links.append("closed")
 
@@ -56,7 +57,7 @@ class Puppet(Bridge):
         return Description(ANY)
 
     def _open_source(
-        self, endpoint: Endpoint, structure: MessageStructure, deliver: Deliver
+        self, endpoint: Endpoint, structure: MessageStructure, deliver: Delivery
     ) -> Source:
         self.deliver = deliver
         self.step()
@@ -266,6 +267,31 @@ def test_no_message_is_delivered_once_a_channel_is_closed() -> None:
     bridge.deliver(2)
     assert got == [1]
     assert channel.refused == 1
+
+
+def test_what_cannot_be_read_is_counted_and_handed_on_until_the_channel_is_closed() -> None:
+    bridge, got = Puppet(), Collector()
+    channel = bridge.open_source(ENDPOINT, ANY, got)
+    bridge.deliver.readable()  # of which nothing follows before the first that cannot be read
+    bridge.deliver.unreadable("x" * 2000)
+    bridge.deliver.unreadable("")
+    bridge.deliver.readable()
+    bridge.deliver(1)
+    assert got.unread == ["x" * 1000, "it cannot be read", ""]
+    assert got.messages == [1]
+    channel.close()
+    bridge.deliver.unreadable("late")
+    bridge.deliver.readable()
+    assert channel.unreadable == 2
+    assert len(got.unread) == 3
+
+
+def test_what_cannot_be_read_is_counted_where_a_function_takes_the_messages() -> None:
+    bridge, got = Puppet(), list[Message]()
+    channel = bridge.open_source(ENDPOINT, ANY, got.append)
+    bridge.deliver.unreadable("cut short")
+    bridge.deliver.readable()
+    assert (channel.unreadable, got) == (1, [])
 
 
 def test_no_message_is_delivered_from_what_did_not_open() -> None:

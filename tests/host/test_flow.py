@@ -77,6 +77,45 @@ def test_whose_a_message_is_and_what_stands_no_more_comes_in_order(ends: Ends) -
     assert (incoming.received, incoming.lost) == (3, 0)
 
 
+def test_what_cannot_be_read_is_said_in_order_and_is_no_message(ends: Ends) -> None:
+    near, far = ends
+    got: list[Any] = []
+    incoming = FlowReceiver(
+        near, "flow/1", name="test", take=got.append, ended=lambda _: None, read=got.append
+    )
+    outgoing = FlowSender(far, "flow/1", patience=patience())
+    outgoing.send(1)
+    outgoing.send_read("it is cut short")
+    outgoing.send_read("")
+    outgoing.send(2)
+    wait(lambda: len(got) == 4)
+    assert got == [1, "it is cut short", "", 2]
+    assert (incoming.received, incoming.lost) == (2, 0)
+    wait(lambda: outgoing.sent == 4)
+
+
+def test_more_that_cannot_be_read_than_the_manager_takes_waits_and_is_dropped(
+    ends: Ends,
+) -> None:
+    near, far = ends
+    gate = threading.Event()
+
+    def wait_for_gate(_: str) -> None:
+        gate.wait(patience())
+
+    FlowReceiver(near, "flow/1", name="test", take=print, ended=lambda _: None, read=wait_for_gate)
+    outbound = OutboundFlow(
+        Endpoint("memory", "numbers", Role.OUTPUT, ("numbers",)),
+        FlowSender(far, "flow/1", patience=0.01),
+        None,
+    )
+    for _ in range(1000):
+        outbound.unreadable("it is cut short")
+    assert outbound.sent < 100
+    gate.set()
+    outbound.close()
+
+
 def test_large_messages_arrive_whole(ends: Ends) -> None:
     near, far = ends
     taker = _Taker()

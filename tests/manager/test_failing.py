@@ -73,6 +73,12 @@ class Scene:
             self.camera.emit({"value": number})
             wait(partial(self._is_past, before))
 
+    def emit_unread(self, messages: int, seconds: float) -> None:
+        """Emit what cannot be read, which is dealt with as it is emitted."""
+        for number in range(messages):
+            self.clock.advance(seconds / messages)
+            self.camera.emit({"value": number})
+
     def _is_past(self, before: object) -> bool:
         return self._dealt_with() != before
 
@@ -387,3 +393,50 @@ def test_who_gives_what_is_wrong_is_blamed_for_what_its_consumer_raises_on_it(
         assert (scene.component("first").health, scene.component("first").failed) == (Health.OK, 0)
         scene.emit(1, 0.1)
         wait(lambda: scene.component("first").failed == 1, "this one was right")
+
+
+@alone
+def test_who_gives_what_its_bridge_cannot_read_is_degraded_and_then_lost(scene: Scene) -> None:
+    with scene.robot.request("filter") as connection, scene.camera.garbled():
+        scene.emit_unread(1, 0.1)
+        wait(lambda: scene.component("camera").health is Health.DEGRADED)
+        camera, first = scene.component("camera"), scene.component("first")
+        assert camera.cause.startswith("its output 'default' gave what cannot be read: ")
+        assert dict(camera.channels[0].facts)["unreadable"] == camera.failed == 1
+        [route] = [one for one in scene.robot.status().routes if one.consumer == "first.default"]
+        assert (route.received, dict(route.dropped)) == (1, {"unreadable": 1})
+        assert (first.health, first.failed) == (Health.OK, 0), "its consumer is not to blame"
+        scene.emit_unread(9, 0.6)
+        wait(lambda: connection.ended)
+        assert "gives again and again what cannot be read, 10 times" in connection.cause
+
+
+def test_a_candidate_that_can_be_read_takes_over_from_one_that_cannot() -> None:
+    spare = "{name: spare, bridge: memory, output: {endpoint: [spare]}}"
+    text = ROBOT.replace("SPARE", "").replace(
+        "output: {endpoint: [camera]}}]", f"output: {{endpoint: [camera]}}, priority: 2}}, {spare}]"
+    )
+    scene = Scene(text)
+    spare_camera = scene.bridge.emitter("spare", NARROW)
+    with scene.robot, scene.robot.request("camera") as connection:
+        with scene.camera.garbled():
+            scene.emit_unread(10, 0.6)
+        scene.events.wait_for(lambda one: one.change == "replaced")
+        spare_camera.emit({"value": 7})
+        assert connection.get(patience()) == {"value": 7}
+        assert "what cannot be read" in connection.gaps[0].cause
+
+
+def test_who_can_be_read_now_and_then_is_kept_and_well_again_once_it_always_can(
+    scene: Scene,
+) -> None:
+    with scene.robot.request("filter") as connection:
+        for _ in range(5):
+            with scene.camera.garbled():
+                scene.emit_unread(9, 1.0)
+            scene.emit(1, 0.1)
+        assert scene.component("camera").health is Health.DEGRADED
+        scene.emit(12, 0.6)
+        wait(lambda: scene.component("camera").health is Health.OK)
+        assert (scene.component("camera").failed, connection.gaps) == (45, ())
+        assert scene.changes("component camera") == ["degraded", "ok"]

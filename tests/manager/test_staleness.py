@@ -243,6 +243,17 @@ def test_a_detector_that_gets_enough_and_gives_too_little_is_stale(
     assert chain.moves() == [("best", "second")]
 
 
+def test_a_detector_is_not_blamed_for_what_cannot_be_read(chain: Chain) -> None:
+    chain.robot._staleness.look()
+    for _ in range(6):
+        with chain.best.garbled():
+            for number in range(4):
+                chain.best.emit(number)
+                chain.clock.advance(0.1)
+        chain.play(chain.best, 10, 0.1)
+    assert chain.told == []
+
+
 def test_a_new_request_does_not_go_to_what_was_stale_either(chain: Chain) -> None:
     chain.play(chain.best, 10, 5)
     chain.fall_silent()

@@ -17,6 +17,7 @@ from uoarm.bridge import (
     Bridge,
     BridgeType,
     Channel,
+    Delivery,
     Description,
     Discovered,
     HealthEvent,
@@ -310,31 +311,48 @@ def unwraps(send: Callable[[Any], None]) -> Callable[[Any], None]:
     return sent
 
 
-def hides_unreadable(world: BadWorld, bridge: MemoryBridge) -> None:
-    reporting(lambda event: None)(world, bridge)
-    source(lambda _, __, made: setattr(made, "facts", dict))(world, bridge)
+class Reading:
+    """A delivery that does something else where a message cannot be read."""
+
+    def __init__(self, delivery: Delivery, unreadable: Callable[[str], object]) -> None:
+        self._delivery = delivery
+        self._unreadable = unreadable
+
+    def __call__(self, message: Message, writer: str = "") -> None:
+        self._delivery(message, writer)
+
+    def let_go(self, writer: str = "") -> None:
+        self._delivery.let_go(writer)
+
+    def unreadable(self, why: str) -> None:
+        self._unreadable(why)
+
+    def readable(self) -> None:
+        self._delivery.readable()
 
 
-def delivers_unreadable(world: BadWorld, bridge: MemoryBridge) -> None:
-    delivers: list[Deliver] = []
+def reading(does: Callable[[MemoryBridge, Delivery, str], object]) -> Spoil:
+    def spoil(world: BadWorld, bridge: MemoryBridge) -> None:
+        def wrap(deliver: Any) -> Any:
+            return Reading(deliver, lambda why: does(bridge, deliver, why))
 
-    def wrap(deliver: Deliver) -> Deliver:
-        delivers.append(deliver)
-        return deliver
+        delivering(wrap)(world, bridge)
 
-    def change(event: HealthEvent) -> HealthEvent:
-        delivers[-1](None)
-        return event
-
-    delivering(wrap)(world, bridge)
-    reporting(change)(world, bridge)
+    return spoil
 
 
-def ends_at_unreadable(world: BadWorld, bridge: MemoryBridge) -> None:
-    def change(event: HealthEvent) -> HealthEvent:
-        return evolve(event, health=Health.LOST) if "reading" in event.cause else event
+def reports_unreadable(bridge: MemoryBridge, delivery: Delivery, why: str) -> None:
+    bridge.report(Health.DEGRADED, why)
 
-    reporting(change)(world, bridge)
+
+def delivers_unreadable(bridge: MemoryBridge, delivery: Delivery, why: str) -> None:
+    delivery.unreadable(why)
+    delivery(None)
+
+
+def ends_at_unreadable(bridge: MemoryBridge, delivery: Delivery, why: str) -> None:
+    delivery.unreadable(why)
+    bridge.report(Health.LOST, why)
 
 
 def empty_reply(world: BadWorld, bridge: MemoryBridge, call: Any) -> Any:
@@ -880,22 +898,29 @@ BUGS: tuple[Bug, ...] = (
     Bug(
         ERRORS,
         "drops what it cannot read, and says nothing",
-        hides_unreadable,
-        Trouble.test_what_cannot_be_read_is_told_or_counted_and_ends_nothing,
-        "neither reported nor counted in `facts`",
+        reading(lambda *_: None),
+        Trouble.test_what_cannot_be_read_is_said_and_ends_nothing,
+        "nothing was said",
+    ),
+    Bug(
+        ERRORS,
+        "reports what it cannot read as degraded, and nothing else",
+        reading(reports_unreadable),
+        Trouble.test_what_cannot_be_read_is_said_and_ends_nothing,
+        "nothing was said",
     ),
     Bug(
         ERRORS,
         "delivers None for what it cannot read",
-        delivers_unreadable,
-        Trouble.test_what_cannot_be_read_is_told_or_counted_and_ends_nothing,
+        reading(delivers_unreadable),
+        Trouble.test_what_cannot_be_read_is_said_and_ends_nothing,
         "the payload was delivered",
     ),
     Bug(
         ERRORS,
         "ends the channel for one payload that it cannot read",
-        ends_at_unreadable,
-        Trouble.test_what_cannot_be_read_is_told_or_counted_and_ends_nothing,
+        reading(ends_at_unreadable),
+        Trouble.test_what_cannot_be_read_is_said_and_ends_nothing,
         "one payload ended the channel",
     ),
     Bug(

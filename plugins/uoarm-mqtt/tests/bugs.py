@@ -111,8 +111,13 @@ def never_latched(original: Any) -> Any:
     return init
 
 
-def of_the_whole(_: Any) -> Any:
-    return lambda bridge, channel, health, cause: bridge.report(Health.LOST, cause)
+def of_the_whole(original: Any) -> Any:
+    def take(source: Any, incoming: Any) -> None:
+        original(source, incoming)
+        if source.unreadable:
+            source._link.told(Health.LOST, "it cannot be read")
+
+    return take
 
 
 def of_no_component(original: Any) -> Any:
@@ -242,23 +247,23 @@ BUGS: tuple[Bug, ...] = (
                 None if incoming.payload.endswith(b"[") else original(source, incoming)
             )
         ),
-        Trouble.test_what_cannot_be_read_is_told_or_counted_and_ends_nothing,
-        "neither reported nor counted",
+        Trouble.test_what_cannot_be_read_is_said_and_ends_nothing,
+        "nothing was said",
     ),
     Bug(
         "delivers None for a payload that cannot be read",
         _codec.Codec,
         "decode",
         as_none,
-        Trouble.test_what_cannot_be_read_is_told_or_counted_and_ends_nothing,
+        Trouble.test_what_cannot_be_read_is_said_and_ends_nothing,
         "the payload was delivered",
     ),
     Bug(
         "reports the whole bridge lost for one payload",
-        _bridge.MqttBridge,
-        "_tell",
+        _channels.TopicSource,
+        "_take",
         of_the_whole,
-        Trouble.test_what_cannot_be_read_is_told_or_counted_and_ends_nothing,
+        Trouble.test_what_cannot_be_read_is_said_and_ends_nothing,
         "one payload ended the channel",
     ),
     Bug(

@@ -33,6 +33,10 @@ functions:
           endpoint: ["plant/+"]
           structure: true
           options: {{retain: true, with_topic: true}}
+  torn:
+    components:
+      - {{name: torn, bridge: mqtt, priority: 2, output: {{endpoint: [torn], structure: true}}}}
+      - {{name: whole, bridge: mqtt, output: {{endpoint: [whole], structure: true}}}}
   note:
     components:
       - {{name: note, bridge: mqtt, input: {{endpoint: [note], structure: true}}}}
@@ -138,3 +142,21 @@ def test_what_has_no_form_is_an_error_of_the_send(
     note = robot.request("note")
     with pytest.raises(MessageError, match=why):
         note.send(message)
+
+
+@HOSTS
+def test_where_nothing_can_be_read_the_next_candidate_takes_over(
+    robot: RobotManager, peer: Peer
+) -> None:
+    with robot.request("torn") as connection:
+
+        def is_replaced() -> bool:
+            peer.publish("torn", "{")
+            return bool(connection.gaps)
+
+        wait(is_replaced, "it is never lost")
+        assert "its output 'default' gives again and again what cannot be read" in (
+            connection.gaps[0].cause
+        )
+        peer.publish("whole", "7")
+        assert connection.get(patience()) == 7

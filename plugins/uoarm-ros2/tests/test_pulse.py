@@ -130,15 +130,6 @@ def test_what_is_offered_is_well_without_anybody(clock: Clock) -> None:
     assert told[-1] == (Health.OK, "no subscription of /x is there, and none need be")
 
 
-def test_what_cannot_be_read_is_counted_and_told_once(clock: Clock) -> None:
-    told: list[tuple[Health, str]] = []
-    pulse = Pulse(lambda *news: told.append(news), clock=clock)
-    for _ in range(3):
-        pulse.unread("on topic /x: cut short")
-    assert told == [(Health.DEGRADED, "a message cannot be read on topic /x: cut short")]
-    assert pulse.facts()["unreadable"] == 3
-
-
 def test_recurring_trouble_is_told_once_and_passes(clock: Clock) -> None:
     told: list[tuple[Health, str]] = []
     pulse = Pulse(lambda *news: told.append(news), clock=clock)

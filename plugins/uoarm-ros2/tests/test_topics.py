@@ -20,7 +20,7 @@ from uoarm_ros2._middleware import Station, _released
 from uoarm.bridge import Bridge
 from uoarm.errors import BridgeError, FailureReason, MessageError
 from uoarm.model import CommandPolicy, Health, Role, StopMessage
-from uoarm.testing import Background, Census, patience, slowness, wait
+from uoarm.testing import Background, Census, Collector, patience, slowness, wait
 
 Make = Callable[..., Bridge]
 Start = Callable[..., Peer]
@@ -228,6 +228,19 @@ def test_a_latched_message_arrives_late(bridge: Bridge, peer: Start) -> None:
     inbox = Inbox()
     assert source(bridge, endpoint(Role.OUTPUT, "/latched", INT64), inbox).latched
     assert inbox.wait_for(1)[0] == {"data": 3}
+
+
+def test_what_cannot_be_read_is_said_and_the_next_message_arrives(
+    bridge: Bridge, peer: Start
+) -> None:
+    talker, got = peer("talker"), Collector()
+    talker.do("advertise", topic="/torn")
+    opened: Any = source(bridge, endpoint(Role.OUTPUT, "/torn", INT64), got)
+    opened._receive(b"\x00\x01\x00\x00\x07")
+    talker.do("publish", topic="/torn", count=1)
+    got.wait(1)
+    assert opened.unreadable == 1
+    assert got.unread[0].startswith("topic /torn: std_msgs/msg/Int64: cannot be read: ")
 
 
 def test_who_comes_while_the_type_is_looked_for_is_fitted(

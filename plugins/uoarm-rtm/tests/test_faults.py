@@ -22,7 +22,7 @@ from uoarm_rtm._source import OutPortSource
 from uoarm.bridge import Bridge
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason
 from uoarm.model import Health, Role
-from uoarm.testing import free_port, patience, wait
+from uoarm.testing import Collector, free_port, patience, wait
 
 HERE = Path(__file__).parent
 Start = Callable[..., Peer]
@@ -109,7 +109,7 @@ def test_a_connection_that_a_hung_component_makes_later_is_undone(
     place.port.reference.get_port_profile()
     component.freeze()
     with pytest.raises(BridgeTimeoutError):
-        OutPortSource(place, Inbox())
+        OutPortSource(place, Collector())
     component.thaw()
     wait(lambda: all(each.name != "uoarm-rtm-undo" for each in threading.enumerate()))
     wait(lambda: component.made_in_all() == 1)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import pytest
 from endpoints import Inbox, endpoint, sink, source, stamped
@@ -12,7 +13,7 @@ from uoarm_rtm import _orb
 from uoarm.bridge import Bridge
 from uoarm.errors import BridgeError, FailureReason
 from uoarm.model import Health, Role
-from uoarm.testing import wait
+from uoarm.testing import Collector, wait
 
 Start = Callable[..., Peer]
 Make = Callable[..., Bridge]
@@ -68,16 +69,28 @@ def test_a_message_too_large_for_us_fails_alone(make_bridge: Make, peer: Start) 
 
 
 def test_an_answer_too_large_is_told_and_ends_nothing(bridge: Bridge, usual: Peer) -> None:
-    events, inbox = Inbox(), Inbox()
+    events, got = Inbox(), Collector()
     bridge.watch(events)
     at = endpoint(Role.OUTPUT, "Usual.rtc", "out", flow="pull", rate=200)
-    channel = source(bridge, at, inbox)
+    channel: Any = source(bridge, at, got)
     usual.write_octets(3_000_000)
-    event = events.event(Health.DEGRADED, "does not arrive")
-    assert event.channel is channel
+    wait(lambda: channel.unreadable)
+    assert "does not arrive" in got.unread[0]
     usual.write_octets(100)
-    inbox.wait_for(1)
+    got.wait(1)
     assert lost(events) == []
+
+
+def test_what_is_no_message_of_its_type_is_said_and_ends_nothing(
+    bridge: Bridge, usual: Peer
+) -> None:
+    got = Collector()
+    channel: Any = source(bridge, endpoint(Role.OUTPUT, "Usual.rtc", "out"), got)
+    assert str(channel.receive(b"\x01\x02")) == "PORT_ERROR"
+    usual.write_octets(100)
+    got.wait(1)
+    assert channel.unreadable == 1
+    assert got.unread[0].startswith("port 'out' of ")
 
 
 @pytest.mark.parametrize("subscription", ["flush", "new"])

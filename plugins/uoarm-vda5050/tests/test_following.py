@@ -236,3 +236,16 @@ def test_a_vehicle_that_goes_before_it_is_followed_is_told() -> None:
     assert ("carrier", Health.FINISHED, f"vehicle {MAKER}/agv: {heard[0][1]}") in told
     with pytest.raises(BridgeError, match="too many"):
         watch.require((MAKER, "second"), "other")
+
+
+def test_states_that_cannot_be_read_count_against_what_is_read_from_them(broker: Broker) -> None:
+    with driven(broker, "torn", "b", state_seconds=0.05) as driver, bridge_to(broker) as bridge:
+        got = Collector()
+        place = endpoint("torn", "transport", "result")
+        source = bridge.open_source(place, ANYTHING, got)
+        topic = f"{driver.vehicle._topic}/state"
+        driver.vehicle._broker.publish(topic, b"{", lambda _: None, qos=0)
+        # The states that follow can be read, and nothing of them is a result.
+        wait(lambda: source.unreadable == 1 and "" in got.unread, str(got.unread), patience())
+        assert "Expecting property name" in next(filter(None, got.unread))
+        assert got.messages == []

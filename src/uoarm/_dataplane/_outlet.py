@@ -6,6 +6,7 @@ import threading
 from collections import deque
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import Protocol
 
 from uoarm._dataplane._route import Route
 from uoarm.model import Message, message_octets
@@ -15,6 +16,16 @@ __all__ = ["Outlet"]
 _MOST_WRITERS = 1000
 _MOST_OCTETS = 64 * 1024 * 1024
 _DEPTH_WHILE_OPENING = 1000  # what the source keeps is known once it is open
+
+
+class Reader(Protocol):
+    """Takes in what a bridge could read at an output, so that the component is judged by it."""
+
+    def unreadable(self, why: str) -> None:
+        """Take in that a message came which cannot be read."""
+
+    def read(self) -> bool:
+        """Take in that something could be read; say whether that matters the next time, too."""
 
 
 class _Turn:
@@ -111,13 +122,28 @@ class Outlet:
     `deliver` reads a tuple that `attach` and `detach` replace, so that it needs no lock. Only
     an output that retains, or of which that is not known yet, takes one for each message.
 
+    Args:
+        reader: what the output's component is judged by; None: nothing is.
+
     Attributes:
         unheard: messages that came while no route was there.
     """
 
-    __slots__ = ("_last", "_lock", "_retains", "_routes", "_standing", "_turns", "unheard")
+    __slots__ = (
+        "_is_suspected",
+        "_last",
+        "_lock",
+        "_reader",
+        "_retains",
+        "_routes",
+        "_standing",
+        "_turns",
+        "unheard",
+    )
 
-    def __init__(self) -> None:
+    def __init__(self, reader: Reader | None = None) -> None:
+        self._reader = reader
+        self._is_suspected = False  # written by the source alone, which has one thread at a time
         self._routes: tuple[Route, ...] = ()
         self._lock = threading.Lock()
         self._retains: bool | None = None
@@ -166,6 +192,8 @@ class Outlet:
             message: the message.
             writer: whose it is, where the last of several stand beside one another.
         """
+        if self._is_suspected:
+            self.readable()
         if self._retains is not False and self._deliver_kept(message, writer):
             return
         routes = self._routes
@@ -182,6 +210,20 @@ class Outlet:
         """Let nothing of a writer stand any more."""
         with self._lock:
             self._standing.let_go(writer)
+
+    def unreadable(self, why: str) -> None:
+        """Take in that a message came which cannot be read: it counts on every route."""
+        if self._reader is not None:
+            self._reader.unreadable(why)
+            self._is_suspected = True
+        for place, route in enumerate(self._routes):
+            route.copies += place > 0
+            route.unreadable(why)
+
+    def readable(self) -> None:
+        """Take in that something could be read, with or without a message of it."""
+        if self._reader is not None and self._is_suspected:
+            self._is_suspected = self._reader.read()
 
     def standing(self) -> tuple[Message, ...]:
         """Return what stands, oldest first; of a source that is being opened, what may."""

@@ -187,6 +187,16 @@ class Route:
             self._losses.write(logging.WARNING, text)
         return failure
 
+    def unreadable(self, why: str) -> None:
+        """Count a message that came and could not be read. Never raises."""
+        self.received += 1
+        self.invalid += 1
+        self.failures += 1
+        self.last_time = self._clock()
+        self.last_error = why
+        self.drop("unreadable")
+        self._records.write(logging.WARNING, f"{self.producer} -> {self.consumer}: {why}")
+
     def drop(self, reason: str) -> None:
         """Count one lost message, from any thread."""
         with self._dropping:

@@ -141,6 +141,12 @@ class RemoteBridge(Bridge):
             channel.given += 1
             deliver(message, writer)
 
+        def read(why: str) -> None:
+            if why:
+                deliver.unreadable(why)
+            else:
+                deliver.readable()
+
         channel.counter = self._counter()
         channel.incoming = FlowReceiver(
             self._host.transport,
@@ -148,6 +154,7 @@ class RemoteBridge(Bridge):
             name=f"{endpoint.component}.{endpoint.port}",
             take=give,
             let_go=deliver.let_go,
+            read=read,
             ended=ended,
         )
         self._channels[number] = channel

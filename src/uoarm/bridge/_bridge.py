@@ -145,7 +145,8 @@ class Bridge(ABC):
         Args:
             endpoint: of the output.
             structure: of its messages, as `describe` or the configuration gave it.
-            deliver: takes the messages; with whose they are where it is a `Delivery`.
+            deliver: takes the messages; where it is a `Delivery`, with whose they are, and what
+                cannot be read.
             timeout: in seconds.
             on_late: told of a source that opened when this had been given up, or the bridge been
                 closed: it is closed by then, and may have lost messages; for the core.
@@ -391,7 +392,7 @@ class Bridge(ABC):
         returns, from any thread and from several: the core has one message at a time pass, in the
         order in which they come, and none after the channel was closed. `deliver` never raises and
         may take its time. A message that cannot be read must not reach it, nor end the channel:
-        count it in `facts` and report DEGRADED.
+        say it with `deliver.unreadable(why)`. The core counts it, and judges the component.
 
         A source that is `latched` says with `deliver(message, writer)` whose a message is where
         several write beside one another, and with `deliver.let_go(writer)` that nothing of it

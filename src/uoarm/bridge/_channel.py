@@ -177,6 +177,12 @@ class Source(Channel):
         return 0 if self._gate is None else self._gate.refused
 
     @final
+    @property
+    def unreadable(self) -> int:
+        """How many messages came that could not be read, as `Delivery.unreadable` said."""
+        return 0 if self._gate is None else self._gate.unread
+
+    @final
     def watch_refused(self, told: Callable[[], object]) -> None:
         """Have each message told that comes after it was closed, in its thread; for the core."""
         if self._gate is not None:

@@ -11,15 +11,19 @@ from uoarm.model import Deliver, Message
 __all__ = ["Delivery", "Gate"]
 
 _TURN_SECONDS = 0.05
+_WHY_LENGTH = 1000
 
 
 @runtime_checkable
 class Delivery(Protocol):
-    """What the messages of an open source go to; of a latched one, with whose they are.
+    """What the messages of an open source go to, and what it says of them.
 
-    May be called with the message alone. A source that is latched keeps the last messages of each
-    writer for those who join later; a writer is who published a message, or the topic of one among
-    several, by a name that no other has.
+    May be called with the message alone. What came and is no message is said with `unreadable`:
+    it is counted, and the component is degraded, and lost when nothing else comes.
+
+    A source that is latched keeps the last messages of each writer for those who join later; a
+    writer is who published a message, or the topic of one among several, by a name that no other
+    has.
     """
 
     def __call__(self, message: Message, writer: str = "") -> None:
@@ -27,6 +31,15 @@ class Delivery(Protocol):
 
     def let_go(self, writer: str = "") -> None:
         """Let nothing of a writer stand any more: it has gone, or its value was cleared."""
+
+    def unreadable(self, why: str) -> None:
+        """Take in that a message came which cannot be read, and why; never raises."""
+
+    def readable(self) -> None:
+        """Take in that something could be read of which no message comes; never raises.
+
+        Only for a source that makes messages of some of what it reads: else each message says so.
+        """
 
 
 class Gate:
@@ -37,25 +50,27 @@ class Gate:
 
     Attributes:
         refused: messages that came after it was shut.
+        unread: messages that could not be read.
         on_refused: told of each of them, in its thread.
     """
 
-    __slots__ = ("_deliver", "_is_shut", "_keeping", "_turn", "on_refused", "refused")
+    __slots__ = ("_deliver", "_delivery", "_is_shut", "_turn", "on_refused", "refused", "unread")
 
     def __init__(self, deliver: Deliver | Delivery) -> None:
         self._deliver = deliver
-        self._keeping = deliver if isinstance(deliver, Delivery) else None
+        self._delivery = deliver if isinstance(deliver, Delivery) else None
         self._turn = threading.RLock()
         self._is_shut = False
         self.refused = 0
+        self.unread = 0
         self.on_refused: Callable[[], object] | None = None
 
     def __call__(self, message: Message, writer: str = "") -> None:
         """Deliver a message in this thread, after those of other threads that came before."""
         with self._turn:
             if not self._is_shut:
-                if writer and self._keeping is not None:
-                    self._keeping(message, writer)
+                if writer and self._delivery is not None:
+                    self._delivery(message, writer)
                 else:
                     self._deliver(message)
             else:
@@ -66,8 +81,23 @@ class Gate:
     def let_go(self, writer: str = "") -> None:
         """Let nothing of a writer stand any more, after what was delivered before."""
         with self._turn:
-            if not self._is_shut and self._keeping is not None:
-                self._keeping.let_go(writer)
+            if not self._is_shut and self._delivery is not None:
+                self._delivery.let_go(writer)
+
+    def unreadable(self, why: str) -> None:
+        """Say that a message cannot be read, after what was delivered before."""
+        with self._turn:
+            if not self._is_shut:
+                self.unread += 1
+                if self._delivery is not None:
+                    self._delivery.unreadable(why[:_WHY_LENGTH] or "it cannot be read")
+
+    def readable(self) -> None:
+        """Say that something could be read; before the first that could not, nothing follows."""
+        if self.unread and self._delivery is not None:
+            with self._turn:
+                if not self._is_shut:
+                    self._delivery.readable()
 
     def shut(self) -> None:
         """Let nothing more begin.

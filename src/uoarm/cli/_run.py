@@ -25,7 +25,7 @@ from uoarm.model import ConnectionState, Health, Message, RouteStatus, read_json
 __all__ = ["call", "request"]
 
 _GLANCE_SECONDS = 0.25
-_FAILING = frozenset({"failed", "invalid"})
+_FAILING = frozenset({"failed", "invalid", "unreadable"})
 
 
 @click.command()
@@ -178,7 +178,8 @@ class _Reading:
 def _said_of(route: RouteStatus) -> str:
     if dict(route.dropped).get("failed"):
         return f"{route.consumer} raised {route.last_error}"
-    return f"{route.producer} gave {route.invalid} that do not match: {route.last_error}"
+    wrong = "cannot be read" if "unreadable" in dict(route.dropped) else "do not match"
+    return f"{route.producer} gave {route.invalid} that {wrong}: {route.last_error}"
 
 
 def _stay(connection: Connection, duration: float | None) -> None:

@@ -161,7 +161,7 @@ class RouteStatus:
         received: messages that arrived from the producer.
         delivered: messages that the consumer took.
         dropped: messages lost on the way, by reason.
-        invalid: messages found not to match the declared structure.
+        invalid: messages that could not be read, or did not match the declared structure.
         rate: messages a second over the last seconds, None until two have arrived.
         age: seconds since the last message arrived, None before the first.
         last_error: text of the last failure on this route.

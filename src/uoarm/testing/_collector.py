@@ -19,8 +19,11 @@ T = TypeVar("T")
 class Collector:
     """A `deliver` that keeps what comes, and lets a test wait for it or hold it up.
 
+    The collector itself is a `Delivery`, which keeps what a bridge says beside that, too.
+
     Attributes:
         overlaps: deliveries that began while another one of this collector was under way.
+        unread: why messages could not be read, in order; empty: something could be.
     """
 
     def __init__(self) -> None:
@@ -29,6 +32,7 @@ class Collector:
         self._begun = 0
         self._busy = 0
         self.overlaps = 0
+        self.unread: list[str] = []
         self._open = threading.Event()
         self._open.set()
 
@@ -55,6 +59,24 @@ class Collector:
             self._messages.append(message)
             self._busy -= 1
             self._changed.notify_all()
+
+    def __call__(self, message: Message, writer: str = "") -> None:
+        """Keep one message, whoever wrote it."""
+        del writer
+        self.deliver(message)
+
+    def let_go(self, writer: str = "") -> None:
+        """Keep what came: nothing stands here."""
+
+    def unreadable(self, why: str) -> None:
+        """Keep why a message could not be read."""
+        with self._changed:
+            self.unread.append(why)
+            self._changed.notify_all()
+
+    def readable(self) -> None:
+        """Keep that something could be read."""
+        self.unreadable("")
 
     @contextmanager
     def held(self) -> Iterator[None]:

@@ -7,7 +7,6 @@ emitted it, and a component dies only when a test says so.
 from __future__ import annotations
 
 import difflib
-from collections.abc import Mapping
 from typing import TypeVar
 
 from uoarm._arguments import arguments
@@ -128,17 +127,15 @@ class MemoryBridge(Bridge):
             try:
                 message = read(row)
             except BridgeError as error:
-                channel.unreadable += 1
-                self.report(Health.DEGRADED, str(error), channel=channel)
+                if isinstance(deliver, Delivery):
+                    deliver.unreadable(str(error))
             else:
                 if writer and isinstance(deliver, Delivery):
                     deliver(message, writer)
                 else:
                     deliver(message)
 
-        channel = _MemorySource(
-            endpoint, lambda: component.leave(channel), latched=component.latched
-        )
+        channel = Source(endpoint, lambda: component.leave(channel), latched=component.latched)
         component.join(channel, take)
         return channel
 
@@ -224,16 +221,6 @@ class MemoryBridge(Bridge):
             text = f"there is no component at {list(endpoint.address)}{hint}"
             raise BridgeError(text, FailureReason.NOT_FOUND)
         return component
-
-
-class _MemorySource(Source):
-    """A source that counts what it could not read."""
-
-    unreadable: int = 0
-
-    def facts(self) -> Mapping[str, object]:
-        """Return the count of messages that could not be read."""
-        return {"unreadable": self.unreadable}
 
 
 def _without(endpoint: Endpoint, kind: str) -> BridgeError:

@@ -88,7 +88,7 @@ class TopicSource(Source):
         codec: reads what comes.
         link: to the broker.
         deliver: takes the messages.
-        report: told how the source is.
+        report: takes how the source is.
         latched: whether the last messages stand; None: where the broker retains them.
     """
 
@@ -106,10 +106,9 @@ class TopicSource(Source):
     ) -> None:
         super().__init__(endpoint, latched=port.retain if latched is None else latched)
         self._port, self._codec, self._link = port, codec, link
-        self._deliver, self._report = deliver, report
+        self._deliver = deliver
         self._breaks = link.breaks
-        self._received = self._unreadable = self._cleared = 0
-        self._is_degraded = False
+        self._received = self._cleared = 0
         budget = codec.budget
         most, octets = link.settings.backlog, 8 * budget.octets
         self._backlog = Backlog(f"uoarm-mqtt-{topic}", self._take, most, octets)
@@ -130,7 +129,6 @@ class TopicSource(Source):
         """Return counters; `interruptions` says how often the broker was away."""
         return {
             "received": self._received,
-            "unreadable": self._unreadable,
             "cleared": self._cleared,
             "under_way": len(self._backlog),
             "lost_on_link": self._backlog.dropped,
@@ -151,14 +149,8 @@ class TopicSource(Source):
         try:
             message = self._codec.decode(incoming.payload, content_type(incoming))
         except MessageError as error:
-            self._unreadable += 1
-            if not self._is_degraded:
-                self._is_degraded = True
-                self._report(self, Health.DEGRADED, f"{incoming.topic}: {error}")
+            self._deliver.unreadable(f"{incoming.topic}: {error}")
             return
-        if self._is_degraded:
-            self._is_degraded = False
-            self._report(self, Health.OK, "a payload that can be read came")
         if self._port.with_topic:
             message = {"topic": incoming.topic, "message": message}
         self._deliver(message, incoming.topic if self.latched else "")

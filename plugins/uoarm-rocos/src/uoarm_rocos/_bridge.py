@@ -9,6 +9,7 @@ from uoarm.bridge import (
     Bridge,
     Capabilities,
     Channel,
+    Delivery,
     Description,
     Discovered,
     ServiceStructures,
@@ -16,7 +17,7 @@ from uoarm.bridge import (
     Source,
 )
 from uoarm.errors import BridgeError, FailureReason
-from uoarm.model import Deliver, Endpoint, Health, Message, MessageStructure, Options, Role
+from uoarm.model import Endpoint, Health, Message, MessageStructure, Options, Role
 from uoarm_rocos._catalogue import Api, Kind
 from uoarm_rocos._channels import SinkChannel, SourceChannel
 from uoarm_rocos._device import Device, find
@@ -64,7 +65,7 @@ class RocosBridge(Bridge):
         return describe(api, direction)
 
     def _open_source(
-        self, endpoint: Endpoint, structure: MessageStructure, deliver: Deliver
+        self, endpoint: Endpoint, structure: MessageStructure, deliver: Delivery
     ) -> Source:
         api = self._checked(endpoint, structure)
         channel = SourceChannel(endpoint, self._told)

@@ -6,6 +6,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from typing import Any, Protocol
 
+from uoarm.bridge import Delivery
 from uoarm.errors import BridgeError, FailureReason
 from uoarm.model import Health
 from uoarm_rocos._catalogue import Api, Catalogue, Kind
@@ -56,9 +57,7 @@ class Device(ABC):
             BridgeError: UNAVAILABLE with the cause.
         """
 
-    def open_output(
-        self, api: Api, deliver: Callable[[Any], None], told: Told, timeout: float
-    ) -> Flow:
+    def open_output(self, api: Api, deliver: Delivery, told: Told, timeout: float) -> Flow:
         """Open a flow from the device; it is open when this returns.
 
         Raises:

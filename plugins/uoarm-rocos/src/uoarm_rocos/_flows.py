@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable, Mapping
 from typing import Any
 
+from uoarm.bridge import Delivery
 from uoarm.model import Health
 from uoarm_rocos._catalogue import Api
 from uoarm_rocos._courier import Courier, Parcel
@@ -69,28 +70,28 @@ class OutputFlow(ProfileFlow):
         api: Api,
         told: Told,
         end: Callable[[ProfileFlow], None],
-        deliver: Callable[[Any], None],
+        deliver: Delivery,
         courier: Courier,
         grace: float,
     ) -> None:
         super().__init__(api, told, end)
         self._grace = grace
         self._parcel = Parcel(deliver)
+        self._unreadable = Parcel(deliver.unreadable)
         self._courier = courier
         self._received = 0
-        self._wrong = 0
         self._last = time.monotonic()
         period = api.period
         self._patience = None if period is None else max(_PERIODS * period, _LEAST_SILENCE)
 
     def take(self, message: Mapping[str, Any]) -> None:
-        """Check a message and hand it on; a wrong one is counted and dropped."""
+        """Check a message and hand it on; of a wrong one, what is wrong with it."""
         self._last = time.monotonic()
         try:
             values = fit(self.api.output, message, f"data of {self.api.name}")
         except WireError as error:
-            self._wrong += 1
-            self.tell(Health.DEGRADED, f"the device breaks its catalogue: {error}")
+            why = f"the device breaks its catalogue: {error}"
+            self._courier.put(self._unreadable, why)
             return
         self._received += 1
         self._courier.put(self._parcel, values)
@@ -108,12 +109,13 @@ class OutputFlow(ProfileFlow):
             )
 
     def facts(self) -> Mapping[str, object]:
-        """Return how many messages came, broke the catalogue, or found the receiver too slow."""
-        return {"received": self._received, "wrong": self._wrong, "dropped": self._parcel.dropped}
+        """Return how many messages came, or found the receiver too slow."""
+        return {"received": self._received, "dropped": self._parcel.dropped}
 
     def close(self) -> None:
         """End the flow; no other delivery begins."""
         self._parcel.close()
+        self._unreadable.close()
         super().close()
 
 

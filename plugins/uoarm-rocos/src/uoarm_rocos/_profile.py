@@ -10,6 +10,7 @@ from typing import Any
 
 from attrs import field, frozen
 
+from uoarm.bridge import Delivery
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason
 from uoarm.model import Health
 from uoarm_rocos._answer import Answer, Answers, refusal
@@ -131,9 +132,7 @@ class ProfileDevice(Device):
             raise BridgeTimeoutError(f"{what}: no answer within {timeout:g} s; it was given up")
         return fit(api.output, answer.value(), f"result of {api.name}")
 
-    def open_output(
-        self, api: Api, deliver: Callable[[Any], None], told: Told, timeout: float
-    ) -> OutputFlow:
+    def open_output(self, api: Api, deliver: Delivery, told: Told, timeout: float) -> OutputFlow:
         """Open a flow from the device."""
         flow = OutputFlow(api, told, self._end, deliver, self._courier, self._timing.grace)
         self._open(flow, timeout)

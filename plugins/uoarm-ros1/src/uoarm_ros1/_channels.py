@@ -171,7 +171,7 @@ class TopicSource(Source):
         super().__init__(place.endpoint)
         self._place, self._deliver = place, deliver
         self._read = reader(record, place.node.settings.budget)
-        self._received = self._unreadable = 0
+        self._received = 0
         self._subscribed = _Subscribed(
             place,
             record,
@@ -191,7 +191,6 @@ class TopicSource(Source):
         """Return counters, and the publishers that are connected."""
         return {
             "received": self._received,
-            "unreadable": self._unreadable,
             "interruptions": self._subscribed.breaks,
             "publishers": self._subscribed.publishers,
         }
@@ -206,9 +205,7 @@ class TopicSource(Source):
         try:
             message = self._read(frame)
         except MessageError as error:
-            self._unreadable += 1
-            text = f"{self._place.topic}: {error}"
-            end.note(lambda: end.health.refused(text))
+            self._deliver.unreadable(f"{self._place.topic}: {error}")
             return
         if end.health.is_waiting:
             end.note(lambda: end.health.took(self._place.clock()))

@@ -42,7 +42,7 @@ class ChannelHealth:
         return self._over("one is connected") if peers > before else None
 
     def refused(self, cause: str) -> Report | None:
-        """A peer could not be connected, or what it sent could not be read."""
+        """A peer could not be connected, or refused what it was sent."""
         if self.is_lost or self._trouble:
             return None
         self._trouble = cause
@@ -56,7 +56,7 @@ class ChannelHealth:
     def took(self, now: float) -> Report | None:
         """A message came that could be read."""
         self._last = now
-        return self._over("a message that can be read came") if self._trouble else None
+        return self._over("a message came") if self._trouble else None
 
     def tick(self, now: float) -> Report | None:
         """Time has passed."""

@@ -59,7 +59,6 @@ class Pulse:
         self.lost = 0
         self.incompatible = 0
         self.deadlines_missed = 0
-        self.unreadable = 0
         self._report = report
         self._stale_after = stale_after
         self._promised: float | None = None
@@ -117,11 +116,6 @@ class Pulse:
         self.lost = total
         self._degrade(f"{total} messages lost by the middleware since opening, on {what}")
 
-    def unread(self, cause: str) -> None:
-        """Note a message that came and is none of its type."""
-        self.unreadable += 1
-        self._degrade(f"a message cannot be read {cause}")
-
     def deadline(self, total: int, what: str) -> None:
         """Note that a deadline passed without a message."""
         self.deadlines_missed = total
@@ -164,7 +158,6 @@ class Pulse:
             "lost_by_middleware": self.lost,
             "qos_clashes": self.incompatible,
             "deadlines_missed": self.deadlines_missed,
-            "unreadable": self.unreadable,
         }
 
     def _limit(self) -> float:

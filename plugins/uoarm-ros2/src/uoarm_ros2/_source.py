@@ -99,7 +99,7 @@ class TopicSource(Source):
         self._place = place
         self._read = read
         self._deliver = deliver
-        self._keeping = deliver if isinstance(deliver, Delivery) else None
+        self._delivery = deliver if isinstance(deliver, Delivery) else None
         self.pulse = Pulse(
             lambda health, cause: place.report(self, health, cause),
             place.settings.stale_after,
@@ -144,7 +144,7 @@ class TopicSource(Source):
 
     def _look_for_departures(self) -> None:
         """Let what publishers latched that have gone stand no more, as DDS does."""
-        if not self._writers or self._keeping is None:
+        if not self._writers or self._delivery is None:
             return
         if self._end.departures != self._departures:
             self._departures, self._looks = self._end.departures, _LOOKS
@@ -154,7 +154,7 @@ class TopicSource(Source):
         there = {peer.identity for peer in self._end.peers()}
         for writer in self._writers - there:
             self._writers.discard(writer)
-            self._keeping.let_go(writer.hex())
+            self._delivery.let_go(writer.hex())
 
     def _receive(self, octets: bytes, writer: bytes = b"") -> None:
         if self._closed:
@@ -162,11 +162,12 @@ class TopicSource(Source):
         try:
             message = self._read(octets)
         except MessageError as error:
-            self.pulse.unread(f"on topic {self._place.topic.name}: {error}")
+            if self._delivery is not None:
+                self._delivery.unreadable(f"topic {self._place.topic.name}: {error}")
             return
         self.pulse.beat()
-        if writer and self._keeping is not None:
+        if writer and self._delivery is not None:
             self._writers.add(writer)
-            self._keeping(message, writer.hex())
+            self._delivery(message, writer.hex())
         else:
             self._deliver(message)

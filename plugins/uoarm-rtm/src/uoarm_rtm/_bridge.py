@@ -13,6 +13,7 @@ from uoarm.bridge import (
     Bridge,
     Capabilities,
     Channel,
+    Delivery,
     Description,
     Discovered,
     Handler,
@@ -22,7 +23,7 @@ from uoarm.bridge import (
     at_exit,
 )
 from uoarm.errors import BridgeError, FailureReason
-from uoarm.model import Deliver, Endpoint, Health, Message, MessageStructure, Options, Role
+from uoarm.model import Endpoint, Health, Message, MessageStructure, Options, Role
 from uoarm_rtm import _control
 from uoarm_rtm._activation import Activations
 from uoarm_rtm._configuration import configure
@@ -127,7 +128,7 @@ class RtmBridge(Bridge):
         return described(*self._types.interface(address.type or _only_type(peer, port)))
 
     def _open_source(
-        self, endpoint: Endpoint, structure: MessageStructure, deliver: Deliver
+        self, endpoint: Endpoint, structure: MessageStructure, deliver: Delivery
     ) -> Source:
         address = address_of(endpoint)
         if address.component == SELF:

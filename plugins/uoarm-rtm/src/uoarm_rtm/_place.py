@@ -129,7 +129,6 @@ class Pulse:
         self._refusal = ""
         self._idle = ""
         self.count = 0
-        self.refused = 0
         self.state = ""
         self.last = time.monotonic()
 
@@ -187,7 +186,6 @@ class Pulse:
         """Return counters, the port, and the component's state when it was last looked at."""
         return {
             "count": self.count,
-            "refused": self.refused,
             "component": self._place.peer.path,
             "state": self.state,
             "port": self._place.port.name,

@@ -59,6 +59,7 @@ class InPortSink(Sink):
         self._sizes = SizeLimit(place.where, place.orb.most_octets)
         waits = buffer_policy(place.settings.properties, "inport").longest_write
         self._is_let_go = False
+        self._refused = 0
         self._longest = place.settings.timeout or place.seconds + waits
         properties = asked(place.settings, place.codec.name)
         pulls = place.settings.flow == "pull"
@@ -105,9 +106,8 @@ class InPortSink(Sink):
 
     def facts(self) -> Mapping[str, object]:
         """Return counters and the port."""
-        if self._buffer is None:
-            return self.pulse.facts()
-        return {**self.pulse.facts(), "dropped": self._buffer.dropped}
+        dropped = {} if self._buffer is None else {"dropped": self._buffer.dropped}
+        return {**self.pulse.facts(), "refused": self._refused, **dropped}
 
     def _be_open(self) -> None:
         if self._is_let_go:  # later than `closed`: what moves is stopped before it is let go
@@ -145,7 +145,7 @@ class InPortSink(Sink):
     def _put(self, data: bytes) -> None:
         too_large = self._sizes.refusal(len(data))
         if too_large:
-            self.pulse.refused += 1
+            self._refused += 1
             raise BridgeError(too_large, FailureReason.REFUSED)
         try:
             with calls, self._putting:
@@ -158,14 +158,14 @@ class InPortSink(Sink):
             self._be_open()
             too_large = self._sizes.meant(error, self._target, len(data))
             if too_large:
-                self.pulse.refused += 1
+                self._refused += 1
                 raise BridgeError(too_large, FailureReason.REFUSED) from error
             text = f"{self._place.where} is gone ({corba_text(error)})"
             self.pulse.lose(text)
             raise BridgeError(text, FailureReason.UNAVAILABLE) from error
         self._sizes.passed(len(data))
         if status != OpenRTM.PORT_OK:
-            self.pulse.refused += 1
+            self._refused += 1
             reason = _REASONS.get(str(status), "it said so")
             text = f"{self._place.where} refused a message: {status} ({reason})"
             raise BridgeError(text, FailureReason.REFUSED)

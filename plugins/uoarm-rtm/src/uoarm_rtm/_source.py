@@ -9,9 +9,8 @@ from typing import Any
 from _uoarm_rtm_stubs import OpenRTM, OpenRTM__POA
 from omniORB import CORBA
 
-from uoarm.bridge import Source
+from uoarm.bridge import Delivery, Source
 from uoarm.errors import BridgeError, MessageError
-from uoarm.model import Deliver
 from uoarm_rtm._buffering import buffer_policy, says_what_empty_means
 from uoarm_rtm._codec import BIG, LITTLE
 from uoarm_rtm._connector import asked
@@ -50,7 +49,7 @@ class OutPortSource(Source):
         BridgeError: the port refuses or is gone; nothing stays connected.
     """
 
-    def __init__(self, place: Place, deliver: Deliver) -> None:
+    def __init__(self, place: Place, deliver: Delivery) -> None:
         super().__init__(place.endpoint)
         self._place = place
         self._deliver = deliver
@@ -77,8 +76,7 @@ class OutPortSource(Source):
         try:
             message = self._place.codec.decode(data, self._order)
         except MessageError as error:
-            self.pulse.refused += 1
-            self.pulse.degrade(f"{self._place.where}: {error}")
+            self._deliver.unreadable(f"{self._place.where}: {error}")
             return OpenRTM.PORT_ERROR
         self.pulse.beat()
         self._deliver(message)
@@ -126,13 +124,12 @@ class OutPortSource(Source):
         )
 
     def _missed(self, error: CORBA.Exception) -> None:
-        self.pulse.refused += 1
         text = (
             f"an answer of {self._place.where} does not arrive ({corba_text(error)}): it may be "
             f"larger than our limit of {self._place.orb.most_octets} octets (`max_message`), or "
             "than the component's own (-ORBgiopMaxMsgSize there)"
         )
-        self.pulse.degrade(text)
+        self._deliver.unreadable(text)
 
     def _lost(self, error: CORBA.Exception) -> None:
         self.pulse.lose(f"{self._place.where} is gone ({corba_text(error)})")

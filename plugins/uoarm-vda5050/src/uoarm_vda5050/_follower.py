@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
+from attrs import frozen
 from uoarm_mqtt.connection import BrokerConnection, Incoming, Outcome, Receiver
 
 from uoarm.errors import BridgeError, MessageError
@@ -18,13 +19,21 @@ from uoarm_vda5050._messages import HEADER_IDS, VdaCodec
 from uoarm_vda5050._orders import words_of
 from uoarm_vda5050._transport_state import Action, Ended, Feedback, Send, Status, TransportState
 
-__all__ = ["Follower", "News"]
+__all__ = ["Follower", "News", "StateRead"]
 
 _MOST_STATES = 1000
 
 _log = logging.getLogger("uoarm.vda5050")
 
-News = Status | Feedback | Ended
+
+@frozen
+class StateRead:
+    """That a state came: why it cannot be read, empty where it can."""
+
+    unreadable: str = ""
+
+
+News = Status | Feedback | Ended | StateRead
 _Event = Incoming | tuple[bool, str]
 
 
@@ -134,6 +143,7 @@ class Follower:
             why = str(error) if isinstance(error, MessageError) else repr(error)
             with self._lock:
                 self._transport.unreadable(why)
+                self._announce(StateRead(why))
             self._tell(self._health.unreadable(why))
 
     def _take_state(self, event: Incoming, now: float) -> None:
@@ -143,6 +153,7 @@ class Follower:
         fatal = [words_of(one) for one in state["errors"] if one["errorLevel"] == "FATAL"]
         with self._lock:
             self._do(self._transport.state(state, now))
+            self._announce(StateRead())
         self._tell(self._health.state(fatal, now))
 
     def _count_gap(self, header_id: object) -> None:
@@ -166,12 +177,16 @@ class Follower:
         if news is not None:
             self._told(*news)
 
+    def _announce(self, news: News) -> None:
+        """Have every listener take in news, under the lock."""
+        for listener in self._listeners:
+            listener(news)
+
     def _do(self, actions: Sequence[Action]) -> None:
         """Do what is to be done, under the lock, so that news keeps its order."""
         for action in actions:
             if not isinstance(action, Send):
-                for listener in self._listeners:
-                    listener(action)
+                self._announce(action)
                 continue
             try:
                 payload = self._codecs[action.topic].encode(action.body)

@@ -8,10 +8,10 @@ from collections.abc import Mapping
 from attrs import asdict
 from uoarm_mqtt.connection import BrokerConnection
 
-from uoarm.bridge import Sink, Source
+from uoarm.bridge import Delivery, Sink, Source
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, MessageError
-from uoarm.model import Deliver, Endpoint, Message
-from uoarm_vda5050._follower import Follower, News
+from uoarm.model import Endpoint, Message
+from uoarm_vda5050._follower import Follower, News, StateRead
 from uoarm_vda5050._inbox import Inbox
 from uoarm_vda5050._transport_state import Ended, Feedback, Status
 
@@ -24,11 +24,11 @@ class TransportSource(Source):
     """Status changes, feedback or results of the transport orders of one vehicle."""
 
     def __init__(
-        self, endpoint: Endpoint, part: str, follower: Follower, deliver: Deliver, most: int
+        self, endpoint: Endpoint, part: str, follower: Follower, deliver: Delivery, most: int
     ) -> None:
         super().__init__(endpoint)
-        self._kind, self._follower = _PARTS[part], follower
-        self._inbox: Inbox[Message] = Inbox(f"uoarm-vda5050-{part}", deliver, most)
+        self._kind, self._follower, self._deliver = _PARTS[part], follower, deliver
+        self._inbox: Inbox[News] = Inbox(f"uoarm-vda5050-{part}", self._hand_over, most)
         follower.join(self._take)
 
     def facts(self) -> Mapping[str, object]:
@@ -37,8 +37,17 @@ class TransportSource(Source):
         return {**mine, **self._follower.facts()}
 
     def _take(self, news: News) -> None:
-        if isinstance(news, self._kind):
-            self._inbox.put(asdict(news, recurse=False))
+        is_reading = isinstance(news, StateRead) and bool(news.unreadable or self.unreadable)
+        if is_reading or isinstance(news, self._kind):
+            self._inbox.put(news)
+
+    def _hand_over(self, news: News) -> None:
+        if not isinstance(news, StateRead):
+            self._deliver(asdict(news, recurse=False))
+        elif news.unreadable:
+            self._deliver.unreadable(news.unreadable)
+        else:
+            self._deliver.readable()
 
     def _close(self) -> None:
         self._follower.leave(self._take)

@@ -73,7 +73,10 @@ class LiveComponent:
         self._are_replaced_stopped = not replaced
         self.component: Component = step.component
         self.bridge = bridge
-        self.outlets = {output.name: Outlet() for output in self.component.outputs}
+        self.outlets = {
+            output.name: Outlet(OutputWatch(failures, output.name))
+            for output in self.component.outputs
+        }
         self.structures = step.structures
         self.failures = failures
         self.leases = {
@@ -347,6 +350,8 @@ def _channel_statuses(
         facts = facts_of(channel)
         if name in outlets and outlets[name].unheard:
             facts = (*facts, ("unheard", outlets[name].unheard))
+        if isinstance(channel, Source) and channel.unreadable:
+            facts = (*facts, ("unreadable", channel.unreadable))
         lost = dict(facts).get("lost_on_link", 0)
         command = channel.command_status() if isinstance(channel, Sink) else None
         lost = lost if isinstance(lost, int) else 0

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
 
 from attrs import frozen
 
@@ -34,12 +34,21 @@ class _Deed:
     def raising(cls, place: str) -> _Deed:
         return cls(f"{place} raised", f"{place} raises again and again")
 
+    @classmethod
+    def giving(cls, port: str, what: str) -> _Deed:
+        place = f"its output {port!r}"
+        return cls(f"{place} gave {what}:", f"{place} gives again and again {what}")
+
+
+_SUCCESS = _Deed("", "")
+
 
 class FailureWatch:
     """Watches one instance of a component, or one service. Thread safe.
 
     What it takes and what it gives are judged apart, each output by itself: a message that was
-    taken is no success where all that comes of it is wrong. The component is as well as the worst.
+    taken is no success where all that comes of it is wrong. So are what can be read of an output
+    at all, and what of that matches. The component is as well as the worst.
 
     Args:
         name: of the component.
@@ -48,7 +57,8 @@ class FailureWatch:
         tell: told each time the verdict changes.
 
     Attributes:
-        failed: how many messages or calls it raised on, and how many did not match.
+        failed: how many messages or calls it raised on, and how many could not be read or did
+            not match.
         last_error: of the last of these, empty when there was none.
         cause: of the verdict, empty when it is well.
         is_alert: whether successes count, too: it has failed and is not well again.
@@ -57,7 +67,7 @@ class FailureWatch:
     def __init__(self, name: str, limits: FailureLimits, clock: Clock, tell: Tell) -> None:
         self._name = name
         self._limits = limits
-        self._rules = {_TAKING: FailureRule(limits)}
+        self._rules: dict[Hashable, FailureRule] = {_TAKING: FailureRule(limits)}
         self._clock = clock
         self._tell = tell
         self._lock = threading.Lock()
@@ -91,26 +101,28 @@ class FailureWatch:
 
     def took(self) -> None:
         """Take in a success; needed only while `is_alert`."""
-        self.note(_Deed("", ""), 1, 0, "")
+        self.note(_SUCCESS, 1, 0, "")
 
-    def note(self, deed: _Deed, taken: int, failed: int, text: str, output: str = _TAKING) -> None:
-        """Take in what became of some messages.
+    def note(
+        self, deed: _Deed, taken: int, failed: int, text: str, judged: Hashable = _TAKING
+    ) -> bool:
+        """Take in what became of some messages; say whether what is judged is not well now.
 
         Args:
             deed: what it did where it failed, for people.
             taken: how many went well.
             failed: how many it failed on.
             text: of the last error.
-            output: which of its outputs gave them; without it, they were given to it.
+            judged: what has a rule of its own; without it, they were given to the component.
         """
         with self._lock:
             if failed:
                 self.failed += failed
                 self.last_error = text
             before = self.health
-            rule = self._rules.get(output)
+            rule = self._rules.get(judged)
             if rule is None:
-                rule = self._rules[output] = FailureRule(self._limits)
+                rule = self._rules[judged] = FailureRule(self._limits)
             rule.note(taken, failed, self._clock())
             health, count = self.health, self.failed
             self.is_alert = health is not Health.OK
@@ -119,6 +131,7 @@ class FailureWatch:
                 told = _cause(health, deed, count, text)
                 self.cause = "" if health is Health.OK else told
                 self._tell(health, told)
+            return rule.health is not Health.OK
 
 
 class InputWatch:
@@ -158,31 +171,37 @@ class InputWatch:
 
 
 class OutputWatch:
-    """Watches one output: what the checks of its messages find, those of each route by themselves.
+    """Watches one output: what its bridge can read, and what the checks of its messages find.
 
     Args:
         component: watches all of it; the attribute, too.
         port: name of the output.
     """
 
-    __slots__ = ("_port", "component")
+    __slots__ = ("_port", "_reading", "component")
 
     def __init__(self, component: FailureWatch, port: str) -> None:
         self.component = component
         self._port = port
+        self._reading = "reading", port
 
     def took(self) -> None:
         """Take in that a message matched."""
-        self.component.note(_Deed("", ""), 1, 0, "", self._port)
+        self.component.note(_SUCCESS, 1, 0, "", self._port)
 
     def mismatched(self, error: MessageError) -> None:
         """Take in that a message did not match; the route logs it."""
-        wrong = "what does not match its structure"
-        deed = _Deed(
-            f"its output {self._port!r} gave {wrong}:",
-            f"its output {self._port!r} gives again and again {wrong}",
-        )
+        deed = _Deed.giving(self._port, "what does not match its structure")
         self.component.note(deed, 0, 1, str(error), self._port)
+
+    def unreadable(self, why: str) -> None:
+        """Take in that a message could not be read; the route logs it."""
+        deed = _Deed.giving(self._port, "what cannot be read")
+        self.component.note(deed, 0, 1, why, self._reading)
+
+    def read(self) -> bool:
+        """Take in that something could be read; say whether that matters the next time, too."""
+        return self.component.note(_SUCCESS, 1, 0, "", self._reading)
 
 
 def _cause(health: Health, deed: _Deed, count: int, text: str) -> str:

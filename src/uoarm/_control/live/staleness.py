@@ -29,19 +29,26 @@ class _Window:
     Attributes:
         route: one of the output's.
         feeds: those into the component's inputs; of a native link nobody knows what passes.
-        counts: of each of these routes at the beginning.
+        count: of the messages of that route at the beginning.
+        reached: how many had passed each of the feeds then.
     """
 
     route: Route
     feeds: frozenset[Route]
     began: float
-    counts: dict[Route, int] = field(init=False)
+    count: int = field(init=False)
+    reached: dict[Route, int] = field(init=False)
 
     def __attrs_post_init__(self) -> None:
-        self.counts = {one: one.received for one in (self.route, *self.feeds)}
+        self.count = self.route.received
+        self.reached = {feed: _passed(feed) for feed in self.feeds}
 
-    def since(self, route: Route) -> int:
-        return route.received - self.counts[route]
+    def emitted(self) -> int:
+        return self.route.received - self.count
+
+    def fed(self) -> list[int]:
+        """Return how many messages each feed gave that were for the component to deal with."""
+        return [_passed(feed) - count for feed, count in self.reached.items()]
 
 
 class StalenessWatch:
@@ -128,8 +135,8 @@ class StalenessWatch:
         lasted = now - window.began
         if lasted < expect.patience:
             return window
-        count = window.since(window.route)
-        if count < _ENOUGH * min([expect.rate * lasted, *map(window.since, window.feeds)]):
+        count = window.emitted()
+        if count < _ENOUGH * min([expect.rate * lasted, *window.fed()]):
             cause = (
                 f"output {port!r} is stale: {count / lasted:.2g} messages a second over "
                 f"{lasted:.2g} s, {expect.rate:.3g} are expected"
@@ -141,3 +148,8 @@ class StalenessWatch:
     def _run(self) -> None:
         while not self._stopped.wait(_LOOK_SECONDS):
             self.look()
+
+
+def _passed(feed: Route) -> int:
+    """Return how many messages came that were not wrong: of those its consumer gets none."""
+    return feed.received - feed.invalid

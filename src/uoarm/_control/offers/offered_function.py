@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping
 from typing import Any, Protocol
 
 from uoarm._adapt import check_edge, transfer
-from uoarm._dataplane import Clock, Route
+from uoarm._dataplane import Clock, Outlet, Route
 from uoarm.bridge import Bridge, Channel, ServiceStructures
 from uoarm.errors import BridgeError, ResolutionError
 from uoarm.model import (
@@ -298,11 +298,10 @@ class OfferedFunction:
         place = f"{self.offer.name}.{port.name}"
         route = Route(place, connection.id, send, clock=self._clock, transfer=adapted)
         self._routes.append(route)
-
-        def deliver(message: Message) -> None:
-            route.deliver(message)  # what it came to is counted: nobody asked for an answer
-
-        source = self.bridge.open_source(port.endpoint, given, deliver, timeout=_OPEN_SECONDS)
+        outlet = Outlet()
+        outlet.retain(False)
+        outlet.attach(route)
+        source = self.bridge.open_source(port.endpoint, given, outlet, timeout=_OPEN_SECONDS)
         self._channels.append(source)
 
     def _open_service(self, service: OfferedService) -> None:

@@ -75,6 +75,19 @@ class OutboundFlow:
             if not self._closed:
                 _log.warning("%s: it was not told what stands no more: %s", self.endpoint, error)
 
+    def unreadable(self, why: str) -> None:
+        """Have the manager take in that a message could not be read, as far as there is room."""
+        try:
+            self._outgoing.send_read(why)
+        except BridgeError as error:
+            if not self._closed:
+                text = f"{self.endpoint}: what cannot be read was not reported: {why}: {error}"
+                self._records.write(logging.WARNING, text)
+
+    def readable(self) -> None:
+        """Have the manager take in that something could be read."""
+        self.unreadable("")
+
     def count(self) -> None:
         """Count one message as taken, whether it is sent or came too late.
 

@@ -29,10 +29,11 @@ _HEADER = struct.Struct("<4sQQq")
 """What it is, number, skipped, and when it was sent.
 
 Behind it, in msgpack: of the last frame the ending; or a writer, with whether this is a message of
-its, or its messages stand no more.
+its, or its messages stand no more; or why a message could not be read, nothing where it could.
 """
 _IS_HEADER = b"flow"
 _WRITER = "writer"
+_UNREADABLE = "unreadable"
 _WINDOW = 64
 _CONFIRM_EACH = _WINDOW // 4
 _CONFIRM_SECONDS = 0.2
@@ -55,6 +56,13 @@ class LetGo:
     """That nothing of a writer stands any more."""
 
     writer: str
+
+
+@frozen
+class Read:
+    """That a message could not be read, and why; without a reason, that something could."""
+
+    why: str
 
 
 @frozen
@@ -126,6 +134,16 @@ class FlowSender:
         if self._number - self._handled >= _WINDOW or self._cut:
             self._wait_for_room()
         self._put(frame, (_WRITER, writer, True) if writer else None, sent_at)
+
+    def send_read(self, why: str) -> None:
+        """Send why a message could not be read, nothing where something could; waits as `send`.
+
+        Raises:
+            BridgeError: as by `send`; it was not sent.
+        """
+        if self._number - self._handled >= _WINDOW or self._cut:
+            self._wait_for_room()
+        self._put(b"", (_UNREADABLE, why), self._now())
 
     def let_go(self, writer: str) -> None:
         """Send that nothing of a writer stands any more, after everything that was sent before.
@@ -247,6 +265,7 @@ class FlowReceiver:
         ended: told, after the last message, how the flow ended.
         counter: where how many messages the consumer has taken is written down.
         let_go: told whose messages stand no more.
+        read: takes why a message could not be read at the sending end, nothing where one could.
     """
 
     def __init__(
@@ -259,12 +278,14 @@ class FlowReceiver:
         ended: Callable[[Ending], None],
         counter: SharedCounter | None = None,
         let_go: Callable[[str], None] = lambda _: None,
+        read: Callable[[str], None] = lambda _: None,
     ) -> None:
         self._transport = transport
         self._key = key
         self._name = name
         self._take = take
         self._let_go = let_go
+        self._read = read
         self._ended = ended
         self._counter = counter
         self._closed = False
@@ -325,6 +346,8 @@ class FlowReceiver:
             self._ended(more)
         elif isinstance(more, LetGo):
             self._let_go(more.writer)
+        elif isinstance(more, Read):
+            self._read(more.why)
         else:
             self.received += 1
             HANDLING.counter, HANDLING.number = self._counter, self.received
@@ -357,8 +380,8 @@ class FlowReceiver:
         self._transport.tell(f"{self._key}/handled", header)
 
 
-def _header(octets: bytes) -> tuple[int, int, int, Ending | LetGo | str] | None:
-    """Return number, skipped, time of a frame, and its ending, what is let go, or its writer.
+def _header(octets: bytes) -> tuple[int, int, int, Ending | LetGo | Read | str] | None:
+    """Return number, skipped, time of a frame, and what else it says, or its writer.
 
     None where it is no header of a flow.
     """
@@ -370,6 +393,8 @@ def _header(octets: bytes) -> tuple[int, int, int, Ending | LetGo | str] | None:
     if len(octets) == _HEADER.size:
         return number, skipped, sent_at, ""
     match _plain(octets[_HEADER.size :]):
+        case ["unreadable", str(why)]:
+            return number, skipped, sent_at, Read(why)
         case [str(health), str(cause)]:
             return number, skipped, sent_at, Ending(health, cause)
         case ["writer", str(writer), True]:

@@ -10,7 +10,7 @@ from contextlib import contextmanager
 import pytest
 from attrs import frozen
 
-from uoarm.bridge import Bridge, Channel, Sink
+from uoarm.bridge import Bridge, Sink, Source
 from uoarm.errors import MessageError
 from uoarm.model import Message, MessageStructure
 from uoarm.schema import check
@@ -36,7 +36,7 @@ class Line:
     kind: str
     structure: MessageStructure
     sink: Sink
-    source: Channel
+    source: Source
     collector: Collector
 
     def send(self, message: Message) -> None:

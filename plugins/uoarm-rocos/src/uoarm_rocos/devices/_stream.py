@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable, Mapping
 from typing import Any
 
+from uoarm.bridge import Delivery
 from uoarm.errors import BridgeError, FailureReason
 from uoarm.model import Health
 from uoarm_rocos._catalogue import Api, Catalogue
@@ -70,9 +71,7 @@ class StreamDevice(Device):
             raise BridgeError(f"{self._name} is closed", FailureReason.CLOSED)
         return self._catalogue
 
-    def open_output(
-        self, api: Api, deliver: Callable[[Any], None], told: Told, timeout: float
-    ) -> _StreamFlow:
+    def open_output(self, api: Api, deliver: Delivery, told: Told, timeout: float) -> _StreamFlow:
         """Give messages to one more receiver."""
         self.catalogue(timeout)
         flow = _StreamFlow(api, deliver, told, self)
