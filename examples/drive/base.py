@@ -21,29 +21,29 @@ class Base(Node):  # type: ignore[misc]  # rclpy has no types
 
     def __init__(self) -> None:
         super().__init__("base")
-        self._told = Twist()
+        self._command = Twist()
         self._x = self._y = self._heading = 0.0
         self._odometry = self.create_publisher(Odometry, "/odom", 10)
         self.create_subscription(Twist, "/cmd_vel", self._take, 10)
         self.create_timer(_SECONDS, self._move)
 
     def _take(self, twist: Twist) -> None:
-        if twist != self._told:
+        if twist != self._command:
             speed, turn = twist.linear.x, twist.angular.z
             text = f"driving at {speed:.2f} m/s, turning at {turn:.2f} rad/s"
             print(text if speed or turn else "standing still", flush=True)
-        self._told = twist
+        self._command = twist
 
     def _move(self) -> None:
-        self._heading += _SECONDS * self._told.angular.z
-        self._x += _SECONDS * self._told.linear.x * cos(self._heading)
-        self._y += _SECONDS * self._told.linear.x * sin(self._heading)
-        told = Odometry()
-        told.pose.pose.position.x, told.pose.pose.position.y = self._x, self._y
-        told.pose.pose.orientation.z = sin(self._heading / 2)
-        told.pose.pose.orientation.w = cos(self._heading / 2)
-        told.twist.twist = self._told
-        self._odometry.publish(told)
+        self._heading += _SECONDS * self._command.angular.z
+        self._x += _SECONDS * self._command.linear.x * cos(self._heading)
+        self._y += _SECONDS * self._command.linear.x * sin(self._heading)
+        report = Odometry()
+        report.pose.pose.position.x, report.pose.pose.position.y = self._x, self._y
+        report.pose.pose.orientation.z = sin(self._heading / 2)
+        report.pose.pose.orientation.w = cos(self._heading / 2)
+        report.twist.twist = self._command
+        self._odometry.publish(report)
 
 
 def main() -> None:

@@ -44,8 +44,8 @@ def main() -> int:
             ("127.0.0.1", options.page_port), partial(Pages, directory=str(HERE))
         )
     except OSError as error:
-        told = f"cannot listen on 127.0.0.1:{options.page_port}: {error.strerror}"
-        print(f"{told}; --page-port takes another", file=sys.stderr)
+        text = f"cannot listen on 127.0.0.1:{options.page_port}: {error.strerror}"
+        print(f"{text}; --page-port takes another", file=sys.stderr)
         return 2
     page = f"http://127.0.0.1:{pages.server_port}"
     serve = [sys.executable, "-m", "uoarm", "serve", str(HERE / "robot.yaml"), "--origin", page]

@@ -73,7 +73,7 @@ def _run(options: argparse.Namespace) -> int:
         hosts = None
         if options.environments:
             prepare_environments(_say)
-            hosts = {key: f"{{environment: {one.name}}}" for key, one in HOSTS.items()}
+            hosts = {key: f"{{environment: {host.name}}}" for key, host in HOSTS.items()}
         with tempfile.TemporaryDirectory(prefix="healthbot-") as temporary:
             _say("Footage and faces ...")
             ports = None if options.free_ports else _PORTS

@@ -15,14 +15,14 @@ def main() -> None:
     most = int(sys.argv[1]) if len(sys.argv) > 1 else None
     rclpy.init()
     node = Node("listener")
-    heard = 0
+    received = 0
 
     def hear(face: RegionOfInterest) -> None:
-        nonlocal heard
-        heard += 1
+        nonlocal received
+        received += 1
         place = f"({face.x_offset}, {face.y_offset})"
         print(f"face at {place}, {face.width} x {face.height}", flush=True)
-        if heard == most:
+        if received == most:
             raise ExternalShutdownException
 
     node.create_subscription(RegionOfInterest, "/face", hear, 10)

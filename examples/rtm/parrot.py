@@ -18,14 +18,14 @@ def main(nameserver: str) -> None:
     orb = Orb("127.0.0.1", call_seconds=2.0)
     component = RtComponent(orb, Sheet("Parrot0", type_name="Parrot"))
     types = Types([str(Path(__file__).parent / "words.idl")])
-    heard: queue.Queue[Any] = queue.Queue(maxsize=100)
-    component.add_in_port("hear", "Example::Words", types, heard.put)
+    received: queue.Queue[Any] = queue.Queue(maxsize=100)
+    component.add_in_port("hear", "Example::Words", types, received.put)
     say = component.add_out_port("say", "Example::Words", types)
     component.bind([NamingService(orb, nameserver, seconds=2.0)])
     print("Parrot0.rtc listens")
     while not component.wait_for_exit(0.0):
         try:
-            message = heard.get(timeout=0.2)
+            message = received.get(timeout=0.2)
         except queue.Empty:
             continue
         say.write({"text": f"{message['text']}, {message['text']}"})

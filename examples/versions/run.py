@@ -25,10 +25,10 @@ PATIENCE_SECONDS = 60.0
 def main() -> int:
     """Make what is missing, play, and return 0 when Kilted heard everything."""
     for version in DOMAINS:
-        if version not in {one.name for one in environments.listed()}:
+        if version not in {environment.name for environment in environments.listed()}:
             plugin = f"{ROOT / 'plugins' / 'uoarm-ros2'}[{version}]"
             wanted = environments.requirements("ros2", version, (plugin,))
-            environments.create(version, wanted, tell=print)
+            environments.create(version, wanted, progress=print)
     with ExitStack() as stack:
         stack.enter_context(_node("jazzy", ROOT / "examples" / "ros2" / "talker.py"))
         robot = stack.enter_context(RobotManager.from_file(HERE / "robot.yaml"))

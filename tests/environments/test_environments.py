@@ -92,7 +92,9 @@ def test_a_longer_name_does_not_stand_for_the_plugin(more: str, stands: bool) ->
 def test_uv_makes_it_and_every_line_is_told(tmp_path: Path, home: Path) -> None:
     reports: list[str] = []
     uv = _fake_uv(tmp_path, "echo installing")
-    python = environments.create("jazzy", ("a", "b[c]"), python="3.12", tell=reports.append, uv=uv)
+    python = environments.create(
+        "jazzy", ("a", "b[c]"), python="3.12", progress=reports.append, uv=uv
+    )
     assert python == home / "jazzy" / "bin" / "python"
     assert (tmp_path / "asked").read_text().splitlines() == [
         f"venv --python 3.12 {home / 'jazzy'}",
@@ -114,7 +116,7 @@ def test_last_lines_that_were_told_are_not_told_again(tmp_path: Path, home: Path
     uv = _fake_uv(tmp_path, "echo no such project >&2; exit 2")
     reports: list[str] = []
     with pytest.raises(PluginError, match=r" a ended with status 2$"):
-        environments.create("jazzy", ("a",), tell=reports.append, uv=uv)
+        environments.create("jazzy", ("a",), progress=reports.append, uv=uv)
     assert reports[-1] == "no such project"
 
 

@@ -27,9 +27,9 @@ def made(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Made:
     monkeypatch.setenv("UOARM_HOME", str(tmp_path))
     names: Made = []
 
-    def create(name: str, requirements: tuple[str, ...], *, tell: separate.Tell) -> None:
-        tell("Collecting something")
-        tell("chatter")
+    def create(name: str, requirements: tuple[str, ...], *, progress: separate.Progress) -> None:
+        progress("Collecting something")
+        progress("chatter")
         names.append((name, requirements))
         folder = tmp_path / "environments" / name
         (folder / "bin").mkdir(parents=True)

@@ -58,12 +58,12 @@ async def terminal_visit(robot: str) -> Visit:
         stderr=asyncio.subprocess.STDOUT,
     )
     try:
-        told, _ = await asyncio.wait_for(process.communicate(), _SECONDS)
+        report, _ = await asyncio.wait_for(process.communicate(), _SECONDS)
     finally:
         if process.returncode is None:
             process.kill()
             await process.wait()
-    lines = told.decode().splitlines()
+    lines = report.decode().splitlines()
     spoken = [line.partition(" ")[2].strip() for line in lines if line.startswith("robot")]
     measured = [" ".join(line.split()) for line in lines if line.startswith("  ")]
     outcome = f"exit code {process.returncode}; {'; '.join(measured)}"

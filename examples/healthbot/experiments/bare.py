@@ -105,16 +105,16 @@ def _node(name: str) -> Iterator[Any]:
 def _topics(count: int, out: str, back: str) -> list[float]:
     from std_msgs.msg import Int32  # noqa: PLC0415
 
-    heard: queue.SimpleQueue[int] = queue.SimpleQueue()
+    received: queue.SimpleQueue[int] = queue.SimpleQueue()
     with _node("floor") as node:
         publisher = node.create_publisher(Int32, out, 10)
-        node.create_subscription(Int32, back, lambda message: heard.put(message.data), 10)
+        node.create_subscription(Int32, back, lambda message: received.put(message.data), 10)
         # Publishing is how one learns that both sides have found each other.
-        _until(lambda: publisher.publish(Int32(data=-1)), heard)
+        _until(lambda: publisher.publish(Int32(data=-1)), received)
 
         def trip(number: int) -> None:
             publisher.publish(Int32(data=number))
-            while heard.get(timeout=_LIMIT) != number:
+            while received.get(timeout=_LIMIT) != number:
                 pass
 
         return _timed(trip, count)
@@ -227,14 +227,14 @@ def call(count: int) -> list[float]:
 
 def put(count: int) -> list[float]:
     """Put a number into another process, which puts it back."""
-    heard: queue.SimpleQueue[int] = queue.SimpleQueue()
-    with _peer("put") as address, _port(heard.put) as (orb, ours):
+    received: queue.SimpleQueue[int] = queue.SimpleQueue()
+    with _peer("put") as address, _port(received.put) as (orb, ours):
         other = orb.string_to_object(address)
         other.join(ours)
 
         def trip(number: int) -> None:
             other.put(number)
-            while heard.get(timeout=_LIMIT) != number:
+            while received.get(timeout=_LIMIT) != number:
                 pass
 
         return _timed(trip, count)

@@ -19,7 +19,11 @@ _HELPERS = {"spareOximetry"}
 async def providers(scene: Stage) -> dict[str, str]:
     """Return who provides each function now."""
     async with connect(scene.places.robot_url) as robot:
-        names = [one["name"] for one in await robot.functions() if one["name"] not in _HELPERS]
+        names = [
+            function["name"]
+            for function in await robot.functions()
+            if function["name"] not in _HELPERS
+        ]
         plans = {name: (await robot.resolve(name))["plan"] for name in names}
     return {name: plan["steps"][-1]["component"]["name"] for name, plan in plans.items()}
 

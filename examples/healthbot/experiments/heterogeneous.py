@@ -18,7 +18,9 @@ async def look(url: str, held: Counter[str], most: Counter[str]) -> None:
     """Note how often each function is open, and by how many connections at most at one time."""
     async with connect(url) as robot:
         while True:
-            functions = Counter(one["function"] for one in (await robot.status())["connections"])
+            functions = Counter(
+                connection["function"] for connection in (await robot.status())["connections"]
+            )
             held.update(functions.keys())
             for name, count in functions.items():
                 most[name] = max(most[name], count)

@@ -35,7 +35,9 @@ _SECONDS = 60.0
 def chain(plan: Mapping[str, Any]) -> str:
     """Return the components from the source to the one that provides the function."""
     components = [step["component"] for step in plan["steps"]]
-    return " → ".join(f"{one['name']} ({_FRAMEWORKS[one['bridge']]})" for one in components)
+    return " → ".join(
+        f"{component['name']} ({_FRAMEWORKS[component['bridge']]})" for component in components
+    )
 
 
 def types(plan: Mapping[str, Any]) -> str:

@@ -95,7 +95,7 @@ def figure(title: str, kind: str, where: str, seconds: list[float]) -> Figure:
     """Return the quantiles of some samples."""
     ordered = sorted(seconds)
     p50, p95, p99 = (ordered[min(len(ordered) - 1, int(len(ordered) * q))] for q in _SHARES)
-    below = sum(each < _PAPER for each in ordered) / len(ordered)
+    below = sum(value < _PAPER for value in ordered) / len(ordered)
     return Figure(title, kind, where, p50, p95, p99, below)
 
 
@@ -167,12 +167,12 @@ def functional(robot: RobotManager, name: str, where: str, count: int) -> Iterat
 
 def hops(robot: RobotManager, where: str, count: int) -> Iterator[Figure]:
     """Measure messages through every framework, and from each to every other."""
-    for one, title in FRAMEWORKS.items():
-        yield figure(f"{title} alone", "alone", where, round_trips(robot, one, "", count))
-    for one, first in FRAMEWORKS.items():
+    for name, title in FRAMEWORKS.items():
+        yield figure(f"{title} alone", "alone", where, round_trips(robot, name, "", count))
+    for name, first in FRAMEWORKS.items():
         for two, second in FRAMEWORKS.items():
-            if one != two:
-                seconds = round_trips(robot, one, two, count)
+            if name != two:
+                seconds = round_trips(robot, name, two, count)
                 yield figure(f"{first} to {second}", "pair", where, seconds)
 
 
@@ -184,14 +184,14 @@ def floors(count: int) -> Iterator[Figure]:
 
 def shown(figures: Sequence[Figure]) -> Iterator[tuple[str, ...]]:
     """Return rows of a table: what was measured in several places stands in one row."""
-    places = list(dict.fromkeys(one.where for one in figures))
-    for title in dict.fromkeys(one.title for one in figures):
+    places = list(dict.fromkeys(item.where for item in figures))
+    for title in dict.fromkeys(item.title for item in figures):
         cells = [title]
         for where in places:
-            found = [one for one in figures if (one.title, one.where) == (title, where)]
-            for one in found:
-                cells += [f"{each * 1e6:,.1f}" for each in (one.p50, one.p95, one.p99)]
-                cells.append(f"{one.below:.0%}")
+            found = [item for item in figures if (item.title, item.where) == (title, where)]
+            for item in found:
+                cells += [f"{value * 1e6:,.1f}" for value in (item.p50, item.p95, item.p99)]
+                cells.append(f"{item.below:.0%}")
         yield tuple(cells)
 
 
@@ -212,16 +212,19 @@ def main() -> None:
                 figures += hops(robot, where, options.count)
                 for name in _CHAINS:
                     figures += functional(robot, name, where, options.count)
-    figures.sort(key=lambda one: one.where == "hosts")
+    figures.sort(key=lambda item: item.where == "hosts")
     measured = machine(before)
     print(f"Latency in µs, {measured}\n")
-    bare = [one for one in figures if one.kind == "floor"]
+    bare = [item for item in figures if item.kind == "floor"]
     table(("without uoarm", *_QUANTILES), list(shown(bare)))
     for kinds, title in ((("step",), "functional process"), (("alone", "pair"), "one message")):
-        some = [one for one in figures if one.kind in kinds]
-        table((title, *_QUANTILES, *(f"hosts {one}" for one in _QUANTILES)), list(shown(some)))
+        some = [item for item in figures if item.kind in kinds]
+        table(
+            (title, *_QUANTILES, *(f"hosts {quantile}" for quantile in _QUANTILES)),
+            list(shown(some)),
+        )
     if options.record:
-        record(options.record, measured, [asdict(one) for one in figures])
+        record(options.record, measured, [asdict(item) for item in figures])
 
 
 if __name__ == "__main__":

@@ -37,7 +37,7 @@ class Death:
         killed: the part.
         function: through which it was seen.
         noticed: seconds until somebody was told; None: nobody ever.
-        told: who, and what.
+        notified: who, and what.
         silence: seconds without a message; None where nothing flows, or none came again.
         lost: what the user missed.
         went_on: what it went on with.
@@ -48,7 +48,7 @@ class Death:
     killed: str
     function: str
     noticed: float | None
-    told: str
+    notified: str
     lost: str
     went_on: str
     silence: float | None = None
@@ -61,7 +61,7 @@ class Death:
         back = self.answer or ("no" if self.back is None else f"{self.back:.1f} s")
         if self.went_on == _SAME:
             back = ""
-        return self.killed, self.function, noticed, self.told, self.lost, self.went_on, back
+        return self.killed, self.function, noticed, self.notified, self.lost, self.went_on, back
 
 
 async def stream_row(scene: Stage, part: str, name: str, library: str = "") -> Death:
@@ -85,7 +85,7 @@ async def stream_row(scene: Stage, part: str, name: str, library: str = "") -> D
             scene.crew.kill(part)
         await asyncio.sleep(_WINDOW)
         after = await using(url, name)
-        noticed, told = seen.told(killed)
+        noticed, text = seen.notified(killed)
         gap = seen.gap(killed)
         lost = f"{gap:.2f} s, about {max(0, round(gap * rate) - 1)}" if gap else "all"
         if not library:
@@ -97,7 +97,7 @@ async def stream_row(scene: Stage, part: str, name: str, library: str = "") -> D
         back = await until(returned, _RETURN)
         title = part if library else f"{part} ({scene.parts[part].framework})"
         went_on = after if after != before else _SAME
-        return Death(title, name, noticed, told, lost, went_on, gap, back)
+        return Death(title, name, noticed, text, lost, went_on, gap, back)
     finally:
         for task in tasks:
             task.cancel()
@@ -126,9 +126,9 @@ async def robot_row(scene: Stage) -> Death:
     back = again.arrivals[0] - begun if again.arrivals else None
     user.cancel()
     await asyncio.gather(user, return_exceptions=True)
-    told = f"the user: {seen.ended.splitlines()[0][:60]}" if seen.ended else "nobody"
+    text = f"the user: {seen.ended.splitlines()[0][:60]}" if seen.ended else "nobody"
     lost = "all until it asks again"
-    return Death("robot (uoarm)", "pulseRate", noticed, told, lost, NOTHING, None, back)
+    return Death("robot (uoarm)", "pulseRate", noticed, text, lost, NOTHING, None, back)
 
 
 async def _some(seen: Observed) -> bool:
@@ -159,8 +159,8 @@ async def call_row(scene: Stage, part: str, name: str, request: Any) -> Death:
     await asyncio.to_thread(scene.crew.start, scene.parts[part])
     again, _ = await called(url, name, {**request, **_other(request)})
     title = f"{part} ({scene.parts[part].framework})"
-    told = "whoever calls, in the reply"
-    return Death(title, name, seconds, told, NOTHING, without, answer=again)
+    text = "whoever calls, in the reply"
+    return Death(title, name, seconds, text, NOTHING, without, answer=again)
 
 
 def _other(request: Any) -> Any:

@@ -25,7 +25,7 @@ class Observed:
     changes: list[tuple[float, str]] = field(factory=list)
     ended: str = ""
 
-    def told(self, since: float) -> tuple[float | None, str]:
+    def notified(self, since: float) -> tuple[float | None, str]:
         """Return how long until the first change was told, and all that were."""
         later = [(moment, text) for moment, text in self.changes if moment >= since]
         noticed = later[0][0] - since if later else None

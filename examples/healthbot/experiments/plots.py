@@ -38,23 +38,25 @@ def main(folder: Path) -> None:
         ("steps", "Functional processes", {"step"}),
         ("messages", "One message to and fro", {"floor", "alone", "pair"}),
     ):
-        some = [one for one in figures if one["kind"] in kinds]
+        some = [figure for figure in figures if figure["kind"] in kinds]
         _latency(some, f"{title} ({latency['measured']})", folder / f"{name}.svg")
     deaths = json.loads((folder / "monitoring.json").read_text(encoding="utf-8"))
     _deaths(deaths["figures"], f"Each part killed ({deaths['measured']})", folder / "faults.svg")
 
 
 def _latency(figures: Sequence[Figure], title: str, file: Path) -> None:
-    titles = list(dict.fromkeys(one["title"] for one in figures))
-    places = [place for place in _PLACES if any(one["where"] == place for one in figures)]
+    titles = list(dict.fromkeys(figure["title"] for figure in figures))
+    places = [place for place in _PLACES if any(figure["where"] == place for figure in figures)]
     drawing = Drawing(figsize=(8.5, _ROW_INCHES * len(titles) + 1.5), layout="tight")
     axes = drawing.subplots()
     named: set[str] = set()
     for row, name in enumerate(titles):
-        here = [one for one in figures if one["title"] == name]
-        for number, one in enumerate(sorted(here, key=lambda one: places.index(one["where"]))):
+        here = [figure for figure in figures if figure["title"] == name]
+        for number, mapping in enumerate(
+            sorted(here, key=lambda item: places.index(item["where"]))
+        ):
             at = row + _STEP * (number - (len(here) - 1) / 2)
-            _whisker(axes, at, one, named)
+            _whisker(axes, at, mapping, named)
     axes.axvline(_PAPER_MS, color="black", linewidth=0.8, linestyle="--")
     axes.text(_PAPER_MS, -0.8, " the paper: below 1 ms", fontsize=8, va="center")
     axes.set_xscale("log")
@@ -77,18 +79,18 @@ def _whisker(axes: Axes, at: float, one: Figure, named: set[str]) -> None:
 
 
 def _deaths(deaths: Sequence[Figure], title: str, file: Path) -> None:
-    titles = [f"{one['killed']}\n{one['function']}" for one in deaths]
+    titles = [f"{death['killed']}\n{death['function']}" for death in deaths]
     drawing = Drawing(figsize=(8.5, 0.5 * len(deaths) + 1.5), layout="tight")
     axes = drawing.subplots()
-    for row, one in enumerate(deaths):
-        noticed, silence = one["noticed"], one["silence"]
+    for row, death in enumerate(deaths):
+        noticed, silence = death["noticed"], death["silence"]
         if silence is not None:
             axes.plot([0.005, silence], [row, row], color=_PLACES["hosts"], linewidth=3, alpha=0.5)
             axes.plot([silence], [row], marker="s", color=_PLACES["hosts"], linestyle="")
         if noticed is not None:
             axes.plot([noticed], [row], marker="o", color=_PLACES["one process"], linestyle="")
         end = max(noticed or 0.005, silence or 0.005)
-        axes.text(end * 1.25, row, one["went_on"], fontsize=7.5, va="center")
+        axes.text(end * 1.25, row, death["went_on"], fontsize=7.5, va="center")
     axes.plot([], [], marker="o", color=_PLACES["one process"], linestyle="", label="told")
     axes.plot([], [], marker="s", color=_PLACES["hosts"], linewidth=3, label="messages again")
     axes.set_xscale("log")

@@ -101,8 +101,8 @@ def record(file: Path, measured: str, figures: Sequence[Mapping[str, Any]]) -> N
         measured: when and on what.
         figures: each a mapping of plain values.
     """
-    told = {"measured": measured, "figures": figures}
-    file.write_text(json.dumps(told, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+    reports = {"measured": measured, "figures": figures}
+    file.write_text(json.dumps(reports, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
 
 
 def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:

@@ -112,8 +112,8 @@ def wholes(robot: RobotManager, first: str, second: str, count: int) -> Iterator
 
 def children() -> list[int]:
     """Return the processes that this one has started."""
-    listed = (int(one.name) for one in Path("/proc").iterdir() if one.name.isdecimal())
-    return [one for one in listed if _parent(one) == os.getpid()]
+    listed = (int(path.name) for path in Path("/proc").iterdir() if path.name.isdecimal())
+    return [number for number in listed if _parent(number) == os.getpid()]
 
 
 def _parent(process: int) -> int | None:
@@ -126,13 +126,15 @@ def _parent(process: int) -> int | None:
 
 def row(title: str, taken: Sequence[Whole]) -> tuple[str, ...]:
     """Return what all took and, of the slowest, where."""
-    ordered = sorted(taken, key=lambda one: one.wall)
+    ordered = sorted(taken, key=lambda item: item.wall)
     slow = ordered[-max(1, int(len(ordered) * _SLOWEST)) :]
     most = ordered[len(ordered) // 4 : -len(ordered) // 4]
     cells = [f"{ordered[int(len(ordered) * share)].wall:,.0f}" for share in _SHARES]
-    cells.append(f"{sum(one.switches for one in ordered) / len(ordered):.1f}")
+    cells.append(f"{sum(whole.switches for whole in ordered) / len(ordered):.1f}")
     for some in (most, slow):
-        cells += [f"{sum(getattr(one, part) for one in some) / len(some):,.0f}" for part in _PARTS]
+        cells += [
+            f"{sum(getattr(whole, part) for whole in some) / len(some):,.0f}" for part in _PARTS
+        ]
     return title, *cells
 
 
@@ -150,10 +152,10 @@ def main() -> None:
     with NameServer() as names, loop("rtm", names.address), loop("rocos") as rocos:
         text = configuration(names.address, rocos.line, domain, hosted=options.hosts)
         with RobotManager(loads(text)) as robot:
-            for one, first in FRAMEWORKS.items():
+            for name, first in FRAMEWORKS.items():
                 for two, second in FRAMEWORKS.items():
-                    if one != two:
-                        taken = list(wholes(robot, one, two, options.count))
+                    if name != two:
+                        taken = list(wholes(robot, name, two, options.count))
                         rows.append(row(f"{first} to {second}", taken))
     place = "hosts" if options.hosts else "one process"
     print(f"µs, {place}, switch interval {options.switch:g} ms, {machine(before)}\n")
@@ -164,7 +166,7 @@ def main() -> None:
         "p99",
         "switches",
         *_PARTS,
-        *(f"slowest: {one}" for one in _PARTS),
+        *(f"slowest: {part}" for part in _PARTS),
     )
     table(head, rows)
 

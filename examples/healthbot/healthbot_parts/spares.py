@@ -56,12 +56,12 @@ def oximeter(url: str) -> Iterator[Oximetry]:
     """
     decoder = Nonin1Decoder()
     with _opened(url, _SILENCE) as line:
-        heard = time.monotonic()
+        received = time.monotonic()
         while True:
             for message in decoder.feed(line.read(_PIECE)):
-                heard = time.monotonic()
+                received = time.monotonic()
                 yield cast("Oximetry", message)
-            if time.monotonic() - heard > _SILENCE:
+            if time.monotonic() - received > _SILENCE:
                 raise OSError(f"the oximeter at {url} is silent for {_SILENCE:g} s")
 
 

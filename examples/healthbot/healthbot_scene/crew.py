@@ -101,21 +101,21 @@ class Crew:
         self._wait(running)
         return running
 
-    def start_all(self, parts: Sequence[Part], tell: Callable[[Running], None]) -> None:
+    def start_all(self, parts: Sequence[Part], report: Callable[[Running], None]) -> None:
         """Start the first part, and once it is ready the others side by side.
 
         Args:
             parts: the others may need the first, the naming service.
-            tell: called with each part once it is ready.
+            report: called with each part once it is ready.
 
         Raises:
             PartError: one did not become ready.
         """
         first, *others = parts
-        tell(self.start(first))
+        report(self.start(first))
         for running in [self._launch(part) for part in others]:
             self._wait(running)
-            tell(running)
+            report(running)
 
     def _launch(self, part: Part) -> Running:
         log = self._run / f"{part.name}.log"
@@ -147,9 +147,11 @@ class Crew:
 
     def dead(self) -> list[Running]:
         """Return the parts that have ended by themselves since the last look, and forget them."""
-        ended = [each for each in self._running.values() if each.process.poll() is not None]
-        for each in ended:
-            del self._running[each.part.name]
+        ended = [
+            running for running in self._running.values() if running.process.poll() is not None
+        ]
+        for running in ended:
+            del self._running[running.part.name]
         return ended
 
     def kill(self, name: str) -> None:
@@ -216,7 +218,7 @@ def host_of(robot: int, library: str) -> int:
         LookupError: there is none.
     """
     children = Path(f"/proc/{robot}/task").glob("*/children")
-    for pid in {int(word) for each in children for word in each.read_text().split()}:
+    for pid in {int(word) for child in children for word in child.read_text().split()}:
         if library in Path(f"/proc/{pid}/maps").read_text():
             return pid
     raise LookupError(f"no process of the robot has loaded {library}")

@@ -41,7 +41,7 @@ class Need:
 
 def missing() -> list[Need]:
     """Return what is not here, the vital first."""
-    return sorted((one for one in NEEDS if not one.there()), key=lambda one: not one.vital)
+    return sorted((need for need in NEEDS if not need.there()), key=lambda need: not need.vital)
 
 
 def node() -> str | None:
@@ -50,10 +50,10 @@ def node() -> str | None:
     if program is None:
         return None
     try:
-        told = subprocess.run(
+        text = subprocess.run(
             [program, "--version"], capture_output=True, text=True, timeout=_SECONDS, check=False
         ).stdout.strip()
-        version = tuple(int(part) for part in told.removeprefix("v").split(".")[:2])
+        version = tuple(int(part) for part in text.removeprefix("v").split(".")[:2])
     except (OSError, ValueError, subprocess.TimeoutExpired):
         return None
     return program if version >= _NODE else None

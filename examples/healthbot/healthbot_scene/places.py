@@ -97,7 +97,7 @@ def make_places(
     run: Path,
     cache: Path,
     ports: tuple[int, int, int, int] | None = None,
-    tell: Callable[[str], None] = lambda _: None,
+    report: Callable[[str], None] = lambda _: None,
 ) -> Places:
     """Fetch the footage, let the recognisers learn it, and choose ports and a ROS 2 domain.
 
@@ -105,7 +105,7 @@ def make_places(
         run: a folder for this run; made if need be.
         cache: where footage is kept.
         ports: of naming, records, robot and page; None: four that are free.
-        tell: told of footage that others must stand in for.
+        report: told of footage that others must stand in for.
 
     Raises:
         FootageError: footage cannot be had.
@@ -120,7 +120,7 @@ def make_places(
     run.mkdir(parents=True, exist_ok=True)
     footage = prepare(cache)
     if footage.remark:
-        tell(footage.remark)
+        report(footage.remark)
     gallery = footage.folder / "gallery"
     for name in _RECOGNISERS:
         try:
@@ -130,7 +130,7 @@ def make_places(
         try:
             recogniser.enrol(photos_in(footage.photos), gallery)
         except ValueError as error:
-            tell(f"The {name} recogniser knows nobody: {error}")
+            report(f"The {name} recogniser knows nobody: {error}")
     first, second, third, fourth = ports or free_ports(4)
     return Places(
         run.resolve(), footage.folder.resolve(), free_domain(), first, second, third, fourth

@@ -8,9 +8,9 @@ from attrs import frozen
 
 from uoarm import environments
 
-__all__ = ["HOSTS", "Tell", "Wanted", "prepare_environments"]
+__all__ = ["HOSTS", "Progress", "Wanted", "prepare_environments"]
 
-Tell = Callable[[str], None]
+Progress = Callable[[str], None]
 """Takes one line of progress."""
 
 _BECAUSE, _WIDE = " (", 90
@@ -39,16 +39,16 @@ HOSTS = {
 """What stands for the host of each bridge in robot.yaml."""
 
 
-def prepare_environments(tell: Tell) -> None:
+def prepare_environments(progress: Progress) -> None:
     """Make every environment that is missing, cut short, or made of something else.
 
     Args:
-        tell: told each step of it, and each package.
+        progress: told each step of it, and each package.
 
     Raises:
         PluginError: one could not be made; the text has the last lines of what failed.
     """
-    there = {one.name: one for one in environments.listed()}
+    there = {environment.name: environment for environment in environments.listed()}
     for wanted in HOSTS.values():
         requirements = environments.requirements(wanted.plugin, wanted.distribution)
         found = there.get(wanted.name)
@@ -56,11 +56,11 @@ def prepare_environments(tell: Tell) -> None:
             continue
         if found is not None:
             environments.remove(wanted.name)
-        tell(f"Making the environment {wanted.name} for {wanted.plugin} (once) ...")
-        environments.create(wanted.name, requirements, tell=lambda line: _draw(line, tell))
+        progress(f"Making the environment {wanted.name} for {wanted.plugin} (once) ...")
+        environments.create(wanted.name, requirements, progress=lambda line: _draw(line, progress))
 
 
-def _draw(line: str, tell: Tell) -> None:
+def _draw(line: str, progress: Progress) -> None:
     text = line.strip()
     if text.startswith(_DRAWN):
-        tell(f"  {text.partition(_BECAUSE)[0][:_WIDE]}")
+        progress(f"  {text.partition(_BECAUSE)[0][:_WIDE]}")

@@ -53,7 +53,7 @@ def camera(
 
 def count(path: str, excerpt: int = 0) -> int:
     """Return how many pictures `camera` takes from a file or folder when it plays it once."""
-    return sum(1 if _is_picture(one) else _length(one, excerpt) for one in _files(path))
+    return sum(1 if _is_picture(file) else _length(file, excerpt) for file in _files(path))
 
 
 def _again(path: str | int, excerpt: int) -> Iterator[tuple[str, Picture]]:
@@ -79,7 +79,7 @@ def _files(path: str) -> list[Path]:
         raise FileNotFoundError(f"the camera's path {str(whole)!r} does not exist{unset}")
     if whole.is_file():
         return [whole]
-    files = sorted(one for one in whole.iterdir() if one.suffix.lower() in _PICTURES | _VIDEOS)
+    files = sorted(file for file in whole.iterdir() if file.suffix.lower() in _PICTURES | _VIDEOS)
     if not files:
         raise FileNotFoundError(f"the folder {str(whole)!r} has no pictures or videos")
     return files

@@ -23,20 +23,20 @@ _SECONDS: Final = 400.0
 
 def cut_down(robot: dict[str, Any], vehicle: str) -> dict[str, Any]:
     """Return a robot file's content without the other vehicles, and without bridges unused then."""
-    others = (*(one for one in VEHICLES if one != vehicle), "guest")
+    others = (*(text for text in VEHICLES if text != vehicle), "guest")
     functions = {
-        name: one
-        for name, one in robot["functions"].items()
+        name: function
+        for name, function in robot["functions"].items()
         if not any(other in name.lower() for other in others)
     }
-    used = {part["bridge"] for one in functions.values() for part in one["components"]}
-    bridges = {name: one for name, one in robot["bridges"].items() if name in used}
+    used = {part["bridge"] for function in functions.values() for part in function["components"]}
+    bridges = {name: bridge for name, bridge in robot["bridges"].items() if name in used}
     return {**robot, "bridges": bridges, "functions": functions}
 
 
 def with_one(vehicle: str) -> Row:
     """Have orders carried out by one vehicle; return a row of the table."""
-    others = [one for one in VEHICLES if one != vehicle]
+    others = [name for name in VEHICLES if name != vehicle]
     used: dict[str, Any] = {}
 
     def change(robot: dict[str, Any]) -> dict[str, Any]:

@@ -28,7 +28,7 @@ async def is_home_free(url: str) -> bool:
     """Return whether nobody is at the newcomer's home, or on the way there."""
     async with connect(url) as robot:
         async for picture in await robot.request("floor"):
-            return all(NEWCOMER_HOME not in one["way"] for one in picture["vehicles"])
+            return all(NEWCOMER_HOME not in vehicle["way"] for vehicle in picture["vehicles"])
     return False
 
 
@@ -54,11 +54,11 @@ async def _watch(url: str, begun: float, seen: dict[str, float]) -> None:
 
 
 def _happened(picture: dict[str, Any]) -> list[str]:
-    is_heard = any(one["name"] == NAME for one in picture["vehicles"])
-    status = {one["status"] for one in picture["orders"] if one["vehicle"] == NAME}
+    is_present = any(vehicle["name"] == NAME for vehicle in picture["vehicles"])
+    status = {order["status"] for order in picture["orders"] if order["vehicle"] == NAME}
     words = {"assigned": "has an order", "loaded": "carries a box", "done": "has done an order"}
     return [
-        *(["is heard by the application"] if is_heard else []),
+        *(["is heard by the application"] if is_present else []),
         *(text for word, text in words.items() if word in status),
     ]
 

@@ -33,7 +33,9 @@ _AGAIN: Final = 1.0
 def chain(plan: Mapping[str, Any]) -> str:
     """Return the components from the source to the one that provides the function."""
     components = [step["component"] for step in plan["steps"]]
-    return " → ".join(f"{one['name']} ({_BRIDGES[one['bridge']]})" for one in components)
+    return " → ".join(
+        f"{component['name']} ({_BRIDGES[component['bridge']]})" for component in components
+    )
 
 
 def types(plan: Mapping[str, Any]) -> str:
@@ -44,7 +46,7 @@ def types(plan: Mapping[str, Any]) -> str:
         ports = [*component.get("inputs", ()), *component.get("outputs", ())]
         ports += [component["service"]] if component.get("service") else []
         addresses = [port["endpoint"]["address"] for port in ports]
-        named += [" ".join(one[1:]) for one in addresses if len(one) > 1]
+        named += [" ".join(address[1:]) for address in addresses if len(address) > 1]
     return ", ".join(dict.fromkeys(named))
 
 
@@ -74,13 +76,13 @@ async def rows(url: str) -> list[Row]:
 async def _resolved(robot: Any, name: str) -> Mapping[str, Any]:
     while True:
         try:
-            told: Mapping[str, Any] = await robot.resolve(name)
+            report: Mapping[str, Any] = await robot.resolve(name)
         except UoarmError:
             if "guest" not in name.lower():
                 raise
             await asyncio.sleep(_AGAIN)
         else:
-            return told
+            return report
 
 
 def main() -> int:

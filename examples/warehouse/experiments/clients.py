@@ -43,10 +43,10 @@ async def in_python(scene: Stage) -> list[Finished]:
                 "transport", {"order": name, "source": source, "target": "", "load": 5.0}
             )
         async for picture in pictures:
-            for one in picture["orders"]:
-                if one["order"] in names and one["status"] == "done":
-                    names.remove(one["order"])
-                    found.append((one["vehicle"], time.monotonic() - begun))
+            for order in picture["orders"]:
+                if order["order"] in names and order["status"] == "done":
+                    names.remove(order["order"])
+                    found.append((order["vehicle"], time.monotonic() - begun))
             if not names:
                 break
     return found
@@ -119,7 +119,7 @@ PROGRAMS: Final[dict[str, Callable[[Stage], Awaitable[list[Finished]]]]] = {
 
 async def run(scene: Stage) -> list[Row]:
     """Have all of them place their orders at once."""
-    work = [asyncio.wait_for(one(scene), _SECONDS) for one in PROGRAMS.values()]
+    work = [asyncio.wait_for(program(scene), _SECONDS) for program in PROGRAMS.values()]
     ended: list[Any] = await asyncio.gather(*work, return_exceptions=True)
     found: list[Row] = []
     for name, done in zip(PROGRAMS, ended, strict=True):

@@ -36,5 +36,7 @@ def lines(pattern: str) -> int:
 if __name__ == "__main__":
     tables = Tables(options(__doc__).json)
     counted = {place: sum(map(lines, patterns)) for place, patterns in PLACES.items()}
-    tables.add("What the domain costs", [{"place": one, "lines": counted[one]} for one in counted])
+    tables.add(
+        "What the domain costs", [{"place": name, "lines": counted[name]} for name in counted]
+    )
     tables.print()

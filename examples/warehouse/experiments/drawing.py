@@ -25,10 +25,10 @@ _NAMES: Final = {
 }
 
 
-def draw(told: dict[str, Any], file: Path) -> None:
+def draw(measured: dict[str, Any], file: Path) -> None:
     """Draw a row for each part that was killed, and a dot for each vehicle that drove then."""
     mpl.rcParams.update({"svg.hashsalt": "uoarm", "svg.fonttype": "none", "font.size": 9})
-    ((_, rows),) = told["tables"].items()
+    ((_, rows),) = measured["tables"].items()
     parts = list(dict.fromkeys(row["killed"] for row in rows))
     drawing = Figure(figsize=(7.0, 0.3 * len(parts) + 1.3), layout="tight")
     axes = drawing.subplots()
@@ -38,7 +38,7 @@ def draw(told: dict[str, Any], file: Path) -> None:
             for row in rows
             if row["vehicle"] == name and row["stands after"].endswith(" s")
         ]
-        seconds, places = [one for one, _ in dots], [one for _, one in dots]
+        seconds, places = [value for value, _ in dots], [number for _, number in dots]
         axes.plot(seconds, places, "o", color=colour, label=_NAMES[name])
     axes.set_yticks(range(len(parts)), parts)
     axes.set_ylim(len(parts) - 0.5, -0.5)
@@ -48,8 +48,10 @@ def draw(told: dict[str, Any], file: Path) -> None:
     axes.set_axisbelow(True)
     axes.spines[["top", "right"]].set_visible(False)
     axes.legend(loc="lower right", fontsize=8, frameon=False)
-    first, last = told["load"]
-    drawing.suptitle(f"{told['measured']}, {told['cores']} cores, load {first} to {last}", size=9)
+    first, last = measured["load"]
+    drawing.suptitle(
+        f"{measured['measured']}, {measured['cores']} cores, load {first} to {last}", size=9
+    )
     drawing.savefig(file, metadata={"Date": None, "Creator": None})
     lines = file.read_text(encoding="utf-8").splitlines()
     file.write_text("\n".join(line.rstrip() for line in lines) + "\n", encoding="utf-8")

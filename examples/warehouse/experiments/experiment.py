@@ -109,8 +109,13 @@ class Tables:
         now = datetime.now(timezone.utc).strftime("%Y-%m-%d %H:%M UTC")
         load = [round(self._begun, 1), round(os.getloadavg()[0], 1)]
         if self.as_json:
-            told = {"measured": now, "cores": os.cpu_count(), "load": load, "tables": self._tables}
-            print(json.dumps(told, indent=1, ensure_ascii=False))
+            reports = {
+                "measured": now,
+                "cores": os.cpu_count(),
+                "load": load,
+                "tables": self._tables,
+            }
+            print(json.dumps(reports, indent=1, ensure_ascii=False))
             return
         print(f"{now}, {os.cpu_count()} cores, load {load[0]} to {load[1]}")
         for title, rows in self._tables.items():
@@ -118,7 +123,7 @@ class Tables:
             cells = [
                 list(rows[0]),
                 ["---"] * len(rows[0]),
-                *(map(str, one.values()) for one in rows),
+                *(map(str, mapping.values()) for mapping in rows),
             ]
             for row in cells:
                 print(f"| {' | '.join(cell.replace('|', '/') for cell in row)} |")
@@ -142,7 +147,7 @@ def options(text: str | None, **numbers: float) -> Any:
 
 def figures(seconds: Sequence[float]) -> Row:
     """Return cells of a table: how many, and in milliseconds median, 99th percentile, longest."""
-    found = sorted(1000 * one for one in seconds)
+    found = sorted(1000 * value for value in seconds)
     if len(found) < _FEW:
         return {"times": len(found), "median ms": "", "p99 ms": "", "longest ms": ""}
     return {

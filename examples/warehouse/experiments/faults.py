@@ -76,7 +76,7 @@ class Faults:
                 self.stage.crew.kill(name)
                 self._dead[name] = until
                 self.counts[f"{name} is killed"] += 1
-        self._tell()
+        self._report()
 
     def mend(self, now: float) -> None:
         """Let the faults be over whose time is."""
@@ -94,14 +94,14 @@ class Faults:
             self.stage.link.ask(unblock=node)
             del self._blocked[node]
         self._lost = {name: until for name, until in self._lost.items() if until > now}
-        self._tell()
+        self._report()
 
     def _block(self, node: str, until: float) -> None:
         if self.stage.link.ask(block=node, clear=_CLEAR_METRES)["is_blocked"]:
             self._blocked[node] = until
             self.counts["a way is blocked"] += 1
 
-    def _tell(self) -> None:
+    def _report(self) -> None:
         known = self.stage.link.ask()["bodies"]
         for name in self.vehicles:
             if name in known:
@@ -183,8 +183,8 @@ def run(minutes: float, every: float, tables: Tables) -> bool:
     }
     facts = {"orders placed": len(faults.placed), "orders done": len(done)}
     facts["metres driven"] = round(truth["metres"])
-    told = itertools.chain(facts.items(), sorted(faults.counts.items()), wrong.items())
-    rows = [{"what": what, "how often": count} for what, count in told]
+    report = itertools.chain(facts.items(), sorted(faults.counts.items()), wrong.items())
+    rows = [{"what": what, "how often": count} for what, count in report]
     tables.add(f"Random faults, {minutes:g} minutes", rows)
     for line in (*truth["contacts"], *(f"lost: {order}" for order in lost)):
         progress(line)

@@ -93,7 +93,7 @@ async def to_the_wheel(robot: Client, floor: Floor, vehicle: str, count: int) ->
         for leg in range(first, first + 1 + count):
             node = nodes[(leg - first) % 2]
             way = (nodes[(leg - first + 1) % 2], node)  # from where it stands
-            points = [{"node": one, "x": NODES[one][0], "y": NODES[one][1]} for one in way]
+            points = [{"node": text, "x": NODES[text][0], "y": NODES[text][1]} for text in way]
             command = {"leg": leg, "points": points, "carry": ""}
             await floor.stands(vehicle)
             moves = asyncio.create_task(floor.moves(vehicle))

@@ -32,14 +32,14 @@ _LOOK: Final = 0.05
 _LIMIT: Final = 60.0
 _WINDOW: Final = 6.0
 
-Told = list[tuple[float, str, str]]
+Notices = list[tuple[float, str, str]]
 
 
-async def listen(robot: Client, told: Told) -> None:
+async def listen(robot: Client, notices: Notices) -> None:
     """Note what the robot tells of its components and connections."""
     with suppress(UoarmError):
         async for event in robot.watch():
-            told.append((time.monotonic(), event.subject, event.change))
+            notices.append((time.monotonic(), event.subject, event.change))
 
 
 async def running(robot: Client, function: str, *, limit: float) -> float | None:
@@ -53,7 +53,7 @@ async def running(robot: Client, function: str, *, limit: float) -> float | None
     return None
 
 
-async def death(scene: Stage, robot: Client, told: Told, part: str) -> Row:
+async def death(scene: Stage, robot: Client, notices: Notices, part: str) -> Row:
     """Kill a part and start it again; return what became of it."""
     function, name = _PARTS[part]
     if await running(robot, function, limit=2 * _LIMIT) is None:
@@ -61,31 +61,31 @@ async def death(scene: Stage, robot: Client, told: Told, part: str) -> Row:
     killed = time.monotonic()
     scene.crew.kill(part)
     await asyncio.sleep(_WINDOW)
-    after = [(at, f"{what} {how}") for at, what, how in told if at > killed and name in what]
+    after = [(at, f"{what} {how}") for at, what, how in notices if at > killed and name in what]
     noticed = after[0][0] - killed if after else None
     await asyncio.to_thread(scene.crew.start, scene.parts[part])
     back = await running(robot, function, limit=_LIMIT)
     return _row(part, function, noticed, "; ".join(dict.fromkeys(text for _, text in after)), back)
 
 
-def _row(part: str, function: str, noticed: float | None, told: str, back: float | None) -> Row:
+def _row(part: str, function: str, noticed: float | None, notices: str, back: float | None) -> Row:
     return {
         "killed": part,
         "seen through": function,
         "told after": "never" if noticed is None else f"{noticed:.2f} s",
-        "what a client that watches is told": told,
+        "what a client that watches is told": notices,
         "open again after it was ready": "no" if back is None else f"{back:.1f} s",
     }
 
 
 async def run(scene: Stage) -> list[Row]:
     """Kill everything once."""
-    told: Told = []
+    reports: Notices = []
     rows: list[Row] = []
     async with connect(scene.places.robot_url) as robot:
-        listening = asyncio.create_task(listen(robot, told))
+        listening = asyncio.create_task(listen(robot, reports))
         for part in _PARTS:
-            rows.append(await death(scene, robot, told, part))
+            rows.append(await death(scene, robot, reports, part))
             progress(rows[-1])
         listening.cancel()
         await asyncio.gather(listening, return_exceptions=True)

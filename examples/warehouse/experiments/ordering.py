@@ -86,11 +86,11 @@ class Watched:
         """Return who stands without an order, and has for a while."""
         now = time.monotonic()
         free = {
-            one["name"].removeprefix("transport").lower()
-            for one in self.picture["vehicles"]
-            if one["condition"] == "free" and not one["order"]
+            vehicle["name"].removeprefix("transport").lower()
+            for vehicle in self.picture["vehicles"]
+            if vehicle["condition"] == "free" and not vehicle["order"]
         }
-        return frozenset(one for one in free if now - self._since.get(one, 0.0) > _STILL)
+        return frozenset(item for item in free if now - self._since.get(item, 0.0) > _STILL)
 
     def began(self, name: str) -> float:
         """Return when a body that stood moved first, the last time that it did."""
@@ -98,12 +98,12 @@ class Watched:
 
     def has_way(self, name: str) -> bool:
         """Return whether a vehicle holds more than the node at which it stands."""
-        ways = {one["name"]: one["way"] for one in self.picture["vehicles"]}
+        ways = {vehicle["name"]: vehicle["way"] for vehicle in self.picture["vehicles"]}
         return len(ways.get(f"transport{name.title()}", ())) > 1
 
     def vehicle_of(self, order: str) -> str:
         """Return who has an order; nothing where nobody has."""
-        found = [one["vehicle"] for one in self.picture["orders"] if one["order"] == order]
+        found = [item["vehicle"] for item in self.picture["orders"] if item["order"] == order]
         return found[0].removeprefix("transport").lower() if found else ""
 
 

@@ -73,7 +73,7 @@ def stops(faults: Faults, what: str) -> list[tuple[str, str]]:
 
     def speeds() -> dict[str, float]:
         bodies = faults.stage.link.ask()["bodies"]
-        return {name: one["speed"] for name, one in bodies.items()}
+        return {name: body["speed"] for name, body in bodies.items()}
 
     driving: list[str] = []
 

@@ -168,7 +168,7 @@ class Floor:
 
     def block(self, node: str, clear: float) -> bool:
         """Put an obstacle on a node, unless a vehicle is nearer than `clear` metres to it."""
-        near = (math.dist(one.pose[:2], NODES[node]) < clear for one in self._bodies.values())
+        near = (math.dist(body.pose[:2], NODES[node]) < clear for body in self._bodies.values())
         if any(near):
             return False
         self.obstacles.add(node)
@@ -194,7 +194,7 @@ class Floor:
         for pair in sorted(touching - self._touching):
             self.collisions += 1
             bodies = [self._bodies[name] for name in pair if name in self._bodies]
-            where = "; ".join(f"{one.name} {_told(one, now)}" for one in bodies)
+            where = "; ".join(f"{item.name} {_described(item, now)}" for item in bodies)
             self.contacts = [*self.contacts[-9:], f"{now:.2f}: {' and '.join(pair)}: {where}"]
         self._touching = touching
 
@@ -232,9 +232,9 @@ class Floor:
             self._roaming.discard(body.name)
 
     def _touches(self) -> Iterator[tuple[str, str]]:
-        for one, other in combinations(self._bodies.values(), 2):
-            if math.dist(one.pose[:2], other.pose[:2]) < 2 * RADIUS:
-                yield one.name, other.name
+        for item, other in combinations(self._bodies.values(), 2):
+            if math.dist(item.pose[:2], other.pose[:2]) < 2 * RADIUS:
+                yield item.name, other.name
         for body in self._bodies.values():
             for centre in (*RACKS, *(NODES[node] for node in self.obstacles)):
                 ahead, aside = (abs(a - b) for a, b in zip(body.pose[:2], centre, strict=True))
@@ -242,7 +242,7 @@ class Floor:
                     yield body.name, f"what stands at {centre}"
 
 
-def _told(body: Body, now: float) -> str:
+def _described(body: Body, now: float) -> str:
     x, y, heading = body.pose
     live = body.allowed_until - now
     return f"at {x:.2f}, {y:.2f}, {heading:.2f} with {body.speed:.2f} m/s, live for {live:.2f} s"
@@ -251,7 +251,7 @@ def _told(body: Body, now: float) -> str:
 def _towards(velocity: Triple, wanted: Triple, seconds: float) -> Triple:
     """Return the velocity after a time: no base changes its own faster than it can."""
     pairs = zip(velocity, wanted, _MOST, _SPEED_UP, _SLOW_DOWN, strict=True)
-    forward, left, turn = (_approach(seconds, *each) for each in pairs)
+    forward, left, turn = (_approach(seconds, *pair) for pair in pairs)
     return forward, left, turn
 
 

@@ -55,7 +55,7 @@ def neighbours(node: str) -> tuple[str, ...]:
     column, row = _CELLS[node]
     around = ((column + 1, row), (column - 1, row), (column, row + 1), (column, row - 1))
     found = tuple(_AT[cell] for cell in around if cell in _AT)
-    return tuple(one for one in found if one not in _EDGE or node not in _EDGE)
+    return tuple(text for text in found if text not in _EDGE or node not in _EDGE)
 
 
 def route(start: str, goal: str, closed: Collection[str] = ()) -> tuple[str, ...] | None:

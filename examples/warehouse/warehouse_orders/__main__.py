@@ -106,14 +106,14 @@ class Application:
         """Open every vehicle that there is, and what takes its commands to its framework."""
         functions = await robot.functions()
         vehicles = [
-            one["name"]
-            for one in functions
-            if one["name"] != _PREFIX and one["name"].startswith(_PREFIX)
+            function["name"]
+            for function in functions
+            if function["name"] != _PREFIX and function["name"].startswith(_PREFIX)
         ]
-        for one in functions:
-            uses = {name for component in one["components"] for name in component["uses"]}
+        for function in functions:
+            uses = {name for component in function["components"] for name in component["uses"]}
             if uses.intersection(vehicles):
-                self._keep(one["name"], self._hold(robot, one["name"]))
+                self._keep(function["name"], self._hold(robot, function["name"]))
         for name in vehicles:
             self._keep(name, self._hear(robot, name))
 
@@ -131,7 +131,7 @@ class Application:
             async for _ in stream:
                 pass
         except UoarmError as error:
-            self._tell(name, error)
+            self._report(name, error)
 
     async def _hear(self, robot: Client, name: str) -> None:
         """Take what a vehicle says, as long as it can be had."""
@@ -144,7 +144,7 @@ class Application:
                 finally:
                     self._streams.pop(name, None)
         except UoarmError as error:
-            self._tell(name, error)
+            self._report(name, error)
 
     async def _weigh(self, robot: Client) -> None:
         """Have every box weighed that arrived; one that cannot be is tried again later."""
@@ -152,7 +152,7 @@ class Application:
             try:
                 found = await robot.call("weigh", {"box": box}, timeout=_WEIGH_SECONDS)
             except UoarmError as error:
-                self._tell("weigh", error)
+                self._report("weigh", error)
                 return
             line = {"order": box, "mass": found["mass"]}
             await asyncio.to_thread(self._weighed.write, [line])
@@ -166,13 +166,13 @@ class Application:
                     await stream.send({"colour": self._colour})
                     await asyncio.sleep(_LAMP_SECONDS)
         except UoarmError as error:
-            self._tell("lamp", error)
+            self._report("lamp", error)
 
     @property
     def _colour(self) -> str:
         return self._weighing.colour(self._coordinator.orders)
 
-    def _tell(self, name: str, error: UoarmError) -> None:
+    def _report(self, name: str, error: UoarmError) -> None:
         """Say why a function cannot be had, once for each reason."""
         if self._said.get(name) != str(error):
             self._said[name] = str(error)
@@ -181,7 +181,7 @@ class Application:
     async def _write(self) -> None:
         """Have the journals on the disk before anybody is told."""
         notes = [note.line() for note in self._coordinator.notes()]
-        held = [one.line() for one in self._coordinator.reservations()]
+        held = [reservation.line() for reservation in self._coordinator.reservations()]
         if notes or held:
             await asyncio.to_thread(self._journal.write, notes)
             await asyncio.to_thread(self._reservations.write, held)
@@ -234,7 +234,9 @@ class Application:
         why = ""
         if order.status is Status.WAITING:
             vehicles = self._coordinator.vehicles.values()
-            reasons = [(one.name, self._coordinator.unfit(one, order)) for one in vehicles]
+            reasons = [
+                (vehicle.name, self._coordinator.unfit(vehicle, order)) for vehicle in vehicles
+            ]
             why = "; ".join(f"{name} {reason}" for name, reason in reasons if reason)
         return {
             "order": order.name,

@@ -91,7 +91,7 @@ class Vehicle:
     Attributes:
         name: of the vehicle.
         report: the last one.
-        heard: when it came.
+        received_at: when it came.
         is_alive: whether it is heard of.
         held: nodes that nobody else may enter, the first of which it is at.
         target: where it is going; empty: nowhere.
@@ -106,7 +106,7 @@ class Vehicle:
 
     name: str
     report: Report
-    heard: float
+    received_at: float
     is_alive: bool = True
     held: tuple[str, ...] = ()
     target: str = ""
@@ -139,7 +139,7 @@ class Vehicle:
             return False
         has_taken = self.report.stopped == self.leg
         return self.report.leg == self.leg or (
-            has_taken and self.heard - self.stopped > _ROLLS_SECONDS
+            has_taken and self.received_at - self.stopped > _ROLLS_SECONDS
         )
 
 
@@ -163,9 +163,11 @@ class Coordinator:
         held: Collection[Reservation] = (),
     ) -> None:
         self.orders: dict[str, Order] = {order.name: order for order in orders}
-        self.vehicles: dict[str, Vehicle] = {one.vehicle: _unheard(one) for one in held}
-        self._reserved = {one.vehicle: one for one in held}
-        self._leg = max([first_leg, *(one.leg for one in held)])
+        self.vehicles: dict[str, Vehicle] = {
+            reservation.vehicle: _unheard(reservation) for reservation in held
+        }
+        self._reserved = {reservation.vehicle: reservation for reservation in held}
+        self._leg = max([first_leg, *(reservation.leg for reservation in held)])
         self._closed: dict[str, float] = {}
         self._notes: list[Note] = []
         for order in self.orders.values():
@@ -180,9 +182,13 @@ class Coordinator:
     def reservations(self) -> list[Reservation]:
         """Return what has changed of the vehicles' reservations, for the journal as well."""
         vehicles = self.vehicles.values()
-        held = [Reservation(one.name, one.leg, _granted(one)) for one in vehicles]
-        changed = [one for one in held if self._reserved.get(one.vehicle) != one]
-        self._reserved = {one.vehicle: one for one in held}
+        held = [Reservation(vehicle.name, vehicle.leg, _granted(vehicle)) for vehicle in vehicles]
+        changed = [
+            reservation
+            for reservation in held
+            if self._reserved.get(reservation.vehicle) != reservation
+        ]
+        self._reserved = {reservation.vehicle: reservation for reservation in held}
         return changed
 
     def place(self, order: Order) -> None:
@@ -194,7 +200,7 @@ class Coordinator:
         vehicle = self.vehicles.get(name)
         if vehicle is None or not vehicle.is_alive:
             vehicle = self._appear(name, report, now)
-        before, vehicle.report, vehicle.heard = vehicle.report, report, now
+        before, vehicle.report, vehicle.received_at = vehicle.report, report, now
         if not report.is_localised:
             return
         if not before.is_localised:
@@ -221,7 +227,7 @@ class Coordinator:
     def tick(self, now: float) -> list[Command]:
         """Decide what every vehicle shall do, and return it; it is sent again at each tick."""
         for vehicle in self.vehicles.values():
-            if vehicle.is_alive and now - vehicle.heard > SILENCE:
+            if vehicle.is_alive and now - vehicle.received_at > SILENCE:
                 self.lost(vehicle.name)
         self._closed = {node: until for node, until in self._closed.items() if until > now}
         self._assign()
@@ -370,19 +376,21 @@ class Coordinator:
     def _is_taken(self, node: str, but: Vehicle | None = None) -> bool:
         """Whether somebody is, or shall be, where another would have to wait."""
         others = self.vehicles.values() if but is None else self._others(but)
-        wanted = (self.orders.get(one.order) for one in others)
-        shelves = {one.source for one in wanted if one and one.status is Status.ASSIGNED}
-        return node in shelves or any(node == one.target or node in one.held for one in others)
+        wanted = (self.orders.get(vehicle.order) for vehicle in others)
+        shelves = {order.source for order in wanted if order and order.status is Status.ASSIGNED}
+        return node in shelves or any(
+            node == vehicle.target or node in vehicle.held for vehicle in others
+        )
 
     def _others(self, vehicle: Vehicle) -> list[Vehicle]:
-        return [one for one in self.vehicles.values() if one is not vehicle]
+        return [item for item in self.vehicles.values() if item is not vehicle]
 
     def _stand(self, vehicle: Vehicle) -> None:
         """Let it stop where it is; it holds what it was told until it has."""
         around = tuple(_around(vehicle.report.x, vehicle.report.y))
         vehicle.held = (*around, *(node for node in _granted(vehicle) if node not in around))
         vehicle.target, vehicle.carry = "", vehicle.report.load
-        vehicle.stopped = vehicle.heard
+        vehicle.stopped = vehicle.received_at
         self._leg += 1
         vehicle.leg = self._leg
 
@@ -399,8 +407,8 @@ class Coordinator:
 
     def _command(self, vehicle: Vehicle, now: float) -> Command:
         way: tuple[str, ...] = ()
-        is_heard = now - vehicle.heard <= _LATE_SECONDS or vehicle.report.drives_on
-        if vehicle.target and vehicle.is_usable and is_heard:
+        is_present = now - vehicle.received_at <= _LATE_SECONDS or vehicle.report.drives_on
+        if vehicle.target and vehicle.is_usable and is_present:
             way = vehicle.held[: vehicle.held.index(vehicle.leg_end) + 1]
         is_last = bool(way) and vehicle.leg_end == vehicle.target
         carry = vehicle.carry if is_last else vehicle.report.load

@@ -89,8 +89,8 @@ class Reservation:
     @classmethod
     def latest(cls, lines: Iterable[Mapping[str, Any]]) -> list[Reservation]:
         """Return the last one of each vehicle."""
-        held = {one["vehicle"]: one for one in lines}
-        return [cls(name, one["leg"], tuple(one["nodes"])) for name, one in held.items()]
+        held = {line["vehicle"]: line for line in lines}
+        return [cls(name, value["leg"], tuple(value["nodes"])) for name, value in held.items()]
 
 
 def replay(placed: Iterable[Mapping[str, Any]], notes: Iterable[Mapping[str, Any]]) -> list[Order]:

@@ -23,12 +23,12 @@ class Weighing:
     """
 
     def __init__(self, lines: Iterable[Mapping[str, Any]] = ()) -> None:
-        self.masses: dict[str, float] = {one["order"]: one["mass"] for one in lines}
+        self.masses: dict[str, float] = {line["order"]: line["mass"] for line in lines}
         self._last = next(reversed(self.masses), "")
 
     def due(self, orders: Collection[Order]) -> str:
         """Return a box that stands at a dock and was not weighed; empty: there is none."""
-        arrived = (one.name for one in orders if one.status is Status.DONE)
+        arrived = (order.name for order in orders if order.status is Status.DONE)
         return next((name for name in arrived if name not in self.masses), "")
 
     def take(self, name: str, mass: float) -> None:
@@ -45,6 +45,8 @@ class Weighing:
         last = orders.get(self._last)
         if last is not None and abs(self.masses[self._last] - last.load) > _TOLERANCE_KG:
             return "red"
-        if self.due(orders.values()) or any(one.status is Status.LOADED for one in orders.values()):
+        if self.due(orders.values()) or any(
+            order.status is Status.LOADED for order in orders.values()
+        ):
             return "amber"
         return "green" if self.masses else "off"

@@ -109,7 +109,7 @@ class Agv:
             if self._order or self._command["points"] or _is_busy(message)
             else self._command["leg"],
             "is_localised": position.get("positionInitialized", position.get("localized", False)),
-            "is_blocked": "blockedPath" in {one["errorType"] for one in message["errors"]},
+            "is_blocked": "blockedPath" in {error["errorType"] for error in message["errors"]},
             "drives_on": True,
         }
         return Emit("state", state)
@@ -134,7 +134,7 @@ def _node(point: Point) -> dict[str, Any]:
 def _is_busy(message: Mapping[str, Any]) -> bool:
     """Whether it has an order, whoever gave it and whenever."""
     states = message.get("actionStates") or ()
-    acts = any(one["actionStatus"] not in {"FINISHED", "FAILED"} for one in states)
+    acts = any(state["actionStatus"] not in {"FINISHED", "FAILED"} for state in states)
     return bool(message.get("nodeStates") or message.get("edgeStates") or acts)
 
 

@@ -24,7 +24,7 @@ def orders(name: str, heavy: float = 30.0) -> Iterator[dict[str, Any]]:
 
 
 async def place_and_wait(
-    url: str, count: int, limit: float, tell: Callable[[str], None], *, heavy: float = 30.0
+    url: str, count: int, limit: float, report: Callable[[str], None], *, heavy: float = 30.0
 ) -> bool:
     """Place orders and return whether all of them are done, and weighed, in time.
 
@@ -32,25 +32,27 @@ async def place_and_wait(
         url: of the robot.
         count: how many.
         limit: seconds.
-        tell: told each change of an order.
+        report: told each change of an order.
         heavy: kg of every second box.
     """
     wanted = list(itertools.islice(orders(f"{int(time.time())}-", heavy), count))
-    work = _follow(url, wanted, tell)
+    work = _follow(url, wanted, report)
     try:
         await asyncio.wait_for(work, limit if limit < float("inf") else None)
     except asyncio.TimeoutError:
-        tell(f"not done within {limit:g} s")
+        report(f"not done within {limit:g} s")
         return False
     except UoarmError as error:
-        tell(f"it had to end: {error}")
+        report(f"it had to end: {error}")
         return False
     return True
 
 
-async def _follow(url: str, wanted: Sequence[dict[str, Any]], tell: Callable[[str], None]) -> None:
+async def _follow(
+    url: str, wanted: Sequence[dict[str, Any]], report: Callable[[str], None]
+) -> None:
     begun = time.monotonic()
-    told: dict[str, str] = {}
+    reports: dict[str, str] = {}
     async with connect(url) as robot:
         pictures = await robot.request("floor")
         for order in wanted:
@@ -58,9 +60,9 @@ async def _follow(url: str, wanted: Sequence[dict[str, Any]], tell: Callable[[st
         async for picture in pictures:
             for order in picture["orders"]:
                 now = f"{order['status']} {order['vehicle']}".strip()
-                if told.get(order["order"]) != now:
-                    told[order["order"]] = now
+                if reports.get(order["order"]) != now:
+                    reports[order["order"]] = now
                     seconds = time.monotonic() - begun
-                    tell(f"{seconds:6.1f} s  {order['order']}: {now} {order['why']}".rstrip())
+                    report(f"{seconds:6.1f} s  {order['order']}: {now} {order['why']}".rstrip())
             if picture["done"] >= len(wanted) and picture["lamp"] != "amber":  # all are weighed
                 return

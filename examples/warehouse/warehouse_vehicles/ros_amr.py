@@ -76,7 +76,7 @@ class Amr:
         node.create_timer(_SECONDS, self._drive)
 
     def _take_path(self, path: Any) -> None:
-        points = tuple((one.pose.position.x, one.pose.position.y) for one in path.poses)
+        points = tuple((pose.pose.position.x, pose.pose.position.y) for pose in path.poses)
         with self._lock:
             self._path = (path.header.stamp.sec, points)
             self._until = time.monotonic() + _LIVE

@@ -61,7 +61,7 @@ class Cart:
             if sense is not None:
                 load = sense.load
                 if ticks % _EVERY == 0:
-                    self._tell(sense)
+                    self._report(sense)
             ticks += 1
 
     def close(self) -> None:
@@ -78,7 +78,7 @@ class Cart:
     def _carry(self, message: Any) -> None:
         self._wanted = message["data"]
 
-    def _tell(self, sense: Sense) -> None:
+    def _report(self, sense: Sense) -> None:
         seconds, rest = divmod(time.time_ns(), 1_000_000_000)
         stamp = {"sec": seconds, "nsec": rest}
         status = {

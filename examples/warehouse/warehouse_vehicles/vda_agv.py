@@ -54,7 +54,7 @@ class Agv:
                 sense = self._base.drive(velocity if task is not None else STAND, until, carry)
                 velocity = STAND if sense is None else self._next(sense, task)
                 if sense is not None:
-                    self._tell(sense)
+                    self._report(sense)
         self._base.close()
 
     def _next(self, sense: Sense, task: Task | None) -> Triple:
@@ -78,7 +78,7 @@ class Agv:
                 return drive_along([(task.x, task.y)], 0, pose, sideways=False).velocity
         return STAND
 
-    def _tell(self, sense: Sense) -> None:
+    def _report(self, sense: Sense) -> None:
         vehicle = self._vehicle
         if sense.is_blocked:
             vehicle.raise_error("blockedPath", "something stands in the way")

@@ -42,7 +42,7 @@ def create(
     with reporting():
         wanted = environments.requirements(plugin, distribution, more)
         made = environments.create(
-            name, wanted, python=python, tell=click.echo, uv="" if no_uv else None
+            name, wanted, python=python, progress=click.echo, uv="" if no_uv else None
         )
         [found] = (environments.examine(one) for one in environments.listed() if one.name == name)
     click.echo(f"environment {name} is ready: {made}")

@@ -178,7 +178,7 @@ def _names(requirement: str, project: str) -> bool:
 _LIMIT_SECONDS = 1800.0
 _SHOWN = 15
 
-Tell = Callable[[str], None]
+Progress = Callable[[str], None]
 """Takes one line of progress."""
 
 
@@ -187,7 +187,7 @@ def create(
     requirements: tuple[str, ...],
     *,
     python: str | None = None,
-    tell: Tell | None = None,
+    progress: Progress | None = None,
     uv: str | None = None,
 ) -> Path:
     """Make an environment and return its interpreter. One that fails is removed again.
@@ -197,7 +197,7 @@ def create(
         requirements: what to install, as pip reads it; uoarm and plugins that are pinned to the
             version that runs here are installed from the files that run here.
         python: version (with uv) or path of the interpreter to build on; None: this one.
-        tell: told each line of progress; None: nobody is.
+        progress: called with each line of output; None: not called.
         uv: path of uv; None: looked for on the path; "": not used.
 
     Raises:
@@ -219,10 +219,10 @@ def create(
         install = [str(interpreter), "-m", "pip", "install"]
     try:
         folder.parent.mkdir(parents=True, exist_ok=True)
-        _run(make, tell)
+        _run(make, progress)
         with TemporaryDirectory(prefix="uoarm-wheels-") as wheels:
             given = [handed_on(requirement, Path(wheels)) for requirement in requirements]
-            _run([*install, *given], tell)
+            _run([*install, *given], progress)
         _require_extras(interpreter, requirements)
         said = json.dumps({"name": name, "requirements": requirements})
         write_whole(folder / MARK, said.encode())
@@ -248,14 +248,14 @@ def _normal(extra: str) -> str:
     return re.sub("[._-]+", "-", extra).lower()
 
 
-def _run(step: list[str], tell: Tell | None) -> None:
+def _run(step: list[str], progress: Progress | None) -> None:
     """Run one step, telling what it prints as it prints it."""
     variables = passed_on(os.environ, is_environment=True)
     lines: deque[str] = deque(maxlen=_SHOWN)
-    take = lines.append if tell is None else tell
+    take = lines.append if progress is None else progress
     command = " ".join(step)
-    if tell is not None:
-        tell(f"$ {command}")
+    if progress is not None:
+        progress(f"$ {command}")
     with subprocess.Popen(  # noqa: S603 - uv, or the interpreter that the operator chose
         step,
         stdin=subprocess.DEVNULL,

@@ -54,7 +54,7 @@ def make_app(store: Store) -> Starlette:
     async def search(request: Request) -> Response:
         asked = request.query_params
         found = await run_in_threadpool(store.search, asked.get("patient"), asked.get("code"))
-        entries = [{"resource": one} for one in found]
+        entries = [{"resource": item} for item in found]
         bundle = {"resourceType": "Bundle", "type": "searchset", "total": len(found)}
         return _Fhir({**bundle, "entry": entries})
 
