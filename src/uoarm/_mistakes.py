@@ -43,6 +43,7 @@ _SIZES: Mapping[str, tuple[str, str]] = {
     for bound, words in (("min", "at least"), ("max", "at most"))
     for name, of in (("Items", "entries"), ("Properties", "keys"), ("Length", "characters"))
 }
+_UNITS = {"x-max-utf8": "octets (UTF-8)", "x-max-utf16": "code units (UTF-16)"}
 
 
 def mistakes(
@@ -75,6 +76,11 @@ def mistakes(
         yield path, sentence, near(value, expected, speller), False
     elif keyword == "pattern":
         yield path, f"expected text that matches {expected}, got {write(value)}", "", False
+    elif keyword == "x-nul":
+        yield path, f"expected a string without the character NUL, got {write(value)}", "", False
+    elif keyword in _UNITS:
+        of = _UNITS[keyword]
+        yield path, f"expected at most {expected} {of}, got {error.message}", "", False
     elif keyword in _BOUNDS:
         sentence = f"expected {_BOUNDS[keyword]} {expected}, got {write(value)}"
         yield path, sentence, "", False

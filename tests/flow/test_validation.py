@@ -281,3 +281,26 @@ def test_a_message_nested_without_end_is_refused() -> None:
     assert check is not None
     with pytest.raises(MessageError, match="tree: the message is nested too deep"):
         check(message)
+
+
+@pytest.mark.parametrize(
+    ("rules", "good", "bad", "sentence"),
+    [
+        ({"x-max-utf8": 4}, ["abcd", "éé", "\U0001f600", ""], "ééa", r"4 octets \(UTF-8\), got 5"),
+        ({"x-max-utf16": 2}, ["ab", "éé", "\U0001f600"], "\U0001f600a", r"2 code units .*, got 3"),
+        ({"x-nul": False}, ["ab", "é"], "a\0", "without the character NUL"),
+        ({"x-nul": False, "minLength": 2, "x-max-utf8": 3}, ["ab", "aé"], "a\0", "without"),
+    ],
+)
+def test_texts_are_counted_as_they_are_written(
+    rules: dict[str, object], good: list[str], bad: str, sentence: str
+) -> None:
+    structure = MessageStructure({"type": "string", **rules})
+    checker = make_check(structure, ValidationMode.ALWAYS, "note.default")
+    assert checker is not None
+    for text in good:
+        checker(text)
+    with pytest.raises(MessageError, match=sentence):
+        checker(bad)
+    with pytest.raises(MessageError, match="expected text"):
+        checker(7)

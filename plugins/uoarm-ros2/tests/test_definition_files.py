@@ -111,7 +111,8 @@ def test_texts_are_read_as_they_are_written(tmp_path: Path) -> None:
     assert schema["x-constants"] == {"A": "12", "B": '"it', "C": True, "D": 1.0}
     assert isinstance(schema["x-constants"]["C"], bool)
     assert schema["properties"]["wide"] == {
-        "type": "string", "maxLength": 5, "x-native-type": "wstring",
+        "type": "string", "maxLength": 5, "x-max-utf16": 5, "x-nul": False,
+        "x-native-type": "wstring",
     }  # fmt: skip
     assert schema["properties"]["named"]["default"] == "1.10"
     assert schema["properties"]["many"]["maxItems"] == 2

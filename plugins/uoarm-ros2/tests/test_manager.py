@@ -12,7 +12,7 @@ from peers import DOMAIN, MORTAL, Peer
 
 from uoarm import RobotManager
 from uoarm.config import loads
-from uoarm.errors import MessageError
+from uoarm.errors import MessageError, ResolutionError
 from uoarm.model import ConnectionState, QueuePolicy
 from uoarm.testing import patience, wait
 
@@ -159,3 +159,78 @@ def test_a_text_that_ros_2_has_no_form_for_is_an_error_of_the_send(text: str) ->
         words.send({"data": "fine"})
         with pytest.raises(MessageError, match="expected a string"):
             words.send({"data": text})
+
+
+TAGS = """
+  tag:
+    components:
+      - {name: tag, bridge: python, output: {endpoint: ["tagging:short"]}}
+  longTag:
+    components:
+      - {name: longTag, bridge: python, output: {endpoint: ["tagging:long"]}}
+  shown:
+    components:
+      - name: shown
+        bridge: ros
+        output: {endpoint: [/tags, p/msg/Tag]}
+  board:
+    components:
+      - name: board
+        bridge: ros
+        input:
+          FROM
+          endpoint: [/tags, p/msg/Tag]
+          options: {peer: optional}
+"""
+
+
+def tags(folder: Path, component: str = "") -> RobotManager:
+    definition = folder / "p" / "msg" / "Tag.msg"
+    definition.parent.mkdir(parents=True, exist_ok=True)
+    definition.write_text("string<=22 name\nwstring<=22 wide\nstring note\n")
+    functions = TAGS.replace("FROM", f"from: {component}" if component else "")
+    text = f"""
+version: 1
+bridges:
+  ros: {{plugin: ros2, options: {{domain_id: {DOMAIN}, definitions: ["{folder}"]}}}}
+  python: {{plugin: python}}
+functions:
+{functions}
+"""
+    return RobotManager(loads(text, origin=str(Path(__file__).with_name("robot.yaml"))))
+
+
+@pytest.mark.parametrize(
+    ("name", "wide", "wrong"),
+    [
+        ("é" * 11, "é" * 22, ""),
+        ("a" * 22, "\U0001f600" * 11, ""),
+        ("é" * 22, "", r"name: expected at most 22 octets \(UTF-8\), got 44"),
+        ("", "\U0001f600" * 22, r"wide: expected at most 22 code units \(UTF-16\), got 44"),
+        ("a\0b", "", "name: expected a string without the character NUL"),
+        ("", "a\0b", "wide: expected a string without the character NUL"),
+    ],
+)
+def test_a_bounded_text_is_counted_as_it_is_written(
+    tmp_path: Path, name: str, wide: str, wrong: str
+) -> None:
+    message = {"name": name, "wide": wide, "note": ""}
+    with tags(tmp_path) as manager, manager.request("board") as board:
+        if wrong:
+            with pytest.raises(MessageError, match=wrong):
+                board.send(message)
+            message = {"name": "fine", "wide": "fine", "note": ""}
+        shown = manager.request("shown")
+        board.send(message)
+        assert shown.get(patience()) == message
+
+
+def test_a_producer_that_may_give_a_longer_text_is_refused_with_one(tmp_path: Path) -> None:
+    with tags(tmp_path, "longTag") as manager:
+        with pytest.raises(ResolutionError) as refused:
+            manager.resolve("board")
+        text = str(refused.value)
+        assert "octets of UTF-8 are more than 22" in text
+        assert "name" in text
+    with tags(tmp_path, "tag") as manager:
+        assert manager.resolve("board").warnings == ()

@@ -101,6 +101,7 @@ def test_arrays_have_their_bounds_and_octets_their_mark() -> None:
 def test_texts_have_their_bounds() -> None:
     texts = schema("test_msgs/msg/Strings")["properties"]
     assert texts["bounded_string_value"]["maxLength"] == 22
+    assert texts["bounded_string_value"]["x-max-utf8"] == 22
     assert "maxLength" not in texts["string_value"]
     assert (
         schema("test_msgs/msg/WStrings")["properties"]["wstring_value"]["x-native-type"]

@@ -26,6 +26,7 @@ _NOTES = frozenset(
     {"$comment", "$defs", "default", "definitions", "deprecated", "description", "examples"}
     | {"format", "readOnly", "title", "writeOnly"}
 )
+_UNITS = frozenset({"x-max-utf8", "x-max-utf16", "x-nul"})
 _KINDS = {"integer": frozenset({int}), "number": frozenset({int, float})}
 _CLASSES: Mapping[str, set[type]] = {
     "string": {str},
@@ -37,7 +38,7 @@ _CLASSES: Mapping[str, set[type]] = {
 _SPEAKS_OF = {
     **dict.fromkeys(("properties", "required", "additionalProperties"), "object"),
     **dict.fromkeys(("items", "minItems", "maxItems"), "array"),
-    **dict.fromkeys(("minLength", "maxLength"), "string"),
+    **dict.fromkeys(("minLength", "maxLength", *_UNITS), "string"),
     **dict.fromkeys(("minimum", "maximum"), "number"),
 }
 _LITERALS = frozenset({str, int, bool, type(None)})
@@ -104,8 +105,9 @@ class _Compiler:
             return self._object(schema, depth)
         if kind == "array":
             return self._array(schema, depth)
-        if kind == "string" and names <= {"type", "minLength", "maxLength"}:
-            return _text(*_limits(schema, "minLength", "maxLength"))
+        if kind == "string" and names - _UNITS <= {"type", "minLength", "maxLength"}:
+            accepts = _text(*_limits(schema, "minLength", "maxLength"))
+            return self._units(schema, accepts) if names & _UNITS else accepts
         if kind == "boolean" and names == {"type"}:
             return self._or_judged(lambda value: value is True or value is False, schema)
         if kind == "null" and names == {"type"}:
@@ -116,6 +118,22 @@ class _Compiler:
         """Leave values of other classes to the judge here, where they cost the least: numpy's."""
         judge = self.judge(schema)
         return lambda value: accepts(value) or (value.__class__ not in _PLAIN and judge(value))
+
+    def _units(self, schema: Mapping[str, Any], accepts: Accepts) -> Accepts:
+        """Know texts that are short enough whatever they hold, or hold ASCII; the judge counts."""
+        judge = self.judge(schema)
+        _, octets = _limits(schema, "minLength", "x-max-utf8")
+        _, units = _limits(schema, "minLength", "x-max-utf16")
+        most = min(octets, units)
+
+        def is_plain(value: Any) -> bool:
+            return (
+                accepts(value)
+                and "\0" not in value
+                and (4 * len(value) <= most or (value.isascii() and len(value) <= most))
+            ) or (value.__class__ is str and judge(value))
+
+        return is_plain
 
     def _range(self, schema: Any) -> NumberRange:
         if not isinstance(schema, Mapping):
@@ -213,7 +231,11 @@ class _Compiler:
 
 def _meaningful(schema: Mapping[str, Any]) -> set[str]:
     """Return the keywords of a schema that say which values match."""
-    return {name for name in schema if name not in _NOTES and not name.startswith("x-")}
+    return {
+        name
+        for name in schema
+        if name not in _NOTES and (not name.startswith("x-") or name in _UNITS)
+    }
 
 
 def _anything(_: Message) -> bool:

@@ -61,11 +61,16 @@ def _kind() -> type[Validator]:
             "boolean": numbers("boolean"),
         }
     )
+    units = {
+        "x-max-utf8": _within_units("utf-8", 1),
+        "x-max-utf16": _within_units("utf-16-le", 2),
+        "x-nul": _nul,
+    }
     ranges = {name: _bounded(holds) for name, holds in _BOUNDS.items()}
     sizes = {name: _sized(*one) for name, one in _SIZES.items()}
     kind: type[Validator] = validators.extend(  # type: ignore[no-untyped-call]
         Draft202012Validator,
-        {"type": _type, "items": _items, **ranges, **sizes, **PATTERN_KEYWORDS},
+        {"type": _type, "items": _items, **ranges, **sizes, **units, **PATTERN_KEYWORDS},
         type_checker=checker,
     )
     return kind
@@ -87,6 +92,23 @@ def _sized(kind: str, holds: Callable[[int, int], bool]) -> Callable[..., Errors
             yield ValidationError("of another size")
 
     return within
+
+
+def _within_units(encoding: str, unit: int) -> Callable[..., Errors]:
+    """Return a keyword that counts a text as an encoding writes it; it says how many there are."""
+
+    def within(_: Validator, bound: int, instance: Any, __: object) -> Errors:
+        if isinstance(instance, str):
+            count = len(instance.encode(encoding, "surrogatepass")) // unit
+            if count > bound:
+                yield ValidationError(str(count))
+
+    return within
+
+
+def _nul(_: Validator, allowed: bool, instance: Any, __: object) -> Errors:  # noqa: FBT001 - a keyword
+    if allowed is False and isinstance(instance, str) and "\0" in instance:
+        yield ValidationError("with NUL")
 
 
 def _bounded(holds: Callable[[Any, Any], bool]) -> Callable[..., Errors]:

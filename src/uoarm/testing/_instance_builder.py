@@ -22,6 +22,7 @@ _MOST_NODES = 4_000
 _LONG_TEXT = 300
 _LONG_ARRAY = 12
 _MOST_COUNT = 2_000
+_UNITS = (("x-max-utf8", "utf-8", 1), ("x-max-utf16", "utf-16-le", 2))
 
 
 class TooLargeError(ValueError):
@@ -72,6 +73,14 @@ class Builder:
         return None if chosen is None else self._by_type[chosen](parts, depth)
 
     def _string(self, parts: Sequence[Keywords], _: int) -> str:
+        value = self._characters(parts)
+        for keyword, encoding, unit in _UNITS:
+            most = _smallest(parts, keyword)
+            if most is not None:
+                value = value.encode(encoding)[: unit * most].decode(encoding, "ignore")
+        return value
+
+    def _characters(self, parts: Sequence[Keywords]) -> str:
         choices = self._choices
         patterns = [part["pattern"] for part in parts if isinstance(part.get("pattern"), str)]
         low = _largest(parts, "minLength")

@@ -36,6 +36,8 @@ _GUESSED_TYPE = {
     "pattern": "string",
     "minLength": "string",
     "maxLength": "string",
+    "x-max-utf8": "string",
+    "x-max-utf16": "string",
     "minimum": "number",
     "maximum": "number",
     "exclusiveMinimum": "number",

@@ -77,9 +77,11 @@ def _array(listing: Listing, unit: str | None) -> dict[str, Any]:
 
 
 def _string(text: Text) -> dict[str, Any]:
-    schema: dict[str, Any] = {"type": "string"}
+    """A bound counts what the text is written in: octets, or units of UTF-16."""
+    schema: dict[str, Any] = {"type": "string", "x-nul": False}
     if text.bound is not None:
         schema["maxLength"] = text.bound
+        schema["x-max-utf16" if text.wide else "x-max-utf8"] = text.bound
     if text.wide:
         schema["x-native-type"] = "wstring"
     return schema

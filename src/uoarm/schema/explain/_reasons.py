@@ -15,6 +15,7 @@ from uoarm.schema._meter import Meter
 from uoarm.schema._values import SCALARS, Repeated, exact, kind_of, runs_of
 from uoarm.schema.explain._verdict import Loss, Reason
 from uoarm.schema.read import Node
+from uoarm.schema.regex import CodeUnits
 from uoarm.schema.solve import (
     Judgements,
     item_rules,
@@ -83,6 +84,11 @@ def _failing_keyword(node: Node, value: Any, judgements: Judgements) -> str:
         return "enum"
     if kind == "array" and not _within(len(value), node.min_items, node.max_items):
         return "size"
+    if isinstance(value, str):
+        if node.no_nul and "\0" in value:
+            return "nul"
+        if not all(units.holds(value) for units in _units(node)):
+            return "units"
     if isinstance(value, Mapping):
         if not _within(len(value), node.min_properties, node.max_properties):
             return "size"
@@ -251,9 +257,18 @@ def _sentence(keyword: str, node: Node, value: Any) -> str:
         return f"{shown} is not of a type that the consumer takes"
     if keyword == "enum":
         return f"{shown} is none of the values that the consumer takes"
+    if keyword == "nul":
+        return f"the text has the character NUL, which the consumer does not take: {shown}"
+    if keyword == "units":
+        units = next(units for units in _units(node) if not units.holds(value))
+        return f"{units.count(value):,} {units} are more than {units.most:,}: {shown}"
     if keyword == "size":
         return f"{len(value):,} parts are more or fewer than the consumer takes: {shown}"
     return f"{shown} does not meet what the consumer demands"
+
+
+def _units(node: Node) -> list[CodeUnits]:
+    return [pattern for pattern in node.texts if isinstance(pattern, CodeUnits)]
 
 
 def _several(names: list[str]) -> str:

@@ -32,6 +32,8 @@ _COUNTS = {
     "maxContains": "max_contains",
     "minProperties": "min_properties",
     "maxProperties": "max_properties",
+    "x-max-utf8": "max_utf8",
+    "x-max-utf16": "max_utf16",
 }
 
 
@@ -123,6 +125,11 @@ def _type(node: Node, value: Any, _: Child, __: KeyOf) -> object:
     return names
 
 
+def _no_nul(node: Node, value: Any, _: Child, __: KeyOf) -> object:
+    node.no_nul = value is False
+    return value
+
+
 def _properties(node: Node, value: Any, child: Child, _: KeyOf) -> object:
     node.properties = {name: child(item) for name, item in value.items()}
     return frozenset((name, property_.number) for name, property_ in node.properties.items())
@@ -160,6 +167,7 @@ READERS: dict[str, Reader] = {
     "properties": _properties,
     "required": _required,
     "pattern": _plain("pattern"),
+    "x-nul": _no_nul,
     "uniqueItems": _plain("unique"),
     "dependentRequired": _dependent_required,
     "enum": _values,
@@ -185,7 +193,7 @@ ANNOTATIONS = frozenset(
 )  # fmt: skip
 _SHAPE_COUNTS = frozenset(
     {"minLength", "maxLength", "minItems", "maxItems", "minContains", "maxContains",
-     "minProperties", "maxProperties"}
+     "minProperties", "maxProperties", "x-max-utf8", "x-max-utf16"}
 )  # fmt: skip
 _SHAPE_NUMBERS = frozenset(
     {"minimum", "maximum", "exclusiveMinimum", "exclusiveMaximum", "multipleOf"}
@@ -288,6 +296,7 @@ _SHAPES: dict[str, tuple[Callable[[object], bool], str]] = {
     **dict.fromkeys(_SHAPE_NUMBERS, (_is_number, "a finite number")),
     **dict.fromkeys(_STRINGS, (_is_a(str), "a string")),
     "uniqueItems": (_is_a(bool), "true or false"),
+    "x-nul": (_is_a(bool), "true or false"),
     "enum": (_is_a(list), "a list of values"),
     "required": (_is_names, "a list of names"),
     "dependentRequired": (_is_lists_of_names, "lists of names by name"),

@@ -11,6 +11,7 @@ from attrs import define, field
 
 from uoarm.schema._meter import Meter
 from uoarm.schema._values import Key
+from uoarm.schema.regex import CodeUnits
 
 __all__ = ["Node", "NodeReader", "Reference", "Scope"]
 
@@ -63,6 +64,9 @@ class Node:
     multiple: Fraction | None = None
     min_length: int = 0
     max_length: int | None = None
+    max_utf8: int | None = None
+    max_utf16: int | None = None
+    no_nul: bool = False
     pattern: str | None = None
     prefix: tuple[Node, ...] = ()
     items: Node | None = None
@@ -97,6 +101,16 @@ class Node:
         """Return the node that the reference leads to."""
         assert self.reference is not None
         return self.document.resolve(self.reference)
+
+    @property
+    def texts(self) -> list[str | CodeUnits]:
+        """What a text must be found to be: of a pattern, of so many code units."""
+        texts: list[str | CodeUnits] = [] if self.pattern is None else [self.pattern]
+        if self.max_utf8 is not None:
+            texts.append(CodeUnits(4, self.max_utf8))
+        if self.max_utf16 is not None:
+            texts.append(CodeUnits(2, self.max_utf16))
+        return texts
 
     def applied(self) -> list[Node]:
         """Return the schemas that this one applies to the same value."""

@@ -2,10 +2,11 @@
 
 from uoarm.schema.regex._nfa import MalformedPatternError, UnsupportedPatternError
 from uoarm.schema.regex._parser import compile_pattern, is_disputed
-from uoarm.schema.regex._walker import found_in, walker_of
+from uoarm.schema.regex._walker import CodeUnits, found_in, walker_of
 from uoarm.schema.regex._words import TooLong, shortest_word
 
 __all__ = [
+    "CodeUnits",
     "MalformedPatternError",
     "TooLong",
     "UnsupportedPatternError",

@@ -9,12 +9,19 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
-from typing import TypeAlias
+from itertools import pairwise
+from typing import NamedTuple, TypeAlias
 
-from uoarm.schema.regex._nfa import CLASSES, Nfa, UnsupportedPatternError, contains
+from uoarm.schema.regex._nfa import (
+    CLASSES,
+    CharSet,
+    Nfa,
+    UnsupportedPatternError,
+    contains,
+)
 from uoarm.schema.regex._parser import Kept, compile_pattern
 
-__all__ = ["WalkState", "Walker", "found_in", "walker_of"]
+__all__ = ["CodeUnits", "UnitWalker", "WalkState", "Walker", "found_in", "walker_of"]
 
 _START, _WORD, _OTHER, _END = range(4)
 _MAX_THREADS = 3_000
@@ -148,6 +155,67 @@ def _holds(kind: str, before: int, follows: int) -> bool:
     if kind == "end":
         return follows == _END
     return ((before == _WORD) != (follows == _WORD)) == (kind == "boundary")
+
+
+_UTF_8, _UTF_16 = 4, 2
+_LAST_OF_WIDTH = {_UTF_8: (0x7F, 0x7FF, 0xFFFF, 0x10FFFF), _UTF_16: (0xFFFF, 0x10FFFF)}
+
+
+class CodeUnits(NamedTuple):
+    """Texts of at most so many code units: met as a pattern is, but counted, not made into states.
+
+    Attributes:
+        widest: units of the widest character: 4 of UTF-8, 2 of UTF-16.
+        most: units that a text may have.
+    """
+
+    widest: int
+    most: int
+
+    def __str__(self) -> str:
+        """Say what is counted."""
+        return "octets of UTF-8" if self.widest == _UTF_8 else "code units of UTF-16"
+
+    @property
+    def widths(self) -> tuple[CharSet, ...]:
+        """The characters of one unit, of two, and so on."""
+        ends = (-1, *_LAST_OF_WIDTH[self.widest])
+        return tuple(((before + 1, end),) for before, end in pairwise(ends))
+
+    def bound_on(self, other: CodeUnits) -> int:
+        """Return how many units of another encoding such texts have at most."""
+        if self.widest == other.widest:
+            return self.most
+        return self.most if self.widest > other.widest else 3 * self.most
+
+    def count(self, text: str) -> int:
+        """Return the units of a text; half a surrogate pair has those of its code point."""
+        encoding, unit = ("utf-8", 1) if self.widest == _UTF_8 else ("utf-16-le", 2)
+        return len(text.encode(encoding, "surrogatepass")) // unit
+
+    def holds(self, text: str) -> bool:
+        """Say whether a text has so many at most."""
+        return len(text) * self.widest <= self.most or (
+            len(text) <= self.most and self.count(text) <= self.most
+        )
+
+
+class UnitWalker:
+    """Counts the units of a text as a `Walker` walks a pattern, up to one more than may be."""
+
+    def __init__(self, units: CodeUnits) -> None:
+        self._most = units.most
+        self._ends = _LAST_OF_WIDTH[units.widest]
+        self.start: WalkState = (0, frozenset())
+
+    def step(self, state: WalkState, code: int) -> WalkState:
+        """Return the state after one more character."""
+        width = next(width for width, end in enumerate(self._ends, 1) if code <= end)
+        return min(state[0] + width, self._most + 1), state[1]
+
+    def accepts(self, state: WalkState) -> bool:
+        """Say whether the text may end here."""
+        return state[0] <= self._most
 
 
 def _make(pattern: str) -> Walker:

@@ -14,10 +14,11 @@ from typing import TypeAlias
 from uoarm.schema._meter import Meter
 from uoarm.schema.regex._nfa import CLASSES, CharSet
 from uoarm.schema.regex._parser import compile_pattern
-from uoarm.schema.regex._walker import WalkState, walker_of
+from uoarm.schema.regex._walker import CodeUnits, UnitWalker, WalkState, walker_of
 
 __all__ = ["TooLong", "shortest_word"]
 
+Pattern: TypeAlias = "str | CodeUnits"
 Rivals: TypeAlias = "tuple[int, int] | None"
 """Which of the sorted excluded texts begin like this one; None where none does."""
 State: TypeAlias = "tuple[tuple[WalkState, ...], Rivals]"
@@ -27,7 +28,8 @@ Layer: TypeAlias = "dict[State, tuple[State, str] | None]"
 MAX_TEXT = 4_000_000
 _LAST, _SURROGATES = 0x10FFFF, (0xD800, 0xDFFF)
 _FAVOURITES = "aAbcdefgxyz0123456789_- ./:"
-_AGREED = ((0x21, 0x7E), (0xA1, 0xA9), (0x2190, 0x21FF))
+_WIDE = "\U0001f600"
+_AGREED = ((0x21, 0x7E), (0xA1, 0xA9), (0x2190, 0x21FF), (0x1F600, 0x1F64F))
 """Characters that are a digit, a word, a space or the end of a line to every engine, or to none."""
 _OF_STATE, _OF_THREAD = 300, 100
 """About the octets of what is kept of a state, and of each thread in it."""
@@ -38,14 +40,18 @@ class TooLong(Exception):  # noqa: N818 - a limit that was met, not a fault
 
 
 def shortest_word(
-    wanted: Collection[str],
-    unwanted: Collection[str],
+    wanted: Collection[Pattern],
+    unwanted: Collection[Pattern],
     least: int,
     most: int | None,
     excluded: Collection[str],
     meter: Meter,
+    *,
+    without_nul: bool = False,
 ) -> str | None:
     """Return a shortest text, or None when there is none.
+
+    Where only code units are counted, it may be a longer one that is as easily read.
 
     Args:
         wanted: patterns that must be found in it.
@@ -54,18 +60,24 @@ def shortest_word(
         most: characters at most, None for any number.
         excluded: texts that it must not be.
         meter: is spent.
+        without_nul: whether it must not have the character NUL.
 
     Raises:
         UnsupportedPatternError: a pattern is not decided here.
         TooLong: the text is longer than is affordable.
         BudgetError: the search is.
     """
-    if most is not None and most < least:
+    for units in wanted:
+        if isinstance(units, CodeUnits):
+            most = units.most if most is None else min(most, units.most)
+    if (most is not None and most < least) or _are_too_few(wanted, unwanted, most):
         return None
+    if not excluded and (text := _counted(wanted, unwanted, least, most)):
+        return text
     if not wanted and not unwanted and not any(len(name) == least for name in excluded):
         _check_length(least)
         return "a" * least
-    letters, halves = _letters([*wanted, *unwanted], excluded)
+    letters, halves = _letters([*wanted, *unwanted], excluded, without_nul=without_nul)
     found = _search(_Search(wanted, unwanted, excluded, letters, meter), least, most)
     if found is None and halves:
         letters += halves
@@ -81,6 +93,43 @@ def _search(search: _Search, least: int, most: int | None) -> str | None:
         search.close()
 
 
+def _are_too_few(
+    wanted: Collection[Pattern], unwanted: Collection[Pattern], most: int | None
+) -> bool:
+    """Say whether no text can have the code units that it must have at least."""
+    return any(
+        isinstance(beyond, CodeUnits)
+        and (
+            (most is not None and most * beyond.widest <= beyond.most)
+            or any(
+                isinstance(units, CodeUnits) and units.bound_on(beyond) <= beyond.most
+                for units in wanted
+            )
+        )
+        for beyond in unwanted
+    )
+
+
+def _counted(
+    wanted: Collection[Pattern], unwanted: Collection[Pattern], least: int, most: int | None
+) -> str | None:
+    """Return a text where nothing but code units and length matters, if one is found at once."""
+    units = [pattern for pattern in (*wanted, *unwanted) if isinstance(pattern, CodeUnits)]
+    if not units or len(units) < len(wanted) + len(unwanted):
+        return None
+    text = ""
+    for beyond in unwanted:
+        assert isinstance(beyond, CodeUnits)
+        wide, rest = divmod(beyond.most + 1, beyond.widest)
+        _check_length(wide + rest)
+        text = max(text, _WIDE * wide + "a" * rest, key=len)
+    _check_length(least)
+    text = text.ljust(least, "a")
+    fits = most is None or len(text) <= most
+    holds = all(pattern.holds(text) == (pattern in wanted) for pattern in units)
+    return text if fits and holds else None
+
+
 def _check_length(length: int) -> None:
     if length > MAX_TEXT:
         raise TooLong(f"the shortest text has {length:,} characters")
@@ -89,16 +138,21 @@ def _check_length(length: int) -> None:
 class _Search:
     def __init__(
         self,
-        wanted: Collection[str],
-        unwanted: Collection[str],
+        wanted: Collection[Pattern],
+        unwanted: Collection[Pattern],
         excluded: Collection[str],
         letters: Sequence[str],
         meter: Meter,
     ) -> None:
         meter.spend(len(excluded) // 16)
         self._meter = meter
-        self._walkers = [walker_of(name) for name in (*wanted, *unwanted)]
+        patterns = (*wanted, *unwanted)
+        self._walkers = [
+            walker_of(name) if isinstance(name, str) else UnitWalker(name) for name in patterns
+        ]
         self._wanted = len(wanted)
+        counts = [place for place, name in enumerate(patterns) if isinstance(name, CodeUnits)]
+        self._count = counts[0] if len(counts) == 1 else None
         self._excluded = sorted(excluded)
         self._letters = letters
         self._layers: list[Layer] = []
@@ -135,10 +189,25 @@ class _Search:
             self._meter.spend(1 + weight // 8)
             for letter in self._letters:
                 after.setdefault(self._step(state, letter, length), (state, letter))
+        if self._count is not None:
+            after = self._best(after, self._count)
         octets = sum(_OF_STATE + _OF_THREAD * _weight(state) for state in after)
         self._meter.hold(octets)
         self._held += octets
         return after
+
+    def _best(self, layer: Layer, place: int) -> Layer:
+        """Keep one of those that differ in the count alone: all that helps another helps it, too.
+
+        The count is to be large where it is of a bound that the text must not keep.
+        """
+        sign = -1 if place >= self._wanted else 1
+        ordered = sorted(layer, key=lambda state: sign * state[0][place][0])
+        kept: dict[object, State] = {}
+        for state in ordered:
+            walks, rivals = state
+            kept.setdefault((walks[:place], walks[place + 1 :], rivals), state)
+        return {state: layer[state] for state in kept.values()}
 
     def _beyond(self, first: int, least: int, most: int | None) -> str | None:
         """Return a text longer than all layers, of which the last is like the first given."""
@@ -207,19 +276,24 @@ def _weight(state: State) -> int:
     return sum(len(pair[1]) + sum(len(duties) for _, duties in pair[1]) for pair in state[0])
 
 
-def _letters(patterns: Sequence[str], excluded: Collection[str]) -> tuple[list[str], list[str]]:
+def _letters(
+    patterns: Sequence[Pattern], excluded: Collection[str], *, without_nul: bool
+) -> tuple[list[str], list[str]]:
     """Return one character for each class that the patterns and texts tell apart.
 
     Classes that only have halves of surrogate pairs come second.
     """
     sets: dict[CharSet, None] = {}
     for pattern in patterns:
+        if isinstance(pattern, CodeUnits):
+            sets.update(dict.fromkeys(pattern.widths))
+            continue
         nfa = compile_pattern(pattern)
         edges = (chars for part in nfa.parts() for edges in part.edges for chars, _ in edges)
         sets.update(dict.fromkeys({id(chars): chars for chars in edges}.values()))
         if nfa.sees_words():
             sets[CLASSES["w"]] = None
-    singles = {ord(char) for text in excluded for char in text}
+    singles = {ord(char) for text in excluded for char in text} | ({0} if without_nul else set())
     changes: dict[int, int] = {0: 0}
     members = [(_SURROGATES,), *sets, *(((code, code),) for code in sorted(singles))]
     for number, chars in enumerate(members):
@@ -227,6 +301,7 @@ def _letters(patterns: Sequence[str], excluded: Collection[str]) -> tuple[list[s
             changes[low] = changes.get(low, 0) ^ (1 << number)
             changes[high + 1] = changes.get(high + 1, 0) ^ (1 << number)
     best: dict[int, str] = {}
+    nul = "\0" if without_nul else None
     halves: dict[int, str] = {}
     kind = 0
     bounds = sorted(change for change in changes if change <= _LAST)
@@ -239,7 +314,8 @@ def _letters(patterns: Sequence[str], excluded: Collection[str]) -> tuple[list[s
             known = best.setdefault(kind, letter)
             best[kind] = min(known, letter, key=_order)
     lone = [half for kind, half in halves.items() if kind not in best]
-    return sorted(best.values(), key=_order), lone
+    letters = (letter for letter in best.values() if letter != nul)
+    return sorted(letters, key=_order), lone
 
 
 def _order(char: str) -> tuple[int, str]:

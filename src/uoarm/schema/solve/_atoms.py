@@ -42,12 +42,14 @@ def _number_violations(node: Node) -> list[Atom]:
 
 def _string_atoms(node: Node) -> list[Atom]:
     atoms = _sizes(node.min_length, node.max_length)
-    return atoms if node.pattern is None else [*atoms, ("match", node.pattern)]
+    atoms.extend(("match", pattern) for pattern in node.texts)
+    return [*atoms, ("nonul",)] if node.no_nul else atoms
 
 
 def _string_violations(node: Node) -> list[Atom]:
     atoms = _sizes_violated(node.min_length, node.max_length)
-    return atoms if node.pattern is None else [*atoms, ("nomatch", node.pattern)]
+    atoms.extend(("nomatch", pattern) for pattern in node.texts)
+    return [*atoms, ("nul",)] if node.no_nul else atoms
 
 
 def _array_atoms(node: Node) -> list[Atom]:

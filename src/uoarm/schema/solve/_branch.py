@@ -4,7 +4,8 @@ Atoms, by their first item:
 
 any kind    ("in", node) one of the node's values; ("notin", node) none of them
 number      ("low", bound, strict), ("high", bound, strict), ("multiple", m), ("notmultiple", m)
-string      ("least", n), ("most", n), ("match", pattern), ("nomatch", pattern)
+string      ("least", n), ("most", n), ("match", pattern), ("nomatch", pattern),
+            ("nonul",), ("nul",)
 array       ("least", n), ("most", n), ("at", i, literal) if there is an i-th,
             ("tail", start, literal), ("someat", i, literal), ("some", start, literal),
             ("contains", node, least, most), ("unique",), ("twice",)

@@ -30,7 +30,8 @@ _said = attrgetter(*_SAID)
 _FOLLOWS: dict[str, Callable[[Any, Any], bool]] = {
     **dict.fromkeys(("minimum", "above", "min_length", "min_items", "min_properties"), ge),
     **dict.fromkeys(("maximum", "below", "max_length", "max_items", "max_properties"), le),
-    **dict.fromkeys(("integer_only", "unique"), ge),
+    **dict.fromkeys(("max_utf8", "max_utf16"), le),
+    **dict.fromkeys(("integer_only", "unique", "no_nul"), ge),
     **dict.fromkeys(("pattern", "multiple", "additional"), lambda *_: False),
     "kinds": frozenset.issubset,
     "values": lambda mine, its: mine.keys() <= its.keys(),

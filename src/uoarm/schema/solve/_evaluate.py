@@ -14,7 +14,7 @@ from attrs import define, field
 from uoarm.schema._errors import OutOfScopeError
 from uoarm.schema._values import Keys, Repeated, exact, is_composite, kind_of, runs_of
 from uoarm.schema.read import Node
-from uoarm.schema.regex import UnsupportedPatternError, found_in
+from uoarm.schema.regex import CodeUnits, UnsupportedPatternError, found_in
 from uoarm.schema.solve._branch import run
 
 __all__ = [
@@ -138,7 +138,8 @@ class Judgements:
             return (
                 node.min_length <= len(value)
                 and (node.max_length is None or len(value) <= node.max_length)
-                and (node.pattern is None or _found(node.pattern, value, self.spend))
+                and not (node.no_nul and "\0" in value)
+                and all(_found(pattern, value, self.spend) for pattern in node.texts)
             )
         return True
 
@@ -331,7 +332,9 @@ def _any_of(nodes: Iterable[Node], value: Any, marks: Marks | None) -> Answer:
     return hits > 0
 
 
-def _found(pattern: str, text: str, spend: Callable[[int], None]) -> bool:
+def _found(pattern: str | CodeUnits, text: str, spend: Callable[[int], None]) -> bool:
+    if isinstance(pattern, CodeUnits):
+        return pattern.holds(text)
     try:
         return found_in(pattern, text, spend)
     except UnsupportedPatternError as error:

@@ -234,16 +234,19 @@ def _leaf(solver: Solver, state: State) -> Asking:
 
 def _find_string(solver: Solver, state: State) -> Result:
     least, most = 0, None
+    tags = {atom[0] for atom in state.atoms}
+    if "nul" in tags:
+        return EMPTY  # what may be any text is taken to have no NUL; what is listed was tried
     for tag, *rest in state.atoms:
-        size: Any = rest[0]
+        size: Any = rest[0] if rest else None
         if tag == "least":
             least = max(least, size)
         elif tag == "most":
             most = size if most is None else min(most, size)
     with solver.meter.part("patterns"):
         found = shortest_word(
-            list(dict.fromkeys(str(a[1]) for a in state.atoms if a[0] == "match")),
-            list(dict.fromkeys(str(a[1]) for a in state.atoms if a[0] == "nomatch")),
+            _patterns(state, "match"),
+            _patterns(state, "nomatch"),
             least,
             most,
             [
@@ -254,8 +257,13 @@ def _find_string(solver: Solver, state: State) -> Result:
                 if isinstance(value, str)
             ],
             solver.meter,
+            without_nul="nonul" in tags,
         )
     return EMPTY if found is None else Found(found)
+
+
+def _patterns(state: State, tag: str) -> list[Any]:
+    return list(dict.fromkeys(atom[1] for atom in state.atoms if atom[0] == tag))
 
 
 def _exclude_composites(solver: Solver, state: State) -> bool:

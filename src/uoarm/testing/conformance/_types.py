@@ -17,6 +17,7 @@ _RESTRICTIONS = frozenset(
     {"const", "contains", "enum", "format", "maxItems", "maxLength", "pattern", "uniqueItems"}
     | {"allOf", "anyOf", "dependentSchemas", "if", "multipleOf", "not", "oneOf", "prefixItems"}
     | {"exclusiveMaximum", "exclusiveMinimum", "minimum", "maximum", "unevaluatedItems"}
+    | {"x-max-utf8", "x-max-utf16"}
 )
 _TYPES: Mapping[str, type] = {"integer": int, "boolean": bool, "string": str}
 
