@@ -44,7 +44,7 @@ def count() -> Iterator[int]:
 """
 ACCESS = """
 version: 1
-roles: {{all: {{see: ["*"], request: ["*"]}}}}
+roles: {{all: {{see: all, request: ["*"]}}}}
 tokens:
   - {{name: ends, role: all, sha256: {ends}, expires: {end}}}
   - {{name: stays, role: all, sha256: {stays}}}

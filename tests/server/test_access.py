@@ -33,9 +33,9 @@ JSON = Subprotocol("uoarm.v1.json")
 ACCESS = """
 version: 1
 roles:
-  viewer: {{see: ["*"], request: ["num*"]}}
+  viewer: {{see: all, request: ["num*"]}}
   driver: {{see: ["echo"], request: ["echo"], send: ["echo"], call: ["add"]}}
-  operator: {{see: ["*"], kill: ["numbers"]}}
+  operator: {{see: all, kill: ["numbers"]}}
   nobody: {{}}
 tokens:
   - {{name: screen, role: viewer, sha256: {viewer}}}

@@ -21,9 +21,9 @@ TOKENS = {"keeper": make_token(), "owner": make_token(), "viewer": make_token()}
 ACCESS = """
 version: 1
 roles:
-  keeper: {{see: ["*"], request: ["*"], configure: ["*"]}}
-  owner: {{see: ["*"], configure: ["*"], keep: ["*"]}}
-  viewer: {{see: ["*"], request: ["*"], configure: ["numbers"]}}
+  keeper: {{see: all, request: ["*"], configure: all}}
+  owner: {{see: all, configure: all, keep: all}}
+  viewer: {{see: all, request: ["*"]}}
 tokens:
   - {{name: keeper, role: keeper, sha256: {keeper}}}
   - {{name: owner, role: owner, sha256: {owner}}}

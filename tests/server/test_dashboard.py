@@ -35,7 +35,7 @@ functions:
 """
 GUEST = """
 version: 1
-roles: {{guest: {{see: ["*"]}}}}
+roles: {{guest: {{see: all}}}}
 tokens: [{{name: person, role: guest, sha256: {right}}}]
 """
 Open = Callable[..., None]
@@ -396,7 +396,7 @@ functions:
 """
 KEEPERS = """
 version: 1
-roles: {{keeper: {{see: ["*"], configure: ["*"], keep: ["*"]}}}}
+roles: {{keeper: {{see: all, configure: all, keep: all}}}}
 tokens: [{{name: person, role: keeper, sha256: {right}}}]
 """
 
@@ -512,7 +512,7 @@ def test_a_token_is_asked_for_where_the_server_wants_one(
     access.write_text(
         f"""
 version: 1
-roles: {{all: {{see: ["*"], request: ["*"]}}}}
+roles: {{all: {{see: all, request: ["*"]}}}}
 tokens:
   - {{name: person, role: all, sha256: {hash_token("right")}}}
 """,

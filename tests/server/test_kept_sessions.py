@@ -86,7 +86,7 @@ def test_another_s_session_is_not_taken_up(serve: Serve, tmp_path: Path) -> None
 
 ACCESS = """
 version: 1
-roles: {{all: {{see: ["*"], request: ["*"]}}}}
+roles: {{all: {{see: all, request: ["*"]}}}}
 tokens: [{{name: one, role: all, sha256: {one}}}, {{name: other, role: all, sha256: {other}}}]
 """
 

@@ -41,8 +41,8 @@ TOKENS = {"driver": make_token(), "safety": make_token()}
 ACCESS = """
 version: 1
 roles:
-  driver: {{see: ["*"], request: ["*"], send: ["*"]}}
-  safety: {{see: ["*"], request: ["*"], send: ["*"]}}
+  driver: {{see: all, request: ["*"], send: ["*"]}}
+  safety: {{see: all, request: ["*"], send: ["*"]}}
 tokens:
   - {{name: driver, role: driver, sha256: {driver}}}
   - {{name: safety, role: safety, sha256: {safety}}}

@@ -18,7 +18,7 @@ from tests.server.robot import END, script
 from uoarm import RobotManager
 from uoarm.cli import main
 from uoarm.server import Server, Settings, serve_in_thread
-from uoarm.server.access._role import Operation, Role
+from uoarm.server.access import Operation, Role, RoleViews
 from uoarm.server.session._view import visible_status
 from uoarm.testing import free_port, patience
 
@@ -80,9 +80,10 @@ def test_other_machines_are_shown_to_who_may_see_a_function_there(tmp_path: Path
     nobody = Role("nobody", {Operation.SEE: ("other",)})
     with RobotManager.from_file(file) as robot:
         status = robot.status()
-        assert not visible_status(robot.config, status, nobody)["machines"]
-        (shown,) = visible_status(robot.config, status, somebody)["machines"]
-        assert shown["cause"] == "waiting for its bridge far"
+        views = RoleViews(lambda: robot.config)
+        assert not visible_status(status, views.of(nobody)).machines
+        (shown,) = visible_status(status, views.of(somebody)).machines
+        assert shown.cause == "waiting for its bridge far"
         with serve_in_thread(robot, Settings(port=0)) as server:
             live = CliRunner().invoke(main, ["status", "--url", url_of(server)])
     assert "machines: 1" in live.output

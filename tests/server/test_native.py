@@ -287,7 +287,8 @@ def test_workers_of_all_clients_are_limited(serve: Serve) -> None:
         waiting = one.send("Call", "slow", {"value": 1})
         one.ask("List")
         eventually(
-            lambda: two.answer(two.send("Resolve", "add"))["op"] == "Error", "the worker is taken"
+            lambda: two.answer(two.send("Call", "parrot", {"text": ""}))["op"] == "Error",
+            "the worker is taken",
         )
         assert two.refused("Call", "add", {"a": 1, "b": 1})["code"] == "busy"
         script.gate.set()

@@ -22,7 +22,7 @@ CLIENT = Path(uoarm.__file__).parent / "server" / "static" / "uoarm.js"
 ACCESS = """
 version: 1
 roles:
-  driver: {{see: ["*"], stop: ["*"]}}
+  driver: {{see: all, stop: all}}
 tokens:
   - {{name: tablet, role: driver, sha256: {tablet}}}
 certificates:

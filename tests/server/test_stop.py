@@ -37,9 +37,9 @@ TOKENS = {"driver": make_token(), "keeper": make_token(), "viewer": make_token()
 ACCESS = """
 version: 1
 roles:
-  driver: {{see: ["*"], request: ["*"], send: ["*"], call: ["*"], stop: ["*"]}}
-  keeper: {{see: ["*"], release: ["*"]}}
-  viewer: {{see: ["*"], stop: ["drive"]}}
+  driver: {{see: all, request: ["*"], send: ["*"], call: ["*"], stop: all}}
+  keeper: {{see: all, release: all}}
+  viewer: {{see: all}}
 tokens:
   - {{name: driver, role: driver, sha256: {driver}}}
   - {{name: keeper, role: keeper, sha256: {keeper}}}

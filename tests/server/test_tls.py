@@ -25,8 +25,8 @@ from uoarm.server.http._own_certificate import own_certificate
 ACCESS = """
 version: 1
 roles:
-  driver: {{see: ["*"], request: ["*"], send: ["*"], call: ["*"]}}
-  viewer: {{see: ["*"], request: ["numbers"]}}
+  driver: {{see: all, request: ["*"], send: ["*"], call: ["*"]}}
+  viewer: {{see: all, request: ["numbers"]}}
 tokens:
   - {{name: tablet, role: viewer, sha256: {tablet}}}
 certificates:

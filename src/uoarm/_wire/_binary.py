@@ -5,7 +5,7 @@ from __future__ import annotations
 import struct
 import sys
 from array import array
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from io import BytesIO
 from typing import Any
 
@@ -16,7 +16,7 @@ from uoarm._wire._cbor_scan import scan_cbor
 from uoarm.errors import ControlMessageError, MessageError
 from uoarm.model import Message, Spending
 
-__all__ = ["read_binary", "write_binary"]
+__all__ = ["join_list", "join_map", "read_binary", "write_binary"]
 
 _LARGE = 4096
 _PLAIN = (
@@ -89,6 +89,19 @@ def read_binary(data: bytes, spending: Spending) -> Message:
         raise ControlMessageError(f"more follows the message of {stream.tell():,} bytes")
     _examine(value, spending)
     return value
+
+
+def join_list(parts: Sequence[bytes]) -> bytes:
+    """Return a list of values that are written already."""
+    return b"".join((_head(4, len(parts)), *parts))
+
+
+def join_map(parts: Mapping[str, bytes]) -> bytes:
+    """Return a mapping whose values are written already."""
+    pieces = [_head(5, len(parts))]
+    for name, part in parts.items():
+        pieces += (cbor2.dumps(name), part)
+    return b"".join(pieces)
 
 
 class _Octets(BytesIO):

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, final
 
-from uoarm._wire._binary import read_binary, write_binary
+from uoarm._wire._binary import join_list, join_map, read_binary, write_binary
 from uoarm._wire._text import read_text, write_text, write_text_parts
 from uoarm._wire._text_structure import make_reader, text_schema
 from uoarm.errors import ControlMessageError, MessageError
@@ -46,6 +46,14 @@ class Form(ABC):
         """
 
     @abstractmethod
+    def list_of(self, parts: Sequence[bytes]) -> bytes:
+        """Return a list of values that are written already."""
+
+    @abstractmethod
+    def map_of(self, parts: Mapping[str, bytes]) -> bytes:
+        """Return a mapping whose values are written already."""
+
+    @abstractmethod
     def read(self, frame: str | bytes, spending: Spending) -> Mapping[str, Any]:
         """Return the fields of a control message, in any thread.
 
@@ -76,6 +84,15 @@ class _TextForm(Form):
         head += '"x-standing":true,"jsonMessage":' if standing else '"jsonMessage":'
         return b"".join((head.encode(), *write_text_parts(message), b"}"))
 
+    def list_of(self, parts: Sequence[bytes]) -> bytes:
+        return b"[" + b",".join(parts) + b"]"
+
+    def map_of(self, parts: Mapping[str, bytes]) -> bytes:
+        pieces = [b"{"]
+        for name, part in parts.items():
+            pieces += (b"" if len(pieces) == 1 else b",", write_text(name), b":", part)
+        return b"".join((*pieces, b"}"))
+
     def read(self, frame: str | bytes, spending: Spending) -> Mapping[str, Any]:
         if isinstance(frame, bytes):
             raise ControlMessageError(
@@ -103,6 +120,12 @@ class _BinaryForm(Form):
         head = {"op": "Data", "type": connection, "x-number": number}
         head |= {"x-standing": True} if standing else {}
         return write_binary({**head, "jsonMessage": message})
+
+    def list_of(self, parts: Sequence[bytes]) -> bytes:
+        return join_list(parts)
+
+    def map_of(self, parts: Mapping[str, bytes]) -> bytes:
+        return join_map(parts)
 
     def read(self, frame: str | bytes, spending: Spending) -> Mapping[str, Any]:
         if isinstance(frame, str):

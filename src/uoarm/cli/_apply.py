@@ -43,8 +43,8 @@ def apply(
 ) -> None:
     """Give a running robot another configuration.
 
-    FILE is its configuration from now on. The token's role needs `configure: ["*"]`, and with
-    --keep also `keep: ["*"]`; comments and order of the robot's own file stay. Exit codes: 0
+    FILE is its configuration from now on. The token's role needs `configure: all`, and with
+    --keep also `keep: all`; comments and order of the robot's own file stay. Exit codes: 0
     applied, 1 another revision is in force or somebody else has changed the robot's file, 3 the
     file has mistakes or connections would end, 4 the server cannot be reached or refused.
     """
@@ -75,7 +75,7 @@ def apply(
 def history(*, server: Remote, as_json: bool) -> None:
     """Show the revisions of a running robot's configuration.
 
-    The last hundred. The token's role needs `configure: ["*"]`. Exit code 4 when the server cannot
+    The last hundred. The token's role needs `configure: all`. Exit code 4 when the server cannot
     be reached or refused.
     """
 

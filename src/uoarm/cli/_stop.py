@@ -21,7 +21,7 @@ __all__ = ["stop"]
 def stop(*, server: Remote, release: bool, as_json: bool) -> None:
     """Stop everything that moves of a running robot.
 
-    Commands are refused until --release. The token's role needs `stop: ["*"]`, and `release: ["*"]`
+    Commands are refused until --release. The token's role needs `stop: all`, and `release: all`
     for --release. Exit codes: 0 every open input that moves something has stopped, 1 some have not,
     which are named, or the stop would not outlast a restart, 4 the server cannot be reached or
     refused.

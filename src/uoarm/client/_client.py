@@ -27,6 +27,11 @@ __all__ = ["Client", "ServerError", "connect"]
 
 _HELD = 1024
 _Changes: TypeAlias = "asyncio.Queue[StatusEvent | None]"
+_KEYS: Mapping[str, Callable[[Mapping[str, Any]], Any]] = {
+    "components": lambda entry: entry["name"],
+    "connections": lambda entry: entry["id"],
+    "routes": lambda entry: (entry["producer"], entry["consumer"]),
+}
 _ERRORS: Mapping[str, Callable[[str], errors.UoarmError]] = {
     "configuration": errors.ConfigurationError,
     "resolution": errors.ResolutionError,
@@ -131,6 +136,7 @@ class Client:
         self._asked: dict[str, _Asked] = {}
         self._streams: dict[str, RemoteStream[Any]] = {}
         self._watchers: set[_Changes] = set()
+        self._status: Mapping[str, Any] = {}
         # Streams of a session that is gone, until this one has opened them again.
         self._away: set[RemoteStream[Any]] = set()
         self._renewing: set[asyncio.Task[None]] = set()
@@ -345,9 +351,15 @@ class Client:
         await self._ask("Stop", jsonMessage={"release": True})
 
     async def status(self) -> Mapping[str, Any]:
-        """Return the status map, and `own`: what this client received and lost."""
-        status: Mapping[str, Any] = await self._ask("Status")
-        return status
+        """Return the status map, and `own`: what this client received and lost.
+
+        Only what has changed since the last time comes over the connection.
+        """
+        known = self._status
+        version = known.get("version")
+        since: dict[str, Any] = {} if version is None else {"jsonMessage": {"since": version}}
+        self._status = _merged_status(known, await self._ask("Status", **since))
+        return self._status
 
     async def watch(self) -> AsyncIterator[StatusEvent]:
         """Yield changes of the robot until the connection ends for good; see `connect`.
@@ -503,6 +515,29 @@ class Client:
             if asked.fields["op"] == "Kill":
                 self._streams.pop(told["type"], None)
             asked.answer.set_result(message)
+
+
+def _merged_status(known: Mapping[str, Any], told: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Return the whole status map, of the one that is known and the changes since then."""
+    if "since" not in told:
+        return told
+    elapsed = told["elapsed"]
+    merged = {**known, **told}
+    del merged["since"], merged["elapsed"]
+    for part, key_of in _KEYS.items():
+        change = told.get(part, {})
+        if isinstance(change, list):
+            continue
+        entries = {key_of(entry): entry for entry in known[part]}
+        if part == "routes":
+            for key, route in entries.items():
+                if route["age"] is not None:
+                    entries[key] = {**route, "age": route["age"] + elapsed}
+        for key in change.get("gone", ()):
+            entries.pop(tuple(key) if isinstance(key, list) else key, None)
+        entries.update((key_of(entry), entry) for entry in change.get("changed", ()))
+        merged[part] = list(entries.values())
+    return merged
 
 
 def _error(code: str, text: str) -> errors.UoarmError:

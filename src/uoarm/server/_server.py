@@ -39,6 +39,7 @@ from uoarm.server.session import (
     NativeSession,
     Session,
     SessionStore,
+    Shared,
     Sockets,
     TurnConnection,
     host_of,
@@ -87,6 +88,7 @@ class Server:
             origins=settings.origins,
             hosts=settings.hosts,
             local=settings.local,
+            slowest=self._limits.handshake_seconds / 2,
         )
         self._tls = settings.tls()
         self._audit = Audit()
@@ -101,6 +103,7 @@ class Server:
         self._ports: list[int] = []
         self._sockets = Sockets(room, self._limits)
         self._registry: FeedRegistry | None = None
+        self._shared: Shared | None = None
         self._watches: list[asyncio.Task[None]] = []
         self._stop_listening: Callable[[], None] = lambda: None
 
@@ -131,6 +134,7 @@ class Server:
             OSError: a port is taken, or the address is none of this machine; the text names it.
         """
         registry = self._registry = FeedRegistry(self._robot, self._limits)
+        self._shared = Shared(registry)
         self._stop_listening = self._robot.listen(self._audit_lease)
         metrics = Metrics(registry, self._totals, lambda: self._clients, self._store)
         try:
@@ -187,7 +191,11 @@ class Server:
                 self._front_ends.drop(one.name, "it did not start")
 
     async def _listen(
-        self, port: int, registry: FeedRegistry, metrics: Callable[[], bytes], only: FrontEnd | None
+        self,
+        port: int,
+        registry: FeedRegistry,
+        metrics: Callable[[], Awaitable[bytes]],
+        only: FrontEnd | None,
     ) -> None:
         limits = self._limits
         handshakes = HandshakeHandler(
@@ -309,7 +317,8 @@ class Server:
         if front_end is not None:
             return self._make_session[front_end.name](client)
         form = FORMS.get(socket.subprotocol or "", TEXT_FORM)
-        return NativeSession(client, registry, form, self._store)
+        assert self._shared is not None, "the server was started"
+        return NativeSession(client, registry, form, self._store, self._shared)
 
     async def _look_after_clients(self) -> None:
         """Look after clients that are stuck or whose rights have changed."""

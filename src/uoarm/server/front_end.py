@@ -8,7 +8,7 @@ must not wait, unless it says otherwise.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Awaitable, Callable, Hashable, Iterable, Mapping
 from typing import Protocol, TypeAlias, TypeVar
 
 from attrs import Attribute, field, frozen
@@ -34,7 +34,7 @@ from uoarm.server._failures import (
     without_frames,
 )
 from uoarm.server._limits import Limits
-from uoarm.server.access import DeniedError, Operation, Role
+from uoarm.server.access import DeniedError, Operation, Role, RoleView, RoleViews
 from uoarm.server.session import Session
 from uoarm.server.streams import (
     Account,
@@ -47,6 +47,7 @@ from uoarm.server.streams import (
     InputSender,
     Lane,
     Listener,
+    Make,
     Read,
     Shares,
     check_message,
@@ -74,11 +75,14 @@ __all__ = [
     "Lane",
     "LimitError",
     "Listener",
+    "Make",
     "MakeSession",
     "Operation",
     "Outbox",
     "Read",
     "Role",
+    "RoleView",
+    "RoleViews",
     "Session",
     "Shares",
     "UnknownError",
@@ -94,6 +98,8 @@ __all__ = [
     "write_binary",
 ]
 
+A = TypeVar("A")
+Q = TypeVar("Q", bound=Hashable)
 T = TypeVar("T")
 
 CONTRACT_VERSION = 1
@@ -116,6 +122,9 @@ class Outbox(Protocol):
 
     def tell(self, frame: bytes, *, text: bool) -> None:
         """Add a reply or an event as a text or a binary frame; it is never dropped."""
+
+    async def room(self, size: int) -> None:
+        """Wait until a reply of so many octets can be added: for one that grows with the robot."""
 
     def put(self, lane: Lane, *frames: bytes) -> None:
         """Add one data message of a stream; several frames are its pieces, sent or dropped whole.
@@ -177,6 +186,9 @@ class Client(Protocol):
         Raises:
             DeniedError: it may not.
         """
+
+    def require_all(self, operation: Operation) -> None:
+        """Refuse what its role may not do to everything, as `require` does for a function."""
 
 
 class Backend(Protocol):
@@ -258,6 +270,25 @@ class Backend(Protocol):
 
         Found out in a worker, five seconds at most for each plugin, and kept, whatever was found,
         until the configuration changes. A plugin that fails is logged and knows nothing.
+        """
+
+    @property
+    def role_views(self) -> RoleViews:
+        """What each role sees; every text that goes to a client passes `RoleView.text`."""
+
+    def view(self, make: Make[Q, A], question: Q) -> Awaitable[A]:
+        """Return the answer to what is asked of the whole robot.
+
+        It is made in one thread beside the loop, from a moment after the question: once for all who
+        ask it meanwhile. What grows with the robot belongs there.
+
+        Args:
+            make: gets every question that has come, and returns the answer to each. An exception in
+                the place of an answer is raised to who asked. It must be equal for all who share.
+            question: hashable.
+
+        Raises:
+            BusyError: the server is closing.
         """
 
     async def in_worker(self, action: Callable[[], T]) -> T:

@@ -87,7 +87,7 @@ class ActionHub:
     @property
     def actions(self) -> dict[str, str]:
         """Types by action, of those that clients offer."""
-        return {name: offer.kind for name, offer in self._offers.items()}
+        return {name: offer.kind for name, offer in tuple(self._offers.items())}
 
     def runner(self, name: str) -> Runner | None:
         """Return what works on the goals of an action that a client offers."""

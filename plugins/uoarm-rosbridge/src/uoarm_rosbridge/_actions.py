@@ -200,7 +200,9 @@ class Actions:
                 finish(frame)
 
         def on_failure(error: BaseException) -> None:
-            finish(_result(named, tell_error(error), GoalStatus.UNKNOWN, result=False))
+            view = self._backend.role_views.of(self._client.role)
+            text = view.text(tell_error(error), str(fields["action"]))
+            finish(_result(named, text, GoalStatus.UNKNOWN, result=False))
 
         def finish(frame: bytes) -> None:
             self._forget(identity)

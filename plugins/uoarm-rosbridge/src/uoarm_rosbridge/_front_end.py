@@ -5,6 +5,7 @@ from __future__ import annotations
 from uoarm.server.front_end import Backend, Client, FrontEnd, MakeSession, Session, hookimpl
 from uoarm_rosbridge._addresses import Addresses
 from uoarm_rosbridge._hub import Hub
+from uoarm_rosbridge._rosapi import Catalogue
 from uoarm_rosbridge._session import RosbridgeSession
 
 __all__ = ["uoarm_front_ends"]
@@ -12,9 +13,10 @@ __all__ = ["uoarm_front_ends"]
 
 def _start(backend: Backend) -> MakeSession:
     hub, addresses = Hub(), Addresses(backend.robot)
+    catalogue = Catalogue(backend, hub)
 
     def make_session(client: Client) -> Session:
-        return RosbridgeSession(client, backend, hub, addresses)
+        return RosbridgeSession(client, backend, hub, catalogue, addresses)
 
     return make_session
 

@@ -100,23 +100,23 @@ class Hub:
 
     @property
     def topics(self) -> dict[str, str]:
-        """Types by topic."""
-        return {topic.name: topic.type or topic.wished for topic in self._topics.values()}
+        """Types by topic; for any thread, as of one moment."""
+        return {topic.name: topic.type or topic.wished for topic in tuple(self._topics.values())}
 
     @property
     def published(self) -> list[str]:
         """The topics that clients publish."""
-        return [topic.name for topic in self._topics.values() if topic.publishers]
+        return [topic.name for topic in tuple(self._topics.values()) if topic.publishers]
 
     @property
     def subscribed(self) -> list[str]:
         """The topics that clients listen to."""
-        return [topic.name for topic in self._topics.values() if topic.listeners]
+        return [topic.name for topic in tuple(self._topics.values()) if topic.listeners]
 
     @property
     def services(self) -> dict[str, str]:
-        """Types by service."""
-        return {name: kind for name, (kind, _) in self._services.items()}
+        """Types by service; for any thread, as of one moment."""
+        return {name: kind for name, (kind, _) in tuple(self._services.items())}
 
     def advertise(self, name: str, kind: str, publisher: object, owner: object) -> None:
         """Count a publisher of a topic.

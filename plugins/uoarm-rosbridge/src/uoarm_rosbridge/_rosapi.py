@@ -1,111 +1,134 @@
-"""The services of rosapi, through which web clients look around."""
+"""The services of rosapi, through which web clients look around.
+
+What is asked of the whole robot is answered beside the loop, once for all clients of a role that
+ask the same.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Awaitable, Callable, Iterator, Mapping
-from functools import lru_cache
+import asyncio
+import time
+from collections.abc import Callable, Collection, Mapping
 from typing import Any, TypeAlias
 
+import orjson
+
 from uoarm import __version__
-from uoarm.errors import UsageError
-from uoarm.model import Component, Function, Message, MessageStructure
+from uoarm.errors import UoarmError, UsageError
+from uoarm.model import Message, MessageStructure, Robot
 from uoarm.server.front_end import Backend, Client, Operation, UnknownError
-from uoarm_rosbridge._basic import BASIC
 from uoarm_rosbridge._hub import Hub
-from uoarm_rosbridge._names import find_place, topic_of
-from uoarm_rosbridge._stream_runner import is_action
-from uoarm_rosbridge._typedefs import (
-    full_text,
-    in_full,
-    is_same_type,
-    part_within,
-    service_type,
-    type_name,
-    typedefs,
+from uoarm_rosbridge._names import find_place
+from uoarm_rosbridge._rosapi_answers import (
+    OWN,
+    PREFIX,
+    Answers,
+    Listed,
+    Question,
+    arguments_by_name,
+    question,
 )
 from uoarm_rosbridge._wire import clock_now
 
-__all__ = ["PREFIX", "Rosapi"]
+__all__ = ["PREFIX", "Catalogue", "Rosapi"]
 
-PREFIX = "/rosapi/"
 Arguments: TypeAlias = Mapping[str, Any]
-Structures: TypeAlias = Mapping[str, MessageStructure]
 _ABSENT = "null"
-_NODE, _CLIENTS = "/rosapi", "/rosbridge_websocket"
-"""The nodes that rosbridge has: what answers here, and what clients publish and serve with."""
+_FRESH_SECONDS = 0.25
+_PARTLY_SECONDS = 0.02
+_MOST_TYPES = 20_000  # clients may publish half as many topics, each of a type of its own
 
-_DETAILS = "TypeDef[] typedefs"
-_DONE = "bool successful, string reason"
-_TYPES: Mapping[str, tuple[str, str, str]] = {
-    "topics": ("Topics", "", "string[] topics, string[] types"),
-    "topics_for_type": ("TopicsForType", "string type", "string[] topics"),
-    "topics_and_raw_types": (
-        "TopicsAndRawTypes",
-        "",
-        "string[] topics, string[] types, string[] typedefs_full_text",
-    ),
-    "topic_type": ("TopicType", "string topic", "string type"),
-    "publishers": ("Publishers", "string topic", "string[] publishers"),
-    "subscribers": ("Subscribers", "string topic", "string[] subscribers"),
-    "services": ("Services", "", "string[] services"),
-    "services_for_type": ("ServicesForType", "string type", "string[] services"),
-    "service_type": ("ServiceType", "string service", "string type"),
-    "service_node": ("ServiceNode", "string service", "string node"),
-    "service_providers": ("ServiceProviders", "string service", "string[] providers"),
-    "nodes": ("Nodes", "", "string[] nodes"),
-    "node_details": (
-        "NodeDetails",
-        "string node",
-        "string[] subscribing, string[] publishing, string[] services",
-    ),
-    "interfaces": ("Interfaces", "", "string[] interfaces"),
-    "message_details": ("MessageDetails", "string type", _DETAILS),
-    "service_request_details": ("ServiceRequestDetails", "string type", _DETAILS),
-    "service_response_details": ("ServiceResponseDetails", "string type", _DETAILS),
-    "action_servers": ("GetActionServers", "", "string[] action_servers"),
-    "action_type": ("ActionType", "string action", "string type"),
-    "action_goal_details": ("ActionGoalDetails", "string type", _DETAILS),
-    "action_result_details": ("ActionResultDetails", "string type", _DETAILS),
-    "action_feedback_details": ("ActionFeedbackDetails", "string type", _DETAILS),
-    "get_param": ("GetParam", "string name, string default_value", f"string value, {_DONE}"),
-    "set_param": ("SetParam", "string name, string value", _DONE),
-    "delete_param": ("DeleteParam", "string name", _DONE),
-    "get_param_names": ("GetParamNames", "", "string[] names"),
-    "has_param": ("HasParam", "string name", "bool exists"),
-    "get_time": ("GetTime", "", "Time time"),
-    "get_ros_version": ("GetROSVersion", "", "uint8 version, string distro"),
-}
-"""Services of rosapi: their types in the package rosapi_msgs, their requests and responses."""
 
-_WITHIN = {
-    "Time": ("builtin_interfaces/msg/Time", "int32 sec, uint32 nanosec"),
-    "TypeDef": (
-        "rosapi_msgs/msg/TypeDef",
-        (
-            "string type, string[] fieldnames, string[] fieldtypes, int32[] fieldarraylen, "
-            "string[] examples, string[] constnames, string[] constvalues"
-        ),
-    ),
-}
+class Catalogue:
+    """What rosapi answers of the whole robot, for all clients of one server.
+
+    Args:
+        backend: of the robot.
+        hub: what clients offer to one another.
+    """
+
+    def __init__(self, backend: Backend, hub: Hub) -> None:
+        self._backend = backend
+        self._hub = hub
+        self._robot: Robot | None = None
+        self._fresh_until = float("-inf")
+        self._looking: asyncio.Task[None] | None = None
+        self._structures: Mapping[str, Mapping[str, MessageStructure]] = {}
+        self._types: dict[str, MessageStructure | None] = {}
+        self._listed: dict[str, Listed] = {}
+
+    async def answer(self, asked: Question) -> bytes:
+        """Return the values of an answer, as they are written.
+
+        Raises:
+            UnknownError: there is no such service, type or node.
+            UsageError: an argument is missing or wrong.
+        """
+        while True:
+            if (
+                time.monotonic() > self._fresh_until
+                or self._robot is not self._backend.robot.config
+            ):
+                if self._looking is None:
+                    self._looking = asyncio.ensure_future(self._look())
+                    self._looking.add_done_callback(self._looked)
+                await asyncio.shield(self._looking)
+            answer: bytes | frozenset[str] = await self._backend.view(self.make, asked)
+            if isinstance(answer, bytes):
+                return answer
+            if len(self._types) + len(answer) > _MOST_TYPES:
+                self._types.clear()
+            for name in answer:
+                self._types[name] = await self._backend.structure_of_type(name)
+
+    def make(
+        self, questions: Collection[Question]
+    ) -> dict[Question, bytes | frozenset[str] | UoarmError]:
+        """Return the answers to all that was asked, in the thread of the views."""
+        robot, structures, former = self._robot, self._structures, self._listed
+        assert robot is not None, "the robot was looked at before anything was asked"
+        listed = {}
+        for name, function in robot.functions.items():
+            known, have = former.get(name), structures.get(name, {})
+            if known is None or known.function is not function or known.structures is not have:
+                known = Listed(function, have)
+            listed[name] = known
+        self._listed = listed
+        types = dict(self._types)
+        answers = {
+            role: Answers(role, listed.values(), self._hub, types)
+            for role in {asked.role for asked in questions}
+        }
+        return {asked: answers[asked.role].answer(asked) for asked in questions}
+
+    async def _look(self) -> None:
+        robot = self._backend.robot.config
+        structures = await self._backend.structures(robot.functions)
+        if robot is not self._robot:
+            self._types = {}
+        self._robot, self._structures = robot, structures
+        fresh = _FRESH_SECONDS if all(structures.values()) else _PARTLY_SECONDS
+        self._fresh_until = time.monotonic() + fresh
+
+    def _looked(self, looking: asyncio.Task[None]) -> None:
+        self._looking = None
+        if not looking.cancelled():
+            looking.exception()  # those who wait raise it
 
 
 class Rosapi:
-    """Answers for one client: it is shown what its role may see. Components appear as nodes.
+    """Answers for one client: it is shown what its role may see."""
 
-    No answer waits for what is not there: a topic whose type is not known yet has an empty one, and
-    has it in a later answer once it can be had.
-    """
-
-    def __init__(self, backend: Backend, hub: Hub, client: Client) -> None:
-        self._backend = backend
+    def __init__(self, catalogue: Catalogue, hub: Hub, client: Client) -> None:
+        self._catalogue = catalogue
         self._hub = hub
         self._client = client
         self._role = client.role
-        self._answers: Mapping[str, Callable[[Arguments], Awaitable[dict[str, Any]]]] = {
-            name: getattr(self, f"_{name}") for name in _TYPES
+        self._own: Mapping[str, Callable[[Arguments], dict[str, Any]]] = {
+            name: getattr(self, f"_{name}") for name in OWN
         }
 
-    async def call(self, name: str, arguments: Message) -> dict[str, Any]:
+    async def call(self, name: str, arguments: Message) -> Message:
         """Answer one of the services.
 
         Raises:
@@ -114,158 +137,29 @@ class Rosapi:
             DeniedError: the client may not change it.
             LimitError: there is no room for it.
         """
-        answer = self._answers.get(name)
-        if answer is None:
+        named = arguments_by_name(name, arguments)
+        if named is None:
             raise UnknownError(f"rosapi has no service {name!r:.100}")
-        return await answer(_by_name(name, arguments))
+        own = self._own.get(name)
+        if own is not None:
+            return own(named)
+        written = await self._catalogue.answer(question(self._role, name, named))
+        await self._client.outbox.room(len(written))
+        return orjson.Fragment(written)
 
-    async def _topics(self, arguments: Arguments) -> dict[str, Any]:
-        del arguments
-        found = await self._all_topics()
-        return {"topics": list(found), "types": list(found.values())}
-
-    async def _topics_and_raw_types(self, arguments: Arguments) -> dict[str, Any]:
-        found = await self._topics(arguments)
-        texts = {"": ""}
-        for function, structures in await self._structures():
-            for structure in structures.values():
-                kind = type_name(structure, function.name)
-                texts[kind] = full_text(structure, function.name)
-        for kind in found["types"]:
-            if kind not in texts:
-                known = await self._of_type(in_full(kind, "msg"))
-                unknown = f"# there is no definition of {kind}\n"
-                texts[kind] = unknown if known is None else full_text(known, "")
-        return {**found, "typedefs_full_text": [texts[kind] for kind in found["types"]]}
-
-    async def _topics_for_type(self, arguments: Arguments) -> dict[str, Any]:
-        kind, found = _text(arguments, "type"), await self._all_topics()
-        return {"topics": [name for name, each in found.items() if is_same_type(each, kind)]}
-
-    async def _topic_type(self, arguments: Arguments) -> dict[str, Any]:
-        topic = _name(arguments, "topic")
-        found = await self._all_topics()
-        if topic not in found:  # a single port may be named, too, where it need not be
-            for function, structures in await self._structures():
-                port = topic.removeprefix(f"{topic_of(function.name)}/")
-                places = [f"{role}.{port}" for role in ("output", "input")]
-                known = next((structures[place] for place in places if place in structures), None)
-                if port != topic and known is not None:
-                    return {"type": type_name(known, function.name)}
-        return {"type": found.get(topic, "")}
-
-    async def _publishers(self, arguments: Arguments) -> dict[str, Any]:
-        topic = _name(arguments, "topic")
-        found = [f"/{one.name}" for f, one in self._parts() if _means(topic, f, _given(one))]
-        return {"publishers": found + self._by_clients(topic, self._hub.published)}
-
-    async def _subscribers(self, arguments: Arguments) -> dict[str, Any]:
-        topic = _name(arguments, "topic")
-        found = [f"/{one.name}" for f, one in self._parts() if _means(topic, f, _fed(one))]
-        return {"subscribers": found + self._by_clients(topic, self._hub.subscribed)}
-
-    async def _services(self, arguments: Arguments) -> dict[str, Any]:
-        del arguments
-        return {"services": list(await self._all_services())}
-
-    async def _services_for_type(self, arguments: Arguments) -> dict[str, Any]:
-        kind, found = _text(arguments, "type"), await self._all_services()
-        return {"services": [name for name, each in found.items() if is_same_type(each, kind)]}
-
-    async def _service_type(self, arguments: Arguments) -> dict[str, Any]:
-        return {"type": (await self._all_services()).get(_name(arguments, "service"), "")}
-
-    async def _service_node(self, arguments: Arguments) -> dict[str, Any]:
-        return {"node": next(iter(self._nodes_of(_name(arguments, "service"))), "")}
-
-    async def _service_providers(self, arguments: Arguments) -> dict[str, Any]:
-        """Name the nodes with a service of a type; of a service, where that is what is named."""
-        kind, services = _text(arguments, "service"), await self._all_services()
-        name = _name(arguments, "service")
-        names = (
-            [name] if name in services else [n for n in services if is_same_type(services[n], kind)]
-        )
-        found = dict.fromkeys(node for each in names for node in self._nodes_of(each))
-        return {"providers": list(found)}
-
-    async def _nodes(self, arguments: Arguments) -> dict[str, Any]:
-        del arguments
-        own = [f"/{one.name}" for _, one in self._parts()]
-        return {"nodes": list(dict.fromkeys((*own, _NODE, _CLIENTS)))}
-
-    async def _node_details(self, arguments: Arguments) -> dict[str, Any]:
-        node = _name(arguments, "node")
-        subscribing, publishing, services = list[str](), list[str](), list[str]()
-        parts = [(f, one) for f, one in self._parts() if f"/{one.name}" == node]
-        for function, component in parts:
-            subscribing += _named(function, _fed(component))
-            publishing += _named(function, _given(component))
-            services += [topic_of(function.name)] if component.service is not None else []
-        if node == _CLIENTS:
-            subscribing += self._visible(dict.fromkeys(self._hub.subscribed, ""))
-            publishing += self._visible(dict.fromkeys(self._hub.published, ""))
-            services += self._visible(self._hub.services)
-        elif node == _NODE:
-            services += [f"{PREFIX}{name}" for name in _TYPES]
-        elif not parts:
-            raise UnknownError(f"there is no node {node!r:.100}")
-        return {"subscribing": subscribing, "publishing": publishing, "services": services}
-
-    async def _interfaces(self, arguments: Arguments) -> dict[str, Any]:
-        """Name the types that this robot and the clients speak; what is installed is not listed."""
-        del arguments
-        found = {*(await self._all_topics()).values(), *(await self._all_services()).values()}
-        found |= {await self._type_of_action(name) for name in self._all_actions()}
-        return {"interfaces": sorted(found - {""})}
-
-    async def _message_details(self, arguments: Arguments) -> dict[str, Any]:
-        kind = _text(arguments, "type")
-        if kind in BASIC:
-            return {"typedefs": []}
-        known = [(f, each) for f, several in await self._structures() for each in several.values()]
-        for function, structure in known:
-            if is_same_type(type_name(structure, function.name), kind):
-                return {"typedefs": typedefs(structure, function.name)}
-        installed = await self._of_type(in_full(kind, "msg"))
-        parts = (part_within(structure, kind) for _, structure in known)
-        return {"typedefs": _found(installed or next(filter(None, parts), None), "type", kind)}
-
-    async def _service_request_details(self, arguments: Arguments) -> dict[str, Any]:
-        return await self._details(_text(arguments, "type"), "request")
-
-    async def _service_response_details(self, arguments: Arguments) -> dict[str, Any]:
-        return await self._details(_text(arguments, "type"), "reply")
-
-    async def _action_servers(self, arguments: Arguments) -> dict[str, Any]:
-        """Name what takes goals: actions, and services as actions without feedback."""
-        del arguments
-        return {"action_servers": self._all_actions()}
-
-    async def _action_type(self, arguments: Arguments) -> dict[str, Any]:
-        return {"type": await self._type_of_action(_name(arguments, "action"))}
-
-    async def _action_goal_details(self, arguments: Arguments) -> dict[str, Any]:
-        return await self._part_of_action(_text(arguments, "type"), "_Goal")
-
-    async def _action_result_details(self, arguments: Arguments) -> dict[str, Any]:
-        return await self._part_of_action(_text(arguments, "type"), "_Result")
-
-    async def _action_feedback_details(self, arguments: Arguments) -> dict[str, Any]:
-        return await self._part_of_action(_text(arguments, "type"), "_Feedback")
-
-    async def _get_time(self, arguments: Arguments) -> dict[str, Any]:
+    def _get_time(self, arguments: Arguments) -> dict[str, Any]:
         del arguments
         seconds, nanoseconds = clock_now()
         # ROS 1 clients read secs and nsecs, ROS 2 clients sec and nanosec.
         stamp = {"secs": seconds, "nsecs": nanoseconds, "sec": seconds, "nanosec": nanoseconds}
         return {"time": stamp}
 
-    async def _get_ros_version(self, arguments: Arguments) -> dict[str, Any]:
+    def _get_ros_version(self, arguments: Arguments) -> dict[str, Any]:
         """Say that names and messages are those of ROS 2; no distribution stands behind them."""
         del arguments
         return {"version": 2, "distro": f"uoarm {__version__}"}
 
-    async def _get_param(self, arguments: Arguments) -> dict[str, Any]:
+    def _get_param(self, arguments: Arguments) -> dict[str, Any]:
         """Answer with JSON; what nobody set has the default that the client names, or null."""
         found = self._parameter(arguments)
         if found is None:
@@ -274,206 +168,33 @@ class Rosapi:
             return {"value": value, **_outcome(done=False)}
         return {"value": found, **_outcome(done=True)}
 
-    async def _set_param(self, arguments: Arguments) -> dict[str, Any]:
+    def _set_param(self, arguments: Arguments) -> dict[str, Any]:
         name = self._changeable(arguments)
         owner = self._role.name, self._client.address.rpartition(":")[0]
         self._hub.parameters.set(name, _text(arguments, "value"), owner)
         return _outcome(done=True)
 
-    async def _delete_param(self, arguments: Arguments) -> dict[str, Any]:
+    def _delete_param(self, arguments: Arguments) -> dict[str, Any]:
         return _outcome(done=self._hub.parameters.delete(self._changeable(arguments)))
 
-    async def _get_param_names(self, arguments: Arguments) -> dict[str, Any]:
-        del arguments
-        return {"names": list(self._visible(dict.fromkeys(self._hub.parameters.names, "")))}
-
-    async def _has_param(self, arguments: Arguments) -> dict[str, Any]:
+    def _has_param(self, arguments: Arguments) -> dict[str, Any]:
         return {"exists": self._parameter(arguments) is not None}
 
     def _parameter(self, arguments: Arguments) -> str | None:
         """Return the JSON text of a parameter that is there for this client."""
         name = find_place(_text(arguments, "name")).name
-        return self._hub.parameters.get(name) if name in self._visible({name: ""}) else None
+        may = self._role.allows(Operation.SEE, name)
+        return self._hub.parameters.get(name) if may else None
 
     def _changeable(self, arguments: Arguments) -> str:
         place = find_place(_text(arguments, "name"))
         self._client.require(Operation.SEND, place.right)
         return place.name
 
-    async def _all_topics(self) -> dict[str, str]:
-        """Return the types of all topics; what does not resolve has none."""
-        found: dict[str, str] = {}
-        for function, structures in await self._structures():
-            known = _topics(function, structures)
-            if not known and any(one.service is None for one in function.components):
-                known = {topic_of(function.name): ""}
-            found |= known
-        return found | self._visible(self._hub.topics)
-
-    async def _all_services(self) -> dict[str, str]:
-        found = {f"{PREFIX}{name}": _own_type(name) for name in _TYPES}
-        for function, structures in await self._structures():
-            if any(one.service is not None for one in function.components):
-                request = structures.get("request")
-                kind = "" if request is None else service_type(request, function.name)
-                found[topic_of(function.name)] = kind
-        return found | self._visible(self._hub.services)
-
-    def _all_actions(self) -> list[str]:
-        taking = dict.fromkeys(
-            topic_of(function.name)
-            for function, component in self._parts()
-            if is_action(component) or component.service is not None
-        )
-        return [*taking, *self._visible(self._hub.actions.actions)]
-
-    async def _type_of_action(self, name: str) -> str:
-        for function, structures in await self._structures():
-            goal = structures.get("input.goal", structures.get("request"))
-            if topic_of(function.name) == name and goal is not None:
-                return service_type(goal, function.name)
-        return self._visible(self._hub.actions.actions).get(name, "")
-
-    async def _details(self, kind: str, part: str) -> dict[str, Any]:
-        own = next((name for name in _TYPES if is_same_type(_own_type(name), kind)), "")
-        if own:
-            return {"typedefs": typedefs(_own_structures(own)[part == "reply"], "")}
-        for function, structures in await self._structures():
-            request = structures.get("request")
-            if request is None:
-                continue
-            names = type_name(request, function.name), service_type(request, function.name)
-            if any(is_same_type(name, kind) for name in names):
-                return {"typedefs": typedefs(structures[part], function.name)}
-        ending = "_Request" if part == "request" else "_Response"
-        structure = await self._of_type(in_full(kind, "srv", ending))
-        return {"typedefs": _found(structure, "service of the type", kind)}
-
-    async def _part_of_action(self, kind: str, ending: str) -> dict[str, Any]:
-        structure = await self._of_type(in_full(kind, "action", ending))
-        return {"typedefs": _found(structure, "action of the type", kind)}
-
-    async def _of_type(self, name: str) -> MessageStructure | None:
-        return await self._backend.structure_of_type(name) if name else None
-
-    async def _structures(self) -> list[tuple[Function, Structures]]:
-        functions = {one.name: one for one in self._functions()}
-        known = await self._backend.structures(functions)
-        return [(one, known[name]) for name, one in functions.items()]
-
-    def _nodes_of(self, service: str) -> list[str]:
-        """Return the nodes that answer a service."""
-        if service.startswith(PREFIX):
-            return [_NODE] if service.removeprefix(PREFIX) in _TYPES else []
-        own = [
-            f"/{component.name}"
-            for function, component in self._parts()
-            if component.service is not None and topic_of(function.name) == service
-        ]
-        return own + self._by_clients(service, self._hub.services)
-
-    def _by_clients(self, name: str, of_clients: Any) -> list[str]:
-        """Return the node of the clients, where they have a topic or a service that may be seen."""
-        return [_CLIENTS] if name in of_clients and self._visible({name: ""}) else []
-
-    def _visible(self, named: Mapping[str, str]) -> dict[str, str]:
-        return {
-            name: kind for name, kind in named.items() if self._role.allows(Operation.SEE, name)
-        }
-
-    def _functions(self) -> list[Function]:
-        functions = self._backend.robot.config.functions.values()
-        return [one for one in functions if self._role.allows(Operation.SEE, one.name)]
-
-    def _parts(self) -> Iterator[tuple[Function, Component]]:
-        return ((function, one) for function in self._functions() for one in function.components)
-
-
-def _topics(function: Function, structures: Structures) -> dict[str, str]:
-    """Return the types of a function's topics: of its outputs, and of inputs that clients feed."""
-    fed = {f"input.{port}" for component in function.components for port in _fed(component)}
-    outputs = [place for place in structures if place.startswith("output.")]
-    inputs = [place for place in structures if place in fed]
-    found: dict[str, str] = {}
-    for places in (outputs, inputs):
-        for place in places:
-            name = topic_of(function.name, "" if len(places) == 1 else place.partition(".")[2])
-            found.setdefault(name, type_name(structures[place], function.name))
-    return found
-
-
-def _fed(component: Component) -> list[str]:
-    return [port.name for port in component.inputs if port.source is None]
-
-
-def _given(component: Component) -> list[str]:
-    return [port.name for port in component.outputs]
-
-
-def _named(function: Function, ports: list[str]) -> list[str]:
-    """Return the topics of ports of one kind."""
-    return [topic_of(function.name, "" if len(ports) == 1 else port) for port in ports]
-
-
-def _means(topic: str, function: Function, ports: list[str]) -> bool:
-    """Say whether a topic is one of these ports; the name of the function alone is the first."""
-    names = {topic_of(function.name, port) for port in ports}
-    return topic in names or (bool(names) and topic == topic_of(function.name))
-
-
-def _own_type(service: str) -> str:
-    return f"rosapi_msgs/srv/{_TYPES[service][0]}"
-
-
-@lru_cache(maxsize=len(_TYPES))
-def _own_structures(service: str) -> tuple[MessageStructure, MessageStructure]:
-    """Return what a service of rosapi takes and what it answers."""
-    _, request, response = _TYPES[service]
-    name = _own_type(service)
-    return _structure(f"{name}_Request", request), _structure(f"{name}_Response", response)
-
-
-def _structure(name: str, text: str) -> MessageStructure:
-    return MessageStructure(_record(name, text), native_type=name)
-
-
-def _record(name: str, text: str) -> dict[str, Any]:
-    fields = [field.split() for field in text.split(", ")] if text else []
-    properties = {field: _schema(kind) for kind, field in fields}
-    return {"type": "object", "properties": properties, "x-native-type": name}
-
-
-def _schema(kind: str) -> dict[str, Any]:
-    if kind.endswith("[]"):
-        return {"type": "array", "items": _schema(kind.removesuffix("[]"))}
-    if kind in _WITHIN:
-        return _record(*_WITHIN[kind])
-    types = {"string": "string", "bool": "boolean"}
-    return {"type": types.get(kind, "integer"), "x-native-type": kind}
-
-
-def _by_name(service: str, arguments: Message) -> Arguments:
-    """Return arguments by name; rosbridge takes a list in the order of the fields, too."""
-    if isinstance(arguments, list):
-        names = [field.split()[1] for field in _TYPES[service][1].split(", ") if field]
-        return dict(zip(names, arguments, strict=False))
-    return arguments if isinstance(arguments, dict) else {}
-
-
-def _found(structure: MessageStructure | None, what: str, kind: str) -> list[dict[str, Any]]:
-    if structure is None:
-        raise UnknownError(f"there is no {what} {kind!r:.100}")
-    return typedefs(structure, "")
-
 
 def _outcome(*, done: bool) -> dict[str, Any]:
     """Say how it went, in the fields of rosapi for ROS 2; that of ROS 1 has none."""
     return {"successful": done, "reason": "" if done else "there is no such parameter"}
-
-
-def _name(arguments: Arguments, field: str) -> str:
-    """Return the name of a topic, a service or a node; a missing leading slash is added."""
-    return f"/{_text(arguments, field).lstrip('/')}"
 
 
 def _text(arguments: Arguments, name: str) -> str:

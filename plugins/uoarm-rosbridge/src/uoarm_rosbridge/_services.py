@@ -13,7 +13,7 @@ from uoarm_rosbridge._arguments import reader_of
 from uoarm_rosbridge._fragments import fragment_size
 from uoarm_rosbridge._hub import Hub
 from uoarm_rosbridge._names import Place, find_place
-from uoarm_rosbridge._rosapi import PREFIX, Rosapi
+from uoarm_rosbridge._rosapi import PREFIX, Catalogue, Rosapi
 
 __all__ = ["Services"]
 
@@ -28,6 +28,7 @@ class Services:
         client: its limits and its rights.
         backend: where functions are called.
         hub: where clients call one another.
+        catalogue: answers what rosapi asks of the whole robot.
         addresses: of functions, which clients may call by them.
         tell: sends one message to the client, in fragments of a size, 0 for none.
         ask: sends another client's request; raises BusyError where it leaves too much unread.
@@ -39,6 +40,7 @@ class Services:
         client: Client,
         backend: Backend,
         hub: Hub,
+        catalogue: Catalogue,
         addresses: Addresses,
         tell: Callable[[Fields, int], None],
         ask: Callable[[Fields], None],
@@ -52,7 +54,7 @@ class Services:
         self._tell = tell
         self._ask = ask
         self._cancel_goals = cancel_goals
-        self._rosapi = Rosapi(backend, hub, client)
+        self._rosapi = Rosapi(catalogue, hub, client)
         self._provided: set[str] = set()
 
     async def call(self, fields: Fields) -> None:

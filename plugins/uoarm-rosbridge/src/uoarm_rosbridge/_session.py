@@ -30,6 +30,7 @@ from uoarm_rosbridge._addresses import Addresses
 from uoarm_rosbridge._fragments import Fragments, split
 from uoarm_rosbridge._goal import GoalStatus
 from uoarm_rosbridge._hub import Hub
+from uoarm_rosbridge._rosapi import Catalogue
 from uoarm_rosbridge._services import Services
 from uoarm_rosbridge._topics import Topics
 from uoarm_rosbridge._wire import check_fields, identity_of, read_operation, write_ros
@@ -45,6 +46,8 @@ _REFUSED = {
     "the subprotocol uoarm.token.TOKEN or as ?token=TOKEN",
 }
 _OF_NATIVE = {one.value for one in Op}
+_NAMED = ("topic", "service", "action", "type", "node", "name")
+_LONGEST_NAME = 200
 _ANSWERED = {
     "call_service": ("service_response", "service"),
     "send_action_goal": ("action_result", "action"),
@@ -64,8 +67,16 @@ class RosbridgeSession:
     rosbridge answers with silence is answered here with a `status` message of level `error`.
     """
 
-    def __init__(self, client: Client, backend: Backend, hub: Hub, addresses: Addresses) -> None:
+    def __init__(
+        self,
+        client: Client,
+        backend: Backend,
+        hub: Hub,
+        catalogue: Catalogue,
+        addresses: Addresses,
+    ) -> None:
         self._client = client
+        self._backend = backend
         self._level = _WARNING
         self._numbers = itertools.count(1)
         seconds = client.limits.message_seconds
@@ -76,7 +87,9 @@ class RosbridgeSession:
         self._topics = Topics(client, backend, hub, addresses, self._fail, self._warn)
         self._actions = Actions(client, backend, hub.actions, self._fail, self.ask)
         cancel = self._actions.cancel_all
-        self._services = Services(client, backend, hub, addresses, self.tell, self.ask, cancel)
+        self._services = Services(
+            client, backend, hub, catalogue, addresses, self.tell, self.ask, cancel
+        )
         topics, services, actions = self._topics, self._services, self._actions
         self._operations = {
             "advertise": _Operation(("topic", "type"), topics.advertise),
@@ -235,7 +248,7 @@ class RosbridgeSession:
         self._level = _LEVELS.index(fields["level"])
 
     def _fail(self, fields: Mapping[str, Any], error: BaseException) -> None:
-        text = tell_error(error)
+        text = self._shown(tell_error(error), fields)
         op = fields.get("op")
         if isinstance(op, str) and op in _ANSWERED:
             answer = _failed(fields, *_ANSWERED[op], text)
@@ -244,7 +257,15 @@ class RosbridgeSession:
             self._tell_status(_ERROR, fields, f"{code_of(error)}: {text}")
 
     def _warn(self, fields: Mapping[str, Any], text: str) -> None:
-        self._tell_status(_WARNING, fields, text)
+        self._tell_status(_WARNING, fields, self._shown(text, fields))
+
+    def _shown(self, text: str, fields: Mapping[str, Any]) -> str:
+        """Return a text with no name that the client may not see, but for those it used."""
+        given = fields.get("args")
+        named = [fields, given] if isinstance(given, dict) else [fields]
+        used = [one.get(kind) for one in named for kind in _NAMED]
+        words = " ".join(one[:_LONGEST_NAME] for one in used if isinstance(one, str))
+        return self._backend.role_views.of(self._client.role).text(text, words)
 
     def _tell_status(self, level: int, fields: Mapping[str, Any], text: str) -> None:
         if self._level > level:

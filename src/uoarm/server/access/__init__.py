@@ -3,8 +3,10 @@
 from uoarm.server.access._admission import Admission, Credentials, is_loopback
 from uoarm.server.access._audit import Audit
 from uoarm.server.access._policy import hash_token, make_token
-from uoarm.server.access._request_head import RefusedError, RequestHead, read_head
+from uoarm.server.access._request_head import RefusedError, RequestHead, WrongTokenError, read_head
 from uoarm.server.access._role import DeniedError, Operation, Role
+from uoarm.server.access._role_view import RoleView, RoleViews
+from uoarm.server.access._wrong_tokens import WrongTokens
 
 __all__ = [
     "Admission",
@@ -15,6 +17,10 @@ __all__ = [
     "RefusedError",
     "RequestHead",
     "Role",
+    "RoleView",
+    "RoleViews",
+    "WrongTokenError",
+    "WrongTokens",
     "hash_token",
     "is_loopback",
     "make_token",

@@ -11,12 +11,13 @@ from typing import Any
 from uoarm._yaml import Budget, Document, Path, Problem, clip, read_file, write_path
 from uoarm.errors import ConfigurationError
 from uoarm.server.access._policy import AccessPolicy, Grant
-from uoarm.server.access._role import Operation, Role
+from uoarm.server.access._role import OF_NO_FUNCTION, Operation, Role
 
 __all__ = ["BUDGET", "read_access"]
 
 BUDGET = Budget(octets=1_048_576, nodes=100_000, depth=16)
 _SHOWN = 50
+_ALL = "all"
 _HASH = re.compile(r"[0-9a-f]{64}")
 _TIME = re.compile(
     r"(\d{4}-\d\d-\d\d)[T ](\d\d:\d\d:\d\d)(?:\.(\d{1,6}))?(Z|[+-]\d\d:\d\d)?", re.ASCII
@@ -77,19 +78,31 @@ class _Reader:
     def _role(self, name: str, data: Any) -> Role:
         known = tuple(operation.value for operation in Operation)
         rules: dict[Operation, tuple[str, ...]] = {}
-        for key, patterns in self._mapping(data, ("roles", name)).items():
+        everything: set[Operation] = set()
+        for key, wanted in self._mapping(data, ("roles", name)).items():
             path = ("roles", name, key)
             if key not in known:
                 self._say(path, f"expected one of {', '.join(known)}")
-            elif not isinstance(patterns, list) or not all(
-                isinstance(one, str) for one in patterns
+            elif wanted == _ALL:
+                everything.add(Operation(key))
+            elif Operation(key) in OF_NO_FUNCTION:
+                self._say(
+                    path,
+                    f"{key} is of no function, so no pattern gives it: expected the word {_ALL}, "
+                    f"{_got(wanted)}",
+                    f"write `{key}: {_ALL}`, or leave it out",
+                )
+            elif not isinstance(wanted, list) or not all(
+                isinstance(pattern, str) for pattern in wanted
             ):
                 self._say(
-                    path, f'expected a list of function patterns such as ["*"], {_got(patterns)}'
+                    path,
+                    f'expected a list of function patterns such as ["*"], or the word {_ALL}, '
+                    f"{_got(wanted)}",
                 )
             else:
-                rules[Operation(key)] = tuple(patterns)
-        return Role(name, rules)
+                rules[Operation(key)] = tuple(wanted)
+        return Role(name, rules, frozenset(everything))
 
     def _token(
         self, data: Any, path: Path, roles: Mapping[str, Role], tokens: dict[str, Grant]

@@ -17,8 +17,9 @@ from uoarm._whole_file import stamp_of
 from uoarm.errors import ConfigurationError
 from uoarm.server.access._access_file import read_access
 from uoarm.server.access._policy import AccessPolicy, Now, hash_token
-from uoarm.server.access._request_head import RefusedError, RequestHead
+from uoarm.server.access._request_head import RefusedError, RequestHead, WrongTokenError
 from uoarm.server.access._role import EVERYTHING, Role
+from uoarm.server.access._wrong_tokens import WrongTokens
 
 __all__ = ["Admission", "Credentials", "is_loopback"]
 
@@ -46,7 +47,11 @@ class Admission:
         origins: origins of web pages that may connect, beside the server's own; `*` for all.
         hosts: names by which the server is reached, beside those of loopback.
         local: whether the server listens on loopback, where Host is checked.
+        slowest: seconds after which a wrong token is answered at the latest.
         now: time of day, for expiry.
+
+    Attributes:
+        wrong_tokens: says how slowly they are answered, on all ports together.
 
     Raises:
         ConfigurationError: the access file has mistakes.
@@ -59,6 +64,7 @@ class Admission:
         origins: tuple[str, ...] = (),
         hosts: tuple[str, ...] = (),
         local: bool = True,
+        slowest: float = 2.5,
         now: Now = lambda: datetime.now(timezone.utc),
     ) -> None:
         self._path = access
@@ -66,6 +72,7 @@ class Admission:
         self._hosts = hosts
         self._local = local
         self._now = now
+        self.wrong_tokens = WrongTokens(slowest)
         self._stamp = self._look()
         self._policy: AccessPolicy | None = None if access is None else read_access(access)
 
@@ -90,13 +97,14 @@ class Admission:
         """Return the credentials of a client.
 
         Raises:
-            RefusedError: 401, none that are known.
+            RefusedError: 401, none that are known; a WrongTokenError where it shows a token.
         """
         digest = hash_token(head.token) if head.token else ""
         credentials = Credentials(digest, _common_name(certificate))
         if self.role(credentials) is None:
+            kind = WrongTokenError if credentials.digest else RefusedError
             had = "a token that is not valid" if credentials.digest else "no token"
-            raise RefusedError(HTTPStatus.UNAUTHORIZED, f"this server needs a token; got {had}")
+            raise kind(HTTPStatus.UNAUTHORIZED, f"this server needs a token; got {had}")
         return credentials
 
     def role(self, credentials: Credentials) -> Role | None:

@@ -11,7 +11,7 @@ from websockets.http11 import Request
 
 from uoarm.errors import UoarmError
 
-__all__ = ["TOKEN_SUBPROTOCOL", "RefusedError", "RequestHead", "read_head"]
+__all__ = ["TOKEN_SUBPROTOCOL", "RefusedError", "RequestHead", "WrongTokenError", "read_head"]
 
 TOKEN_SUBPROTOCOL = "uoarm.token."  # noqa: S105 - the name of the place, not a token
 _FIELDS = 10
@@ -23,6 +23,10 @@ class RefusedError(UoarmError):
     def __init__(self, status: HTTPStatus, text: str) -> None:
         super().__init__(text)
         self.status = status
+
+
+class WrongTokenError(RefusedError):
+    """A token that is not valid, which may be a guess."""
 
 
 @frozen

@@ -10,7 +10,7 @@ from attrs import field, frozen
 
 from uoarm.errors import UoarmError
 
-__all__ = ["EVERYTHING", "DeniedError", "Operation", "Role"]
+__all__ = ["EVERYTHING", "OF_NO_FUNCTION", "DeniedError", "Operation", "Role"]
 
 
 class DeniedError(UoarmError):
@@ -22,10 +22,10 @@ class Operation(Enum):
 
     SEE names functions and their status, REQUEST opens and receives, SEND publishes to an input,
     CALL calls a service, KILL ends what other clients hold. One's own connections may always be
-    killed. CONFIGURE changes the configuration, which can name any code: it is of no function, so
-    that only the pattern `*` gives it, and nobody has it without an access file. KEEP is the same
-    for writing it to the robot's file, beside CONFIGURE. STOP stops
-    whatever moves and RELEASE lets commands through again; both are of no function, too.
+    killed. The others are of no function, and a role has them for everything or not at all:
+    CONFIGURE changes the configuration, which can name any code, and no client has it without an
+    access file; KEEP is the same for writing it to the robot's file, beside CONFIGURE; STOP stops
+    whatever moves and RELEASE lets commands through again.
     """
 
     SEE = "see"
@@ -39,9 +39,8 @@ class Operation(Enum):
     RELEASE = "release"
 
 
-_OF_NO_FUNCTION = frozenset(
-    {Operation.CONFIGURE, Operation.KEEP, Operation.STOP, Operation.RELEASE}
-)
+OF_NO_FUNCTION = frozenset({Operation.CONFIGURE, Operation.KEEP, Operation.STOP, Operation.RELEASE})
+"""Operations that are of no function: no pattern gives them."""
 
 
 @frozen
@@ -51,26 +50,41 @@ class Role:
     Attributes:
         name: as the audit log and the client's hello show it.
         rules: patterns of function names by operation, `*` and `?` as in file names.
+        everything: operations that it may use on everything, also on what is of no function. No
+            pattern stands for that, `*` neither.
     """
 
     name: str
-    rules: Mapping[Operation, tuple[str, ...]] = field(hash=False)
+    rules: Mapping[Operation, tuple[str, ...]] = field(factory=dict, hash=False)
+    everything: frozenset[Operation] = frozenset()
 
     def allows(self, operation: Operation, function: str) -> bool:
         """Say whether an operation on a function is allowed."""
-        return any(fnmatchcase(function, one) for one in self.rules.get(operation, ()))
+        return self.allows_all(operation) or (
+            bool(function)
+            and any(fnmatchcase(function, pattern) for pattern in self.rules.get(operation, ()))
+        )
+
+    def allows_all(self, operation: Operation) -> bool:
+        """Say whether an operation is allowed on everything, whatever it is of."""
+        return operation in self.everything
 
     def require(self, operation: Operation, function: str) -> None:
         """Raise DeniedError when an operation on a function is not allowed."""
         if not self.allows(operation, function):
-            what = "" if operation in _OF_NO_FUNCTION else f" {function[:100]!r}"
-            hint = ": that takes a role of an access file (serve --access)"
-            raise DeniedError(
-                f"role {self.name!r} may not {operation.value}{what}"
-                f"{hint if self is EVERYTHING else ''}"
-            )
+            raise self._denied(operation, f" {function[:100]!r}")
+
+    def require_all(self, operation: Operation) -> None:
+        """Raise DeniedError when an operation is not allowed on everything."""
+        if not self.allows_all(operation):
+            raise self._denied(operation, "" if operation in OF_NO_FUNCTION else " everything")
+
+    def _denied(self, operation: Operation, what: str) -> DeniedError:
+        hint = ": that takes a role of an access file (serve --access)"
+        return DeniedError(
+            f"role {self.name!r} may not {operation.value}{what}"
+            f"{hint if self is EVERYTHING else ''}"
+        )
 
 
-EVERYTHING = Role(
-    "local", dict.fromkeys(set(Operation) - {Operation.CONFIGURE, Operation.KEEP}, ("*",))
-)
+EVERYTHING = Role("local", everything=frozenset(Operation) - {Operation.CONFIGURE, Operation.KEEP})

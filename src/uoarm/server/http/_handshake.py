@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+import asyncio
+import time
+from collections.abc import Awaitable, Callable, Mapping, Sequence
 from functools import cache
 from http import HTTPStatus
 from pathlib import Path
@@ -25,6 +27,7 @@ from uoarm.server.access import (
     Operation,
     RefusedError,
     RequestHead,
+    WrongTokenError,
     read_head,
 )
 from uoarm.server.front_end import FrontEnd
@@ -94,7 +97,7 @@ class HandshakeHandler:
         connected: Shares,
         *,
         health: Callable[[], Mapping[str, object]],
-        metrics: Callable[[], bytes],
+        metrics: Callable[[], Awaitable[bytes]],
         others: FrontEnds | FrontEnd,
     ) -> None:
         self._admission = admission
@@ -111,17 +114,21 @@ class HandshakeHandler:
         """Return what was decided about a connection whose handshake is done."""
         return self._entries[connection]
 
-    def process_request(self, connection: ServerConnection, request: Request) -> Response | None:
+    async def process_request(
+        self, connection: ServerConnection, request: Request
+    ) -> Response | None:
         """Answer a page or a refusal; None lets the handshake go on."""
         try:
             head = read_head(request)
             self._admission.check_page(head)
             if isinstance(self._others, FrontEnds) and not head.upgrade:
-                return self._page(connection, head)
+                return await self._page(connection, head)
             self._enter(connection, head)
         except RefusedError as error:
             self._totals.refused += 1
             self._audit.arrival(address_of(connection), "", "", str(error))
+            if isinstance(error, WrongTokenError):
+                await self._wait(connection)
             response = _response(error.status, "text/plain; charset=utf-8", f"{error}\n".encode())
             if error.status is HTTPStatus.UNAUTHORIZED:
                 response.headers["WWW-Authenticate"] = 'Bearer realm="uoarm"'
@@ -175,15 +182,27 @@ class HandshakeHandler:
         certificate = connection.transport.get_extra_info("peercert") or {}
         return self._admission.admit(head, certificate)
 
-    def _page(self, connection: ServerConnection, head: RequestHead) -> Response:
+    async def _wait(self, connection: ServerConnection) -> None:
+        """Hold the answer to a wrong token back, as long as there must be between two of them."""
+        address = host_of(connection)
+        pause = self._admission.wrong_tokens.begin(address, time.monotonic())
+        if pause is None:
+            connection.transport.abort()
+            return
+        try:
+            await asyncio.sleep(pause)
+        finally:
+            self._admission.wrong_tokens.end(address)
+
+    async def _page(self, connection: ServerConnection, head: RequestHead) -> Response:
         path = head.path
         if path == "/healthz":
             return _response(HTTPStatus.OK, _TYPES[".json"], orjson.dumps(self._health()))
         if path == "/metrics":
             role = self._admission.role(self._credentials(connection, head))
-            if role is None or not role.allows(Operation.SEE, "*"):
+            if role is None or not role.allows_all(Operation.SEE):
                 raise RefusedError(HTTPStatus.FORBIDDEN, "metrics need a role that may see all")
-            return _response(HTTPStatus.OK, "text/plain; version=0.0.4", self._metrics())
+            return _response(HTTPStatus.OK, "text/plain; version=0.0.4", await self._metrics())
         found = _static_files().get("index.html" if path == "/" else path.removeprefix("/"))
         if found is None:
             raise RefusedError(HTTPStatus.NOT_FOUND, "there is no such page")

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 
-from attrs import define
+from attrs import define, frozen
 from prometheus_client import CollectorRegistry, generate_latest
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
 
@@ -56,15 +56,20 @@ class Metrics:
         self._registry = registry
         self._totals = totals
         self._clients = clients
-        self._collectors = CollectorRegistry(auto_describe=False)
-        self._collectors.register(self)
 
-    def text(self) -> bytes:
-        """Return everything in the text format, version 0.0.4."""
-        return generate_latest(self._collectors)
+    async def text(self) -> bytes:
+        """Return everything in the text format, version 0.0.4.
 
-    def collect(self) -> Iterator[Metric]:
-        """Yield the figures as they are now."""
+        What is of the robot is collected beside the loop, once for all who ask meanwhile.
+        """
+        robot = await self._registry.views.get(self._of_robot, "")
+        return _written(self._of_server()) + robot
+
+    def _of_robot(self, questions: Collection[str]) -> dict[str, bytes]:
+        written = _written(status_metrics(self._registry.robot.status()))
+        return dict.fromkeys(questions, written)
+
+    def _of_server(self) -> Iterator[Metric]:
         connected, waiting = tuple(self._clients()), self._store.waiting
         clients = connected + waiting
         totals = self._totals
@@ -100,7 +105,23 @@ class Metrics:
         yield _gauge("feeds", "functions that clients have open", len(feeds))
         lost = sum(feed.lost for feed in feeds)
         yield _gauge("feed_lost", "messages lost before the loop got to them", lost)
-        yield from status_metrics(self._registry.robot.status())
+
+
+@frozen
+class _Figures:
+    """What the writer of the text format asks for its figures."""
+
+    metrics: Iterable[Metric]
+
+    def collect(self) -> Iterable[Metric]:
+        """Return the figures."""
+        return self.metrics
+
+
+def _written(metrics: Iterable[Metric]) -> bytes:
+    collectors = CollectorRegistry(auto_describe=False)
+    collectors.register(_Figures(metrics))
+    return generate_latest(collectors)
 
 
 def status_metrics(status: StatusMap) -> Iterator[Metric]:

@@ -4,7 +4,7 @@ from uoarm.server.session._client import Client, Session
 from uoarm.server.session._connection import Sockets, TurnConnection, address_of, host_of
 from uoarm.server.session._incoming import DEFLATE
 from uoarm.server.session._intake import Decoder
-from uoarm.server.session._native import NativeSession
+from uoarm.server.session._native import NativeSession, Shared
 from uoarm.server.session._session_store import SessionStore
 
 __all__ = [
@@ -14,6 +14,7 @@ __all__ = [
     "NativeSession",
     "Session",
     "SessionStore",
+    "Shared",
     "Sockets",
     "TurnConnection",
     "address_of",

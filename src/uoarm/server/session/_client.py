@@ -125,6 +125,12 @@ class Client:
         self._audit.note(self.identity, self.role, operation, function, allowed=allowed)
         self.role.require(operation, function)
 
+    def require_all(self, operation: Operation) -> None:
+        """Refuse what its role may not do to everything, as `require` does for a function."""
+        allowed = self.role.allows_all(operation)
+        self._audit.note(self.identity, self.role, operation, "*", allowed=allowed)
+        self.role.require_all(operation)
+
     def note_stop(self, report: StopReport) -> None:
         """Write to the audit log what a stop came to that it asked for."""
         self._audit.stopped(self.identity, self.role.name, report)

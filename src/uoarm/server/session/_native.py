@@ -24,21 +24,50 @@ from uoarm.model import (
     Op,
     Plan,
     Spending,
-    StatusEvent,
+    StopReport,
     message_octets,
     to_json,
 )
 from uoarm.server._failures import LimitError, UnknownError, code_of, without_frames
-from uoarm.server.access import Operation
+from uoarm.server.access import Operation, RoleView
 from uoarm.server.session._client import Client
 from uoarm.server.session._discoveries import Discoveries
 from uoarm.server.session._session_store import ReplyCache, SessionStore
-from uoarm.server.session._view import list_functions, show_plan, visible_status
-from uoarm.server.streams import Charge, ClientStreams, FeedRegistry, Held, feed_key, read_message
+from uoarm.server.session._status_views import StatusQuestion, StatusViews
+from uoarm.server.session._view import FunctionLists, ListQuestion, show_plan, show_stop
+from uoarm.server.streams import (
+    Announcement,
+    Charge,
+    ClientStreams,
+    FeedRegistry,
+    Held,
+    feed_key,
+    read_message,
+)
 
-__all__ = ["NativeSession"]
+__all__ = ["NativeSession", "Shared"]
 
 _log = logging.getLogger("uoarm.server")
+_FAILED = "the server failed; its log says more"
+_KINDS = {Op.REQUEST: "", Op.LIST: "questions", Op.STATUS: "questions"}
+"""What counts together against the limit of calls, where it is no call; `""`: nothing."""
+
+
+class Shared:
+    """What the sessions of all clients of the native protocol are answered from.
+
+    Args:
+        registry: of the robot.
+
+    Attributes:
+        lists: of functions.
+        status: the status map.
+    """
+
+    def __init__(self, registry: FeedRegistry) -> None:
+        robot, views = registry.robot, registry.role_views
+        self.lists = FunctionLists(lambda: robot.config, views)
+        self.status = StatusViews(robot.status, registry.past, views)
 
 
 class NativeSession:
@@ -50,7 +79,12 @@ class NativeSession:
     """
 
     def __init__(
-        self, client: Client, registry: FeedRegistry, form: Form, store: SessionStore
+        self,
+        client: Client,
+        registry: FeedRegistry,
+        form: Form,
+        store: SessionStore,
+        shared: Shared,
     ) -> None:
         self.form = form.name
         self._client = client
@@ -66,19 +100,21 @@ class NativeSession:
             client.limits,
             LeaseHolder(f"session {client.identity}", client.role.name),
             lambda connection, error: self._fail(None, connection, error),
+            lambda text: self._view.text(text),  # noqa: PLW0108 - of the revision at that time
         )
         self._discoveries = Discoveries(registry)
+        self._shared = shared
         self._stops: set[asyncio.Task[None]] = set()
         self._tasks: dict[asyncio.Task[None], Op] = {}
         self._quick: Mapping[Op, Callable[[ControlMessage], None]] = {
             Op.DATA: self._send,
             Op.KILL: self._kill,
-            Op.LIST: self._list,
-            Op.STATUS: self._status,
             Op.RESUME: self._resume,
             Op.STOP: self._stop,
         }
         self._slow: Mapping[Op, Callable[[ControlMessage], Coroutine[Any, Any, None]]] = {
+            Op.LIST: self._list,
+            Op.STATUS: self._status,
             Op.REQUEST: self._request,
             Op.CALL: self._call,
             Op.RESOLVE: self._resolve,
@@ -156,13 +192,15 @@ class NativeSession:
         task.add_done_callback(lambda _: charge.release())
 
     def _admit(self, op: Op) -> Charge:
-        """Charge what is asked. Functions that are being opened count as streams, not as calls."""
+        """Charge what is asked.
+
+        Functions that are being opened count as streams, not as calls. What is asked of the whole
+        robot counts by itself: it is answered also where all calls hang.
+        """
         most = self._client.limits.calls
-        if (
-            op is not Op.REQUEST
-            and sum(one is not Op.REQUEST for one in self._tasks.values()) >= most
-        ):
-            raise LimitError(f"{most} calls are under way; wait for an answer first")
+        kind = _KINDS.get(op, "calls")
+        if kind and sum(_KINDS.get(task, "calls") == kind for task in self._tasks.values()) >= most:
+            raise LimitError(f"{most} {kind} are under way; wait for an answer first")
         return self._client.account.charge(Held.ASKED, self._client.in_hand)
 
     async def _answer(self, asked: ControlMessage, work: Coroutine[Any, Any, None]) -> None:
@@ -183,16 +221,20 @@ class NativeSession:
         opened = {
             "connection": stream.connection.id,
             "function": plan.function,
-            "components": [step.component.name for step in plan.steps],
+            "components": [
+                step.component.name
+                for step in plan.steps
+                if self._view.has_component(step.component.name)
+            ],
             "inputs": [one.name for one in plan.provider.component.inputs if one.source is None],
-            "warnings": list(plan.warnings),
+            "warnings": self._view.data(plan.warnings, plan.function),
             "lifetimes": dict(stream.connection.lifetimes()),
         }
         self._reply(asked, opened)
         self._streams.begin(stream)
 
     def _waits(self, asked: ControlMessage, cause: str) -> None:
-        message = {"function": asked.type, "cause": cause}
+        message = {"function": asked.type, "cause": self._view.text(cause, str(asked.type))}
         told = {"op": "Status", "type": "waiting", "id": asked.id, "jsonMessage": message}
         self._tell_frame(None, write_or_tell(self._form, told))
 
@@ -210,31 +252,43 @@ class NativeSession:
         name = str(asked.type)
         self._client.require(Operation.SEE, name.partition(".")[0])
 
+        view = self._view
+
         def act(plan: Plan) -> bytes:
-            return self._written(asked, show_plan(plan, self._form))
+            return self._written(asked, show_plan(plan, self._form, view))
 
         self._tell_frame(asked.id, await self._registry.resolve_and(act, name))
 
     async def _configure(self, asked: ControlMessage) -> None:
-        self._client.require(Operation.CONFIGURE, "*")
+        self._client.require_all(Operation.CONFIGURE)
         wanted = asked.jsonMessage
         if wanted is None:
             robot = self._registry.robot
-            revisions, text = _told(robot.history()), robot.config.text
-            self._reply(asked, {"revisions": revisions, "configuration": text})
+
+            def history() -> bytes:
+                revisions, text = _told(robot.history()), robot.config.text
+                return self._written(asked, {"revisions": revisions, "configuration": text})
+
+            self._tell_frame(asked.id, await self._registry.in_worker(history))
             return
         if wanted.get("keep"):
-            self._client.require(Operation.KEEP, "*")
+            self._client.require_all(Operation.KEEP)
         changed = await self._registry.configure(wanted)
-        self._reply(asked, _told((changed,))[0])
+
+        def write() -> bytes:
+            return self._written(asked, _told((changed,))[0])
+
+        self._tell_frame(asked.id, await self._registry.in_worker(write))
 
     async def _discover(self, asked: ControlMessage) -> None:
         take = (asked.jsonMessage or {}).get("take")
         if take is None:
-            self._client.require(Operation.SEE, "*")  # what no function has is of no pattern
-            self._reply(asked, {"bridges": await self._discoveries.look()})
+            self._client.require_all(Operation.SEE)  # what no function has is of no pattern
+            found = await self._discoveries.look()
+            write = functools.partial(self._written, asked, {"bridges": found})
+            self._tell_frame(asked.id, await self._registry.in_worker(write))
             return
-        self._client.require(Operation.CONFIGURE, "*")
+        self._client.require_all(Operation.CONFIGURE)
         self._reply(asked, await self._discoveries.take(take["bridge"], take["component"]))
 
     def _stop(self, asked: ControlMessage) -> None:
@@ -243,7 +297,7 @@ class NativeSession:
         if asked.type:
             self._stop_input(asked, release=release)
             return
-        self._client.require(Operation.RELEASE if release else Operation.STOP, "*")
+        self._client.require_all(Operation.RELEASE if release else Operation.STOP)
         work = self._release(asked) if release else self._stop_all(asked)
         task = asyncio.ensure_future(self._answer(asked, work))
         self._stops.add(task)
@@ -259,9 +313,15 @@ class NativeSession:
         self._streams.stop(stream, port or None, lambda error: self._done(asked, error))
 
     async def _stop_all(self, asked: ControlMessage) -> None:
-        report = await self._registry.stop_all()
+        view, form = self._view, self._form
+        key = view.role, form.name
+
+        def write(report: StopReport) -> bytes:
+            return form.write(show_stop(report, view))
+
+        report, written = await self._registry.stop_all(key, write)
         self._client.note_stop(report)
-        self._reply(asked, {**to_json(report), "stopped": report.stopped, "text": str(report)})
+        self._tell_frame(asked.id, _reply_around(self._form, asked, written), first=True)
 
     async def _release(self, asked: ControlMessage) -> None:
         try:
@@ -272,25 +332,30 @@ class NativeSession:
         self._client.note_release()
         self._reply(asked, None)
 
-    def _list(self, asked: ControlMessage) -> None:
-        functions = list_functions(self._registry.robot.config, self._client.role)
-        self._reply(asked, {"functions": functions})
+    async def _list(self, asked: ControlMessage) -> None:
+        lists, role, form = self._shared.lists, self._client.role, self._form
+        written = await self._registry.views.get(lists.make, ListQuestion(role, form))
+        await self._tell_view(asked, written)
 
-    def _status(self, asked: ControlMessage) -> None:
-        if asked.type == "watch":
-            self._registry.watch(self._changed)
-        elif asked.type == "unwatch":
+    async def _status(self, asked: ControlMessage) -> None:
+        watches = asked.type == "watch"
+        if asked.type == "unwatch":
             self._registry.unwatch(self._changed)
-        robot = self._registry.robot
-        status = visible_status(robot.config, robot.status(), self._client.role)
-        told = {**status, "own": self._streams.counters()}
-        if asked.type == "watch":
-            told["past"] = [
-                {**to_json(event), "age": age}
-                for age, event in self._registry.past()
-                if self._client.role.allows(Operation.SEE, event.function)
-            ]
-        self._reply(asked, told)
+        since = (asked.jsonMessage or {}).get("since")
+        question = StatusQuestion(self._client.role, self._form, since, past=watches)
+        answer = await self._registry.views.get(self._shared.status.make, question)
+        own = self._form.write(self._streams.counters())
+        await self._tell_view(asked, self._form.map_of({**answer.fields, "own": own}))
+        if watches and not self._registry.is_watched_by(self._changed):
+            self._registry.watch(self._changed)
+            for event in self._registry.after(answer.number):
+                self._changed(event)
+
+    async def _tell_view(self, asked: ControlMessage, written: bytes) -> None:
+        """Send an answer that may be long, when there is room: the client did not choose that."""
+        frame = _reply_around(self._form, asked, written)
+        await self._client.outbox.room(len(frame))
+        self._tell_frame(asked.id, frame)
 
     def _resume(self, asked: ControlMessage) -> None:
         options = asked.jsonMessage
@@ -339,9 +404,14 @@ class NativeSession:
         await asyncio.shield(self._registry.kill(connection))
         self._reply(asked, None)
 
-    def _changed(self, event: StatusEvent) -> None:
-        if self._client.role.allows(Operation.SEE, event.function):
-            self._tell({"op": "Status", "type": "change", "jsonMessage": to_json(event)})
+    def _changed(self, change: Announcement) -> None:
+        frame = change.written(self._client.role, self._form)
+        if frame is not None:
+            self._tell_frame(None, frame)
+
+    @property
+    def _view(self) -> RoleView:
+        return self._registry.role_views.of(self._client.role)
 
     def _hello(self) -> Message:
         return {
@@ -366,7 +436,7 @@ class NativeSession:
             _log.error(text, asked.op.value, self._client.identity, exc_info=error)
         more: dict[str, Any] = {}
         if asked.op is Op.RESOLVE and isinstance(error, NoPlanError):
-            more["rejected"] = to_json(error.rejections)
+            more["rejected"] = self._view.data(to_json(error.rejections), str(asked.type))
         self._fail(asked.id, str(asked.type), error, more)
 
     def _reply(self, asked: ControlMessage, message: Message) -> None:
@@ -385,7 +455,7 @@ class NativeSession:
         more: Mapping[str, Any] = MappingProxyType({}),
     ) -> None:
         code = code_of(error)
-        text = "the server failed; its log says more" if code == "internal" else str(error)
+        text = _FAILED if code == "internal" else self._view.text(str(error), kind)
         told: dict[str, Any] = {"op": "Error", "jsonMessage": {"code": code, "text": text, **more}}
         if kind:
             told["type"] = kind
@@ -396,14 +466,21 @@ class NativeSession:
     def _tell(self, message: Mapping[str, Any]) -> None:
         self._tell_frame(message.get("id"), write_or_tell(self._form, message))
 
-    def _tell_frame(self, identity: str | None, frame: bytes) -> None:
+    def _tell_frame(self, identity: str | None, frame: bytes, *, first: bool = False) -> None:
         if self._replies is not None and identity is not None:
             self._replies.add(identity, frame)
-        self._client.outbox.tell(frame, text=self._form.text)
+        self._client.outbox.tell(frame, text=self._form.text, first=first)
 
 
 def _told(changes: Iterable[ConfigurationChange]) -> list[Message]:
     return [{**to_json(evolve(one, robot=None)), "text": str(one)} for one in changes]
+
+
+def _reply_around(form: Form, asked: ControlMessage, written: bytes) -> bytes:
+    """Return a reply whose message is written already."""
+    head = {"op": "Reply", "type": asked.type, "id": asked.id}
+    parts = {name: form.write(value) for name, value in head.items()}
+    return form.map_of({**parts, "jsonMessage": written})
 
 
 def _reply_of(asked: ControlMessage, message: Message) -> dict[str, Any]:

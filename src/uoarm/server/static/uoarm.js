@@ -203,6 +203,37 @@ export class Stream {
   }
 }
 
+const KEYS = {
+  components: (entry) => entry.name,
+  connections: (entry) => entry.id,
+  routes: (entry) => JSON.stringify([entry.producer, entry.consumer]),
+};
+
+/** What asks for the changes since the status that is known, to be put into a `Status`. */
+export function sinceStatus(known) {
+  return known?.version === undefined ? {} : { jsonMessage: { since: known.version } };
+}
+
+/** The whole status, of the one that is known and the changes since then. */
+export function mergeStatus(known, { since, elapsed, ...told }) {
+  if (since === undefined) return told;
+  const status = { ...known, ...told };
+  for (const [part, keyOf] of Object.entries(KEYS)) {
+    if (Array.isArray(told[part])) continue;
+    const { changed = [], gone = [] } = told[part] ?? {};
+    const entries = new Map(known[part].map((entry) => [keyOf(entry), entry]));
+    if (part === "routes") {
+      for (const [key, route] of entries) {
+        if (route.age !== null) entries.set(key, { ...route, age: route.age + elapsed });
+      }
+    }
+    for (const key of gone) entries.delete(Array.isArray(key) ? JSON.stringify(key) : key);
+    for (const entry of changed) entries.set(keyOf(entry), entry);
+    status[part] = [...entries.values()];
+  }
+  return status;
+}
+
 /** A robot behind a server; made by `connect`. */
 export class Robot {
   #link;
@@ -210,6 +241,7 @@ export class Robot {
   #streams = new Map();
   #away = new Set(); // streams of a session that is gone, until this one has opened them again
   #watchers = new Set();
+  #status = null;
   #next = 1;
   #ended = null;
 
@@ -288,7 +320,9 @@ export class Robot {
 
   /** The status map, and in `own` what this client received and lost. */
   async status() {
-    return this.#ask({ op: "Status" });
+    const known = this.#status;
+    this.#status = mergeStatus(known, await this.#ask({ op: "Status", ...sinceStatus(known) }));
+    return structuredClone(this.#status);
   }
 
   /** Changes of the robot, for `for await`, from now on until the connection ends for good. */

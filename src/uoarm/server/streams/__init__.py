@@ -2,14 +2,16 @@
 
 from uoarm.server.streams._client_streams import ClientStreams, feed_key
 from uoarm.server.streams._feed import Envelope, Feed, FeedKey, Listener
-from uoarm.server.streams._feed_registry import FeedRegistry, Read
+from uoarm.server.streams._feed_registry import Announcement, FeedRegistry, Read, shown_event
 from uoarm.server.streams._input_sender import Done, InputSender, check_message, read_message
 from uoarm.server.streams._memory import Account, Charge, Held
 from uoarm.server.streams._outbox import Lane, Outbox
+from uoarm.server.streams._shared_views import Make
 from uoarm.server.streams._shares import Shares, acting
 
 __all__ = [
     "Account",
+    "Announcement",
     "Charge",
     "ClientStreams",
     "Done",
@@ -21,6 +23,7 @@ __all__ = [
     "InputSender",
     "Lane",
     "Listener",
+    "Make",
     "Outbox",
     "Read",
     "Shares",
@@ -28,4 +31,5 @@ __all__ = [
     "check_message",
     "feed_key",
     "read_message",
+    "shown_event",
 ]

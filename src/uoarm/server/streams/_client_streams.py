@@ -144,6 +144,7 @@ class ClientStreams:
         limits: bounds.
         holder: as whom it commands inputs that have a lease.
         on_refused: called with the connection, and why one of its messages could not be written.
+        shown: returns a text as the client may read it.
     """
 
     def __init__(
@@ -155,6 +156,7 @@ class ClientStreams:
         limits: Limits,
         holder: LeaseHolder,
         on_refused: Callable[[str, MessageError], None],
+        shown: Callable[[str], str],
     ) -> None:
         self._registry = registry
         self._outbox = outbox
@@ -163,6 +165,7 @@ class ClientStreams:
         self._limits = limits
         self._holder = holder
         self._on_refused = on_refused
+        self._shown = shown
         self._streams: dict[str, Stream] = {}
         self._sendings: dict[str, InputSender] = {}
         self._ends: deque[tuple[Lane, bytes]] = deque(maxlen=limits.streams)
@@ -341,7 +344,7 @@ class ClientStreams:
         cause = cause or ("killed" if state == "closed" else "")
         stream = self._remove(identity)
         if stream is not None:
-            told = {"connection": identity, "state": state, "cause": cause}
+            told = {"connection": identity, "state": state, "cause": self._shown(cause)}
             frame = self._form.write({"op": "Status", "type": "connection", "jsonMessage": told})
             self._outbox.finish(stream.lane, frame)
             self._ends.append((stream.lane, frame))

@@ -7,12 +7,14 @@ import functools
 import logging
 import time
 from collections import Counter, deque
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Hashable, Iterable, Mapping
 from typing import Any, TypeAlias, TypeVar
+
+from attrs import evolve
 
 from uoarm._control import Connection, RobotManager
 from uoarm._raised import foreign
-from uoarm._wire import TEXT_FORM
+from uoarm._wire import TEXT_FORM, Form
 from uoarm.config import loads
 from uoarm.errors import (
     ConnectionClosedError,
@@ -27,9 +29,11 @@ from uoarm.model import (
     Plan,
     StatusEvent,
     StopReport,
+    to_json,
 )
 from uoarm.server._failures import BusyError
 from uoarm.server._limits import Limits
+from uoarm.server.access import Role, RoleView, RoleViews
 from uoarm.server.streams._encoder import Encoder
 from uoarm.server.streams._feed import Feed, FeedKey
 from uoarm.server.streams._input_sender import InputSender, Read, read_message
@@ -38,20 +42,54 @@ from uoarm.server.streams._known_types import KnownTypes
 from uoarm.server.streams._loop_mailbox import LoopMailbox
 from uoarm.server.streams._memory import Account, Memory
 from uoarm.server.streams._pending_feeds import OnAbsent, PendingFeeds, is_absent
+from uoarm.server.streams._shared_views import Make, SharedViews
 from uoarm.server.streams._workers import Workers
 
-__all__ = ["FeedRegistry", "Read", "Watcher"]
+__all__ = ["Announcement", "FeedRegistry", "Read", "Watcher", "shown_event"]
 
+A = TypeVar("A")
+Q = TypeVar("Q", bound=Hashable)
 T = TypeVar("T")
 _log = logging.getLogger("uoarm.server")
-Watcher: TypeAlias = Callable[[StatusEvent], None]
-"""Callback: a change, and the function concerned, empty where it is not known."""
+Watcher: TypeAlias = "Callable[[Announcement], None]"
+"""Callback: a change."""
 
 _READ_TEXT = functools.partial(read_message, TEXT_FORM)
 _REMEMBERED = 200
 _CLOSINGS = 8
 _STOP_SECONDS = 2.0
 _ENDS = frozenset({"closed", "failed"})
+
+
+class Announcement:
+    """A change of the robot, written once for all who get it in the same form and role.
+
+    Args:
+        event: the change.
+        views: of roles.
+    """
+
+    def __init__(self, event: StatusEvent, views: RoleViews) -> None:
+        self.event = event
+        self._views = views
+        self._written: dict[tuple[Role, str], bytes | None] = {}
+
+    def written(self, role: Role, form: Form) -> bytes | None:
+        """Return it as it goes to clients; None: the role does not see what has changed."""
+        key = role, form.name
+        if key not in self._written:
+            shown = shown_event(self.event, self._views.of(role))
+            told = {"op": "Status", "type": "change", "jsonMessage": shown}
+            self._written[key] = None if shown is None else form.write(told)
+        return self._written[key]
+
+
+def shown_event(event: StatusEvent, view: RoleView) -> dict[str, Any] | None:
+    """Return a change as data for a role; None: it does not see what has changed."""
+    if not view.has_event(event):
+        return None
+    told: dict[str, Any] = to_json(evolve(event, cause=view.text(event.cause)))
+    return told
 
 
 class FeedRegistry:
@@ -64,6 +102,8 @@ class FeedRegistry:
     Attributes:
         memory: what is held for all clients.
         encoder: writes their long messages.
+        views: answers what is asked of the whole robot.
+        role_views: what each role sees of it.
     """
 
     def __init__(self, robot: RobotManager, limits: Limits) -> None:
@@ -73,7 +113,10 @@ class FeedRegistry:
         self.mailbox = LoopMailbox(asyncio.get_running_loop())
         self.workers = Workers(limits.workers, limits.openings, self.mailbox)
         self.encoder = Encoder()
+        self.views = SharedViews(self.mailbox)
+        self.role_views = RoleViews(lambda: robot.config)
         self._feeds: dict[FeedKey, Feed] = {}
+        self._keys: dict[Feed, FeedKey] = {}
         self._by_id: dict[str, Feed] = {}
         self._claims: dict[Feed, int] = {}
         self._openings: dict[Feed, asyncio.Task[None]] = {}
@@ -87,6 +130,7 @@ class FeedRegistry:
         )
         self._pending = PendingFeeds(self._join, self._claim, self.leave, at_once)
         self._stopping: asyncio.Future[StopReport] | None = None
+        self._after_stop: dict[Hashable, asyncio.Future[Any]] = {}
         self._releasing: asyncio.Future[None] | None = None
         self._watchers: dict[Watcher, None] = {}
         self._past: deque[tuple[float, StatusEvent]] = deque(maxlen=_REMEMBERED)
@@ -100,9 +144,18 @@ class FeedRegistry:
         return tuple(self._feeds.values())
 
     def past(self) -> list[tuple[float, StatusEvent]]:
-        """Return the last changes: seconds ago, and the change."""
+        """Return the last changes: seconds ago, and the change. For any thread."""
         now = time.monotonic()
-        return [(now - heard, event) for heard, event in self._past]
+        return [(now - came, event) for came, event in tuple(self._past)]
+
+    def after(self, number: int) -> list[Announcement]:
+        """Return those of the last changes that came after one of this number."""
+        views = self.role_views
+        return [Announcement(event, views) for _, event in self._past if event.number > number]
+
+    def is_watched_by(self, watcher: Watcher) -> bool:
+        """Say whether a watcher is notified."""
+        return watcher in self._watchers
 
     async def join(self, wanted: FeedKey, on_absent: OnAbsent | None = None) -> Feed:
         """Return the open feed, opening it for the first. Give it back with `leave`.
@@ -138,6 +191,7 @@ class FeedRegistry:
                     f"{_CLOSINGS} earlier connections to {wanted.function!r} are being closed still"
                 )
             feed = self._feeds[wanted] = Feed(self.mailbox, self.limits)
+            self._keys[feed] = wanted
             opening = asyncio.ensure_future(self._open(wanted, feed))
             opening.add_done_callback(lambda done: done.cancelled() or done.exception())
             self._openings[feed] = opening
@@ -201,6 +255,9 @@ class FeedRegistry:
 
     def connection(self, identity: str) -> Connection | None:
         """Return a connection that has not ended, also one that the application itself opened."""
+        feed = self._by_id.get(identity)
+        if feed is not None:
+            return feed.connection
         return next((one for one in self.robot.connections() if one.id == identity), None)
 
     async def call(self, name: str, message: Message, read: Read, timeout: float) -> Message:
@@ -248,7 +305,8 @@ class FeedRegistry:
         Raises:
             UoarmError: as `RobotManager.resolve`, and BusyError.
         """
-        return await self.workers.start(lambda: act(self.robot.resolve(name)))
+        # A search that computes has its turn, so that many of them do not keep the loop waiting.
+        return await self.workers.open(lambda: act(self.robot.resolve(name)))
 
     async def configure(self, options: Mapping[str, Any]) -> ConfigurationChange:
         """Change the configuration of the robot, in a worker.
@@ -273,13 +331,23 @@ class FeedRegistry:
 
         return await self.workers.start(apply)
 
-    async def stop_all(self) -> StopReport:
-        """Stop what moves, for whoever asks while it lasts; goes on when they are gone."""
+    async def stop_all(self, key: Hashable, act: Callable[[StopReport], T]) -> tuple[StopReport, T]:
+        """Stop what moves, for all who ask while it lasts; goes on when they are gone.
+
+        Args:
+            key: of `act`, which is done once for all who give the same.
+            act: what the report is for, in a thread that stops: a report grows with the robot.
+        """
         if self._stopping is None or self._stopping.done():
             self._stopping = self.workers.stop(
                 functools.partial(self.robot.stop_all, timeout=_STOP_SECONDS)
             )
-        return await asyncio.shield(self._stopping)
+            self._after_stop = {}
+        shared, after = self._stopping, self._after_stop
+        report = await asyncio.shield(shared)
+        if key not in after:
+            after[key] = self.workers.stop(lambda: act(report))
+        return report, await asyncio.shield(after[key])
 
     async def release(self) -> None:
         """Let commands through again.
@@ -307,6 +375,10 @@ class FeedRegistry:
         """Return what an action returns that takes its time and ends by itself."""
         return await self.workers.start(action, always=True)
 
+    def view(self, make: Make[Q, A], question: Q) -> asyncio.Future[A]:
+        """Return the answer to what is asked of the whole robot; see `SharedViews.get`."""
+        return self.views.get(make, question)
+
     def watch(self, watcher: Watcher) -> None:
         """Notify a watcher of every change and the function that it concerns, from now on."""
         self._watchers[watcher] = None
@@ -320,6 +392,7 @@ class FeedRegistry:
         self._stop_listening()
         self._known.close()
         self._types.close()
+        self.views.close()
         for feed in list(self._claims):
             self._claims[feed] = 1
             self.leave(feed)
@@ -359,9 +432,10 @@ class FeedRegistry:
         elif event.change in _ENDS and name in self._by_id:
             self._ended(self._by_id[name])
         self._past.append((time.monotonic(), event))
+        announcement = Announcement(event, self.role_views)
         for watcher in tuple(self._watchers):
             try:
-                foreign(watcher, event)
+                foreign(watcher, announcement)
             except Exception:  # noqa: BLE001 - that of a front end may raise anything
                 _log.exception("a watcher of %s failed", watcher.__module__)
 
@@ -371,9 +445,9 @@ class FeedRegistry:
         feed.finish(feed.connection.state.value, feed.connection.cause)
 
     def _forget(self, feed: Feed) -> None:
-        for wanted, one in list(self._feeds.items()):
-            if one is feed:
-                del self._feeds[wanted]
+        wanted = self._keys.pop(feed, None)
+        if wanted is not None:
+            del self._feeds[wanted]
         if feed.connection is not None:
             self._by_id.pop(feed.connection.id, None)
 

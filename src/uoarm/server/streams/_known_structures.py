@@ -23,10 +23,11 @@ _NONE: Mapping[str, MessageStructure] = MappingProxyType({})
 
 @define(eq=False)
 class _Entry:
-    """What is known of one function; `asking` finds out more."""
+    """What is known of one function, and since which change; `asking` finds out more."""
 
     structures: Mapping[str, MessageStructure] = _NONE
     until: float = _NEVER
+    generation: int = -1
     asking: asyncio.Task[None] | None = None
 
 
@@ -47,6 +48,7 @@ class KnownStructures:
         self._workers = workers
         self._turns = asyncio.Semaphore(at_once)
         self._entries: dict[str, _Entry] = {}
+        self._generation = 0
 
     async def of(self, functions: Iterable[str]) -> dict[str, Mapping[str, MessageStructure]]:
         """Return the structures of functions by port, such as `output.default`.
@@ -57,17 +59,20 @@ class KnownStructures:
         asked = {name: self._entries.setdefault(name, _Entry()) for name in functions}
         now = time.monotonic()
         for name, entry in asked.items():
-            if entry.asking is None and entry.until < now:
+            if entry.asking is None and (entry.until < now or entry.generation != self._generation):
                 entry.asking = asyncio.ensure_future(self._ask(name, entry))
-        unknown = [one.asking for one in asked.values() if one.asking and one.until == _NEVER]
+        unknown = [
+            entry.asking
+            for entry in asked.values()
+            if entry.asking and entry.generation != self._generation
+        ]
         if unknown:
             await asyncio.wait(unknown, timeout=_WAIT_SECONDS)
         return {name: entry.structures for name, entry in asked.items()}
 
     def forget(self) -> None:
         """Have everything asked for again: the configuration or what can be had has changed."""
-        for entry in self._entries.values():
-            entry.until = _NEVER
+        self._generation += 1
 
     def close(self) -> None:
         """Find out nothing more."""
@@ -76,12 +81,15 @@ class KnownStructures:
                 entry.asking.cancel()
 
     async def _ask(self, name: str, entry: _Entry) -> None:
+        generation = self._generation
         try:
             async with self._turns:
+                generation = self._generation
                 plan = await self._workers.open(lambda: self._resolve(name))
             entry.structures = plan.provider.structures
         except UoarmError:
             entry.structures = _NONE
         finally:
             entry.until = time.monotonic() + _FRESH_SECONDS
+            entry.generation = generation
             entry.asking = None

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import time
 from collections import deque
 from collections.abc import Callable
 
@@ -11,6 +12,7 @@ from uoarm._raised import foreign
 
 __all__ = ["LoopMailbox"]
 
+_TURN_SECONDS = 0.002
 _log = logging.getLogger("uoarm.server")
 
 
@@ -18,7 +20,8 @@ class LoopMailbox:
     """Runs actions of other threads in the loop's thread, in order.
 
     However many come before the loop gets to them, it is woken once. One that fails is logged, and
-    those after it run all the same.
+    those after it run all the same. What takes longer than a moment together waits for the loop's
+    next turns, so that what has come over a socket meanwhile goes between.
     """
 
     def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
@@ -39,7 +42,12 @@ class LoopMailbox:
 
     def _run(self) -> None:
         self._woken = False
+        end = time.perf_counter() + _TURN_SECONDS
         for _ in range(len(self._actions)):
+            if time.perf_counter() >= end:
+                self._woken = True
+                self._loop.call_soon(self._run)
+                return
             action = self._actions.popleft()
             try:
                 foreign(action)

@@ -118,6 +118,7 @@ class Outbox:
         self._written: dict[Charge, int] = {}
         self._filled = asyncio.Event()
         self._emptied = asyncio.Event()
+        self._has_gone = asyncio.Event()
         self.overflowed = False
         self.dropped = 0
         self._window = SendWindow()
@@ -141,15 +142,25 @@ class Outbox:
             not waiting or waiting + size <= self.max_bytes
         )
 
-    def tell(self, frame: bytes, *, text: bool) -> None:
-        """Add a reply or an event."""
+    def tell(self, frame: bytes, *, text: bool, first: bool = False) -> None:
+        """Add a reply or an event; `first` before all that wait."""
         if self.overflowed or not self.has_room(len(frame)):
             self.overflowed = True
+            self._has_gone.set()
         else:
-            self._replies.append((frame, text))
+            if first:
+                self._replies.appendleft((frame, text))
+            else:
+                self._replies.append((frame, text))
             self._reply_bytes += len(frame)
             _grow(self._replies_held, len(frame))
         self._filled.set()
+
+    async def room(self, size: int) -> None:
+        """Wait until a reply of a size can be added: for one that the client did not size."""
+        while not (self.overflowed or self.has_room(size)):
+            self._has_gone.clear()
+            await self._has_gone.wait()
 
     def holds(self, frame: bytes) -> bool:
         """Say whether a reply still waits."""
@@ -261,6 +272,7 @@ class Outbox:
         if self._replies:
             frame, text = self._replies.popleft()
             self._reply_bytes -= len(frame)
+            self._has_gone.set()
             held = self._replies_held
         else:
             passing = self._passing()
@@ -348,6 +360,7 @@ class Outbox:
         self._bytes -= size
         if lane.finished and not lane.waiting:
             self._last_bytes -= size
+            self._has_gone.set()
         return frames
 
     def _forget(self, lane: Lane) -> None:

@@ -1,5 +1,6 @@
 // What the page knows, in one place. Changes are told once per frame.
 
+import { mergeStatus, sinceStatus } from "../uoarm.js";
 import { join } from "./system.js";
 import { Watches } from "./watches.js";
 import { Wire } from "./wire.js";
@@ -45,7 +46,9 @@ export class Store {
 
   /** Asks for the status again, now. */
   async refresh() {
-    this.#see(await this.wire.ask("Status"));
+    const known = this.status;
+    const told = await this.wire.ask("Status", "", sinceStatus(known).jsonMessage);
+    this.#see(mergeStatus(known, told));
   }
 
   unlock(token) {
@@ -81,7 +84,7 @@ export class Store {
     this.functions = list.functions;
     this.events = [];
     this.#happened(status.past ?? []);
-    this.#see(status);
+    this.#see(mergeStatus(null, status));
     this.watches.again();
     this.timer = setInterval(() => this.#look(), EVERY);
   }

@@ -1,0 +1,138 @@
+"""The status map in versions: what a client has, with the changes since then, is the whole map."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import pytest
+from attrs import evolve, fields
+from tests.server.test_role_views import ALL, BLIND, GUEST, ROBOT, STATUS
+
+from uoarm._wire import BINARY_FORM, TEXT_FORM, Form, read_binary, read_text
+from uoarm.client._client import _merged_status
+from uoarm.model import Budget, RouteStatus, Spending, StatusMap, to_json
+from uoarm.server.access import Role, RoleViews
+from uoarm.server.session._status_views import StatusQuestion, StatusViews
+from uoarm.server.session._view import visible_status
+from uoarm.testing import ManualClock
+
+VIEWS = RoleViews(lambda: ROBOT)
+ROUTE = RouteStatus("front.a", "c1", 5, 5, age=2.0)
+
+
+class Robot:
+    """A status map that a test changes."""
+
+    def __init__(self) -> None:
+        self.status = STATUS
+        self.clock = ManualClock()
+        self.views = StatusViews(lambda: self.status, list, VIEWS, self.clock)
+
+    def ask(
+        self, since: int | None = None, *, role: Role = ALL, form: Form = TEXT_FORM
+    ) -> dict[str, Any]:
+        question = StatusQuestion(role, form, since)
+        told = form.map_of(self.views.make([question])[question].fields)
+        spending = Spending(Budget())
+        found: Any = (
+            read_text(told.decode(), spending) if form.text else read_binary(told, spending)
+        )
+        return dict(found)
+
+
+def plain(status: Mapping[str, Any]) -> dict[str, Any]:
+    return {
+        name: sorted(value, key=str) if isinstance(value, list) else value
+        for name, value in status.items()
+        if name != "version"
+    }
+
+
+CHANGES: Mapping[str, StatusMap] = {
+    "nothing": STATUS,
+    "everything gone": StatusMap(),
+    "held": evolve(STATUS, held=None),
+    "a component gone": evolve(STATUS, components=STATUS.components[:1]),
+    "a component changed": evolve(
+        STATUS, components=(evolve(STATUS.components[0], failed=3), *STATUS.components[1:])
+    ),
+    "a connection new": evolve(
+        STATUS, connections=(*STATUS.connections, evolve(STATUS.connections[0], id="c3"))
+    ),
+    "another order": evolve(STATUS, components=STATUS.components[::-1]),
+    "a component beside its successor": evolve(
+        STATUS, components=(*STATUS.components, evolve(STATUS.components[0], failed=4))
+    ),
+    "routes": evolve(STATUS, routes=(*STATUS.routes, ROUTE)),
+    "deaths": evolve(STATUS, deaths=(("front", 2),)),
+    "a cause": evolve(STATUS, bridges=(evolve(STATUS.bridges[0], cause="x"),)),
+}
+
+
+@pytest.mark.parametrize("role", [ALL, GUEST, BLIND], ids=lambda role: role.name)
+@pytest.mark.parametrize("form", [TEXT_FORM, BINARY_FORM], ids=lambda form: form.name)
+@pytest.mark.parametrize("change", CHANGES.values(), ids=CHANGES.keys())
+def test_what_is_known_with_what_has_changed_is_the_whole(
+    change: StatusMap, form: Form, role: Role
+) -> None:
+    robot = Robot()
+    known: Mapping[str, Any] = robot.ask(role=role, form=form)
+    for status in (STATUS, change, STATUS, change):
+        robot.status = status
+        told = robot.ask(known["version"], role=role, form=form)
+        assert told["since"] == known["version"]
+        known = _merged_status(known, told)
+        assert plain(known) == plain(to_json(visible_status(status, VIEWS.of(role))))
+
+
+def test_what_has_not_changed_is_not_told() -> None:
+    robot = Robot()
+    told = robot.ask(robot.ask()["version"])
+    assert not told.keys() & {attribute.name for attribute in fields(StatusMap)}
+
+
+def test_the_age_of_a_route_alone_is_not_told_and_known_all_the_same() -> None:
+    robot = Robot()
+    robot.status = evolve(STATUS, routes=(ROUTE,))
+    known = robot.ask()
+    robot.clock.advance(3)
+    robot.status = evolve(STATUS, routes=(evolve(ROUTE, age=5.0),))
+    told = robot.ask(known["version"])
+    assert "routes" not in told
+    assert _merged_status(known, told)["routes"][0]["age"] == 5
+    assert robot.ask()["routes"][0]["age"] == 5
+
+
+def test_a_version_that_is_not_known_gets_the_whole_map() -> None:
+    robot = Robot()
+    first = robot.ask()["version"]
+    for _ in range(300):
+        robot.ask()
+    for version in (0, first, 2**52):
+        told = robot.ask(version)
+        assert "since" not in told
+        assert told["components"]
+
+
+def test_versions_of_another_server_are_not_those_of_this() -> None:
+    versions = {Robot().ask()["version"] for _ in range(5)}
+    assert len(versions) == 5
+
+
+def test_one_look_answers_whatever_is_asked_at_the_same_time() -> None:
+    looks: list[None] = []
+
+    def status() -> StatusMap:
+        looks.append(None)
+        return STATUS
+
+    views = StatusViews(status, list, VIEWS)
+    questions = [
+        StatusQuestion(role, form, past=past)
+        for role in (ALL, GUEST)
+        for form in (TEXT_FORM, BINARY_FORM)
+        for past in (False, True)
+    ]
+    assert views.make(questions).keys() == set(questions)
+    assert len(looks) == 1
