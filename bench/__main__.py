@@ -13,7 +13,6 @@ OTHER = {
     "attack",
     "chain_components",
     "mutation",
-    "schema_fuzz",
     "soak",
     "tables",
 }

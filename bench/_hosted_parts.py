@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ctypes
-import os
 import signal
 import sys
 import threading
@@ -14,7 +13,7 @@ from typing import Any, TypedDict
 
 from uoarm.local import Octets
 
-__all__ = ["count", "echo", "hang", "leave", "slowly", "subscribe", "zenoh_echo"]
+__all__ = ["echo", "hang", "slowly", "subscribe", "zenoh_echo"]
 
 
 class Packet(TypedDict):
@@ -28,11 +27,6 @@ def echo(message: Packet) -> Packet:
     return message
 
 
-def count() -> Iterator[int]:
-    """Emit as fast as it can."""
-    yield from range(1_000_000)
-
-
 def slowly() -> Iterator[int]:
     """Emit a number every millisecond."""
     number = 0
@@ -42,24 +36,16 @@ def slowly() -> Iterator[int]:
         time.sleep(0.001)
 
 
-def leave(value: int) -> int:
-    """End the process."""
-    os._exit(value)
-
-
 def hang(value: int) -> int:
     """Sleep without letting go of the interpreter lock."""
     ctypes.PyDLL(None).sleep(value)
     return value
 
 
-def subscribe(session: Any, key: str, take: Callable[[Any], object], receivers: str) -> None:
-    """Have samples handed to `take`: in Zenoh's thread (`callbacks`), or in one of its own."""
+def subscribe(session: Any, key: str, take: Callable[[Any], object]) -> None:
+    """Have samples handed to `take` in a thread of its own."""
     import zenoh  # noqa: PLC0415 - the host's other components need none
 
-    if receivers == "callbacks":
-        session.declare_subscriber(key, zenoh.handlers.Callback(take, indirect=False))
-        return
     subscriber = session.declare_subscriber(key, zenoh.handlers.RingChannel(128))
 
     def receive() -> None:
@@ -70,7 +56,7 @@ def subscribe(session: Any, key: str, take: Callable[[Any], object], receivers: 
     threading.Thread(target=receive, daemon=True).start()
 
 
-def zenoh_echo(place: str, receivers: str) -> None:
+def zenoh_echo(place: str) -> None:
     """Give back frames over Zenoh and nothing else, until killed."""
     import zenoh  # noqa: PLC0415 - the host's other components need none
 
@@ -81,10 +67,10 @@ def zenoh_echo(place: str, receivers: str) -> None:
     def back(sample: Any) -> None:
         session.put("bench/back", sample.payload, attachment=sample.attachment)
 
-    subscribe(session, "bench/there", back, receivers)
+    subscribe(session, "bench/there", back)
     session.liveliness().declare_token("bench/alive")
     signal.pause()
 
 
 if __name__ == "__main__":
-    zenoh_echo(*sys.argv[1:])
+    zenoh_echo(sys.argv[1])

@@ -1,8 +1,7 @@
-"""A bridge in a host beside one in this process, bare Zenoh and a plain pipe; and its deaths."""
+"""A bridge in a host beside one in this process and bare Zenoh; and how its death is noticed."""
 
 from __future__ import annotations
 
-import multiprocessing
 import os
 import signal
 import subprocess
@@ -12,7 +11,6 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
-from multiprocessing.connection import Connection
 from pathlib import Path
 from queue import SimpleQueue
 from typing import Any
@@ -30,18 +28,16 @@ HERE = Path(__file__).parent
 PARTS = {"path": [str(HERE)]}
 SIZES = {"100 B": 100, "10 KB": 10_000, "1 MB": 1_000_000}
 ANY = MessageStructure(True)
-ROUNDS, BURST, DEATHS, SILENCE = 5, 20_000, 7, 3.0
+ROUNDS, DEATHS, SILENCE = 5, 7, 3.0
 
 Trip = Callable[[bytes], object]
 
 
 def main() -> None:
-    """Print round trips, one-way rates, and how long each death takes to be noticed."""
+    """Print round trips, and how long each death takes to be noticed."""
     with ExitStack() as stack:
         trips = {
-            "a pipe (multiprocessing)": stack.enter_context(_pipe()),
-            "bare Zenoh, handled in its threads": stack.enter_context(_zenoh("callbacks")),
-            "bare Zenoh, a thread at either end": stack.enter_context(_zenoh("threads")),
+            "bare Zenoh, a thread at either end": stack.enter_context(_zenoh()),
             "in this process": stack.enter_context(_bridge(PythonBridge("far", PARTS))),
             "in a host": stack.enter_context(_bridge(_hosted())),
         }
@@ -52,7 +48,6 @@ def main() -> None:
                     samples[name, size] += _times(trip, bytes(octets), 200 if octets < 1e6 else 40)
     rows = [(name, *(_cell(sorted(samples[name, size])) for size in SIZES)) for name in trips]
     print_table("Round trip (us, median / p99)", ("what", *SIZES), rows)
-    print_table("One way, small messages (1/s)", ("what", "messages a second"), list(_rates()))
     print_table(
         f"Noticing a death (ms, silence {SILENCE:g} s)", ("what", "median", "worst"), _deaths()
     )
@@ -94,31 +89,11 @@ def _bridge(bridge: Bridge) -> Iterator[Trip]:
 
 
 @contextmanager
-def _pipe() -> Iterator[Trip]:
-    near, far = multiprocessing.Pipe()
-    child = multiprocessing.get_context("spawn").Process(target=_pipe_echo, args=(far,))
-    child.start()
-
-    def trip(octets: bytes) -> object:
-        near.send_bytes(octets)
-        return near.recv_bytes()
-
-    yield trip
-    near.send_bytes(b"")
-    child.join(10)
-
-
-def _pipe_echo(pipe: Connection) -> None:
-    while octets := pipe.recv_bytes():
-        pipe.send_bytes(octets)
-
-
-@contextmanager
-def _zenoh(receivers: str) -> Iterator[Trip]:
+def _zenoh() -> Iterator[Trip]:
     """Give round trips over Zenoh and nothing else.
 
     A component may take as long as it likes, so that it cannot be called in Zenoh's own threads:
-    what a host costs beside Zenoh is to be compared with `threads`.
+    a thread at either end takes what arrives, as in a host.
     """
     import zenoh  # noqa: PLC0415 - only this one needs it bare
 
@@ -130,10 +105,10 @@ def _zenoh(receivers: str) -> Iterator[Trip]:
         session = zenoh.open(configuration(place, listen=True, timeout=10, lease=10))
         back: SimpleQueue[Any] = SimpleQueue()
         ready = threading.Event()
-        subscribe(session, "bench/back", back.put, receivers)
+        subscribe(session, "bench/back", back.put)
         tokens = session.liveliness()
         kept = tokens.declare_subscriber("bench/alive", lambda _: ready.set(), history=True)
-        command = [sys.executable, "-m", "bench._hosted_parts", place, receivers]
+        command = [sys.executable, "-m", "bench._hosted_parts", place]
         with subprocess.Popen(command, cwd=HERE.parent) as child:
             ready.wait(20)
 
@@ -147,46 +122,25 @@ def _zenoh(receivers: str) -> Iterator[Trip]:
         session.close()  # type: ignore[no-untyped-call] # zenoh's stub says no more
 
 
-def _rates() -> Iterator[tuple[str, str]]:
-    for name, bridge in (("in this process", PythonBridge("far", PARTS)), ("in a host", _hosted())):
-        enough = threading.Event()
-        seen = [0]
-
-        def take(_: object, seen: list[int] = seen, enough: threading.Event = enough) -> None:
-            seen[0] += 1
-            if seen[0] == BURST:
-                enough.set()
-
-        begun = time.perf_counter()
-        source = bridge.open_source(_end("count"), ANY, take)
-        enough.wait(60)
-        yield name, f"{BURST / (time.perf_counter() - begun):,.0f}"
-        source.close()
-        bridge.close()
-
-
 def _deaths() -> list[tuple[str, ...]]:
-    def leave(bridge: RemoteBridge) -> None:
-        threading.Thread(target=_quietly, args=(bridge, "leave", 3), daemon=True).start()
+    """Return a row for each way to die; hangs and stops are noticed by silence, so two suffice."""
 
     def hang(bridge: RemoteBridge) -> None:
         threading.Thread(target=_quietly, args=(bridge, "hang", 60), daemon=True).start()
 
-    faults: dict[str, tuple[Callable[[RemoteBridge], object], int]] = {
-        "killed (SIGKILL)": (lambda bridge: os.kill(bridge.process, signal.SIGKILL), DEATHS),
-        "ends by itself": (leave, DEATHS),
-        "stopped (SIGSTOP)": (lambda bridge: os.kill(bridge.process, signal.SIGSTOP), 2),
-        "hangs with the interpreter lock": (hang, 2),
-    }
-    rows = []
-    for name, (harm, count) in faults.items():
-        rows.append(_row(name, [_notice(harm) for _ in range(count)]))
-    rows.append(_row("killed, to the next provider's first message", _takeovers()))
-    return rows
+    def signalled(number: int) -> Callable[[RemoteBridge], object]:
+        return lambda bridge: os.kill(bridge.process, number)
+
+    return [
+        _row("killed (SIGKILL)", [_notice(signalled(signal.SIGKILL)) for _ in range(DEATHS)]),
+        _row("stopped (SIGSTOP)", [_notice(signalled(signal.SIGSTOP)) for _ in range(2)]),
+        _row("hangs with the interpreter lock", [_notice(hang) for _ in range(2)]),
+        _row("killed, to the next provider's first message", _takeovers()),
+    ]
 
 
 def _row(name: str, seconds: list[float]) -> tuple[str, ...]:
-    found = sorted(1000 * one for one in seconds)
+    found = sorted(1000 * duration for duration in seconds)
     return name, f"{at(found, 0.5):,.1f}", f"{found[-1]:,.1f}"
 
 
@@ -237,7 +191,7 @@ def _takeovers() -> list[float]:
             robot.request("here").get(10)
             robot.request("numbers", on_message=take)
             begins.get(timeout=10)
-            host = robot._bridges.get("one")  # noqa: SLF001 - to have somebody to kill
+            host = robot._bridges.get("one")  # noqa: SLF001 - to kill it
             assert isinstance(host, RemoteBridge)
             begun = time.perf_counter()
             os.kill(host.process, signal.SIGKILL)

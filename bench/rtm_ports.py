@@ -1,8 +1,7 @@
 """Data ports of an RT-Component: through uoarm, and with a bare omniORBpy client on the same peer.
 
 The peer is a component in a process of its own that gives back what it gets, within the call: a
-round trip is one `put` to it with one `put` from it inside. An address as argument measures
-`ConsoleOut0.rtc` of a running OpenRTM instead, one way.
+round trip is one `put` to it with one `put` from it inside.
 """
 
 from __future__ import annotations
@@ -32,9 +31,6 @@ def main() -> int:
         from uoarm_rtm._nameserver import NameServer  # noqa: PLC0415
     except ImportError as error:
         print(f"no port table: {error}", file=sys.stderr)
-        return 0
-    if len(sys.argv) > 1:
-        _real(sys.argv[1])
         return 0
     with NameServer() as names:
         arguments = [sys.executable, "-m", "bench.rtm_ports", "serve", names.address]
@@ -133,22 +129,6 @@ def _samples(send: Callable[[], object], kind: str, seen: list[int] | None) -> l
     samples = microseconds(send, repeat=REPEAT[kind])
     assert seen is None or seen[0] == REPEAT[kind] + 20
     return samples
-
-
-def _real(address: str) -> None:
-    """Measure `put` to a component of OpenRTM that is running."""
-    from uoarm.bridge import Registry  # noqa: PLC0415
-    from uoarm.model import BridgeSpec, Endpoint, Role  # noqa: PLC0415
-
-    bridge = Registry().create(BridgeSpec("rtm", "rtm", {"nameserver": address}))
-    into = Endpoint("rtm", "console", Role.INPUT, ("ConsoleOut0.rtc", "in"))
-    structure = bridge.describe(into).message
-    assert structure is not None
-    sink = bridge.open_sink(into, structure)
-    samples = _samples(lambda: sink.send(MESSAGES[SMALL]), SMALL, None)
-    rows = [row("uoarm bridge, TimedLong", samples)]
-    print_table("`put` to ConsoleOut0.rtc (us)", ("client", "median", "p99", ""), rows)
-    bridge.close()
 
 
 def serve(address: str) -> None:

@@ -14,6 +14,7 @@ import argparse
 import asyncio
 import json
 import os
+import re
 import signal
 import sys
 import tempfile
@@ -28,9 +29,10 @@ from attrs import frozen
 from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import ConnectionClosed
 
-from bench.serve_clients import HERE, busy_seconds, resident, serving, timed
 from bench.tables import at, print_table
 
+HERE = Path(__file__).parent
+PLUGINS = ("rosbridge", "ros2")
 SECONDS = 4.0
 SETTLE_SECONDS = 1.0
 CLIENTS = (1, 50, 100)
@@ -97,6 +99,13 @@ async def client(peer: Peer) -> AsyncIterator[Reader]:
     """Connect to a server."""
     async with connect(peer.url, max_size=None, compression=None, ping_interval=None) as socket:
         yield Reader(socket, peer.prefix)
+
+
+async def timed(step: Any) -> float:
+    """Return the microseconds that a step took."""
+    start = time.perf_counter_ns()
+    await step
+    return (time.perf_counter_ns() - start) / 1000
 
 
 async def begin(peer: Peer) -> str:
@@ -256,7 +265,11 @@ async def bare_beside() -> str:
 
 
 def _busy(peer: Peer) -> float:
-    return float("nan") if peer.process is None else busy_seconds(peer.process)
+    """Return the processor time that a server has taken, in seconds; NaN where it is not known."""
+    if peer.process is None:
+        return float("nan")
+    fields = Path(f"/proc/{peer.process}/stat").read_text().rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
 def _each(peer: Peer, before: float, count: int) -> str:
@@ -265,7 +278,11 @@ def _each(peer: Peer, before: float, count: int) -> str:
 
 
 def _memory(peer: Peer) -> float:
-    return float("nan") if peer.process is None else resident(peer.process)
+    """Return the megabytes of memory that a server has; NaN where its process is not known."""
+    if peer.process is None:
+        return float("nan")
+    pages = int(Path(f"/proc/{peer.process}/statm").read_text().split()[1])
+    return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
 
 
 def _ms(samples: list[float], quantile: float) -> str:
@@ -302,8 +319,26 @@ ROWS: dict[str, Measured] = {
 
 @asynccontextmanager
 async def _own(name: str, checkout: Path, file: Path) -> AsyncIterator[Peer]:
-    async with serving(file, checkout) as (url, process):
-        yield Peer(name, f"{url}rosbridge", "/uoarm/", process)
+    """Run `uoarm serve` of a checkout with a configuration."""
+    plugins = (checkout / "plugins" / f"uoarm-{plugin}" / "src" for plugin in PLUGINS)
+    sources = [checkout, checkout / "src", *plugins]
+    process = await asyncio.create_subprocess_exec(
+        sys.executable, "-m", "uoarm", "serve", str(file), "--port", "0",
+        stdout=asyncio.subprocess.PIPE,
+        cwd=checkout,
+        env={
+            **os.environ, "PYTHONPATH": os.pathsep.join(map(str, sources)), "PYTHONUNBUFFERED": "1"
+        },
+    )  # fmt: skip
+    assert process.stdout is not None
+    try:
+        line = (await asyncio.wait_for(process.stdout.readline(), 30)).decode()
+        found = re.search(r"(ws://[^ ]+/) ", line)
+        assert found is not None, line
+        yield Peer(name, f"{found.group(1)}rosbridge", "/uoarm/", process.pid)
+    finally:
+        process.send_signal(signal.SIGTERM)
+        await asyncio.wait_for(process.wait(), 10)
 
 
 async def _cell(measured: Measured, peer: Peer) -> str:

@@ -17,26 +17,36 @@ processor are not given up. What `--events` writes, a test plays again (`tests/c
 
 from __future__ import annotations
 
+import gc
+import itertools
 import logging
+import os
+import random
+import signal
 import sys
 import tempfile
 import threading
 import time
+from collections import Counter
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import click
-from attrs import Factory, define, evolve
+from attrs import Factory, define, evolve, frozen
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-from bench._soak_faults import FAULTS, Faults
-from bench._soak_watch import Sample, look, sparkline
 from bench.tables import print_table
 from uoarm import Connection, RobotManager
+from uoarm._host import RemoteBridge
 from uoarm.config import loads
 from uoarm.model import FailoverPolicy
 from uoarm.testing import Census, copies, losses, slowness
 
 HERE = Path(__file__).parent
+FAULTS = ("kill", "stop", "pause", "hang", "refuse", "slow")
+DEADLY = frozenset({"kill", "stop", "hang"})
+_MOMENT_SECONDS = 0.25
+_BARS = "▁▂▃▄▅▆▇█"
 PATIENCE_SECONDS = 90.0 * slowness()
 SILENCE_SECONDS = 0.6 * slowness()
 BETWEEN_SECONDS = 1.5
@@ -66,6 +76,73 @@ functions:
 """
 
 
+class Faults:
+    """Does random harm to the hosts of a robot, and counts it.
+
+    Args:
+        robot: whose hosts are harmed.
+        folder: where components look for the harm that they do to themselves.
+        seed: of the choice.
+    """
+
+    def __init__(self, robot: RobotManager, folder: Path, seed: int) -> None:
+        self._robot = robot
+        self._folder = folder
+        self._random = random.Random(seed)
+        self.done: Counter[str] = Counter()
+        self._does: dict[str, Callable[[], None]] = {
+            "kill": lambda: os.kill(self._random_host(), signal.SIGKILL),
+            "stop": lambda: os.kill(self._random_host(), signal.SIGSTOP),
+            "pause": self._pause,
+            "hang": (folder / "hang").touch,
+            "refuse": lambda: self._for_a_moment("refuse"),
+            "slow": lambda: self._for_a_moment("slow"),
+        }
+
+    @property
+    def deaths(self) -> int:
+        """How many hosts were meant to die."""
+        return sum(count for fault, count in self.done.items() if fault in DEADLY)
+
+    def harm(self, fault: str | None = None) -> None:
+        """Do one fault, a random one where none is named; nothing when no host runs."""
+        fault = fault or self._random.choice(FAULTS)
+        try:
+            self._does[fault]()
+        except (LookupError, ProcessLookupError):
+            return
+        self.done[fault] += 1
+
+    def _random_host(self) -> int:
+        """Return the process of a random host that runs."""
+        bridges = self._robot._bridges._bridges.values()  # noqa: SLF001 - to harm them
+        hosts = sorted(
+            bridge.process for bridge in tuple(bridges) if isinstance(bridge, RemoteBridge)
+        )
+        return self._random.choice(hosts)
+
+    def _pause(self) -> None:
+        process = self._random_host()
+        os.kill(process, signal.SIGSTOP)
+        threading.Event().wait(_MOMENT_SECONDS)
+        os.kill(process, signal.SIGCONT)
+
+    def _for_a_moment(self, harm: str) -> None:
+        file = self._folder / harm
+        file.touch()
+        threading.Event().wait(_MOMENT_SECONDS)
+        file.unlink()
+
+
+@frozen
+class Sample:
+    """This process at one moment."""
+
+    memory_megabytes: float
+    threads: int
+    descriptors: int
+
+
 @define
 class Soak:
     """What a soak has seen."""
@@ -90,7 +167,7 @@ class Soak:
 )
 def main(minutes: float, deaths: int, seed: int, silence: float, events: Path | None) -> None:
     """Harm hosts under a connection for some minutes."""
-    logging.getLogger("uoarm").setLevel(logging.CRITICAL)  # every fault is told, in hundreds
+    logging.getLogger("uoarm").setLevel(logging.CRITICAL)  # every fault is logged, in hundreds
     if events is not None:
         _write_events(events)
     with tempfile.TemporaryDirectory(prefix="uoarm-soak-") as folder:
@@ -135,17 +212,28 @@ def _soak(folder: Path, silence: float, seconds: float, deaths: int, seed: int) 
             bar = progress.add_task("soaking", total=seconds)
             first = list(FAULTS)
             while (passed := time.monotonic() - begun) < seconds or first or faults.deaths < deaths:
-                progress.update(bar, completed=passed, description=_told(soak, faults))
+                progress.update(bar, completed=passed, description=_progress(soak, faults))
                 faults.harm(first.pop(0) if first else None)
                 _wait_for_more(soak, connection)
-                soak.samples.append(look())
+                soak.samples.append(_look())
         (folder / "enough").touch()
         unaccounted = _settle(robot, soak, folder)
         doubt = unaccounted, _processes(folder)
         return _report(robot, connection, soak, faults, doubt)
 
 
-def _told(soak: Soak, faults: Faults) -> str:
+def _look() -> Sample:
+    """Return what this process holds now, after a collection."""
+    gc.collect()
+    pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
+    return Sample(
+        memory_megabytes=pages * os.sysconf("SC_PAGE_SIZE") / 1e6,
+        threads=threading.active_count(),
+        descriptors=sum(1 for _ in Path("/proc/self/fd").iterdir()),
+    )
+
+
+def _progress(soak: Soak, faults: Faults) -> str:
     return f"{soak.arrived} messages, {faults.done.total()} faults"
 
 
@@ -212,17 +300,28 @@ def _report(
         ("messages counted as lost", f"{counted.total():,} ({by_reason})"),
         ("given to two candidates at once", f"{copies(status):,}"),
         ("neither, or counted twice if below 0", f"{unaccounted}, in {hosts} hosts"),
-        ("memory, MB", _drawn([one.memory_megabytes for one in soak.samples])),
-        ("threads", _drawn([one.threads for one in soak.samples])),
-        ("descriptors", _drawn([one.descriptors for one in soak.samples])),
+        ("memory, MB", _drawn([sample.memory_megabytes for sample in soak.samples])),
+        ("threads", _drawn([sample.threads for sample in soak.samples])),
+        ("descriptors", _drawn([sample.descriptors for sample in soak.samples])),
         ("growth after the first third", f"{growth:.1f} MB"),
     ]
     print_table("Soak", ("what", "figures"), rows)
     return abs(unaccounted) <= hosts and growth < GROWTH_MEGABYTES
 
 
+def _sparkline(values: Sequence[float], width: int = 60) -> str:
+    """Draw a row of values as bars, the lowest as the lowest bar; each bar is a mean."""
+    if not values:
+        return ""
+    width = min(width, len(values))
+    edges = [round(n * len(values) / width) for n in range(width + 1)]
+    means = [sum(values[low:high]) / (high - low) for low, high in itertools.pairwise(edges)]
+    low, span = min(means), (max(means) - min(means)) or 1.0
+    return "".join(_BARS[int((mean - low) / span * (len(_BARS) - 1))] for mean in means)
+
+
 def _drawn(values: list[float]) -> str:
-    return f"{min(values):.0f} to {max(values):.0f} {sparkline(values)}"
+    return f"{min(values):.0f} to {max(values):.0f} {_sparkline(values)}"
 
 
 if __name__ == "__main__":

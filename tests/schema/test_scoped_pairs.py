@@ -1,7 +1,4 @@
-"""Documents with dynamic scopes, recursive and far references, against a second procedure.
-
-`bench/schema_worlds.py` runs the same for as many pairs as one likes.
-"""
+"""Documents with dynamic scopes, recursive and far references, against a second procedure."""
 
 from __future__ import annotations
 
