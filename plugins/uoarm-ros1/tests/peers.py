@@ -21,7 +21,7 @@ MASTER = "/usr/bin/rosmaster"
 
 
 class Master:
-    """rosmaster in a process of its own, on a loopback address that nobody else chooses.
+    """rosmaster in a process of its own, on a loopback address that no other process chooses.
 
     An address and not only a port: it can be killed, and comes back at the same place.
     """

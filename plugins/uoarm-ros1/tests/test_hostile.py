@@ -28,7 +28,7 @@ ANY = MessageStructure(True)
 
 @contextmanager
 def listening(answer: Callable[[socket.socket], object]) -> Iterator[int]:
-    """Something that listens on loopback, and answers each connection as it is told."""
+    """Something that listens on loopback, and answers each connection in a given way."""
     server = socket.create_server(("127.0.0.1", 0))
     threads: list[threading.Thread] = []
     ended = threading.Event()

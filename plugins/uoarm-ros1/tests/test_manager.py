@@ -56,7 +56,7 @@ def test_a_camera_that_is_killed_is_replaced_and_returned_to(master: Master) -> 
         connection.subscribe(came.append)
 
         def comes_from(name: str, number: int) -> None:
-            # What is published while nobody is connected goes to nobody: that is ROS 1.
+            # What is published without a subscriber is lost: that is ROS 1.
             def has_come() -> bool:
                 topic = f"/camera/{name}"
                 values = {"data": number}
@@ -96,7 +96,7 @@ offer:
         RobotManager(loads(text), bridges={"ros": bridge, "one": memory}) as manager,
     ):
         manager.offer()
-        wait(lambda: {one.state for one in manager.status().offers} == {OfferState.OPEN})
+        wait(lambda: {offer.state for offer in manager.status().offers} == {OfferState.OPEN})
         lasting.do("subscribe", topic="/offered/count", type="std_msgs/Int32")
         lasting.do("advertise", topic="/offered/goal", type="std_msgs/Int32")
 

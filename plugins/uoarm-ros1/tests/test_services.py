@@ -41,15 +41,15 @@ def test_a_service_of_another_definition_is_refused_with_both_sums(
             bridge.describe(at)
 
 
-def test_a_service_that_nobody_serves_is_named_and_its_coming_is_said(master: Master) -> None:
+def test_a_service_without_a_server_is_named_and_its_coming_is_said(master: Master) -> None:
     with bridge_to(master) as bridge:
         reports = Reports(bridge)
-        with pytest.raises(BridgeError, match="nobody serves /nowhere") as caught:
+        with pytest.raises(BridgeError, match="no node serves /nowhere") as caught:
             bridge.describe(service("/nowhere"))
         assert caught.value.reason is FailureReason.NOT_FOUND
         peer = master.peer("coming")
         wait(lambda: bridge._lost._seen, "it is not looked for", patience())  # type: ignore[attr-defined]
-        # A look that finds nobody comes first: what was there before is no return.
+        # A look that finds no node comes first: what was there before is no return.
         lost: Any = bridge
         wait(
             lambda: lost._lost._seen[("nowhere", "services", "/nowhere")] is not None,
@@ -214,7 +214,7 @@ def test_every_node_is_discovered_with_structures(master: Master) -> None:
     dead.do("advertise", topic="/dead", type="std_msgs/Int32")
     dead.kill()
     with bridge_to(master) as bridge:
-        found = {one.name: one for one in bridge.discover(timeout=patience())}
+        found = {component.name: component for component in bridge.discover(timeout=patience())}
         assert "/dead" not in found  # though it is registered still
         ports = {at.address: (at.role, known) for at, known in found["/discovered"].endpoints}
         role, image = ports["/found/out", "sensor_msgs/Image"]

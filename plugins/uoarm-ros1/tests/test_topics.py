@@ -6,6 +6,7 @@ import os
 import signal
 import socket
 import threading
+import time
 from functools import partial
 from operator import lt
 from typing import Any
@@ -14,6 +15,7 @@ import pytest
 from endpoints import Reports, bridge_to, input_, output
 from peers import Master, Peer
 from ros1_world import large_image, zero
+from uoarm_ros1 import _subscription
 from uoarm_ros1._node import Node
 
 from uoarm import RobotManager
@@ -151,8 +153,8 @@ def test_one_node_of_several_can_be_meant(master: Master) -> None:
         assert not [event for event in reports.events if event.health is Health.LOST]
         peers[1].kill()
         assert "/camera1" in reports.wait(Health.LOST).cause
-        with pytest.raises(BridgeError, match="node /nobody does not publish"):
-            bridge.describe(output("/cameras", node="/nobody"))
+        with pytest.raises(BridgeError, match="node /absent does not publish"):
+            bridge.describe(output("/cameras", node="/absent"))
 
 
 def test_a_node_that_is_killed_is_lost_at_once_and_found_on_another_port(master: Master) -> None:
@@ -190,6 +192,41 @@ def test_a_publisher_that_comes_later_is_connected(master: Master) -> None:
         peer.do("publish", topic="/later", type=INT, values={"data": 4})
         assert collector.wait(1, patience()) == [{"data": 4}]
         peer.kill()
+
+
+def test_a_killed_node_beside_one_that_lives_is_said_once(
+    master: Master, lasting: Peer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It stays registered, and is tried again and again: the topic is well all the same."""
+    dying = master.peer("half")
+    for peer in (dying, lasting):
+        peer.do("advertise", topic="/half", type=INT)
+    with bridge_to(master) as bridge:
+        reports = Reports(bridge)
+        _, collector = opened(bridge, output("/half"))
+        dying.kill()
+        reports.wait(Health.DEGRADED)
+        tries = Counted(_subscription._subscribe)
+        monkeypatch.setattr(_subscription, "_subscribe", tries)
+        for number in range(3):
+            wait(partial(tries.is_beyond, number), "it is not tried again", patience())
+            lasting.do("publish", topic="/half", type=INT, values={"data": number})
+            collector.wait(number + 1, patience())
+        assert [event.health for event in reports.events] == [Health.DEGRADED, Health.OK]
+
+
+class Counted:
+    """A function, and how often it was called."""
+
+    def __init__(self, function: Any) -> None:
+        self.function, self.count = function, 0
+
+    def __call__(self, *given: Any, **named: Any) -> Any:
+        self.count += 1
+        return self.function(*given, **named)
+
+    def is_beyond(self, count: int) -> bool:
+        return self.count > count
 
 
 @pytest.mark.usefixtures("short")
@@ -429,6 +466,28 @@ def test_a_link_moves_octets_without_reading_them(master: Master, lasting: Peer)
         reports = Reports(bridge)
         peer.kill()
         assert reports.wait(Health.LOST).channel is link
+
+
+def test_a_link_is_lost_by_its_rate_and_not_while_messages_come(
+    master: Master, lasting: Peer
+) -> None:
+    lasting.do("advertise", topic="/rate/from", type=INT)
+    lasting.do("subscribe", topic="/rate/to", type=INT)
+    stale_after = 0.5 * slowness()
+    with bridge_to(master) as bridge:
+        reports = Reports(bridge)
+        link = bridge.link(
+            output("/rate/from", wait=patience(), stale_after=stale_after),
+            input_("/rate/to", wait=patience()),
+            timeout=patience(),
+        )
+        assert link is not None
+        begun, count = time.monotonic(), 0
+        while time.monotonic() < begun + 3 * stale_after:
+            lasting.do("publish", topic="/rate/from", type=INT, values={"data": count})
+            count += 1
+        assert not reports.events
+        assert "no message for" in reports.wait(Health.LOST).cause
 
 
 def test_two_nodes_on_one_topic_are_connected_already(master: Master, lasting: Peer) -> None:

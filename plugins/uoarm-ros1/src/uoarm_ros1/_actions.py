@@ -405,7 +405,7 @@ class ServedAction(Channel):
             self._say_status()
             try:
                 result = self._handler(goal)
-            except Exception as error:  # noqa: BLE001 - of the handler: the client is told
+            except Exception as error:  # noqa: BLE001 - of the handler: the client gets it
                 self._failed += 1
                 self._end(served, ABORTED, None, f"{type(error).__name__}: {error}"[:1000])
                 return

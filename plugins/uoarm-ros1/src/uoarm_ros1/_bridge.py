@@ -150,7 +150,7 @@ class Ros1Bridge(Bridge):
         if header is None:
             kind = address.type or self._node.master.types().get(topic, "")
             if not kind:
-                text = f"{endpoint}: nobody publishes {topic}, and its type is in no address"
+                text = f"{endpoint}: no node publishes {topic}, and its type is in no address"
                 raise BridgeError(text, FailureReason.NOT_FOUND)
             return self._types.require(kind, port.definition)
         if header.definition and not port.definition:
@@ -197,11 +197,11 @@ class Ros1Bridge(Bridge):
         if failures:
             text = f"{endpoint}: no publisher of {topic} answers: {'; '.join(failures)}"
             raise BridgeError(text, FailureReason.UNAVAILABLE)
-        who = f"node {port.node} does not publish" if port.node else "nobody publishes"
+        who = f"node {port.node} does not publish" if port.node else "no node publishes"
         raise BridgeError(f"{endpoint}: {who} {topic}", FailureReason.NOT_FOUND)
 
     def _require_peer(self, endpoint: Endpoint, topic: str, port: Port) -> None:
-        """Refuse an input to which nobody who lives subscribes."""
+        """Refuse an input to which no node that lives subscribes."""
         if endpoint.role is not Role.INPUT or not port.peer_required:
             return
         node = self._node
@@ -209,7 +209,7 @@ class Ros1Bridge(Bridge):
         if port.node:
             subscribers = tuple(name for name in subscribers if name == node.resolve(port.node))
         if not subscribers:
-            who = f"node {port.node} does not subscribe" if port.node else "nobody subscribes"
+            who = f"node {port.node} does not subscribe" if port.node else "no node subscribes"
             raise BridgeError(f"{endpoint}: {who} to {topic}", FailureReason.NOT_FOUND)
         if not any(map(node.is_alive, subscribers)):
             text = (
@@ -330,9 +330,9 @@ class Ros1Bridge(Bridge):
     def _place(self, endpoint: Endpoint, topic: str, port: Port) -> Place:
         wait = self._settings.wait if port.wait is None else port.wait
         clock: Callable[[], float] = time.monotonic if self._clock is None else self._clock.now
-        return Place(self._node, endpoint, topic, port, wait, self._told, clock)
+        return Place(self._node, endpoint, topic, port, wait, self._report_channel, clock)
 
-    def _told(self, channel: Channel, health: Health, cause: str) -> None:
+    def _report_channel(self, channel: Channel, health: Health, cause: str) -> None:
         self.report(health, cause, channel=channel)
 
     def _opened_at(self, channel: C) -> C:

@@ -111,7 +111,7 @@ class _Subscribed:
         """Begin to take messages; what takes them must be whole by then.
 
         Raises:
-            BridgeError: nobody who is required is there, or the master is not.
+            BridgeError: no peer that is required is there, or the master is not.
         """
         self.place.node.subscribe(self.subscription)
         try:
@@ -129,6 +129,12 @@ class _Subscribed:
         self.end.is_closed = True
         self.place.node.unsubscribe(self.subscription)
 
+    def took(self) -> None:
+        """Take note of a message; most change nothing, and cost a look."""
+        health = self.end.health
+        if health.is_waiting:
+            self.end.note(lambda: health.took(self.place.clock()))
+
     def tick(self) -> None:
         """Look whether messages come."""
         self.end.note(lambda: self.end.health.tick(self.place.clock()))
@@ -144,7 +150,7 @@ class _Subscribed:
         subscription.wait(is_ready, place.wait)
         if place.port.peer_required and not subscription.connected:
             node = f" by {place.port.node}" if place.port.node else ""
-            why = "; ".join(subscription.failures) or f"nobody publishes it{node}"
+            why = "; ".join(subscription.failures) or f"no node publishes it{node}"
             text = f"{place.endpoint}: no publisher within {place.wait:g} s: {why}"
             raise BridgeError(text, FailureReason.UNAVAILABLE)
 
@@ -207,8 +213,7 @@ class TopicSource(Source):
         except MessageError as error:
             self._deliver.unreadable(f"{self._place.topic}: {error}")
             return
-        if end.health.is_waiting:
-            end.note(lambda: end.health.took(self._place.clock()))
+        self._subscribed.took()
         self._deliver(message, writer)
 
     def _close(self) -> None:
@@ -274,7 +279,7 @@ class _Publishing:
                 break
         callers = self.publication.callers
         if place.port.peer_required and not (wanted in callers if wanted else callers):
-            who = f"{wanted} does not subscribe" if wanted else "nobody subscribes"
+            who = f"{wanted} does not subscribe" if wanted else "no node subscribes"
             text = f"{place.endpoint}: no subscriber within {place.wait:g} s: {who}"
             if self._refusal:
                 text = f"{place.endpoint}: {self._refusal}"
@@ -349,6 +354,11 @@ class Relay(Channel):
             self._publishing.close()
             raise
 
+    @property
+    def is_silent(self) -> bool:
+        """Whether it was lost since nothing came."""
+        return self._subscribed.end.health.is_silent
+
     def facts(self) -> Mapping[str, object]:
         """Return counters."""
         publication = self._publishing.publication
@@ -368,6 +378,7 @@ class Relay(Channel):
 
     def _take(self, frame: bytes | bytearray, _: str) -> None:
         self._moved += 1
+        self._subscribed.took()
         self._publishing.publication.send(frame)
 
     def _close(self) -> None:

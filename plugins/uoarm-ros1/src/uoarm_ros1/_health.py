@@ -97,7 +97,7 @@ class MasterHealth:
     def failed(self, cause: str) -> Report | None:
         """It did not."""
         was_up, self._is_up = self._is_up, False
-        # What nobody has relied upon yet is not broken: whoever asks for it is refused.
+        # What was not relied upon yet is not broken: a step that needs it is refused.
         return (Health.DEGRADED, cause) if was_up else None
 
 

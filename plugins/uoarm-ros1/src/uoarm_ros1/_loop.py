@@ -65,7 +65,7 @@ class Loop:
             # Nothing is watched any more, but sockets that come now are closed all the same.
             self._call_posted()
             return
-        with suppress(OSError):  # full: it wakes anyway; closed: nobody is left to wake
+        with suppress(OSError):  # full: it wakes anyway; closed: the thread has ended
             self._wake.send(b"\0")
 
     def later(self, seconds: float, action: Callable[[], object]) -> None:

@@ -163,7 +163,7 @@ class Master:
             raise self._wrong("getSystemState") from None
 
     def types(self) -> dict[str, str]:
-        """Return the types of topics, by topic; one nobody has said is not there."""
+        """Return the types of topics, by topic; a topic without one is left out."""
         value = self.call("getTopicTypes")
         try:
             return {str(topic): str(kind) for topic, kind in value if kind != "*"}

@@ -115,7 +115,7 @@ class Node:
         return made
 
     def withdraw(self, publication: Publication) -> None:
-        """Publish a topic no more, once nobody here does."""
+        """Publish a topic no more, once no channel here does."""
         topic = publication.topic
         with self._lock:
             made, users = self._publications.get(topic, (None, 0))
@@ -130,7 +130,7 @@ class Node:
         publication.close()
 
     def subscribe(self, subscription: Subscription) -> None:
-        """Connect a subscription to whoever publishes its topic, from now on.
+        """Connect a subscription to the publishers of its topic, from now on.
 
         Raises:
             BridgeError: the master cannot be reached.
@@ -235,7 +235,7 @@ class Node:
                     changed(key, value)
 
     def is_known(self) -> bool:
-        """Whether the master knows the node; one that was started again knows nobody.
+        """Whether the master knows the node; one that was started again knows no node.
 
         Raises:
             BridgeError: it cannot be reached.
@@ -267,7 +267,7 @@ class Node:
         return True
 
     def register_again(self) -> None:
-        """Tell a master that does not know the node, as after its restart, all of it.
+        """Register everything with a master that does not know the node, as after its restart.
 
         Raises:
             BridgeError: it cannot be reached.

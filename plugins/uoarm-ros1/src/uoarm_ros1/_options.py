@@ -152,7 +152,7 @@ class Port:
         latch: whether the last message is given to each subscriber that comes.
         queue: messages that may wait for one subscriber.
         nodelay: whether small messages are sent at once.
-        definition: the text of the type, where nobody says it.
+        definition: the text of the type, where no peer says it.
         at_once: requests to a service that is offered that are handled at the same time.
     """
 
@@ -237,7 +237,7 @@ def settings_of(name: str, options: Options, environment: Mapping[str, str]) -> 
     if namespace != "/" and not _NAME.fullmatch(namespace):
         raise ConfigurationError(f"bridge {name!r}: ROS_NAMESPACE {namespace!r} is no namespace")
     plain = re.sub(r"\W", "_", name, flags=re.ASCII)
-    # Two nodes of one name end each other: unless it is stated, nobody else has it.
+    # Two nodes of one name end each other: unless it is stated, no other node has it.
     node = given.get("node") or f"uoarm_{plain}_{os.getpid()}_{os.urandom(4).hex()}"
     names = Names(f"{namespace.rstrip('/')}/{node}", namespace)
     remap = {
@@ -278,7 +278,7 @@ def address_of(endpoint: Endpoint) -> Address:
 
 
 def port_of(endpoint: Endpoint) -> Port:
-    """Read an endpoint's options. What is offered needs nobody at the other end.
+    """Read an endpoint's options. What is offered needs no peer.
 
     Raises:
         BridgeError: with BAD_ENDPOINT and what is wrong.

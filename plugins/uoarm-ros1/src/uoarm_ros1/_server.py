@@ -22,7 +22,7 @@ from uoarm_ros1._protocol import (
 __all__ = ["Server"]
 
 _MOST_STRANGERS = 256
-"""Connections at a time of which nobody knows yet what they are for, and calls."""
+"""Connections at a time whose header has not come, and of callers of the API."""
 
 _ARRIVAL_SECONDS = 5.0
 _IDLE_SECONDS = 600.0

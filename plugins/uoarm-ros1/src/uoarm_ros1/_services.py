@@ -41,14 +41,14 @@ def probe_service(node: Node, service: str) -> tuple[str, str]:
     """Return type and md5sum of a service, as its server says them.
 
     Raises:
-        BridgeError: nobody serves it, or the server cannot be reached or does not say.
+        BridgeError: no node serves it, or the server cannot be reached or does not say.
     """
     try:
         host, port = node.master.service_address(service)
     except BridgeError as error:
         if error.reason is not FailureReason.REFUSED:
             raise
-        text = f"nobody serves {service}: {error}"
+        text = f"no node serves {service}: {error}"
         raise BridgeError(text, FailureReason.NOT_FOUND) from error
     header = service_header(node.name, service, probe=True)
     connection, answer = _open(host, port, service, header, time.monotonic() + _PROBE_SECONDS)
@@ -119,7 +119,7 @@ class Caller:
         """Send a request and return the reply to it; a request is sent once.
 
         Raises:
-            BridgeError: nobody serves it, the service failed, or its server is gone.
+            BridgeError: no node serves it, the service failed, or its server is gone.
             BridgeTimeoutError: no reply within `timeout` seconds.
             MessageError: the request does not fit its type.
         """
@@ -297,7 +297,7 @@ class ServedService(Channel):
             with self._turns:
                 reply = self._handler(self._read(frame))
             octets = self._write(reply)
-        except Exception as error:  # noqa: BLE001 - of the handler: the caller is told
+        except Exception as error:  # noqa: BLE001 - of the handler: the caller gets it
             self._failed += 1
             text = f"{type(error).__name__}: {error}"[:1000].encode("utf-8", "replace")
             return b"\0" + LENGTH.pack(len(text)) + text

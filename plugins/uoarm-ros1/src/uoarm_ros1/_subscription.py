@@ -189,7 +189,7 @@ class _Publisher:
                 connection.shutdown(socket.SHUT_RDWR)
 
     def _run(self) -> None:
-        pause = _RETRY_SECONDS[0]
+        pause, is_failing = _RETRY_SECONDS[0], False
         while not self._closed.is_set():
             try:
                 cause = self._connect_and_read()
@@ -202,7 +202,10 @@ class _Publisher:
                 break
             pause = min(2 * pause, _RETRY_SECONDS[1]) if header is None else _RETRY_SECONDS[0]
             name = self.uri if header is None else header.node
-            self._owner.ended(name, cause, was_connected=header is not None)
+            # A node that was killed stays listed, and is tried for ever: it is said once.
+            if header is not None or not is_failing:
+                self._owner.ended(name, cause, was_connected=header is not None)
+            is_failing = header is None
             if not self.is_listed:
                 break
             self._poked.wait(pause)
@@ -295,7 +298,7 @@ class _Publisher:
 
 
 class Subscription:
-    """One topic, kept connected to whoever the master says publishes it.
+    """One topic, kept connected to the publishers that the master names.
 
     Args:
         wanted: what it takes.
