@@ -464,6 +464,13 @@ def test_a_channel_is_lost_once_and_stays_so() -> None:
     assert [health.tick(14.0), health.connected(0, "gone"), health.refused("x")] == [None] * 3
 
 
+def test_a_clock_that_goes_back_begins_the_silence_anew() -> None:
+    """As that of a simulation, or of a record that is played in a loop."""
+    health = ChannelHealth("publisher of /t", required=True, stale_after=2.0, now=100.0)
+    assert [health.tick(now) for now in (101.0, 5.0, 7.0)] == [None] * 3
+    assert health.tick(7.1) == (Health.LOST, "publisher of /t: no message for 2 s")
+
+
 def test_a_peer_that_goes_is_a_loss_where_one_is_required() -> None:
     required = ChannelHealth("publisher of /t", required=True)
     optional = ChannelHealth("publisher of /t", required=False)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import socket
 import struct
@@ -14,13 +15,15 @@ from typing import Any
 import pytest
 from endpoints import Reports, bridge_to, input_, output, service
 from peers import Master, Peer, running
+from uoarm_ros1 import _server, _services
+from uoarm_ros1._master import call_api
 from uoarm_ros1._node import Node
 from uoarm_ros1._protocol import decode_call, encode_header, encode_reply, http_reply
 
 from uoarm.bridge import Bridge
 from uoarm.errors import BridgeError
 from uoarm.model import Health, MessageStructure
-from uoarm.testing import Collector, patience, slowness
+from uoarm.testing import Collector, patience, slowness, wait
 
 INT = "std_msgs/Int32"
 ANY = MessageStructure(True)
@@ -167,9 +170,12 @@ PUBLISHERS: dict[str, tuple[bytes, str]] = {
     "no type": (encode_header({"callerid": "/bad"}), "no field md5sum"),
     "a refusal": (encode_header({"error": "not you"}), "not you"),
     "another type": (typed(type="std_msgs/String"), "std_msgs/String"),
-    "a definition of another sum": (typed(message_definition="int8 data"), "md5sum"),
+    "a definition of another sum": (
+        typed(message_definition="int8 data", md5sum="1" * 32),
+        "md5sum 1111",
+    ),
     "a definition without an end": (
-        typed(message_definition="Other o"),
+        typed(message_definition="Other o", md5sum="1" * 32),
         "cannot be read",
     ),
 }
@@ -189,6 +195,23 @@ def test_a_publisher_that_lies_is_an_error_that_names_it(master: Master, what: s
                         bridge.describe(output("/t", INT), timeout=patience())
                     assert "/bad" in str(caught.value)
                     assert len(str(caught.value)) < 3000
+
+
+@pytest.mark.parametrize("definition", ["", "int8 data", "Other o", "\0"])
+def test_a_definition_that_is_wrong_is_not_needed_where_the_sum_is_known(
+    master: Master, definition: str
+) -> None:
+    """Nodes of other makes send no definition, or none that fits: the sum says which it is."""
+    with listening(headers(typed(message_definition=definition))) as port:
+        api = {"requestTopic": [1, "", ["TCPROS", "127.0.0.1", port]]}
+        with listening(calls(api)) as api_port:
+            answers = graph(f"http://127.0.0.1:{api_port}/")
+            with (
+                listening(calls(answers)) as master_port,
+                bridge_to(master, master=f"http://127.0.0.1:{master_port}") as bridge,
+            ):
+                message: Any = bridge.describe(output("/t"), timeout=patience()).message
+                assert message.schema["properties"]["data"]["x-native-type"] == "int32"
 
 
 @pytest.mark.parametrize(
@@ -275,14 +298,89 @@ def test_strangers_at_our_doors_disturb_nobody(master: Master, lasting: Peer) ->
             connection.close()
 
 
-def test_more_strangers_than_there_is_room_for_are_turned_away(master: Master) -> None:
+def test_strangers_who_hold_their_connections_keep_no_peer_out(
+    master: Master, lasting: Peer
+) -> None:
+    """Those that have been silent longest make room: more than there is room for may come."""
+    lasting.do("advertise", topic="/crowd/to", type=INT)
     with bridge_to(master) as bridge:
         node: Node = bridge._node  # type: ignore[attr-defined]  # of this bridge
-        held = [socket.create_connection((node._slave.host, node._slave.port)) for _ in range(300)]
-        held[-1].settimeout(patience())
-        assert held[-1].recv(1) == b""
+        collector = Collector()
+        bridge.open_source(output("/crowd/to"), ANY, collector.deliver, timeout=patience())
+        api = int(node.uri.rstrip("/").rpartition(":")[2])
+        held = [socket.create_connection((node._slave.host, api)) for _ in range(300)]
+        held += [socket.create_connection((node._slave.host, node._slave.port)) for _ in range(300)]
+        sink = bridge.open_sink(input_("/crowd", INT, peer="optional"), ANY, timeout=patience())
+        lasting.do("subscribe", topic="/crowd", type=INT)
+        wait(lambda: sink.facts()["subscribers"], "no subscriber is let in", patience())
+        sink.send({"data": 1})
+        lasting.wait_for("count", lambda count: count == 1, topic="/crowd")
+        held[0].settimeout(patience())
+        assert held[0].recv(1) == b""
         for connection in held:
             connection.close()
+
+
+def test_calls_that_do_not_end_share_one_room(
+    master: Master, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each may be large, as the description of a robot is; all together may not fill the memory."""
+    monkeypatch.setattr(_server, "_ARRIVAL_SECONDS", 10 * patience())  # time alone ends none
+    with bridge_to(master) as bridge:
+        node: Node = bridge._node  # type: ignore[attr-defined]  # of this bridge
+        api = int(node.uri.rstrip("/").rpartition(":")[2])
+        head = b"POST / HTTP/1.1\r\nContent-Length: 8000000\r\n\r\n"
+        held = [socket.create_connection((node._slave.host, api)) for _ in range(8)]
+        for connection in held:
+            connection.settimeout(patience())
+            with suppress(ConnectionError):
+                for part in (head, *[bytes(1_000_000)] * 7):
+                    connection.sendall(part)
+        assert call_api(node.uri, "getPid", "/t", seconds=patience()) == os.getpid()
+        wait(lambda: sum(map(is_ended, held)) >= len(held) // 2, "none goes", patience())
+        for connection in held:
+            connection.close()
+
+
+def is_ended(connection: socket.socket) -> bool:
+    connection.setblocking(False)
+    try:
+        return connection.recv(1) == b""
+    except BlockingIOError:
+        return False
+    except ConnectionError:
+        return True
+
+
+def test_a_client_that_asks_nothing_is_let_go(
+    master: Master, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(_services, "_REQUEST_SECONDS", 0.1)
+    with bridge_to(master) as bridge:
+        served = bridge.serve(
+            service("/served/idle", "std_srvs/SetBool"), lambda _: {"success": True, "message": ""}
+        )
+        node: Node = bridge._node  # type: ignore[attr-defined]  # of this bridge
+        header = {"callerid": "/x", "md5sum": "*", "service": "/served/idle"}
+        with socket.create_connection((node._slave.host, node._slave.port)) as connection:
+            connection.settimeout(patience())
+            connection.sendall(encode_header(header))
+            while connection.recv(4096):
+                pass
+        wait(lambda: served.facts()["clients"] == 0, "it is kept", patience())
+
+
+def test_more_publishers_than_there_is_room_for_are_left_out(master: Master) -> None:
+    """Whoever calls `publisherUpdate` again and again has no thread made for each address."""
+    with bridge_to(master) as bridge:
+        at = output("/flooded", INT, peer="optional")
+        bridge.open_source(at, ANY, Collector().deliver, timeout=patience())
+        node: Node = bridge._node  # type: ignore[attr-defined]  # of this bridge
+        before = threading.active_count()
+        for turn in range(10):
+            uris = [f"http://127.0.0.1:1/{turn}/{number}" for number in range(200)]
+            call_api(node.uri, "publisherUpdate", "/m", "/flooded", uris, seconds=patience())
+        assert threading.active_count() - before <= 600
 
 
 def test_a_master_that_is_started_again_is_registered_with_again(tmp_path: Path) -> None:
@@ -317,8 +415,6 @@ def test_a_master_that_is_started_again_is_registered_with_again(tmp_path: Path)
 def reports_ok(bridge: Bridge, reports: Reports) -> None:
     """The master has answered once, so that its death is one."""
     known: Any = bridge
-    from uoarm.testing import wait
-
     wait(lambda: known._master_health.is_up, "the master was not asked", patience())
     assert not [event for event in reports.events if event.health is Health.LOST]
 

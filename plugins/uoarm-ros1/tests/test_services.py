@@ -146,6 +146,24 @@ def test_an_action_that_fails_says_how(master: Master) -> None:
             lost.result(patience())
 
 
+def test_goals_have_the_time_of_a_simulation(master: Master, lasting: Peer) -> None:
+    """A server counts by it: a goal that is stamped otherwise is of another year."""
+    peer = master.peer("simulating")
+    peer.do("advertise", topic="/clock", type="rosgraph_msgs/Clock", latch=True)
+    values = {"clock": {"secs": 100, "nsecs": 5}}
+    peer.do("publish", topic="/clock", type="rosgraph_msgs/Clock", values=values)
+    lasting.do("act", action="/simulated/add", type=ADD)
+    lasting.do("subscribe", topic="/simulated/add/goal", type="actionlib/TwoIntsActionGoal")
+    with bridge_to(master, use_sim_time=True) as bridge:
+        node: Any = bridge
+        wait(lambda: node._clock.now() > 100, "the clock is not taken", patience())
+        at = service("/simulated/add", ADD)
+        assert bridge.call(at, {"a": 1, "b": 2}, timeout=patience()) == {"sum": 3}
+        (goal,) = lasting.wait_for("came", bool, topic="/simulated/add/goal")
+        assert goal["goal_id"]["stamp"] == goal["header"]["stamp"] == values["clock"]
+    peer.kill()
+
+
 def test_a_function_answers_goals_of_actionlib(master: Master, lasting: Peer) -> None:
     holding, begun = threading.Event(), threading.Event()
 

@@ -19,7 +19,6 @@ from uoarm_ros1._master import GraphState
 from uoarm_ros1._node import Node
 from uoarm_ros1._options import Address, Port
 from uoarm_ros1._publication import Publication
-from uoarm_ros1._rosout import stamp
 from uoarm_ros1._serialisation import framed_writer, reader
 from uoarm_ros1._structures import structure_of
 from uoarm_ros1._subscription import PublisherHeader, Subscription, Wanted
@@ -170,7 +169,7 @@ class ActionCaller:
         """
         deadline = time.monotonic() + timeout
         self._require_server(endpoint, min(deadline, time.monotonic() + self._wait))
-        now = stamp(time.time())
+        now = self._node.stamp()
         number = next(self._numbers)
         identity = f"{self._node.name}-{number}-{now['secs']}.{now['nsecs']:09d}"
         goal_id = {"stamp": now, "id": identity}
@@ -380,16 +379,16 @@ class ServedAction(Channel):
             message = self._read_cancel(frame)
         except MessageError:
             return
-        identity, at = message["id"], _seconds(message["stamp"])
+        identity, at = message["id"], _moment(message["stamp"])
         with self._lock:
             if identity and identity not in self._goals and len(self._goals) < _MOST_GOALS:
                 until = time.monotonic() + _KEEP_SECONDS
                 self._goals[identity] = _Served(message, RECALLING, "", until)
             for served in self._goals.values():
                 # An empty id and no time: all of them; a time: those up to it.
-                is_meant = served.goal_id["id"] == identity if identity else not at
-                if not is_meant and at:
-                    is_meant = _seconds(served.goal_id["stamp"]) <= at
+                is_meant = served.goal_id["id"] == identity if identity else not any(at)
+                if not is_meant and any(at):
+                    is_meant = _moment(served.goal_id["stamp"]) <= at
                 if is_meant and served.status in {PENDING, ACTIVE}:
                     served.status = RECALLING if served.status == PENDING else PREEMPTING
 
@@ -438,7 +437,7 @@ class ServedAction(Channel):
         return _zero(_member(self._publications[0].record, "result"))
 
     def _header(self) -> Message:
-        return {"seq": next(self._numbers), "stamp": stamp(time.time()), "frame_id": ""}
+        return {"seq": next(self._numbers), "stamp": self._node.stamp(), "frame_id": ""}
 
     def _say_status(self) -> None:
         with self._lock:
@@ -470,8 +469,8 @@ def _ignore_end(name: str, cause: str, was_connected: bool) -> None:  # noqa: FB
     del name, cause, was_connected
 
 
-def _seconds(time_of: Message) -> float:
-    return float(time_of["secs"] + time_of["nsecs"] / 1_000_000_000)
+def _moment(stamp: Message) -> tuple[int, int]:
+    return stamp["secs"], stamp["nsecs"]
 
 
 def _zero(shape: Shape) -> Any:

@@ -153,22 +153,31 @@ class Ros1Bridge(Bridge):
                 text = f"{endpoint}: no node publishes {topic}, and its type is in no address"
                 raise BridgeError(text, FailureReason.NOT_FOUND)
             return self._types.require(kind, port.definition)
+        reasons = []
         if header.definition and not port.definition:
             try:
                 record = record_of(header.kind, header.definition)
+                if record.md5 == header.md5:
+                    return record
+                reasons.append(f"its definition as it sends it has {record.md5}")
             except DefinitionError as error:
-                text = f"{endpoint}: {header.node} sends a definition that cannot be read: {error}"
-                raise BridgeError(text, FailureReason.BAD_MESSAGE) from error
-        else:
+                reasons.append(f"what it sends as definition cannot be read: {error}")
+        # Nodes of some makes send none, or one that does not fit: the sum says which is meant.
+        try:
             record = self._types.require(header.kind, port.definition)
-        if record.md5 != header.md5:
-            text = (
-                f"{endpoint}: {header.node} publishes {header.kind} with md5sum {header.md5}, and "
-                f"its definition {'as it sends it' if header.definition else 'here'} has "
-                f"{record.md5}"
-            )
-            raise BridgeError(text, FailureReason.UNSUPPORTED)
-        return record
+        except BridgeError as error:
+            if not reasons:
+                raise
+            reasons.append(str(error))
+        else:
+            if record.md5 == header.md5:
+                return record
+            reasons.append(f"its definition here has {record.md5}")
+        text = (
+            f"{endpoint}: {header.node} publishes {header.kind} with md5sum {header.md5}, and "
+            f"{'; '.join(reasons)}"
+        )
+        raise BridgeError(text, FailureReason.UNSUPPORTED)
 
     def _publisher_header(
         self, endpoint: Endpoint, topic: str, address: Address, port: Port

@@ -207,7 +207,6 @@ class TopicSource(Source):
 
     def _take(self, frame: bytes | bytearray, writer: str) -> None:
         self._received += 1
-        end = self._subscribed.end
         try:
             message = self._read(frame)
         except MessageError as error:

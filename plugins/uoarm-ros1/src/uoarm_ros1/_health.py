@@ -60,6 +60,7 @@ class ChannelHealth:
 
     def tick(self, now: float) -> Report | None:
         """Time has passed."""
+        self._last = min(self._last, now)  # simulated time goes back where it begins anew
         if self._stale_after is None or now - self._last <= self._stale_after:
             return None
         self.is_silent = True

@@ -5,7 +5,8 @@ from __future__ import annotations
 import os
 import socket
 import threading
-from collections.abc import Callable, Iterable
+import time
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
 from itertools import count
 from typing import Any
@@ -46,12 +47,14 @@ class Node:
         name: its full name.
         master: where it is registered.
         loop: that watches its sockets.
+        stamp: returns the time as headers have it: this machine's, or that of /clock.
     """
 
     def __init__(self, settings: Settings, ended: Callable[[str], object]) -> None:
         self.settings = settings
         self.name = settings.names.node
         self._ended = ended
+        self.stamp: Callable[[], Mapping[str, int]] = _stamp
         # Guards the tables of what is registered, between steps, the loop and the watch.
         self._lock = threading.RLock()
         self._publications: dict[str, tuple[Publication, int]] = {}
@@ -355,6 +358,11 @@ class Node:
         with suppress(OSError):
             connection.send(encode_header({"error": problem, "callerid": self.name}))
         connection.close()
+
+
+def _stamp() -> dict[str, int]:
+    secs, nsecs = divmod(time.time_ns(), 1_000_000_000)
+    return {"secs": secs, "nsecs": nsecs}
 
 
 def _own_address(host: str, port: int) -> str:

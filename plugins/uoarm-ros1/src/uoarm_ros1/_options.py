@@ -88,7 +88,8 @@ BRIDGE_OPTIONS: Schema = {
         },
         "use_sim_time": {
             "type": "boolean",
-            "description": "whether stale_after and goals count by /clock; default false",
+            "description": "whether stale_after counts by /clock, and goals have its time; "
+            "default false",
         },
         "rosout": {
             "type": "boolean",

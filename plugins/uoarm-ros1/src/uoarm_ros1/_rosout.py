@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import time
+from collections.abc import Mapping
 from contextlib import suppress
 
 from uoarm.errors import MessageError
@@ -13,7 +13,7 @@ from uoarm_ros1._serialisation import framed_writer, reader
 from uoarm_ros1._subscription import Subscription, Wanted
 from uoarm_ros1._types import TypeStore
 
-__all__ = ["Clock", "Rosout", "stamp"]
+__all__ = ["Clock", "Rosout"]
 
 _INFO, _WARN, _ERROR = 2, 4, 8
 _LEVELS = {
@@ -22,12 +22,6 @@ _LEVELS = {
     Health.DEGRADED: _WARN,
     Health.LOST: _ERROR,
 }
-
-
-def stamp(seconds: float) -> dict[str, int]:
-    """Return a time of ROS 1."""
-    whole = int(seconds)
-    return {"secs": whole, "nsecs": int((seconds - whole) * 1_000_000_000)}
 
 
 class Rosout:
@@ -56,7 +50,7 @@ class Rosout:
             return
         self._count += 1
         message = {
-            "header": {"seq": self._count, "stamp": stamp(time.time()), "frame_id": ""},
+            "header": {"seq": self._count, "stamp": self._node.stamp(), "frame_id": ""},
             "level": _LEVELS[health],
             "name": self._node.name,
             "msg": text,
@@ -83,11 +77,16 @@ class Clock:
         self._read = reader(record, node.settings.budget)
         self._wanted = Wanted(node.name, "/clock", record.name, record.md5)
         self._subscription: Subscription | None = None
-        self._seconds = 0.0
+        self._time: Mapping[str, int] = {"secs": 0, "nsecs": 0}
+        node.stamp = self.stamp
 
     def now(self) -> float:
-        """Return the time that was said last."""
-        return self._seconds
+        """Return the seconds that were said last."""
+        return self._time["secs"] + self._time["nsecs"] / 1_000_000_000
+
+    def stamp(self) -> Mapping[str, int]:
+        """Return the time that was said last, as headers have it."""
+        return self._time
 
     def open(self) -> None:
         """Subscribe to it, unless it is done.
@@ -107,5 +106,4 @@ class Clock:
 
     def _take(self, frame: bytes | bytearray, _: str) -> None:
         with suppress(MessageError):
-            now = self._read(frame)["clock"]
-            self._seconds = now["secs"] + now["nsecs"] / 1_000_000_000
+            self._time = self._read(frame)["clock"]

@@ -29,6 +29,7 @@ _IDLE_SECONDS = 600.0
 _MAX_HEADER_OCTETS = 1 << 20
 _MAX_CALL_OCTETS = 8 << 20
 _MAX_UNREAD_OCTETS = 16 << 20
+_MOST_HELD_OCTETS = 32 << 20
 _CHUNK = 65_536
 _BACKLOG = 128
 
@@ -52,7 +53,7 @@ class Server:
 
     def __init__(self, loop: Loop, address: str, answer: Answer, arrived: Arrived) -> None:
         self._loop = loop
-        self._strangers = _Count(_MOST_STRANGERS)
+        self._strangers = _Strangers(loop)
         family = socket.AF_INET6 if ":" in address else socket.AF_INET
         sockets = []
         try:
@@ -73,25 +74,59 @@ class Server:
             loop.add(listener)
 
 
-class _Count:
-    """How many there are, and the most that may be; used in the loop's thread alone."""
+class _Strangers:
+    """Connections that have not said yet what they are for, and callers of the API.
 
-    def __init__(self, most: int) -> None:
-        self.most = most
-        self.now = 0
+    They share one room, which is bounded in number and in octets: who has been silent longest, or
+    holds most, makes room for the others. Used in the loop's thread alone.
+    """
+
+    def __init__(self, loop: Loop) -> None:
+        self._loop = loop
+        self._held: dict[_Stranger, int] = {}  # octets by connection, the latest to say a word last
+        self._octets = 0
+
+    def enter(self, stranger: _Stranger) -> None:
+        """Take one in; another may have to go."""
+        if len(self._held) >= _MOST_STRANGERS:
+            self._turn_away(next(iter(self._held)))
+        self._held[stranger] = 0
+
+    def spoke(self, stranger: _Stranger, octets: int) -> None:
+        """Take note that one said a word, and of how much of it waits now."""
+        if stranger not in self._held:
+            return
+        self._octets += octets - self._held.pop(stranger)
+        self._held[stranger] = octets
+        while self._octets > _MOST_HELD_OCTETS:
+            self._turn_away(max(self._held, key=self._held.__getitem__))
+
+    def has(self, stranger: _Stranger) -> bool:
+        """Whether one is still here."""
+        return stranger in self._held
+
+    def leave(self, stranger: _Stranger) -> bool:
+        """Let one go; returns whether it was still here."""
+        octets = self._held.pop(stranger, None)
+        self._octets -= octets or 0
+        return octets is not None
+
+    def _turn_away(self, stranger: _Stranger) -> None:
+        self.leave(stranger)
+        self._loop.discard(stranger)
 
 
-Given = tuple[socket.socket, Loop, _Count]
+Given = tuple[socket.socket, Loop, _Strangers]
 
 
 class _Listener(Handler):
-    """Takes connections, and closes those that are too many."""
+    """Takes connections."""
 
     def __init__(
         self,
         listening: socket.socket,
         loop: Loop,
-        strangers: _Count,
+        strangers: _Strangers,
         make: Callable[[Given], _Stranger],
     ) -> None:
         super().__init__(listening)
@@ -106,38 +141,28 @@ class _Listener(Handler):
             # No descriptor is left, or the peer is gone again: others may be closed meanwhile.
             self._loop.pause(self, 0.1)
             return
-        if self._strangers.now >= self._strangers.most:
-            connection.close()
-            return
         with suppress(OSError):
             connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self._loop.add(self._make((connection, self._loop, self._strangers)))
 
 
 class _Stranger(Handler):
-    """A connection that has a time limit."""
+    """A connection that has a time limit, and a share of the room for all of its kind."""
 
     def __init__(
-        self, connection: socket.socket, loop: Loop, strangers: _Count, seconds: float
+        self, connection: socket.socket, loop: Loop, strangers: _Strangers, seconds: float
     ) -> None:
         super().__init__(connection)
         self._loop, self._strangers = loop, strangers
-        self._is_over = False
-        strangers.now += 1
-        loop.later(seconds, self._time_over)
+        strangers.enter(self)
+        loop.later(seconds, self._turn_away)
 
     def failed(self, cause: str) -> None:
         del cause
-        self._leave()
+        self._strangers.leave(self)
 
-    def _leave(self) -> None:
-        if not self._is_over:
-            self._is_over = True
-            self._strangers.now -= 1
-
-    def _time_over(self) -> None:
-        if not self._is_over:
-            self._leave()
+    def _turn_away(self) -> None:
+        if self._strangers.leave(self):
             self._loop.discard(self)
 
 
@@ -145,7 +170,7 @@ class _Api(_Stranger):
     """Calls of the API, one after the other, on one connection."""
 
     def __init__(
-        self, connection: socket.socket, loop: Loop, strangers: _Count, answer: Answer
+        self, connection: socket.socket, loop: Loop, strangers: _Strangers, answer: Answer
     ) -> None:
         # A master keeps its connections for the next call; one that is idle too long is closed.
         super().__init__(connection, loop, strangers, _IDLE_SECONDS)
@@ -160,7 +185,8 @@ class _Api(_Stranger):
         octets = self.socket.recv(_CHUNK)
         if not octets:
             raise ConnectionError("closed")
-        for message in self._reader.received(octets):
+        messages = self._reader.received(octets)
+        for message in messages:
             self._calls += 1
             try:
                 method, arguments = decode_call(message.body)
@@ -173,32 +199,31 @@ class _Api(_Stranger):
             raise ProtocolError("it does not read its answers")
         if self._out and self.writable():
             self._loop.write(self)
+        self._strangers.spoke(self, self._reader.held + len(self._out))
 
     def writable(self) -> bool:
         with suppress(BlockingIOError):
             while self._out:
                 del self._out[: self.socket.send(self._out)]
         if not self._out and self._ends:
-            self._leave()
-            self._loop.discard(self)
+            self._turn_away()
         return bool(self._out)
 
     def _look(self, calls: int) -> None:
         """Close what began to say something and does not go on."""
-        if self._is_over:
-            return
         if calls == self._calls and (not self._reader.is_between_messages or self._out):
-            self._time_over()
+            self._turn_away()
             return
         before = self._calls
-        self._loop.later(_ARRIVAL_SECONDS, lambda: self._look(before))
+        if self._strangers.has(self):
+            self._loop.later(_ARRIVAL_SECONDS, lambda: self._look(before))
 
 
 class _Arriving(_Stranger):
     """A connection of TCPROS until its header has come."""
 
     def __init__(
-        self, connection: socket.socket, loop: Loop, strangers: _Count, arrived: Arrived
+        self, connection: socket.socket, loop: Loop, strangers: _Strangers, arrived: Arrived
     ) -> None:
         super().__init__(connection, loop, strangers, _ARRIVAL_SECONDS)
         self._reader = FrameReader(_MAX_HEADER_OCTETS)
@@ -209,12 +234,14 @@ class _Arriving(_Stranger):
         if not count:
             raise ConnectionError("closed")
         frames = self._reader.received(count)
+        self._strangers.spoke(self, self._reader.held)
         if not frames:
             return
         if len(frames) > 1 or not self._reader.is_between_frames:
             raise ProtocolError("it goes on before its header is answered")
         header = decode_header(frames[0])
-        self._leave()
+        if not self._strangers.leave(self):
+            return
         self._loop.release(self)
         try:
             self._arrived(self.socket, header)

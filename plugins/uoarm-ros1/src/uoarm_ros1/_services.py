@@ -34,6 +34,7 @@ _PROBE_SECONDS = 2.0
 _MAX_HEADER_OCTETS = 1 << 20
 _MOST_IDLE = 8
 _ANSWER_SECONDS = 10.0
+_REQUEST_SECONDS = 10.0
 _SHORTEST = 0.001
 
 
@@ -273,16 +274,17 @@ class ServedService(Channel):
 
     def _answer_client(self, connection: socket.socket, is_persistent: bool) -> None:  # noqa: FBT001 - of a thread
         requests = FrameReader(self._most)
+        until = time.monotonic() + _REQUEST_SECONDS
         try:
-            connection.settimeout(None)
             while not self.closed:
+                left = None if is_persistent else max(_SHORTEST, until - time.monotonic())
+                connection.settimeout(left)
                 count = connection.recv_into(requests.buffer())
                 if not count:
                     return
                 for frame in requests.received(count):
                     connection.settimeout(_ANSWER_SECONDS)  # a client that reads nothing
                     connection.sendall(self._reply(frame))
-                    connection.settimeout(None)
                     if not is_persistent:
                         return
         except (OSError, ProtocolError):

@@ -33,6 +33,7 @@ _LISTED_LOOK_SECONDS = 0.002
 _RETRY_SECONDS = (0.1, 2.0)
 _MAX_HEADER_OCTETS = 1 << 20
 _ASKED_IN_VAIN = 2
+_MOST_PUBLISHERS = 256
 
 
 @frozen
@@ -174,9 +175,9 @@ class _Publisher:
         """Begin to connect."""
         self._thread.start()
 
-    def poke(self) -> None:
-        """Try again now: the master named it anew."""
-        self.is_listed = True
+    def mark(self, *, is_listed: bool) -> None:
+        """Take note whether the master names it; what is not connected tries again now, or ends."""
+        self.is_listed = is_listed
         self._poked.set()
 
     def close(self) -> None:
@@ -206,10 +207,11 @@ class _Publisher:
             if header is not None or not is_failing:
                 self._owner.ended(name, cause, was_connected=header is not None)
             is_failing = header is None
+            if self.is_listed:
+                self._poked.wait(pause)
+                self._poked.clear()
             if not self.is_listed:
                 break
-            self._poked.wait(pause)
-            self._poked.clear()
         self._owner.left(self)
 
     def _connect_and_read(self) -> str:
@@ -349,23 +351,22 @@ class Subscription:
 
     def update(self, uris: tuple[str, ...]) -> None:
         """Take note of who publishes the topic now; returns at once."""
-        started = []
         with self._changed:
             if self._closed:
                 return
             for uri, publisher in self._publishers.items():
                 # What it sent before it left still comes: its connection is its own to close.
-                publisher.is_listed = uri in uris
-            for uri in uris:
-                known = self._publishers.get(uri)
-                if known is None:
-                    self._publishers[uri] = _Publisher(uri, self)
-                    started.append(self._publishers[uri])
-                else:
-                    known.poke()
+                publisher.mark(is_listed=uri in uris)
+            fresh = [uri for uri in dict.fromkeys(uris) if uri not in self._publishers]
+            room = max(0, _MOST_PUBLISHERS - len(self._publishers))
+            started = [_Publisher(uri, self) for uri in fresh[:room]]
+            self._publishers |= {publisher.uri: publisher for publisher in started}
             self._changed.notify_all()
         for publisher in started:
             publisher.start()
+        if left_out := fresh[room:]:
+            text = f"topic {self.wanted.topic} has more than {_MOST_PUBLISHERS} publishers"
+            self.ended(left_out[0], text, was_connected=False)
 
     def wait(self, is_ready: Callable[[], bool], seconds: float) -> bool:
         """Wait until something holds of the publishers."""

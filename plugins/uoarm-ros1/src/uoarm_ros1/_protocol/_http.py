@@ -46,6 +46,11 @@ class HttpReader:
         self._head: tuple[str, int | None, bool] | None = None
 
     @property
+    def held(self) -> int:
+        """How many octets wait here for the rest of their message."""
+        return len(self._octets)
+
+    @property
     def is_between_messages(self) -> bool:
         """Whether nothing of a message that is not whole has come."""
         return not self._octets and self._head is None

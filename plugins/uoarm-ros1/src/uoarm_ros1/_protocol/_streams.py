@@ -87,6 +87,11 @@ class FrameReader:
         self._large_filled = 0
 
     @property
+    def held(self) -> int:
+        """How many octets wait here for the rest of their frame."""
+        return self._filled if self._large is None else len(self._large)
+
+    @property
     def is_between_frames(self) -> bool:
         """Whether nothing of a frame that is not whole has come."""
         return self._large is None and not self._filled
