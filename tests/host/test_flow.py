@@ -401,7 +401,7 @@ def test_drained_is_what_has_left_the_buffers_of_the_framework_too(ends: Ends) -
     near, far = ends
     sink = _Buffered(Endpoint("memory", "drive", Role.INPUT, ("drive",)))
     flows = OpenFlows(near, None)
-    flows.inbound(1, None, sink)
+    flows.inbound(1, None, sink, MessageStructure({}))
     outgoing = FlowSender(far, flow(1), patience=patience())
     outgoing.send(1)
     assert flows.handled(1, 1, patience())
@@ -483,7 +483,8 @@ def test_frames_that_are_none_and_frames_that_came_before_change_nothing_but_a_c
 def test_confirmations_that_are_none_change_nothing(ends: Ends) -> None:
     near, far = ends
     outgoing = FlowSender(far, "flow/1", patience=patience())
-    for header in [*HEADERS, msgpack.packb([10**6, 0, "", 0]), msgpack.packb([1, 0, 5, 0])]:
+    beyond, untyped = [10**6, 0, "", 0, 0, 0], [1, 0, 5, 0, 0, 0]
+    for header in [*HEADERS, msgpack.packb(beyond), msgpack.packb(untyped)]:
         near.publish("flow/1/handled", b"", header, must_arrive=True)
     taker = _Taker()
     incoming = taker.incoming(near)
@@ -498,13 +499,13 @@ def test_the_first_failure_is_told_at_once_and_what_is_told_twice_counts_once(en
     taker = _Taker()
     incoming = taker.incoming(near)
     outgoing = FlowSender(far, "flow/1", patience=patience())
-    told: list[tuple[int, int, str]] = []
+    told: list[tuple[int, int, int, str]] = []
     outgoing.watch(lambda *what: told.append(what))
     for number in range(40):
         outgoing.send(number)
     outgoing.send("bad")
-    wait(lambda: sum(raised for _, raised, _ in told) == 1)
-    assert told[-1][1:] == (1, "ValueError: it was bad")
+    wait(lambda: sum(raised for _, raised, _, _ in told) == 1)
+    assert told[-1][1:] == (1, 0, "ValueError: it was bad")
     outgoing.confirm(incoming.handled())
-    assert sum(taken for taken, _, _ in told) == 40
-    assert sum(raised for _, raised, _ in told) == 1
+    assert sum(taken for taken, _, _, _ in told) == 40
+    assert sum(raised for _, raised, _, _ in told) == 1

@@ -6,6 +6,7 @@ import logging
 import traceback
 from collections.abc import Iterator
 from functools import partial
+from pathlib import Path
 
 import pytest
 from tests.manager import throwing
@@ -440,3 +441,42 @@ def test_who_can_be_read_now_and_then_is_kept_and_well_again_once_it_always_can(
         wait(lambda: scene.component("camera").health is Health.OK)
         assert (scene.component("camera").failed, connection.gaps) == (45, ())
         assert scene.changes("component camera") == ["degraded", "ok"]
+
+
+HOSTED = """
+version: 1
+bridges:
+  memory: {}
+  far: {plugin: python, host: {}, options: {path: [FOLDER]}}
+functions:
+  camera:
+    components: [{name: camera, bridge: memory, output: {endpoint: [camera]}}]
+  filter:
+    components:
+      - name: strict
+        bridge: far
+        input: {from: camera, endpoint: ["tests.manager.throwing:strict"]}
+        output: {endpoint: ["tests.manager.throwing:strict"]}
+"""
+
+
+@pytest.mark.parametrize("validate", ["sampled", "off"])
+def test_who_gives_what_is_wrong_is_blamed_for_what_a_hosted_consumer_raises_on_it(
+    validate: str,
+) -> None:
+    scene = Scene(HOSTED.replace("FOLDER", str(Path(__file__).parents[2])))
+    with scene.robot, scene.robot.request("filter", validate=validate) as connection:
+        scene.camera.emit({"value": 1})  # the one of 128 that is looked at
+        assert connection.get(patience()) == {"value": 1}
+
+        def is_camera_blamed() -> bool:
+            scene.camera.emit({"value": 1000})
+            return scene.component("camera").health is Health.DEGRADED
+
+        wait(is_camera_blamed)
+        assert "its output 'default' gave what does not match" in scene.component("camera").cause
+        strict = scene.component("strict")
+        assert (strict.health, strict.failed) == (Health.OK, 0)
+        scene.camera.emit({"value": 13})
+        wait(lambda: scene.component("strict").failed == 1, "this one was right")
+        assert "OddError: strict does not like 13" in scene.component("strict").cause

@@ -45,7 +45,12 @@ class Producer(Protocol):
 
 
 def make_check(
-    structure: MessageStructure, mode: ValidationMode, place: str, watch: Producer | None = None
+    structure: MessageStructure,
+    mode: ValidationMode,
+    place: str,
+    watch: Producer | None = None,
+    *,
+    is_suspected: bool = False,
 ) -> Callable[[Message], None] | None:
     """Return a function that raises MessageError for a message of another structure.
 
@@ -55,13 +60,17 @@ def make_check(
             128 that come after one that does not match.
         place: the port, for the error's text.
         watch: told what was found; None: nobody is.
+        is_suspected: whether one that did not match came before: the first 128 are checked.
     """
-    if mode is ValidationMode.OFF:
+    if mode is ValidationMode.OFF and not is_suspected:
         return None
     check = _make_whole_check(structure, place)
     if watch is not None:
         check = _telling(check, watch)
-    return check if mode is ValidationMode.ALWAYS else _sampling(check)
+    if mode is ValidationMode.ALWAYS:
+        return check
+    suspected = _SAMPLE_EVERY if is_suspected else 0
+    return _sampling(check, suspected, samples=mode is ValidationMode.SAMPLED)
 
 
 def _make_whole_check(structure: MessageStructure, place: str) -> Callable[[Message], None]:
@@ -94,13 +103,15 @@ def _telling(check: Callable[[Message], None], watch: Producer) -> Callable[[Mes
     return check_and_tell
 
 
-def _sampling(check: Callable[[Message], None]) -> Callable[[Message], None]:
-    count, suspected = -1, 0
+def _sampling(
+    check: Callable[[Message], None], suspected: int, *, samples: bool
+) -> Callable[[Message], None]:
+    count = -1
 
     def check_sample(message: Message) -> None:
         nonlocal count, suspected
         count += 1
-        if suspected or count % _SAMPLE_EVERY == 0:
+        if suspected or (samples and count % _SAMPLE_EVERY == 0):
             suspected = suspected and suspected - 1
             try:
                 check(message)

@@ -124,9 +124,9 @@ class RemoteSink(RemoteChannel, Sink):
         }
         return {**{k: v for k, v in self.host_facts.items() if k != COMMAND}, **ours}
 
-    def watch(self, told: Outcomes) -> bool:
-        """Have told what the host says became of messages."""
-        self.outgoing.watch(told)
+    def watch(self, report: Outcomes) -> bool:
+        """Have reported what the host says became of messages."""
+        self.outgoing.watch(report)
         return True
 
     def hold(self, timeout: float) -> CommandStatus | None:

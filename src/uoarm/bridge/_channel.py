@@ -17,8 +17,9 @@ from uoarm.model import CommandStatus, Endpoint, Message, QueuePolicy
 
 __all__ = ["Channel", "Outcomes", "Sink", "Source"]
 
-Outcomes = Callable[[int, int, str], None]
-"""Takes how many messages a component took, on how many it raised, and the text of the last."""
+Outcomes = Callable[[int, int, int, str], None]
+"""Takes how many messages a component took, on how many it raised, on how many it failed that
+were wrong themselves, and the text of the last failure."""
 
 _CLOSE_SECONDS = 5.0
 _LAST_SECONDS = 0.5
@@ -292,13 +293,13 @@ class Sink(Channel):
         """Return what an input that moves something was told last; None for any other."""
         return None if self._watchdog is None else self._watchdog.status()
 
-    def watch(self, told: Outcomes) -> bool:
-        """Have what becomes of messages told after `send` has returned; say whether it will be.
+    def watch(self, report: Outcomes) -> bool:
+        """Have what becomes of messages reported after `send` has returned; say whether it will be.
 
         May be overridden, by a sink that hands messages to another thread or process. A component
         that raises is blamed for it: without this, by what `send` raises.
         """
-        del told
+        del report
         return False
 
     def _before_close(self) -> None:

@@ -168,7 +168,7 @@ class LiveComponent:
                 )
                 self._emergency_stop.enter(sink, self.component.function)
                 watch = self._watches[name]
-                watch.is_later = sink.watch(watch.told_later)
+                watch.is_later = sink.watch(watch.reported)
             sink = self._sinks[name]
             turn = self._turns.setdefault(name, threading.Lock())
         finally:
@@ -235,11 +235,17 @@ class LiveComponent:
         return self._watches[name]
 
     def check(
-        self, output: str, structure: MessageStructure, mode: ValidationMode
+        self,
+        output: str,
+        structure: MessageStructure,
+        mode: ValidationMode,
+        *,
+        is_suspected: bool = False,
     ) -> Callable[[Message], None] | None:
         """Return what checks messages of an output for one route, and blames this component."""
         place = f"{self.component.name}.{output}"
-        return make_check(structure, mode, place, OutputWatch(self.failures, output))
+        watch = OutputWatch(self.failures, output)
+        return make_check(structure, mode, place, watch, is_suspected=is_suspected)
 
     def judge(self, output: str, structure: MessageStructure, message: Message) -> None:
         """Blame this component for a message of an output that does not match a structure.

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import threading
 from collections.abc import Callable
+from functools import partial
 
 from attrs import define, field
 
@@ -90,11 +91,17 @@ class LiveEdge:
 
     def renew_check(self) -> None:
         """Check messages as its users wish now; never those of a native link. Any thread."""
+        self._check()
+
+    def _check(self, *, is_suspected: bool = False) -> None:
         if self.route is None:
             return
         with self._checking:
             self.route.check = self.producer.check(
-                self.edge.output, self.edge.producer_structure, self.strictness()
+                self.edge.output,
+                self.edge.producer_structure,
+                self.strictness(),
+                is_suspected=is_suspected,
             )
 
     def status(self) -> RouteStatus | None:
@@ -116,6 +123,7 @@ class LiveEdge:
     def close(self) -> None:
         """Close it, also for the second time."""
         if self.route is not None:
+            self.consumer.watch(self.edge.input).suspect.pop(self, None)
             self.producer.outlets[self.edge.output].detach(self.route)
             self.route.close()
         if self.link is not None:
@@ -171,4 +179,6 @@ class LiveEdge:
             watch=self.consumer.watch(self.edge.input),
         )
         route.judge = self._judge
+        suspect = self.consumer.watch(self.edge.input).suspect
+        suspect[self] = partial(self._check, is_suspected=True)
         self.producer.outlets[self.edge.output].attach(route)

@@ -143,14 +143,16 @@ class InputWatch:
 
     Attributes:
         is_later: whether the channel tells what became of messages, later than `send` returns.
+        suspect: called, by edge that feeds it, when messages came that were wrong themselves.
     """
 
-    __slots__ = ("_place", "component", "is_later")
+    __slots__ = ("_place", "component", "is_later", "suspect")
 
     def __init__(self, component: FailureWatch, port: str) -> None:
         self.component = component
         self._place = f"its input {port!r}"
         self.is_later = False
+        self.suspect: dict[Hashable, Callable[[], None]] = {}
 
     def took(self) -> None:
         """Take in that a message was taken, unless the channel tells that itself."""
@@ -164,10 +166,17 @@ class InputWatch:
         self.component.raised(self._place, error)
         return True
 
-    def told_later(self, taken: int, failed: int, text: str) -> None:
-        """Take in what became of messages that were sent before."""
-        if failed or self.component.is_alert:
+    def reported(self, taken: int, failed: int, wrong: int, text: str) -> None:
+        """Take in what became of messages that were sent before.
+
+        Of those that were wrong only the next show whose they are: each that feeds the input is
+        checked.
+        """
+        if failed or (taken and self.component.is_alert):
             self.component.told_later(self._place, taken, failed, text)
+        if wrong:
+            for suspect in tuple(self.suspect.values()):
+                suspect()
 
 
 class OutputWatch:

@@ -155,7 +155,7 @@ class RequestDispatcher:
         if endpoint.command is not None and endpoint.command.stop is not None:
             self._before_moving()
         sink = self._bridge.open_sink(endpoint, structure, timeout=ANSWER_SECONDS)
-        self._flows.inbound(request["flow"], request["slot"], sink)
+        self._flows.inbound(request["flow"], request["slot"], sink, structure)
         return to_json(sink.default_queue) if sink.blocking else None
 
     def _call(self, request: Request) -> Message:

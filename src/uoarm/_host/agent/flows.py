@@ -10,15 +10,16 @@ from contextlib import contextmanager
 
 from attrs import astuple, define, field
 
+from uoarm._dataplane import make_check
 from uoarm._host.transport import keys
 from uoarm._host.transport.codec import pack
 from uoarm._host.transport.flow import Ending, FlowReceiver, FlowSender
 from uoarm._host.transport.shared_counters import HANDLING, SharedCounter, SharedCounters
 from uoarm._host.transport.transport import Transport
-from uoarm._raised import LimitedLog, foreign, text_of
+from uoarm._raised import LimitedLog, contained, foreign, is_raised, text_of
 from uoarm.bridge import Channel, Sink, Source
 from uoarm.errors import BridgeError, UoarmError
-from uoarm.model import Endpoint, Message, to_json
+from uoarm.model import Endpoint, Message, MessageStructure, ValidationMode, to_json
 
 __all__ = ["OpenFlows", "OutboundFlow", "packable_facts"]
 
@@ -150,17 +151,28 @@ class OpenFlows:
                     outgoing.patience = max(_PATIENCE_SECONDS, outbound.channel.patience)
                     self._open[number] = _Open(outbound.channel, outbound=outbound)
 
-    def inbound(self, number: int, slot: int | None, sink: Sink) -> None:
-        """Feed a sink with the messages of a flow from now on."""
+    def inbound(
+        self, number: int, slot: int | None, sink: Sink, structure: MessageStructure
+    ) -> None:
+        """Feed a sink with the messages of a flow, of this structure, from now on."""
+        name = f"{sink.endpoint.component}.{sink.endpoint.port}"
+        moves = sink.endpoint.command is not None
 
         def take(message: Message) -> None:
-            sink.send(message, age=incoming.latency)
+            try:
+                sink.send(message, age=incoming.latency if moves else 0.0)
+            except BaseException as error:
+                # What is wrong itself is the failure of what gave it: most messages are unchecked.
+                check = make_check(structure, ValidationMode.ALWAYS, name)
+                if check is not None and is_raised(contained(error)):
+                    check(message)
+                raise
 
         incoming = FlowReceiver(
             self._transport,
             keys.flow(number),
-            name=f"{sink.endpoint.component}.{sink.endpoint.port}",
-            take=sink.send if sink.endpoint.command is None else take,
+            name=name,
+            take=take,
             ended=lambda _: None,
             counter=self._counter(slot),
         )
@@ -209,7 +221,7 @@ class OpenFlows:
 
     def heartbeat(
         self,
-    ) -> list[tuple[int, tuple[int, int, str, int, int] | None, Mapping[str, object]]]:
+    ) -> list[tuple[int, tuple[int, int, str, int, int, int] | None, Mapping[str, object]]]:
         """Return for every channel its number, how far a sink is, and the facts last looked at."""
         with self._lock:
             found = list(self._open.items())

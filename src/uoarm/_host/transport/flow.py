@@ -20,7 +20,8 @@ from uoarm._host.transport.codec import Frame, pack, unpack
 from uoarm._host.transport.shared_counters import HANDLING, SharedCounter
 from uoarm._host.transport.transport import Transport
 from uoarm._raised import LimitedLog, foreign, is_raised, text_of
-from uoarm.errors import BridgeError, CommandRefusedError, FailureReason
+from uoarm.bridge import Outcomes
+from uoarm.errors import BridgeError, CommandRefusedError, FailureReason, MessageError
 from uoarm.model import Message
 
 __all__ = ["Ending", "FlowReceiver", "FlowSender", "Handled"]
@@ -75,6 +76,7 @@ class Handled:
         last_error: what it raised last.
         lost: how many were lost on the way to it.
         raised: how many of the failed are the component's own failure.
+        wrong: how many of the failed did not match: the failure of what gave them.
     """
 
     number: int
@@ -82,6 +84,7 @@ class Handled:
     last_error: str
     lost: int
     raised: int
+    wrong: int
 
 
 class FlowSender:
@@ -105,7 +108,8 @@ class FlowSender:
         self._room = threading.Condition()
         self._taken = 0
         self._raised = 0
-        self._told: Callable[[int, int, str], object] | None = None
+        self._wrong = 0
+        self._report: Outcomes | None = None
         self.failed = 0
         self.last_error = ""
         self.lost = 0
@@ -153,9 +157,9 @@ class FlowSender:
         """
         self._put(b"", (_WRITER, writer, False), self._now(), must_arrive=True)
 
-    def watch(self, told: Callable[[int, int, str], object]) -> None:
-        """Have told how many messages were taken, how many raised, and what the last one did."""
-        self._told = told
+    def watch(self, report: Outcomes) -> None:
+        """Have reported what became of the messages that were sent."""
+        self._report = report
 
     def skip(self) -> None:
         """Give up one message; the other end counts it as lost when it hears the next one."""
@@ -236,19 +240,22 @@ class FlowSender:
                 self.failed, self.last_error = handled.failed, handled.last_error
             raised = max(0, handled.raised - self._raised)
             self._raised += raised
+            wrong = max(0, handled.wrong - self._wrong)
+            self._wrong += wrong
             taken = max(0, handled.number - handled.failed - handled.lost - self._taken)
             self._taken += taken
             self._next_try = None
             self._room.notify_all()
-        if self._told is not None and (taken or raised):
-            self._told(taken, raised, handled.last_error)
+        if self._report is not None and (taken or raised or wrong):
+            self._report(taken, raised, wrong, handled.last_error)
 
     def _read_confirmation(self, header: bytes) -> None:
         match _plain(header):
-            case [int(number), int(failed), str(error), int(lost), int(raised)] if (
+            case [int(number), int(failed), str(error), int(lost), int(raised), int(wrong)] if (
                 number <= self._number
             ):
-                self.confirm(Handled(number, failed, error[:_ERROR_LENGTH], lost, raised))
+                text = error[:_ERROR_LENGTH]
+                self.confirm(Handled(number, failed, text, lost, raised, wrong))
             case told:
                 _log.debug("%s: no confirmation: %.40s", self._key, told)
 
@@ -297,6 +304,7 @@ class FlowReceiver:
         self.lost = 0
         self.failed = 0
         self.raised = 0
+        self.wrong = 0
         self.last_error = ""
         self._records = LimitedLog(_log)
         self.latency = 0.0
@@ -304,7 +312,9 @@ class FlowReceiver:
 
     def handled(self) -> Handled:
         """Return how far it is, for the sending end."""
-        return Handled(self._number, self.failed, self.last_error, self.lost, self.raised)
+        return Handled(
+            self._number, self.failed, self.last_error, self.lost, self.raised, self.wrong
+        )
 
     def close(self) -> None:
         """Begin no other `take`; one under way finishes alone. Idempotent."""
@@ -337,7 +347,7 @@ class FlowReceiver:
             self.last_error = "a frame without a header of its own, or one that came before"
             return
         number, skipped, sent_at, more = read
-        before = self.raised
+        before = self.raised, self.wrong
         self.lost += number - self._number - 1 + skipped - self._skipped
         self._skipped = skipped
         now = self._transport.clock() + self._transport.ahead()
@@ -359,12 +369,17 @@ class FlowReceiver:
             if self._counter is not None:
                 self._counter.set(self.received)
         self._number = number
-        self._confirm(at_once=self.raised == 1 and not before)
+        # The first of each kind at once: a component is degraded, or a producer looked at.
+        after = self.raised, self.wrong
+        self._confirm(
+            at_once=any(count > 0 == old for old, count in zip(before, after, strict=True))
+        )
 
     def _fail(self, error: Exception) -> None:
         """Count a message; the manager has its own record, the traceback is only here."""
         self.failed += 1
         self.raised += is_raised(error)
+        self.wrong += isinstance(error, MessageError)
         self.last_error = text_of(error)
         trace = None if isinstance(error, CommandRefusedError) else error
         self._records.write(logging.INFO, f"{self._name} raised {self.last_error}", trace)
