@@ -166,7 +166,7 @@ def _operation(
         outs.insert(0, RETURN)
     taken = _parts(ins, takes, name, encoding)
     given = _parts(outs, gives, name, encoding)
-    structures = _structure(taken), _structure(given)
+    structures = _structure(taken, encoding), _structure(given, encoding)
     errors = {
         # Without its repository id, which an exception's own marshalling puts first.
         identifier: _Part(
@@ -188,8 +188,9 @@ def _parts(
     )
 
 
-def _structure(parts: Sequence[_Part]) -> MessageStructure:
-    return structure_of(Record("", tuple(Field(each.name, each.codec.shape) for each in parts)))
+def _structure(parts: Sequence[_Part], encoding: str) -> MessageStructure:
+    record = Record("", tuple(Field(each.name, each.codec.shape) for each in parts))
+    return structure_of(record, encoding)
 
 
 def _natives(parts: Sequence[_Part], message: Message, what: str) -> list[Any]:

@@ -33,32 +33,46 @@ SWITCH = "switch"
 _REPOSITORY_ID = re.compile(r"IDL:(.+):([0-9.]+)")
 
 
-def structure_of(shape: Shape) -> MessageStructure:
+def structure_of(shape: Shape, encoding: str = "utf-8") -> MessageStructure:
     """Return the structure of a shape; records are closed objects with every field required."""
-    return MessageStructure(schema_of(shape), native_type=getattr(shape, "name", ""))
+    return MessageStructure(schema_of(shape, encoding), native_type=getattr(shape, "name", ""))
 
 
-def schema_of(shape: Shape, unit: str | None = None) -> dict[str, Any]:
-    """Return the schema of a shape; `unit` holds for the numbers in it that state none."""
+def schema_of(shape: Shape, encoding: str = "utf-8", unit: str | None = None) -> dict[str, Any]:
+    """Return the schema of a shape.
+
+    Args:
+        shape: of the messages.
+        encoding: of narrow strings, whose bounds count what they are written in.
+        unit: holds for the numbers in it that state none.
+    """
     if isinstance(shape, Record):
-        return _record(shape, unit)
+        return _record(shape, encoding, unit)
     if isinstance(shape, Listing):
-        return _array(shape, unit)
+        return _array(shape, encoding, unit)
     if isinstance(shape, Choice):
-        return {"oneOf": list(_variants(shape)), "x-native-type": shape.name}
+        return {"oneOf": list(_variants(shape, encoding)), "x-native-type": shape.name}
     if isinstance(shape, Enumeration):
         return {"type": "string", "enum": list(shape.labels), "x-native-type": shape.name}
     if isinstance(shape, Text):
-        schema: dict[str, Any] = {"type": "string"}
-        if shape.bound is not None:
-            schema["maxLength"] = shape.bound
-        return {**schema, "x-native-type": "wstring"} if shape.wide else schema
+        return _string(shape, encoding)
     return _scalar(shape, unit)
 
 
-def _record(record: Record, unit: str | None) -> dict[str, Any]:
+def _string(text: Text, encoding: str) -> dict[str, Any]:
+    schema: dict[str, Any] = {"type": "string", "x-nul": False}
+    if text.bound is not None:
+        schema["maxLength"] = text.bound
+        if text.wide:
+            schema["x-max-utf16"] = text.bound
+        elif encoding == "utf-8":
+            schema["x-max-utf8"] = text.bound
+    return {**schema, "x-native-type": "wstring"} if text.wide else schema
+
+
+def _record(record: Record, encoding: str, unit: str | None) -> dict[str, Any]:
     members = {
-        each.name: schema_of(each.shape, unit or unit_of(record.name, each.name))
+        each.name: schema_of(each.shape, encoding, unit or unit_of(record.name, each.name))
         for each in record.fields
     }
     schema = _object(members, record.name)
@@ -79,8 +93,9 @@ def _object(properties: dict[str, Any], name: str) -> dict[str, Any]:
     return {**schema, "x-native-type": name} if name else schema
 
 
-def _array(listing: Listing, unit: str | None) -> dict[str, Any]:
-    schema: dict[str, Any] = {"type": "array", "items": schema_of(listing.element, unit)}
+def _array(listing: Listing, encoding: str, unit: str | None) -> dict[str, Any]:
+    items = schema_of(listing.element, encoding, unit)
+    schema: dict[str, Any] = {"type": "array", "items": items}
     if listing.size is not None:
         schema["maxItems"] = listing.size
     if listing.fixed:
@@ -109,7 +124,7 @@ def _scalar(scalar: Scalar, unit: str | None = None) -> dict[str, Any]:
     return schema if unit is None else {**schema, "x-unit": unit}
 
 
-def _variants(choice: Choice) -> list[dict[str, Any]]:
+def _variants(choice: Choice, encoding: str) -> list[dict[str, Any]]:
     """Return one closed object for every member, and one for the values that have none."""
     schemas = []
     named = [label for each in choice.variants for label in each.labels]
@@ -118,14 +133,17 @@ def _variants(choice: Choice) -> list[dict[str, Any]]:
         labels: dict[str, Any] = {"enum": list(each.labels)}
         if not each.labels:
             labels = rest or {"enum": []}
-        schemas.append(_variant(choice, each, labels))
+        schemas.append(_variant(choice, each, labels, encoding))
     if rest is not None and all(each.labels for each in choice.variants):
         schemas.append(_object({SWITCH: rest}, choice.name))
     return schemas
 
 
-def _variant(choice: Choice, variant: Variant, labels: dict[str, Any]) -> dict[str, Any]:
-    return _object({SWITCH: labels, variant.name: schema_of(variant.shape)}, choice.name)
+def _variant(
+    choice: Choice, variant: Variant, labels: dict[str, Any], encoding: str
+) -> dict[str, Any]:
+    inner = schema_of(variant.shape, encoding)
+    return _object({SWITCH: labels, variant.name: inner}, choice.name)
 
 
 def _rest(by: Scalar | Enumeration, named: list[object]) -> dict[str, Any] | None:

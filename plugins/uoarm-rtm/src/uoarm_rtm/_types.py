@@ -86,7 +86,7 @@ class Types:
 
     def structure(self, type_id: str) -> MessageStructure:
         """Return the message structure of a type; raises as `codec` does."""
-        return structure_of(self.codec(type_id).shape)
+        return structure_of(self.codec(type_id).shape, self._encoding)
 
     def descriptor(self, type_id: str) -> Any:
         """Return omniORB's descriptor of a type.
