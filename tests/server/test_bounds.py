@@ -163,7 +163,35 @@ def test_killing_for_everyone_tells_everyone(talk: Connect) -> None:
     operator.ask("Kill", connection, {"everyone": True})
     told = owner.next("connection")["jsonMessage"]
     assert (told["connection"], told["state"]) == (connection, "closed")
+    who = f"killed by session {operator.hello['session']} (local)"
+    assert told["cause"] == who
+    past = owner.ask("Status", "watch")["past"]
+    assert [one["cause"] for one in past if one["change"] == "closed"] == [who]
     assert operator.refused("Kill", connection, {"everyone": True})["code"] == "unknown"
+
+
+def test_who_gave_a_connection_back_is_said(talk: Connect, robot: RobotManager) -> None:
+    watcher, killing, leaving = talk(), talk(), talk()
+    watcher.ask("Status", "watch")
+
+    def end_of(connection: str) -> str:
+        while (told := watcher.next("change")["jsonMessage"])["change"] != "closed":
+            pass
+        assert told["subject"] == f"connection {connection}"
+        cause: str = told["cause"]
+        return cause
+
+    connection = killing.open("numbers")
+    killing.ask("Kill", connection)
+    last = f"session {killing.hello['session']} (local)"
+    assert end_of(connection) == f"killed by {last}, who used it last"
+    connection = leaving.open("numbers")
+    leaving.close()
+    last = f"session {leaving.hello['session']} (local)"
+    assert end_of(connection) == f"{last} has gone, who used it last"
+    own = robot.request("numbers")
+    own.kill()
+    assert (end_of(own.id), own.cause) == ("", "")
 
 
 def test_what_the_application_itself_opened_can_be_killed_too(
@@ -174,6 +202,7 @@ def test_what_the_application_itself_opened_can_be_killed_too(
         operator.ask("Kill", own.id, {"everyone": True})
         assert own.ended
         assert list(own) == []
+        assert own.cause.startswith("killed by session ")
     told = operator.refused("Kill", own.id, {"everyone": True})
     assert told["code"] == "unknown"
 

@@ -222,6 +222,8 @@ def test_a_connection_of_someone_else_is_killed(
     browser.click(".panel .button.bad", "sure?")
     assert client.next("connection")["jsonMessage"]["connection"] == connection
     browser.until(says(".panel", "None at this moment."))
+    browser.click(".top nav a", "Timeline")
+    browser.until(says(".timeline", "by this page"))
 
 
 def test_a_death_is_shown_with_its_cause(browser: Browser, visit: Open, talk: Connect) -> None:
@@ -244,7 +246,9 @@ def test_what_happened_before_the_page_came_is_in_the_timeline(
     client = talk()
     client.ask("Kill", client.open("camera"))
     visit("#/timeline")
-    browser.until(says(".timeline", "closed"))
+    browser.until(says(".timeline", "killed"))
+    who = f"by session {client.hello['session']} (local), who used it last"
+    assert browser.js(says(".timeline", who))
 
 
 def test_the_resolution_is_a_tree_with_counterexamples(browser: Browser, visit: Open) -> None:
@@ -453,6 +457,29 @@ class TestConfiguration:
         with robot.request("head_camera") as seen:
             camera.emit(3)
             assert seen.get(timeout=patience()) == 3
+
+    def test_what_cannot_be_taken_is_said_beside_it(
+        self, editing: Browser, lab: MemoryBridge
+    ) -> None:
+        lab.emitter("head camera", {"type": "integer"})
+        editing.until(says(".found", "head camera"))
+        lab.cut("no radio")
+        editing.click(".found-component .button", "head camera")
+        editing.until(says(".found-component .notice.bad", "Not taken"))
+
+    @pytest.mark.parametrize(("width", "height"), [(1440, 900), (390, 844)])
+    def test_who_may_not_sees_first_what_gives_the_right(
+        self, browser: Browser, visit: Open, width: int, height: int
+    ) -> None:
+        browser.show(width, height, phone=width < 700)
+        visit("#/configuration")
+        browser.until(says(".configuration .notice.bad", "uoarm token NAME --role ROLE"))
+        browser.until(says(".found", "follower"))
+        place = "document.querySelector('.configuration .notice.bad').getBoundingClientRect()"
+        assert browser.js(f"{place}.bottom") < height
+        assert not browser.js("document.querySelector('textarea, .found-component .button')")
+        assert browser.js("document.documentElement.scrollWidth") <= width
+        assert browser.js(CONTRAST) == []
 
     def test_mistakes_are_told_as_everywhere_and_nothing_changes(
         self, editing: Browser, robot: RobotManager

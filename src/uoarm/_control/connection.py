@@ -267,7 +267,15 @@ class Connection(Generic[T]):
 
         In a child that was forked it does nothing: the connection is the parent's.
         """
-        self._executor.kill(self.id)
+        self._kill()
+
+    def _kill(self, cause: str = "") -> None:
+        """As `kill`; the cause says who did it, where that is not the application."""
+        self._executor.kill(self.id, cause)
+
+    @property
+    def _is_killed(self) -> bool:
+        return self._record.is_killed
 
     def close(self) -> None:
         """End the connection: another name for `kill`, the word of the paper."""

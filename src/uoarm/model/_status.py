@@ -294,7 +294,7 @@ class StatusEvent:
         time: seconds of the manager's clock.
         subject: what changed, `connection c3`, `component head_camera`, `bridge ros`.
         change: the new state, one word.
-        cause: why, empty for what the application asked for itself.
+        cause: why, and who killed a connection; empty for what the application itself asked for.
         function: which a connection is of or a component provides; empty for other subjects.
 
     As text (`str`, `print`) it is the line that `uoarm status --url --watch` shows.

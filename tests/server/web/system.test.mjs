@@ -1,6 +1,7 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
 import { makeCards, makeEdges } from "../../../src/uoarm/server/static/app/cards.js";
+import { saidOf } from "../../../src/uoarm/server/static/app/timeline.js";
 import { endOf, join, search } from "../../../src/uoarm/server/static/app/system.js";
 
 const FUNCTIONS = [
@@ -104,4 +105,14 @@ test("every word of a search must be found", () => {
 test("names with dots are told apart from ports", () => {
   const names = new Set(["a.b", "c1"]);
   assert.deepEqual(["a.b.default", "a.b", "c1", "c1.input"].map((one) => endOf(one, names)), ["a.b", "a.b", "c1", "c1"]);
+});
+
+test("a kill is said to be one, and by whom", () => {
+  const said = (cause, session) => Object.values(saidOf({ subject: "connection c1", change: "closed", cause }, session));
+  assert.deepEqual(said("killed by session 5f (driver)", "6a"), ["killed", "by session 5f (driver)"]);
+  assert.deepEqual(said("killed by session 5f (driver)"), ["killed", "by session 5f (driver)"]);
+  assert.deepEqual(said("killed by session 5f (driver)", "5f"), ["killed", "by this page"]);
+  assert.deepEqual(said(""), ["killed", "by its own program"]);
+  assert.deepEqual(said("the source has finished"), ["closed", "the source has finished"]);
+  assert.deepEqual(saidOf({ subject: "component cam", change: "closed", cause: "" }), { word: "closed", cause: "" });
 });

@@ -9,7 +9,7 @@ from uoarm._control.live.application_ports import ApplicationPorts, OutputReceiv
 from uoarm._control.live.losses import LossAccount
 from uoarm._control.reconciler.actions import HandOver
 from uoarm._control.reconciler.state import ConnectionRecord, names
-from uoarm.model import ConnectionState, Gap, QueuePolicy, RouteStatus
+from uoarm.model import Gap, QueuePolicy, RouteStatus
 
 __all__ = ["ConnectionRuntime"]
 
@@ -45,8 +45,7 @@ class ConnectionRuntime:
         """Show the connection as it is now; at its end, its inbox closes."""
         self.record = record
         if is_over:
-            killed = record.state is ConnectionState.CLOSED and not record.cause
-            self.receiver.inbox.close(discard=killed)
+            self.receiver.inbox.close(discard=record.is_killed)
             self.handle = None  # which refers to this
 
     def routes(self) -> tuple[RouteStatus, ...]:

@@ -25,7 +25,7 @@ def end(
         draft: the state.
         record: the connection, which has a plan.
         outcome: CLOSED or FAILED.
-        cause: why; empty for a kill.
+        cause: why; empty for a kill by the application.
         lane: where to close what only it used; empty: one of its own, which waits for nobody.
     """
     if record.state is ConnectionState.CLOSING:

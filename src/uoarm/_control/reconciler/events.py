@@ -116,7 +116,8 @@ class Killed:
 
     Attributes:
         waiter: gets exactly one reply, when everything is closed; empty: nobody.
-        is_failure: whether it ends as failed.
+        cause: why it failed, or who else killed it; empty for a kill by the application itself.
+        is_failure: whether it ends as failed, which is no kill.
     """
 
     connection: str

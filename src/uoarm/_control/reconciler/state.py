@@ -234,6 +234,7 @@ class ConnectionRecord(NamedTuple):
         validate: how many messages are checked.
         waiter: who waits for the reply to the request; empty: nobody any more.
         killer: who waits for its end; empty: nobody.
+        is_killed: whether it ends because it was killed, so that nobody reads what waits.
         outcome: how it ends, while it is closing.
         error: what the request fails with, where that is more than the cause.
         is_heard: whether a callback waits for the messages, so that there must be an output.
@@ -259,6 +260,7 @@ class ConnectionRecord(NamedTuple):
     state: ConnectionState = ConnectionState.OPENING
     cause: str = ""
     killer: str = ""
+    is_killed: bool = False
     outcome: ConnectionState = ConnectionState.CLOSED
     error: BaseException | None = None
     is_heard: bool = False

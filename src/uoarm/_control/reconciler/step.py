@@ -195,7 +195,7 @@ def _killed(draft: Draft, event: Killed) -> None:
     outcome = ConnectionState.FAILED if event.is_failure else ConnectionState.CLOSED
     if event.is_failure:
         draft.actions.append(Forget(names(record.placement.plan)))
-    record = draft.put(record, killer=event.waiter)
+    record = draft.put(record, killer=event.waiter, is_killed=not event.is_failure)
     end(draft, record, outcome, event.cause, lane=event.waiter)
 
 

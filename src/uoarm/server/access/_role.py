@@ -80,7 +80,11 @@ class Role:
             raise self._denied(operation, "" if operation in OF_NO_FUNCTION else " everything")
 
     def _denied(self, operation: Operation, what: str) -> DeniedError:
-        hint = ": that takes a role of an access file (serve --access)"
+        hint = (
+            f": without an access file nobody may. Give a role `{operation.value}: all` "
+            "in one, let `uoarm token NAME --role ROLE` make a token and its line there, and "
+            "serve with `uoarm serve --access FILE`"
+        )
         return DeniedError(
             f"role {self.name!r} may not {operation.value}{what}"
             f"{hint if self is EVERYTHING else ''}"

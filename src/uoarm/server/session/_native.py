@@ -92,13 +92,14 @@ class NativeSession:
         self._replies: ReplyCache | None = None
         self._registry = registry
         self._form = form
+        self._holder = LeaseHolder(f"session {client.identity}", client.role.name)
         self._streams = ClientStreams(
             registry,
             client.outbox,
             client.account,
             form,
             client.limits,
-            LeaseHolder(f"session {client.identity}", client.role.name),
+            self._holder,
             lambda connection, error: self._fail(None, connection, error),
             lambda text: self._view.text(text),  # noqa: PLW0108 - of the revision at that time
         )
@@ -401,7 +402,7 @@ class NativeSession:
         self._begin(asked, self._ended_by(asked, connection))
 
     async def _ended_by(self, asked: ControlMessage, connection: Connection) -> None:
-        await asyncio.shield(self._registry.kill(connection))
+        await asyncio.shield(self._registry.kill(connection, f"killed by {self._holder}"))
         self._reply(asked, None)
 
     def _changed(self, change: Announcement) -> None:

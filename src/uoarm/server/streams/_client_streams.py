@@ -278,7 +278,7 @@ class ClientStreams:
             return
 
         def end() -> None:
-            self._remove(identity)
+            self._remove(identity, f"killed by {self._holder}, who used it last")
             self._outbox.discard(stream.lane)
             for told in self._killing.pop(identity):
                 told()
@@ -293,7 +293,7 @@ class ClientStreams:
     def close(self) -> None:
         """Give everything back."""
         for identity in list(self._streams):
-            self._remove(identity)
+            self._remove(identity, f"{self._holder} has gone, who used it last")
 
     def counters(self) -> list[dict[str, object]]:
         """Return what came and what was lost, for each connection."""
@@ -341,7 +341,7 @@ class ClientStreams:
 
     def _ended(self, identity: str, state: str, cause: str) -> None:
         """Send the end after the last message, and free the name."""
-        cause = cause or ("killed" if state == "closed" else "")
+        cause = cause or ("killed by the program that serves it" if state == "closed" else "")
         stream = self._remove(identity)
         if stream is not None:
             told = {"connection": identity, "state": state, "cause": self._shown(cause)}
@@ -349,14 +349,14 @@ class ClientStreams:
             self._outbox.finish(stream.lane, frame)
             self._ends.append((stream.lane, frame))
 
-    def _remove(self, identity: str) -> Stream | None:
+    def _remove(self, identity: str, cause: str = "") -> Stream | None:
         stream = self._streams.pop(identity, None)
         sending = self._sendings.pop(identity, None)
         if sending is not None:
             sending.close()
         if stream is not None:
             stream.feed.remove(stream)
-            self._registry.leave(stream.feed)
+            self._registry.leave(stream.feed, cause)
         return stream
 
 

@@ -207,14 +207,14 @@ class FeedRegistry:
     def _claim(self, feed: Feed) -> None:
         self._claims[feed] = self._claims.get(feed, 0) + 1
 
-    def leave(self, feed: Feed) -> None:
-        """Give a feed back; the last one closes it, without waiting."""
+    def leave(self, feed: Feed, cause: str = "") -> None:
+        """Give a feed back; the last one closes it, without waiting, and with this cause."""
         self._claims[feed] -= 1
         if not self._claims[feed]:
             del self._claims[feed]
             self._forget(feed)
             if feed.connection is not None and not feed.connection.ended:
-                self.kill(feed.connection)
+                self.kill(feed.connection, cause or "nobody uses it any more")
 
     def sender(
         self,
@@ -231,8 +231,8 @@ class FeedRegistry:
         """Return an account for what no single client caused. Close it."""
         return self.memory.open()
 
-    def kill(self, connection: Connection) -> asyncio.Future[None]:
-        """End a connection in a thread of its own kind; the future has its end.
+    def kill(self, connection: Connection, cause: str) -> asyncio.Future[None]:
+        """End a connection in a thread of its own kind; the future has its end, the cause says who.
 
         Idempotent: while it is being ended, every call returns the same future. It must not be
         cancelled: `asyncio.shield` it.
@@ -249,7 +249,7 @@ class FeedRegistry:
             if not done.cancelled() and isinstance(error := done.exception(), UoarmError):
                 _log.warning("closing connection %s: %s", connection.id, error)
 
-        killing = self._kills[connection.id] = self.workers.free(connection.kill)
+        killing = self._kills[connection.id] = self.workers.free(lambda: connection._kill(cause))
         killing.add_done_callback(ended)
         return killing
 
@@ -395,7 +395,7 @@ class FeedRegistry:
         self.views.close()
         for feed in list(self._claims):
             self._claims[feed] = 1
-            self.leave(feed)
+            self.leave(feed, "the server stops")
         if self._kills:
             await asyncio.wait(self._kills.values(), timeout=self.limits.stop_seconds / 4)
         self.workers.close()
@@ -418,7 +418,7 @@ class FeedRegistry:
             self._openings.pop(feed, None)
         feed.connection = connection
         if feed not in self._claims:  # everyone who asked has gone meanwhile
-            self.kill(connection)
+            self.kill(connection, "whoever asked for it has gone")
             return
         self._by_id[connection.id] = feed
         if connection.ended:

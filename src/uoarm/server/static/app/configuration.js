@@ -22,7 +22,9 @@ export const isFree = (component) => component.ports.some((one) => one.used_by.l
 export function Configuration({ store, query }) {
   const [bridges, setBridges] = useState(null);
   const [trouble, setTrouble] = useState("");
+  const [untaken, setUntaken] = useState(null); // a component, and why it could not be taken
   const [edited, setEdited] = useState(null);
+  const [refusal, setRefusal] = useState("");
   const editor = useRef(null);
   useEffect(() => {
     let over = false;
@@ -48,22 +50,25 @@ export function Configuration({ store, query }) {
     try {
       const { text } = await store.wire.ask("Discover", "", { take: { bridge, component } });
       setEdited(text);
+      setUntaken(null);
       editor.current?.scrollIntoView({ block: "nearest" });
     } catch (error) {
-      setTrouble(error.message);
+      setUntaken({ bridge, component, cause: error.message });
     }
   };
   return html`
     <section class="configuration" aria-label="Configuration">
+      ${refusal && html`<${Notice} kind="bad" title="The configuration is not shown"><pre>${refusal}</pre></${Notice}>`}
       <h2>What frameworks show</h2>
       ${trouble && html`<${Notice} kind="bad" title="Not shown">${trouble}</${Notice}>`}
       ${bridges && html`<ul class="found">${narrowed(bridges, query).map((one) => html`
-        <${Bridge} key=${`${one.bridge} ${one.plugin}`} of=${one} take=${take} />`)}</ul>`}
-      <div ref=${editor}><${Editor} store=${store} given=${edited} /></div>
+        <${Bridge} key=${`${one.bridge} ${one.plugin}`} of=${one} take=${refusal ? null : take}
+          untaken=${untaken?.bridge === one.bridge ? untaken : null} />`)}</ul>`}
+      <div ref=${editor}><${Editor} store=${store} given=${edited} refused=${setRefusal} /></div>
     </section>`;
 }
 
-function Bridge({ of, take }) {
+function Bridge({ of, take, untaken }) {
   const state = !of.configured ? "not configured" : of.cause ? `not reachable: ${of.cause}` : "reachable";
   const ports = of.components.reduce((sum, one) => sum + one.ports.length + one.more, 0);
   const count = `${of.components.length} ${noun(of.components.length, "component")}, ${ports} ${noun(ports, "port")}`;
@@ -74,8 +79,9 @@ function Bridge({ of, take }) {
       <details><summary>What is installed</summary><${Facts} of=${Object.entries(of.facts)} /></details>
       <ul>${of.components.map((one) => html`<li key=${one.name} class="found-component">
         <b>${one.name}</b> <span class="quiet">${one.detail}</span>
-        ${isFree(one) && html`<button type="button" class="button" onClick=${() => take(of.bridge, one.name)}>Take
+        ${take && isFree(one) && html`<button type="button" class="button" onClick=${() => take(of.bridge, one.name)}>Take
           <span class="hidden"> ${one.name} into a function</span></button>`}
+        ${untaken?.component === one.name && html`<${Notice} kind="bad" title="Not taken">${untaken.cause}</${Notice}>`}
         <ul>${one.ports.map((port) => html`<li key=${`${port.role} ${port.address.join(" ")}`}>${port.role} ${port.address.join(", ")}
           ${!port.known && " (structure unknown)"}${port.rate !== null && `, ${port.rate.toPrecision(3)} a second${port.measured ? "" : ", as stated"}`}${port.used_by.length > 0 && `, used by ${port.used_by.join(", ")}`}</li>`)}</ul>
         ${one.more > 0 && html`<p>and ${one.more} ports more</p>`}</li>`)}</ul>
@@ -84,13 +90,14 @@ function Bridge({ of, take }) {
     </li>`;
 }
 
-/** The text in force, or one with something taken into it: first tried, then applied. */
-function Editor({ store, given }) {
+/** The text in force, or one with something taken into it: first tried, then applied. Nothing where it is refused. */
+function Editor({ store, given, refused }) {
   const [text, setText] = useState("");
   const [revision, setRevision] = useState(null);
   const [tried, setTried] = useState(null); // the text that was looked at, and what would happen
   const [keep, setKeep] = useState(false);
   const [trouble, setTrouble] = useState("");
+  const said = useRef(null);
   const ask = (message) => store.wire.ask("Configure", "", message);
   const load = async () => {
     try {
@@ -98,8 +105,10 @@ function Editor({ store, given }) {
       setText(told.configuration);
       setRevision(told.revisions.at(-1).revision);
       setTrouble("");
+      refused("");
     } catch (error) {
-      setTrouble(error.message);
+      if (revision === null) refused(error.message);
+      else setTrouble(error.message);
     }
   };
   const look = async (wanted) => {
@@ -133,9 +142,13 @@ function Editor({ store, given }) {
     setText(given);
     look(given);
   }, [given]);
+  useEffect(() => { // below what was pressed
+    if (tried || trouble) said.current.scrollIntoView({ block: "nearest" });
+  }, [tried, trouble]);
+  if (revision === null) return null;
   const isTried = tried !== null && tried.text === text && !tried.done;
   return html`
-    <h2>The configuration${revision !== null && html` <span class="quiet">revision ${revision}</span>`}</h2>
+    <h2>The configuration <span class="quiet">revision ${revision}</span></h2>
     <label class="editor"><span class="hidden">Configuration, YAML</span>
       <textarea spellcheck=${false} rows="24" value=${text} onInput=${(event) => setText(event.target.value)}></textarea></label>
     <p class="editor-tools">
@@ -145,6 +158,6 @@ function Editor({ store, given }) {
         write it to the robot's file</label>
       <button type="button" class="button" onClick=${load}>Read again</button>
     </p>
-    ${tried && html`<${Notice} title=${tried.done ? "Done" : "What would happen"}><pre>${tried.told}</pre></${Notice}>`}
-    ${trouble && html`<${Notice} kind="bad" title="Refused"><pre>${trouble}</pre></${Notice}>`}`;
+    <div ref=${said}>${tried && html`<${Notice} title=${tried.done ? "Done" : "What would happen"}><pre>${tried.told}</pre></${Notice}>`}
+    ${trouble && html`<${Notice} kind="bad" title="Refused"><pre>${trouble}</pre></${Notice}>`}</div>`;
 }

@@ -47,7 +47,7 @@ function App({ store }) {
             ${NARROWED.has(address.view) && html`<${Summary} system=${store.system} filter=${filter} setFilter=${setFilter} />`}
             ${address.view === "configuration" && html`<${Configuration} store=${store} query=${query} />`}
             ${address.view === "timeline" && html`<${Timeline} events=${store.events} since=${store.since} query=${query}
-              owners=${store.owners} open=${follow} />`}
+              owners=${store.owners} session=${store.hello?.session} open=${follow} />`}
             ${view}
           </div>
           ${selected && html`<${Panel} store=${store} address=${address} close=${() => close(address, go)} />`}`}

@@ -24,18 +24,27 @@ export function subjectOf({ subject }) {
   return at < 0 ? { kind: "", name: subject } : { kind: subject.slice(0, at), name: subject.slice(at + 1) };
 }
 
+/** What is said of a change, and why. A connection that was closed without a cause was killed by whom it is of. */
+export function saidOf({ subject, change, cause }, session = "") {
+  if (change !== "closed" || !subject.startsWith("connection ")) return { word: change, cause };
+  if (!cause) return { word: "killed", cause: "by its own program" };
+  if (!cause.startsWith("killed ")) return { word: change, cause };
+  const own = session && cause.startsWith(`killed by session ${session}`);
+  return { word: "killed", cause: own ? "by this page" : cause.slice("killed ".length) };
+}
+
 /** The newest events that a search and a choice of kinds leave. */
 export function filterEvents(events, { query = "", kind = "", bad = false }) {
   const words = query.toLowerCase().split(/\s+/).filter(Boolean);
   return events.filter((one) => {
-    const text = `${one.subject} ${one.change} ${one.cause}`.toLowerCase();
+    const text = `${one.subject} ${one.change} ${saidOf(one).word} ${one.cause}`.toLowerCase();
     const kindFits = !kind || subjectOf(one).kind === kind;
     return kindFits && (!bad || gravity(one.change) === "lost") && words.every((word) => text.includes(word));
   }).slice(-SHOWN).reverse();
 }
 
-/** Args: the events, since when, what is searched, whose a connection was, and open(kind, name). */
-export function Timeline({ events, since, query, owners, open }) {
+/** Args: the events, since when, what is searched, whose a connection was, the page's session, and open(kind, name). */
+export function Timeline({ events, since, query, owners, session, open }) {
   const [kind, setKind] = useState("");
   const [bad, setBad] = useState(false);
   const shown = filterEvents(events, { query, kind, bad });
@@ -49,18 +58,19 @@ export function Timeline({ events, since, query, owners, open }) {
       </div>
       ${shown.length === 0 && html`<p class="empty">No such events since ${clock(since)}.
         Changes of connections, components and frameworks appear here.</p>`}
-      <ol>${shown.map((one) => html`<${Event} key=${one.number} of=${one} owner=${owners.get(subjectOf(one).name)} open=${open} />`)}</ol>
+      <ol>${shown.map((one) => html`<${Event} key=${one.number} of=${one} owner=${owners.get(subjectOf(one).name)} session=${session} open=${open} />`)}</ol>
     </section>`;
 }
 
-function Event({ of, owner, open }) {
+function Event({ of, owner, session, open }) {
   const { kind, name } = subjectOf(of);
+  const { word, cause } = saidOf(of, session);
   return html`
     <li class="event ${gravity(of.change)}">
       <time datetime=${of.at.toISOString()}>${clock(of.at)}</time>
       <span class="event-dot" aria-hidden="true"></span>
       <div><span class="kind">${SAID[kind] ?? kind}</span> <button type="button" class="link" onClick=${() => open(kind, name)}>
-        ${name}</button> ${owner && html`<span class="quiet">${owner}</span>`} <b class="change">${of.change}</b>
-        ${of.cause && html`<p>${of.cause}</p>`}</div>
+        ${name}</button> ${(owner || kind === "connection") && html`<span class="quiet">${owner ?? of.function}</span>`} <b class="change">${word}</b>
+        ${cause && html`<p>${cause}</p>`}</div>
     </li>`;
 }
