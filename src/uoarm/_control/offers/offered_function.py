@@ -178,7 +178,8 @@ class OfferedFunction:
     def broken(self) -> str | None:
         """Why a connection behind it has ended that should not have; None while there is none."""
         for one in self._connections:
-            if one.ended and (one.state is ConnectionState.FAILED or one._is_killed):
+            is_killed = one._is_killed  # noqa: SLF001 - within the control plane
+            if one.ended and (one.state is ConnectionState.FAILED or is_killed):
                 return str(one.cause or "its connection was killed")
         return None
 

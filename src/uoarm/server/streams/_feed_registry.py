@@ -249,7 +249,8 @@ class FeedRegistry:
             if not done.cancelled() and isinstance(error := done.exception(), UoarmError):
                 _log.warning("closing connection %s: %s", connection.id, error)
 
-        killing = self._kills[connection.id] = self.workers.free(lambda: connection._kill(cause))
+        kill = functools.partial(connection._kill, cause)  # noqa: SLF001 - of the house
+        killing = self._kills[connection.id] = self.workers.free(kill)
         killing.add_done_callback(ended)
         return killing
 
