@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import subprocess
 import sys
 from pathlib import Path
 from types import SimpleNamespace
@@ -83,6 +84,8 @@ functions:
       - name: misfit
         bridge: python
         input: {from: count, endpoint: ["cli_counting:shout"]}
+  once:
+    components: [{name: once, bridge: python, output: {endpoint: ["cli_counting:Once"]}}]
 """
 COMPONENTS = """
 import time
@@ -120,6 +123,15 @@ def die() -> Iterator[Number]:
     raise RuntimeError("the source is worn out")
 def shout(m: Text) -> None:
     pass
+class Once:
+    is_gone = False
+    def __init__(self) -> None:
+        if Once.is_gone:
+            raise OSError("there is none")
+    def __iter__(self) -> Iterator[Number]:
+        Once.is_gone = True
+        raise OSError("it was unplugged")
+        yield {"n": 1}
 """
 
 
@@ -138,7 +150,7 @@ def run(*arguments: str) -> Result:
 def test_check_counts_what_is_there(robot: str) -> None:
     result = run("check", robot)
     assert result.exit_code == 0
-    assert "no errors (functions: 13, bridges: 1)" in result.output
+    assert "no errors (functions: 14, bridges: 1)" in result.output
 
 
 def test_check_exits_with_three_and_tells_where(tmp_path: Path) -> None:
@@ -191,6 +203,26 @@ def test_request_ends_with_the_cause_when_what_it_waits_for_raises(robot: str) -
     assert result.stdout == ""
     assert "error: component 'thrower' was lost: its input 'default' raises" in result.stderr
     assert "OSError: the sensor is gone" in result.stderr
+
+
+def test_request_says_once_why_it_ends(tmp_path: Path, robot: str) -> None:
+    """In a process of its own: the records of a death are written by another thread."""
+    command = [sys.executable, "-m", "uoarm", "request", "failing", "-n", "1", "-f", robot]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=tmp_path)
+    lines = done.stderr.splitlines()
+    assert [line for line in lines if "again and again" in line] == [
+        line for line in lines if line.startswith("error: ")
+    ]
+    assert sum("raised OSError: the sensor is gone" in line for line in lines) == 1
+    assert done.returncode == 4
+
+
+def test_request_says_what_it_waits_for(robot: str) -> None:
+    Path(robot).write_text(ROBOT + "failover: {wait: 100}\n")
+    result = run("request", "once", "--duration", str(3 * slowness()), "-f", robot)
+    said = [line for line in result.stderr.splitlines() if line.startswith("warning: ")]
+    assert "it waits: component 'once' was lost: its source raised OSError: it was un" in said[0]
+    assert len(said) == 1
 
 
 def test_request_ends_with_the_cause_when_too_few_came_since_a_component_raised(robot: str) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import signal
+import sys
 import threading
 from pathlib import Path
 
@@ -181,3 +182,21 @@ def test_the_command_serves_until_it_is_told_to_end(
     assert done.exit_code == 0, done.output
     assert "serving ws://127.0.0.1:" in done.output
     assert "+ lab  camera  output  camera" in done.output
+
+
+def test_looking_goes_on_after_anything_that_a_plugin_raises_and_says_it_once(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    lines, looks = list[str](), list[int]()
+    with RobotManager(loads(EMPTY), bridges={"lab": MemoryBridge("lab", {})}) as manager:
+        looking = follower(manager, lines)
+
+        def look() -> None:
+            looks.append(1)
+            if len(looks) <= 3:
+                sys.exit(3)
+
+        looking.look = look  # type: ignore[method-assign]
+        with _up._following(looking, 0.001):
+            wait(lambda: len(looks) > 3, "it looks no more")
+    assert capsys.readouterr().err == "looking for components failed: SystemExit: 3\n"

@@ -13,7 +13,7 @@ from uoarm._log_lines import JsonFormatter, StderrHandler, TextFormatter
 from uoarm._mistakes import any_of
 from uoarm._spelling import Speller
 
-__all__ = ["add_log_options", "at_least", "logging_to_stderr"]
+__all__ = ["add_log_options", "at_least", "leaving_out", "logging_to_stderr"]
 
 _VARIABLE = "UOARM_LOG"
 _META = "uoarm.log"
@@ -27,16 +27,16 @@ class _Log:
     """The handler of a command's records, and the levels that were asked for by name of logger."""
 
     def __init__(self) -> None:
-        self._handler = StderrHandler()
+        self.handler = StderrHandler()
         self._former: dict[str, int] = {}
         self._is_chosen = False
         self.take("text")
 
     def open(self) -> None:
-        logging.getLogger().addHandler(self._handler)
+        logging.getLogger().addHandler(self.handler)
 
     def close(self) -> None:
-        logging.getLogger().removeHandler(self._handler)
+        logging.getLogger().removeHandler(self.handler)
         for name, level in self._former.items():
             logging.getLogger(name).setLevel(level)
 
@@ -47,7 +47,7 @@ class _Log:
             ValueError: it is neither.
         """
         if given in _FORMS:
-            self._handler.setFormatter(_FORMS[given]())
+            self.handler.setFormatter(_FORMS[given]())
             return
         name, is_named, level = _checked_level(given).rpartition("=")
         self._set(name.strip() if is_named else _OURS, getattr(logging, level.upper()))
@@ -104,6 +104,17 @@ def logging_to_stderr(context: click.Context) -> Iterator[None]:
 def at_least(level: int) -> None:
     """Have a command that is about its log write these records unless told otherwise."""
     click.get_current_context().meta[_META].at_least(level)
+
+
+@contextmanager
+def leaving_out(repeated: logging.Filter) -> Iterator[None]:
+    """Write no records that a filter leaves out, as the command itself says what they do."""
+    log: _Log = click.get_current_context().meta[_META]
+    log.handler.addFilter(repeated)
+    try:
+        yield
+    finally:
+        log.handler.removeFilter(repeated)
 
 
 def _take(context: click.Context, choices: Iterable[str]) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import logging
+import re
 import sys
 import time
 from collections.abc import Iterator
@@ -10,6 +12,7 @@ import click
 
 from uoarm import Connection, ConnectionClosedError, RobotManager, ValidationMode
 from uoarm.cli._file import takes_configuration
+from uoarm.cli._log import leaving_out
 from uoarm.cli._shared import (
     BRIDGE,
     fail,
@@ -25,6 +28,7 @@ from uoarm.model import ConnectionState, Health, Message, RouteStatus, read_json
 __all__ = ["call", "request"]
 
 _GLANCE_SECONDS = 0.25
+_DEATH = re.compile(r"component \S+ lost: |connection \S+ failed: ")
 _FAILING = frozenset({"failed", "invalid", "unreadable"})
 
 
@@ -59,7 +63,11 @@ def request(
     components that raise are named on stderr; when the flow fails, or fewer messages came than
     asked for since others failed or did not match, the exit code is 4 and the last line says why.
     """
-    with open_robot(file) as robot, robot.request(name, validate=validate) as connection:
+    with (
+        leaving_out(_Repeated()),  # until the manager is closed, which writes what is left
+        open_robot(file) as robot,
+        robot.request(name, validate=validate) as connection,
+    ):
         if connection.plan.provider.component.service is not None:
             raise UsageError(f"function {name!r} is a service: use call, not request")
         reading = _Reading(robot, connection, count, duration)
@@ -101,10 +109,19 @@ def call(name: str, message: str, file: str, *, timeout: float) -> None:
         click.echo(write_json(plain(robot.call(name, asked, timeout=timeout))))
 
 
+class _Repeated(logging.Filter):
+    """Leaves out the records of deaths: what the one connection does then says why, or its end."""
+
+    def filter(self, record: logging.LogRecord) -> bool:
+        """Say whether a record is written."""
+        return _DEATH.match(record.getMessage()) is None
+
+
 class _Reading:
     """The messages of a connection, until the count or the time is up or it ends.
 
-    While none comes, what is wrong with its components is said on stderr, once each.
+    While none comes, what is wrong with its components is said on stderr, once each, unless a
+    record of the log has said it.
     """
 
     def __init__(
@@ -167,12 +184,22 @@ class _Reading:
                 yield route
 
     def _say_what_is_wrong(self) -> None:
-        used = self._connection.status().components
-        for one in self._robot.status().components:
-            said = f"component {one.name!r} is {one.health.value}: {one.cause}"
-            if one.name in used and one.health is not Health.OK and said not in self._said:
-                self._said.add(said)
-                tell_warning(said)
+        status = self._connection.status()
+        if status.state is ConnectionState.WAITING:
+            self._say(f"it waits: {status.cause}")
+        for component in self._robot.status().components:
+            if component.name not in status.components or component.health is Health.OK:
+                continue
+            log = logging.getLogger(f"uoarm.component.{component.name}")
+            if not (component.failed and log.isEnabledFor(logging.WARNING)):
+                self._say(
+                    f"component {component.name!r} is {component.health.value}: {component.cause}"
+                )
+
+    def _say(self, text: str) -> None:
+        if text not in self._said:
+            self._said.add(text)
+            tell_warning(text)
 
 
 def _said_of(route: RouteStatus) -> str:

@@ -10,6 +10,7 @@ from pathlib import Path
 import click
 
 from uoarm import RobotManager
+from uoarm._raised import foreign, text_of
 from uoarm.bridge import Registry
 from uoarm.cli._discover import rows, with_every_plugin
 from uoarm.cli._file import Unnamed, takes_configuration
@@ -156,12 +157,16 @@ def _following(follower: _Follower, every: float) -> Iterator[None]:
     over = threading.Event()
 
     def run() -> None:
+        said = ""
         while not over.is_set():
+            failure = ""
             try:
-                follower.look()
-            except UoarmError as error:
-                if not over.is_set():
-                    click.echo(f"looking for components failed: {error}", err=True)
+                foreign(follower.look)
+            except Exception as error:  # noqa: BLE001 - plugins and what is printed may raise anything
+                failure = str(error) if isinstance(error, UoarmError) else text_of(error)
+            if failure not in {"", said} and not over.is_set():
+                click.echo(f"looking for components failed: {failure}", err=True)
+            said = failure
             over.wait(every)
 
     thread = threading.Thread(target=run, name="uoarm-up", daemon=True)
