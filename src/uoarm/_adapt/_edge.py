@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -11,7 +12,7 @@ from attrs import evolve, frozen
 from uoarm._adapt._adaptation import Adaptation, adapt
 from uoarm._adapt._mapping import MappingError, UnfitError, parse
 from uoarm._adapt._suggest import converting_map, suggest, untried_conversion
-from uoarm._meaning import Difference, judge, write_places
+from uoarm._meaning import JSON_LIMIT, OCTETS_LIMIT, Difference, judge, sizes_of, write_places
 from uoarm.model import Edge, Meaning, MeaningLevel, Message, MessageStructure, Reason
 from uoarm.schema import Budget, SchemaError, Verdict, check
 
@@ -117,7 +118,8 @@ def _judge(
             adapted = adapt(parse(mapping), producer.schema, consumer.schema)
             emitted = adapted.schema
             verdict = _with_losses(adapted, consumer, allow_loss, budget)
-        return _with_meaning(verdict, emitted, consumer.schema, meaning)
+        verdict = _with_meaning(verdict, emitted, consumer.schema, meaning)
+        return _within_limits(verdict, emitted, consumer.schema)
     except MappingError as error:
         return EdgeVerdict(False, (Reason(f"the map cannot be understood: {error}"),))
     except UnfitError as error:
@@ -157,6 +159,30 @@ def _with_meaning(verdict: EdgeVerdict, emitted: Any, taken: Any, meaning: Meani
         warnings=(*verdict.warnings, *found.notes),
         unstated=unstated,
     )
+
+
+def _within_limits(verdict: EdgeVerdict, emitted: Any, taken: Any) -> EdgeVerdict:
+    """Refuse what may be larger than the consumer takes, as far as the producer says how large.
+
+    A producer that says nothing of it may send all that is small enough: what is not is refused
+    when it is sent.
+    """
+    if not verdict.compatible or not isinstance(taken, Mapping):
+        return verdict
+    for limit, form in ((JSON_LIMIT, " as JSON"), (OCTETS_LIMIT, "")):
+        most: Any = taken.get(limit)
+        if most is None:
+            continue
+        least, largest = sizes_of(emitted, limit)
+        size, which = (
+            (least, "every message has at least")
+            if least > most
+            else (largest, "a message may have about")
+        )
+        if most < size < math.inf:
+            sentence = f"{which} {int(size):,} octets{form}, and {most:,} are taken"
+            return EdgeVerdict(False, (Reason(sentence, consumer=f"{limit} {most}"),))
+    return verdict
 
 
 def _with_losses(

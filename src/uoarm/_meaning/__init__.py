@@ -12,11 +12,14 @@ from uoarm._meaning._judge import (
     name_of_type,
     write_places,
 )
+from uoarm._meaning._sizes import JSON_LIMIT, OCTETS_LIMIT, sizes_of
 from uoarm._meaning._units import Conversion, UnitError, conversion, missing_for_units, unit_mistake
 
 __all__ = [
     "BUILT_IN",
     "INHERITED",
+    "JSON_LIMIT",
+    "OCTETS_LIMIT",
     "SCALED",
     "VOCABULARY",
     "Conversion",
@@ -28,6 +31,7 @@ __all__ = [
     "judge",
     "missing_for_units",
     "name_of_type",
+    "sizes_of",
     "unit_mistake",
     "write_places",
 ]

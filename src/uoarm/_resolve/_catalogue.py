@@ -180,6 +180,8 @@ class StructureCache:
                     f"the structure of {name!r} is not known to bridge {component.bridge!r}: "
                     f"{hint}declare it in the configuration, as `{key}` beside its `endpoint`"
                 )
+            if name == "request" or name.startswith("input."):
+                found[name] = description.limited(found[name])
 
         for role, ports in (("input", component.inputs), ("output", component.outputs)):
             for port in ports:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
-from attrs import field, frozen
+from attrs import evolve, field, frozen
 
 from uoarm.bridge._channel import Channel
 from uoarm.model import Endpoint, Health, MessageStructure
@@ -24,12 +25,22 @@ class Description:
 
     Attributes:
         hint: what would have the framework know what it does not: a sentence without a full stop.
+        limits: keywords that hold of whatever is sent there, also where the configuration declares
+            another structure: `x-max-json`, `x-max-octets` and `x-nonfinite: false`.
     """
 
     message: MessageStructure | None = None
     request: MessageStructure | None = None
     reply: MessageStructure | None = None
     hint: str = ""
+    limits: Mapping[str, object] = field(factory=dict, hash=False)
+
+    def limited(self, structure: MessageStructure) -> MessageStructure:
+        """Return a structure of what is sent there, with the limits that hold of it."""
+        if not self.limits or structure.schema is False:
+            return structure
+        own: Any = {} if structure.schema is True else structure.schema
+        return evolve(structure, schema={**own, **self.limits})
 
 
 @frozen

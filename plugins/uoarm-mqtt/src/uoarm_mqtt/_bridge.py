@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 from typing import Any, NoReturn
 
+from attrs import evolve
 from paho.mqtt.client import topic_matches_sub
 
 from uoarm.bridge import (
@@ -23,7 +24,7 @@ from uoarm.bridge import (
 from uoarm.errors import BridgeError, FailureReason
 from uoarm.model import Endpoint, Message, MessageStructure, Options, Role
 from uoarm_mqtt._channels import TopicSink, TopicSource
-from uoarm_mqtt._codec import STRUCTURES, Codec, with_topic
+from uoarm_mqtt._codec import STRUCTURES, Codec, limits_of, with_topic
 from uoarm_mqtt._known import Components, read_schema
 from uoarm_mqtt._link import BrokerConnection
 from uoarm_mqtt._options import Port, mistake, settings_of
@@ -158,7 +159,10 @@ class MqttBridge(Bridge):
         found = found or Description()
         if port.with_topic and found.message is not None:
             return Description(with_topic(found.message))
-        return found
+        if endpoint.role is Role.OUTPUT:
+            return found
+        most = self._broker.largest_payload(endpoint.address[0])
+        return evolve(found, limits=limits_of(port.content, most))
 
     def _refuse(self, endpoint: Endpoint, why: str) -> NoReturn:
         raise BridgeError(f"bridge {self.name!r}: {endpoint}: {why}", FailureReason.NOT_FOUND)

@@ -20,7 +20,7 @@ from uoarm.model import (
     scan_json,
 )
 
-__all__ = ["CONTENT_TYPES", "STRUCTURES", "Codec", "with_topic"]
+__all__ = ["CONTENT_TYPES", "STRUCTURES", "Codec", "limits_of", "with_topic"]
 
 Convert = Callable[[Any], Any]
 
@@ -201,6 +201,18 @@ def _octets(value: Any) -> Any:
 
 def _integer(value: Any) -> Any:
     return int(value) if isinstance(value, float) and value.is_integer() else value
+
+
+def limits_of(content: str, octets: int) -> dict[str, object]:
+    """Return the keywords that hold of all messages of a content that are sent.
+
+    Args:
+        content: json, octets or text.
+        octets: that a payload may have.
+    """
+    if content == "json":
+        return {"x-max-json": octets, "x-nonfinite": False}
+    return {"x-max-octets": octets}
 
 
 def with_topic(inner: MessageStructure) -> MessageStructure:

@@ -35,6 +35,7 @@ _GOODBYE_SECONDS = 1.0
 _RETRY_SECONDS = (0.1, 2.0)
 _ROOM_FOR_TOPIC = 65_536
 _HEADER = 9  # type, length, packet identifier, length of the topic: at most
+_PROPERTIES = 64  # of a message, about: its content type, its expiry, where the reply goes
 _IN_FLIGHT = 20
 _NO_SUBSCRIBERS = 0x10
 # What trying again does not change: the credentials, the rights, the identifier, the protocol.
@@ -223,6 +224,13 @@ class BrokerConnection:
         topic = f"uoarm/barrier/{self.settings.client_id}"
         self.require_up()
         self._wait("u", "waiting for what was sent", lambda: self._client.unsubscribe(topic))
+
+    def largest_payload(self, topic: str) -> int:
+        """Return how many octets a payload on a topic may have: by our budget, and the broker's."""
+        most = self.settings.budget.octets
+        if self._largest is None:
+            return most
+        return max(1, min(most, self._largest - len(topic.encode()) - _HEADER - _PROPERTIES))
 
     def publish(
         self,

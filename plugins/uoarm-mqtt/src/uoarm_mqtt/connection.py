@@ -17,7 +17,7 @@ came to a thread of its own. `TopicSource` and `TopicSink` are the channels of o
 from __future__ import annotations
 
 from uoarm_mqtt._channels import Backlog, Report, TopicSink, TopicSource
-from uoarm_mqtt._codec import Codec
+from uoarm_mqtt._codec import Codec, limits_of
 from uoarm_mqtt._link import BrokerConnection, Done, Outcome
 from uoarm_mqtt._options import (
     Announcement,
@@ -41,5 +41,6 @@ __all__ = [
     "Settings",
     "TopicSink",
     "TopicSource",
+    "limits_of",
     "settings_of",
 ]

@@ -13,6 +13,7 @@ from uoarm_mqtt.connection import (
     Receiver,
     TopicSink,
     TopicSource,
+    limits_of,
     settings_of,
 )
 
@@ -31,7 +32,7 @@ from uoarm.errors import MessageError
 from uoarm.model import Endpoint, Health, Message, MessageStructure, Options
 from uoarm_vda5050._follower import Follower
 from uoarm_vda5050._health_state import VehicleHealth
-from uoarm_vda5050._messages import Headers, VdaCodec, check_of
+from uoarm_vda5050._messages import HEADER_OCTETS, Headers, VdaCodec, check_of
 from uoarm_vda5050._options import TRANSPORT, Place, mistake, place_of, prefix_of, release_of
 from uoarm_vda5050._presence import Presence, Vehicle
 from uoarm_vda5050._published import Published, read_published
@@ -146,6 +147,9 @@ class Vda5050Bridge(Bridge):
     def _description(self, place: Place) -> Description:
         if place.topic != TRANSPORT:
             body = self._published.body(place.topic)
+            if place.topic in SENT:
+                most = self._broker.largest_payload(self._topic(place, place.topic)) - HEADER_OCTETS
+                return Description(body, limits=limits_of("json", max(1, most)))
             return Description(with_header(body) if place.header else body)
         if place.part:
             return Description(transport_structure(place.part))

@@ -17,8 +17,10 @@ from uoarm.model import Message, MessageStructure, Schema
 from uoarm_vda5050._releases import Release
 from uoarm_vda5050._structures import HEADER
 
-__all__ = ["HEADER_IDS", "Check", "Headers", "VdaCodec", "check_of"]
+__all__ = ["HEADER_IDS", "HEADER_OCTETS", "Check", "Headers", "VdaCodec", "check_of"]
 
+HEADER_OCTETS = 320
+"""About how many a header has at most, with names of the usual length."""
 HEADER_IDS = 2**32
 """How many there are: the counter of a header is one of 32 bits."""
 

@@ -250,8 +250,9 @@ class OfferedFunction:
         if output is None:
             raise ResolutionError(f"function {self.offer.function!r} has no output to offer")
         given = step.structures[f"output.{output}"]
-        said = self.bridge.describe(port.endpoint, timeout=_DESCRIBE_SECONDS).message
-        taken = _settled(port.declared, said, given, port.mapping)
+        description = self.bridge.describe(port.endpoint, timeout=_DESCRIBE_SECONDS)
+        settled = _settled(port.declared, description.message, given, port.mapping)
+        taken = description.limited(settled)
         place = f"{self.offer.name}.{port.name}"
         adapted = _proven(
             f"output {output!r} does not fit {list(port.endpoint.address)}",

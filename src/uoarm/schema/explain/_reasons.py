@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from json.encoder import encode_basestring
 from typing import Any, TypeAlias
@@ -114,6 +114,7 @@ _MAX_REASONS = 5
 _MAX_NAMES = 20
 _MAX_PAIRS = 5_000
 _EXACT_INTEGERS = 2**53
+_NONFINITE = "the producer may emit NaN or infinity, the consumer does not expect them"
 _OF_PAIR, _OF_LOSS = 200, 300
 """About the octets of two schemas that wait to be compared, and of a loss without its texts."""
 
@@ -151,7 +152,37 @@ def find_losses(producer: Node, consumer: Node, meter: Meter) -> tuple[Loss, ...
     losses: list[Loss] = []
     with meter.part("what is not kept whole"), suppress(BudgetError):
         _gather_losses(producer, consumer, losses, meter)
+        if isinstance(consumer.raw, Mapping) and consumer.raw.get("x-nonfinite") is False:
+            _keep(losses, _nonfinite(producer, losses, meter), meter)
     return tuple(sorted(losses, key=lambda loss: (loss.path, loss.kind)))
+
+
+def _nonfinite(producer: Node, known: Sequence[Loss], meter: Meter) -> list[Loss]:
+    """Return where else a producer may emit what is not finite, said once of all such places."""
+    waiting: list[tuple[Node, Path]] = [(producer, ())]
+    places: set[str] = set()
+    for _ in range(_MAX_PAIRS):
+        if not waiting:
+            break
+        node, path = waiting.pop()
+        if _says_nonfinite(node):
+            places.add(write_path(path))
+        meter.spend()
+        meter.hold(_OF_PAIR)
+        waiting.extend((child, path) for child in node.applied() if child is not node.negated)
+        waiting.extend((child, (*path, name)) for name, child in node.properties.items())
+        waiting.extend((child, (*path, number)) for number, child in enumerate(node.prefix))
+        if node.items is not None:
+            waiting.append((node.items, (*path, "*")))
+    others = sorted(places - {loss.path for loss in known if loss.kind == "nonfinite"})
+    if not others:
+        return []
+    more = f", here and in {len(others) - 1:,} more places" if others[1:] else ""
+    return [Loss(others[0], "nonfinite", f"{_NONFINITE}{more}")]
+
+
+def _says_nonfinite(node: Node) -> bool:
+    return isinstance(node.raw, Mapping) and node.raw.get("x-nonfinite") is True
 
 
 def _gather_losses(producer: Node, consumer: Node, losses: list[Loss], meter: Meter) -> None:
@@ -214,8 +245,7 @@ def _losses_here(one: Node, other: Node, path: Path) -> list[Loss]:
     mine = one.raw if isinstance(one.raw, Mapping) else {}
     theirs = other.raw if isinstance(other.raw, Mapping) else {}
     if mine.get("x-nonfinite") and not theirs.get("x-nonfinite"):
-        sentence = "the producer may emit NaN or infinity, the consumer does not expect them"
-        found.append(Loss(where, "nonfinite", sentence))
+        found.append(Loss(where, "nonfinite", _NONFINITE))
     for keyword in ("format", "contentEncoding", "contentMediaType"):
         if keyword in theirs and mine.get(keyword) != theirs[keyword]:
             mine_says = mine.get(keyword)
