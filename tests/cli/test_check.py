@@ -7,14 +7,15 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from attrs import evolve
 from click.testing import CliRunner, Result
 
 from uoarm import RobotManager
-from uoarm.bridge import Bridge, BridgeType, Registry
+from uoarm.bridge import Bridge, BridgeType, Description, Registry
 from uoarm.cli import main
 from uoarm.config import inspect
 from uoarm.errors import ResolutionError
-from uoarm.model import Options
+from uoarm.model import Endpoint, Options
 
 COMPONENTS = """
 from collections.abc import AsyncIterator, Iterator
@@ -175,6 +176,25 @@ offer:
   doubting:
     f: {outputs: {default: {endpoint: [/b]}}}
 """
+
+
+def test_a_plugin_is_asked_for_structures_by_the_options_of_a_port(tmp_path: Path) -> None:
+    """Also one that has no parameters to be asked about."""
+    file = tmp_path / "robot.yaml"
+    text = DOUBTED.replace("[/a, wrong], structure: true", "[/a, wrong], options: {content: odd}")
+    file.write_text(text, encoding="utf-8")
+    asked: list[Endpoint] = []
+
+    def describe(endpoint: Endpoint, options: object) -> Description:
+        asked.append(endpoint)
+        return Description(hint="say so there")
+
+    types = {**Registry().types, "doubting": evolve(memory_type(None), describe=describe)}
+    report = inspect(file, types, parameters=True, missing=str)
+    [endpoint] = asked
+    assert (endpoint.address, dict(endpoint.options)) == (("/a", "wrong"), {"content": "odd"})
+    [warning] = report.warnings
+    assert warning.hint == "say so there, or declare structure here; true is any"
 
 
 def memory_type(doubts: Any) -> BridgeType:

@@ -10,9 +10,10 @@ from click.testing import CliRunner, Result
 from tests.manager.test_discovery import ROBOT, make_lab
 
 from uoarm import RobotManager
-from uoarm.bridge import BridgeType, Registry
+from uoarm.bridge import Bridge, BridgeType, Registry
 from uoarm.cli import _discover, main
 from uoarm.config import loads
+from uoarm.errors import BridgeError
 
 FILE = ROBOT.replace(", gone: {plugin: nowhere}", "")
 
@@ -160,3 +161,25 @@ def test_a_suggestion_of_nothing_is_a_configuration(
     monkeypatch.setattr(_discover, "Registry", lambda: Registry(()))
     alone.write_text(run("suggest").stdout, encoding="utf-8")
     assert run("check", alone).exit_code == 0
+
+
+def test_of_what_no_file_names_is_said_what_to_write_and_nothing_else(
+    alone: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(*_: object) -> Bridge:
+        raise BridgeError("nothing listens there")
+
+    registry = Registry(())
+    url = {"type": "string", "examples": ["lab://127.0.0.1"]}
+    schema = {"type": "object", "properties": {"url": url}, "required": ["url"]}
+    registry.add(BridgeType("lab", "", fail, options_schema=schema, contract=2))
+    registry.add(BridgeType("absent", "", fail, contract=2))
+    monkeypatch.setattr(_discover, "Registry", lambda: registry)
+    done = run("suggest", "--merge", "mine.yaml")
+    line = 'lab: {plugin: lab, options: {"url": "lab://127.0.0.1"}}'
+    assert done.stderr == (
+        "to have more looked at, write under `bridges` of mine.yaml, with your own values:\n"
+        f"  {line}\n"
+    )
+    alone.write_text(f"version: 1\nbridges:\n  {line}\nfunctions: {{}}\n", encoding="utf-8")
+    assert run("suggest").stderr == "lab: nothing listens there\n"

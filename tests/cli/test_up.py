@@ -107,7 +107,8 @@ def test_a_plugin_that_cannot_go_without_options_says_which_a_file_must_give() -
     with RobotManager(loads(EMPTY), registry=registry) as manager:
         [lab] = manager.discover()
     needs = "plugin 'memory' needs the options url, port, which a file gives under `bridges`"
-    assert lab.cause == f"bridge 'lab': {needs}"
+    line = 'lab: {plugin: memory, options: {"url": "...", "port": "..."}}'
+    assert lab.cause == f"bridge 'lab': {needs}, such as {line}"
 
 
 def test_as_json_each_change_is_a_line() -> None:

@@ -12,8 +12,9 @@ from uoarm_mqtt._link import ThreadedClient
 from uoarm_mqtt._outage import Outage
 from uoarm_mqtt._subscriptions import Incoming, Receiver, Subscriptions
 
+from uoarm.bridge import Registry
 from uoarm.errors import MessageError
-from uoarm.model import Budget, Health, MessageStructure
+from uoarm.model import Budget, Endpoint, Health, MessageStructure, Role
 
 
 def test_an_outage_is_told_once_lost_once_and_over_once() -> None:
@@ -101,3 +102,27 @@ def test_octets_in_json_are_base64_with_its_padding_or_without() -> None:
     for text in (b'"Y"', b'"YQ="', b'"Y Q"'):
         with pytest.raises(MessageError):
             codec.decode(text)
+
+
+KNOWN: list[tuple[Role, dict[str, object], dict[str, object], bool]] = [
+    (Role.OUTPUT, {}, {}, False),
+    (Role.SERVICE, {}, {}, False),
+    (Role.OUTPUT, {"content": "text"}, {}, True),
+    (Role.OUTPUT, {}, {"structures": {"room/#": {"type": "number"}}}, True),
+    (Role.OUTPUT, {}, {"schemas": "schemas/{topic}"}, True),
+    (Role.SERVICE, {}, {"structures": {"room/#": {"type": "number"}}}, False),
+    (Role.SERVICE, {}, {"services": {"room/temp": {"request": True, "reply": True}}}, True),
+]
+
+
+@pytest.mark.parametrize(("role", "port", "options", "is_known"), KNOWN)
+def test_check_is_told_without_a_broker_which_structures_must_be_written(
+    role: Role, port: dict[str, object], options: dict[str, object], is_known: bool
+) -> None:
+    describe = Registry().types["mqtt"].describe
+    assert describe is not None
+    endpoint = Endpoint("mqtt", "temp", role, ("room/temp",), options=port)
+    description = describe(endpoint, {"url": "mqtt://127.0.0.1:1", **options})
+    where = "services" if role is Role.SERVICE else "structures"
+    assert bool(description.hint) is not is_known
+    assert is_known or f"under `{where}` of the bridge's options" in description.hint

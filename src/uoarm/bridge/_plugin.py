@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 from collections.abc import Callable, Mapping
@@ -33,7 +34,8 @@ class BridgeType:
         summary: one line for people.
         create: takes the instance's name and checked options; may import the middleware, and
             raises PluginError naming the distribution to install when it cannot.
-        options_schema: JSON Schema of the options. An integer with `x-uoarm-assign: {from: 64,
+        options_schema: JSON Schema of the options. The first of the `examples` of one that must be
+            given is shown to who has not given it. An integer with `x-uoarm-assign: {from: 64,
             to: 101, except_variable: NAME}` is chosen by uoarm for bridges in hosts of several
             installations that leave it out, a number each, so that they do not meet.
             A text with `x-uoarm-path: true` is the path of a file or folder: a relative one begins
@@ -81,6 +83,19 @@ class BridgeType:
         """Return options in which every relative path begins in a folder, and `~` is the home."""
         made: dict[str, Any] = _located(self.options_schema, dict(options), folder)
         return made
+
+    def lacking(self, options: Options) -> tuple[str, ...]:
+        """Return the options that must be given and are not."""
+        schema: Any = self.options_schema
+        required = schema.get("required", ()) if isinstance(schema, Mapping) else ()
+        return tuple(str(name) for name in required if name not in options)
+
+    def line(self, bridge: str, options: tuple[str, ...]) -> str:
+        """Return what a configuration may say of a bridge with such options, below `bridges`."""
+        schema: Any = self.options_schema
+        known = schema.get("properties", {}) if isinstance(schema, Mapping) else {}
+        examples = {name: known.get(name, {}).get("examples", ["..."])[0] for name in options}
+        return f"{bridge}: {{plugin: {self.name}, options: {json.dumps(examples)}}}"
 
     def __new__(cls, *given: object, **named: object) -> Self:
         """Refuse a bridge type that states no contract in a sentence, before attrs does."""

@@ -151,10 +151,10 @@ def _require_fitting(spec: BridgeSpec, kind: BridgeType) -> None:
     errors = list(Draft202012Validator(kind.options_schema).iter_errors(dict(spec.options)))
     missing = [one for one in errors if one.validator == "required" and not one.path]
     if errors and len(missing) == len(errors):  # as of a bridge that no configuration names
-        names = [str(name) for name in missing[0].validator_value if name not in spec.options]
+        names = kind.lacking(spec.options)
         s = "" if len(names) == 1 else "s"
         text = f"plugin {kind.name!r} needs the option{s} {', '.join(names)}"
-        text += ", which a file gives under `bridges`"
+        text += f", which a file gives under `bridges`, such as {kind.line(spec.name, names)}"
         raise ConfigurationError(f"bridge {spec.name!r}: {text}")
     told = "; ".join(
         f"{write_path(path)}: {sentence}{f' ({hint})' if hint else ''}"

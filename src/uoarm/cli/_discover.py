@@ -100,17 +100,32 @@ def suggest(file: str | None, *, into: str | None, timeout: float) -> None:
         )
     named = file or into or STANDARD
     file = named if file is not None or Path(named).exists() else None
-    with looking(file) as (robot, given):
+    registry = Registry()
+    with looking(file, registry) as (robot, given):
         findings = robot.discover(timeout=timeout)
-        for one in findings:
-            if one.cause:
-                click.echo(f"{one.bridge}: {one.cause}", err=True)
+        for found in findings:
+            if found.cause and found.bridge in given.bridges:
+                click.echo(f"{found.bridge}: {found.cause}", err=True)
+        if not given.bridges:
+            _say_unasked(registry, named)
         lines = suggestion_for(given, findings, configured=given.bridges)
         if into is None:
             click.echo(lines, nl=False)
         else:
             _merge_into(Path(into), before, lines)
         sys.exit(0 if any(not one.cause for one in findings) else BRIDGE)
+
+
+def _say_unasked(registry: Registry, file: str) -> None:
+    """Say which plugins can look only once a file says where, and what to write there."""
+    lines = [
+        f"\n  {kind.line(name, lacking)}"
+        for name, kind in registry.types.items()
+        if (lacking := kind.lacking({}))
+    ]
+    if lines:
+        text = f"to have more looked at, write under `bridges` of {file}, with your own values:"
+        click.echo(f"{text}{''.join(lines)}", err=True)
 
 
 def _octets(path: str | Path) -> bytes:
@@ -134,9 +149,11 @@ def _merge_into(path: Path, before: bytes, lines: str) -> None:
 
 
 @contextmanager
-def looking(file: str | None) -> Iterator[tuple[RobotManager, Robot]]:
+def looking(
+    file: str | None, registry: Registry | None = None
+) -> Iterator[tuple[RobotManager, Robot]]:
     """Give a manager with a bridge for each plugin, and the configuration as the file has it."""
-    registry = Registry()
+    registry = registry or Registry()
     with reporting():
         given = Robot({}, {}) if file is None or _is_empty(file) else load(file, registry.types)
         with RobotManager(with_every_plugin(given, registry), registry=registry) as robot:

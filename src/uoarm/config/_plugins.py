@@ -79,7 +79,9 @@ class PluginChecker:
         for component in components(self._document.value):
             bridge, given = component.text("bridge"), component.value.get("parameters", {})
             kind, options = self._bridges.get(bridge or "", (None, None))
-            if kind is None or kind.check_parameters is None or self._is_hosted(bridge):
+            if kind is None or self._is_hosted(bridge):
+                continue
+            if kind.check_parameters is None and kind.describe is None:
                 continue
             ports = (*component.inputs(), *component.outputs(), *component.services())
             address = _address(ports[0].value) if ports else None
@@ -131,6 +133,7 @@ class PluginChecker:
                     role,
                     address,
                     port.name,
+                    options=port.value.get("options", {}),
                     parameters=component.value.get("parameters", {}),
                 )
                 description = _bounded.run(
@@ -140,7 +143,7 @@ class PluginChecker:
                 )
                 keys = [key for part, key in unknown.items() if getattr(description, part) is None]
                 if keys and description.hint:
-                    hint = f"{description.hint}, or declare {' and '.join(keys)} here"
+                    hint = f"{description.hint}, or declare {' and '.join(keys)} here; true is any"
                     sentence = "what its messages are like is not known, so that no plan has it"
                     yield self._problem(port.path, sentence, hint)
 
@@ -155,8 +158,9 @@ class PluginChecker:
         given: Mapping[str, Any],
         options: Mapping[str, Any],
     ) -> Mapping[str, str]:
-        assert kind.check_parameters is not None, "the caller looked"
         check = kind.check_parameters
+        if check is None:
+            return {}
         return _bounded.run(
             f"looking at the parameters of {address}",
             _PARAMETER_SECONDS,

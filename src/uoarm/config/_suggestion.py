@@ -255,4 +255,8 @@ def _flow(value: object) -> str:
 
 def _unknown(port: FoundPort) -> str:
     known = port.message is not None or port.request is not None
-    return "" if known else "  # its structure is not known: declare it"
+    if known:
+        return ""
+    if port.endpoint.role is Role.SERVICE:
+        return "  # not known, and must be added: request: SCHEMA, reply: SCHEMA; true is any"
+    return "  # not known, and must be added: structure: SCHEMA; true is any"

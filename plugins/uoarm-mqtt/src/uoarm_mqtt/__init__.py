@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from uoarm.bridge import Bridge, BridgeType, hookimpl
-from uoarm.model import Options
+from uoarm.bridge import Bridge, BridgeType, Description, hookimpl
+from uoarm.model import Endpoint, Options
 from uoarm_mqtt._options import BRIDGE_OPTIONS, CONNECTION_OPTIONS, mistake
 
 __all__ = ["CONNECTION_OPTIONS", "uoarm_bridge_types"]
@@ -13,6 +13,12 @@ def _create(name: str, options: Options) -> Bridge:
     from uoarm_mqtt._bridge import MqttBridge  # noqa: PLC0415 - imports paho
 
     return MqttBridge(name, options)
+
+
+def _describe(endpoint: Endpoint, options: Options) -> Description:
+    from uoarm_mqtt._bridge import describe_offline  # noqa: PLC0415 - imports paho
+
+    return describe_offline(endpoint, options)
 
 
 def _topic(address: tuple[str, ...], options: Options) -> str:
@@ -38,6 +44,7 @@ def uoarm_bridge_types() -> list[BridgeType]:
             check_endpoint=mistake,
             topic=_topic,
             doctor=_doctor,
+            describe=_describe,
             contract=2,
         )
     ]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Mapping
 from typing import Any, NoReturn
 
 from attrs import evolve
@@ -31,7 +32,13 @@ from uoarm_mqtt._options import Port, mistake, settings_of
 from uoarm_mqtt._services import Calls, ServedTopic
 from uoarm_mqtt._subscriptions import Incoming, Receiver
 
-__all__ = ["MqttBridge"]
+__all__ = ["MqttBridge", "describe_offline"]
+
+_HINTS = {
+    False: "say by topic, under `structures` of the bridge's options, what its messages are like",
+    True: "say by topic, under `services` of the bridge's options, what it takes and answers",
+}
+"""What to write where MQTT does not know a structure, by whether it is a service's."""
 
 
 class MqttBridge(Bridge):
@@ -128,22 +135,11 @@ class MqttBridge(Bridge):
         """Refuse what is not there, by the presence or by the schema that it should have."""
         self._broker.require_up()
         self._require_present(endpoint, port)
-        if self._configured(endpoint, port) is None and "schemas" in self._given:
+        if configured(self._given, endpoint, port) is None and "schemas" in self._given:
             self._description(endpoint, port)
 
-    def _configured(self, endpoint: Endpoint, port: Port) -> Description | None:
-        """Return what the options say of an endpoint's structures, None where they say nothing."""
-        topic = endpoint.address[0]
-        if endpoint.role is Role.SERVICE:
-            return _described(self._given.get("services", {}).get(topic))
-        for pattern, schema in self._given.get("structures", {}).items():
-            if pattern == topic or topic_matches_sub(pattern, topic):
-                return _described(schema)
-        known = STRUCTURES.get(port.content)
-        return None if known is None else Description(known)
-
     def _description(self, endpoint: Endpoint, port: Port) -> Description:
-        found = self._configured(endpoint, port)
+        found = configured(self._given, endpoint, port)
         if found is None and (pattern := self._given.get("schemas")):
             topic = endpoint.address[0]
             place = pattern.replace("{topic}", topic)
@@ -156,7 +152,7 @@ class MqttBridge(Bridge):
             if ("request" in schema) is not (endpoint.role is Role.SERVICE):
                 self._refuse(endpoint, f"what {place} describes is no {endpoint.role.value}")
             found = _described(schema)
-        found = found or Description()
+        found = found or Description(hint=_HINTS[endpoint.role is Role.SERVICE])
         if port.with_topic and found.message is not None:
             return Description(with_topic(found.message))
         if endpoint.role is Role.OUTPUT:
@@ -204,6 +200,26 @@ class MqttBridge(Bridge):
 
     def _tell(self, channel: Channel, health: Any, cause: str) -> None:
         self.report(health, cause, channel=channel)
+
+
+def configured(given: Mapping[str, Any], endpoint: Endpoint, port: Port) -> Description | None:
+    """Return what options say of an endpoint's structures, None where they say nothing."""
+    topic = endpoint.address[0]
+    if endpoint.role is Role.SERVICE:
+        return _described(given.get("services", {}).get(topic))
+    for pattern, schema in given.get("structures", {}).items():
+        if pattern == topic or topic_matches_sub(pattern, topic):
+            return _described(schema)
+    known = STRUCTURES.get(port.content)
+    return None if known is None else Description(known)
+
+
+def describe_offline(endpoint: Endpoint, options: Options) -> Description:
+    """Return what a bridge would describe, as far as that is known without its broker."""
+    found = configured(options, endpoint, Port.of(endpoint.options))
+    if found is None and "schemas" not in options:
+        return Description(hint=_HINTS[endpoint.role is Role.SERVICE])
+    return found or Description()
 
 
 def _described(schema: Any) -> Description | None:

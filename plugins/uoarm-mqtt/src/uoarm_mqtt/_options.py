@@ -44,7 +44,11 @@ def _closed(properties: Mapping[str, Any], *required: str) -> Schema:
 
 
 CONNECTION_OPTIONS: Mapping[str, Any] = {
-    "url": {"type": "string", "pattern": r"^mqtts?://[^/@?#\s]+$"},
+    "url": {
+        "type": "string",
+        "pattern": r"^mqtts?://[^/@?#\s]+$",
+        "examples": ["mqtt://127.0.0.1:1883"],
+    },
     "client_id": _TEXT,
     "user": _TEXT,
     "password_env": _TEXT,

@@ -65,6 +65,7 @@ BRIDGE_OPTIONS: Schema = {
             "minProperties": 1,
             "propertyNames": {"pattern": "^[A-Za-z_][A-Za-z0-9_.-]*$"},
             "additionalProperties": _DEVICE,
+            "examples": [{"robot": {"url": "tcp://127.0.0.1:4000"}}],
         },
     },
 }
