@@ -86,7 +86,7 @@ class Ros1World(World):
             return [large_image()]
         if kind == "arrays":
             return [scan(value) for value in (math.nan, math.inf, -math.inf, 0.1)]
-        return []
+        return [zero(KINDS[kind])]
 
     def victim(self) -> Victim:
         return self.victims()[0]
@@ -188,7 +188,7 @@ def rounded(native: str, message: Message) -> Message:
         if isinstance(shape, Record):
             return {member.name: of(member.shape, value[member.name]) for member in shape.fields}
         if isinstance(shape, Listing):
-            if isinstance(value, bytes):
+            if isinstance(value, bytes | memoryview):
                 return value
             return [of(shape.element, item) for item in value]
         if shape == Scalar("float32"):

@@ -34,4 +34,4 @@ class TestInAHost(TestRos1Bridge):
     """The whole suite with the bridge in a process of its own."""
 
     hosted = True
-    kinds = ("arrays",)
+    kinds = ("arrays", "scalars")

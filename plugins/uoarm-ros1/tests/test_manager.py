@@ -21,6 +21,31 @@ NUMBER = {
     "required": ["data"],
     "additionalProperties": False,
 }
+FLAG = {
+    "type": "object",
+    "properties": {"data": {"type": "boolean"}},
+    "required": ["data"],
+    "additionalProperties": False,
+}
+OUTCOME = {
+    "type": "object",
+    "properties": {"success": {"type": "boolean"}, "message": {"type": "string"}},
+    "required": ["success", "message"],
+    "additionalProperties": False,
+}
+INTEGER = {"type": "integer", "minimum": -(2**63), "maximum": 2**63 - 1}
+TERMS = {
+    "type": "object",
+    "properties": {"a": INTEGER, "b": INTEGER},
+    "required": ["a", "b"],
+    "additionalProperties": False,
+}
+SUM = {
+    "type": "object",
+    "properties": {"sum": INTEGER},
+    "required": ["sum"],
+    "additionalProperties": False,
+}
 HEADER = """
 version: 1
 {more}
@@ -82,14 +107,22 @@ def test_functions_are_offered_as_topics_services_and_actions(
     functions = """
   counter: {components: [{name: counter, bridge: one, output: {endpoint: [counter]}}]}
   arm: {components: [{name: arm, bridge: one, input: {endpoint: [arm]}}]}
+  switch: {components: [{name: switch, bridge: one, service: {endpoint: [switch]}}]}
+  add: {components: [{name: adder, bridge: one, service: {endpoint: [add]}}]}
 offer:
   ros:
     counter: {output: {endpoint: [/offered/count, std_msgs/Int32]}}
     arm: {input: {endpoint: [/offered/goal, std_msgs/Int32]}}
+    switch: {service: {endpoint: [/offered/switch, std_srvs/SetBool]}}
+    add: {service: {endpoint: [/offered/add, actionlib/TwoIntsAction]}}
 """
     memory = MemoryBridge("one")
     counter: Any = memory.emitter("counter", NUMBER)
     arm = memory.taker("arm", NUMBER)
+    memory.service(
+        "switch", FLAG, OUTCOME, lambda ask: {"success": ask["data"], "message": "done"}
+    )
+    memory.service("add", TERMS, SUM, lambda goal: {"sum": goal["a"] + goal["b"]})
     text = robot(master, functions).replace("\nfunctions", "\n  one: {plugin: memory}\nfunctions")
     with (
         bridge_to(master) as bridge,
@@ -108,6 +141,33 @@ offer:
         lasting.wait_for("connections", lambda count: count == 1, topic="/offered/goal")
         lasting.do("publish", topic="/offered/goal", type="std_msgs/Int32", values={"data": 9})
         wait(lambda: {"data": 9} in arm.taken.messages, "nothing is taken", patience())
+        ask = {"service": "/offered/switch", "type": "std_srvs/SetBool"}
+        assert lasting.do("call", **ask, values={"data": True})["message"] == "done"
+        goal = {"action": "/offered/add", "type": "actionlib/TwoIntsAction"}
+        done = lasting.do("send_goal", **goal, values={"a": 40, "b": 2}, timeout=patience())
+        assert done["result"] == {"sum": 42}
+
+
+def test_two_topics_of_one_type_are_linked_by_the_plan(master: Master, lasting: Peer) -> None:
+    """The bridge moves the octets: no message comes through the manager."""
+    peer = master.peer("linked")
+    peer.do("advertise", topic="/plan/from", type="std_msgs/Int32")
+    lasting.do("subscribe", topic="/plan/to", type="std_msgs/Int32")
+    functions = """
+  numbers: {components: [{name: numbers, bridge: ros, output: {endpoint: [/plan/from]}}]}
+  shown:
+    components:
+      - {name: screen, bridge: ros, input: {from: numbers, endpoint: [/plan/to]}}
+"""
+    with (
+        RobotManager(loads(robot(master, functions))) as manager,
+        manager.request("shown"),
+    ):
+        peer.do("publish", topic="/plan/from", type="std_msgs/Int32", values={"data": 5})
+        lasting.wait_for("came", lambda came: came == [{"data": 5}], topic="/plan/to")
+        (route,) = manager.status().routes
+        assert route.native
+    peer.kill()
 
 
 TWIST = """

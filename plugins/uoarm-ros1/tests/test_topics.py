@@ -26,6 +26,7 @@ from uoarm.model import Endpoint, Health, MessageStructure
 from uoarm.testing import Census, Collector, patience, same, slowness, wait
 
 INT = "std_msgs/Int32"
+SIZES = (("many", "[]"), ("three", "[3]"))
 ANY = MessageStructure(True)
 
 
@@ -44,6 +45,41 @@ def test_the_type_and_its_structure_come_from_the_publisher(master: Master, last
     properties = message.schema["properties"]
     assert properties["pose"]["properties"]["position"]["x-type"]["name"] == "geometry_msgs/Point"
     assert properties["header"]["properties"]["stamp"]["properties"].keys() == {"secs", "nsecs"}
+
+
+NUMBERS = ("int8", "uint8", "int16", "uint16", "int32", "uint32", "int64", "uint64")
+PRIMITIVES = (*NUMBERS, "float32", "float64", "bool", "byte", "char", "string", "time", "duration")
+EVERYTHING = "\n".join(
+    [f"{kind} {kind}_{name}" for kind in (*PRIMITIVES, "Part") for name in ("a", "B")]
+    + [f"{kind}{size} {kind}_{name}" for kind in (*PRIMITIVES, "Part") for name, size in SIZES]
+    + ["=" * 80, "MSG: test/Part", "float32[] numbers", "time[2] times", "string NAME"]
+)
+
+
+def test_every_primitive_and_every_array_of_them_pass_there_and_back(
+    master: Master, lasting: Peer
+) -> None:
+    native = "test/Everything"
+    messages: list[Any] = []
+    lasting.do("define", type=native, definition=EVERYTHING)
+    lasting.do("advertise", topic="/every/in", type=native)
+    lasting.do("subscribe", topic="/every/out", type=native)
+    with bridge_to(master) as bridge:
+        back = input_("/every/out", native, definition=EVERYTHING, wait=patience(), queue=1000)
+        sink = bridge.open_sink(back, ANY, timeout=patience())
+        at = output("/every/in", wait=patience())
+        structure = bridge.describe(at, timeout=patience()).message
+        assert structure is not None
+
+        def pass_on(message: Any) -> None:
+            messages.append(message)
+            sink.send(message)
+
+        bridge.open_source(at, structure, pass_on, timeout=patience())
+        sent = lasting.do("publish_random", topic="/every/in", type=native, count=200)
+        lasting.wait_for("count", lambda count: count == 200, topic="/every/out")
+        assert same(lasting.do("came", topic="/every/out"), sent)
+    assert same(messages, sent)
 
 
 def test_two_megabytes_pass_both_ways(master: Master, lasting: Peer) -> None:

@@ -27,6 +27,7 @@ NUMBERS = {
     "uint64": (0, 2**64 - 1),
 }
 FLOATS = [0.0, -0.0, 1.5, -2.25, 5e-324, 1.7976931348623157e308, float("inf"), float("-inf")]
+DEFINED = {}
 TEXTS = ["", "a", "Kia ora \u2192 \U0001f916", "\0", "x" * 300]
 
 
@@ -59,7 +60,7 @@ def value(kind, random_):
         return genpy.Time(random_.randint(0, 2**32 - 1), random_.randint(0, 10**9 - 1))
     if kind == "duration":
         return genpy.Duration(random_.randint(-(2**31), 2**31 - 1), random_.randint(0, 10**9 - 1))
-    return fill(roslib.message.get_message_class(kind)(), random_)
+    return fill((DEFINED.get(kind) or roslib.message.get_message_class(kind))(), random_)
 
 
 def plain(message):
@@ -87,4 +88,5 @@ def main():
             print(json.dumps({"octets": octets, "value": plain(message)}))
 
 
-main()
+if __name__ == "__main__":
+    main()

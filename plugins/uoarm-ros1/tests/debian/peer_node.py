@@ -12,13 +12,16 @@ import base64
 import importlib
 import json
 import os
+import random
 import sys
 import threading
 import time
 
 import genpy
+import genpy.dynamic
 import roslib.message
 import rospy
+from genpy_messages import DEFINED, fill, plain
 
 PUBLISHERS, CAME, KEPT = {}, {}, []
 
@@ -28,6 +31,10 @@ def filled(message, values):
         if name in values:
             setattr(message, name, converted(kind, values[name]))
     return message
+
+
+def define(type, definition):
+    DEFINED.update(genpy.dynamic.generate_dynamic(type, definition))
 
 
 def converted(kind, value):
@@ -40,24 +47,12 @@ def converted(kind, value):
     if kind == "duration":
         return genpy.Duration(value["secs"], value["nsecs"])
     if isinstance(value, dict):
-        return filled(roslib.message.get_message_class(kind)(), value)
+        return filled(message_class(kind)(), value)
     return value
 
 
-def plain(message):
-    if isinstance(message, (genpy.Time, genpy.Duration)):
-        return {"secs": message.secs, "nsecs": message.nsecs}
-    if isinstance(message, genpy.Message):
-        return {name: plain(getattr(message, name)) for name in message.__slots__}
-    if isinstance(message, bytes):
-        return list(message)
-    if isinstance(message, (list, tuple)):
-        return [plain(item) for item in message]
-    return message
-
-
 def message_class(name):
-    return roslib.message.get_message_class(name)
+    return DEFINED.get(name) or roslib.message.get_message_class(name)
 
 
 def service_class(name):
@@ -79,6 +74,15 @@ def publish(topic, type, values, count=1, gap=0):
         PUBLISHERS[topic].publish(filled(kind(), values))
         if gap:
             time.sleep(gap)
+
+
+def publish_random(topic, type, count, seed=1):
+    random_, sent = random.Random(seed), []
+    for _ in range(count):
+        message = fill(message_class(type)(), random_)
+        sent.append(plain(message))
+        PUBLISHERS[topic].publish(message)
+    return sent
 
 
 def advertise_octets(topic, type):
