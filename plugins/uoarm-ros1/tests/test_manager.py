@@ -119,9 +119,7 @@ offer:
     memory = MemoryBridge("one")
     counter: Any = memory.emitter("counter", NUMBER)
     arm = memory.taker("arm", NUMBER)
-    memory.service(
-        "switch", FLAG, OUTCOME, lambda ask: {"success": ask["data"], "message": "done"}
-    )
+    memory.service("switch", FLAG, OUTCOME, lambda ask: {"success": ask["data"], "message": "done"})
     memory.service("add", TERMS, SUM, lambda goal: {"sum": goal["a"] + goal["b"]})
     text = robot(master, functions).replace("\nfunctions", "\n  one: {plugin: memory}\nfunctions")
     with (

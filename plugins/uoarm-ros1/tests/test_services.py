@@ -8,6 +8,8 @@ from typing import Any
 import pytest
 from endpoints import Reports, bridge_to, input_, output, service
 from peers import Master, Peer
+from uoarm_ros1 import _master, _node, _subscription
+from uoarm_ros1._master import call_api
 
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, MessageError
 from uoarm.model import Health, MessageStructure, Role
@@ -220,6 +222,29 @@ def test_parameters_are_read_watched_and_set(master: Master, lasting: Peer) -> N
         assert whole.wait(2, patience())[-1] == {"speed": 4.5}
         with pytest.raises(BridgeError, match="the parameter /robot/none is not set"):
             bridge.describe(output("/robot/none", "parameter"))
+
+
+def test_a_large_graph_is_discovered_by_asking_each_thing_once(
+    master: Master, lasting: Peer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    peer = master.peer("large")
+    for number in range(20):
+        peer.do("advertise", topic=f"/large/{number}", type="std_msgs/Int32")
+        lasting.do("subscribe", topic=f"/large/{number}", type="std_msgs/Int32")
+    asked: list[str] = []
+
+    def call(uri: str, method: str, *given: Any, **named: Any) -> Any:
+        asked.append(method)
+        return call_api(uri, method, *given, **named)
+
+    with bridge_to(master, rosout=False, check=60) as bridge:
+        for module in (_master, _node, _subscription):
+            monkeypatch.setattr(module, "call_api", call)
+        found = {component.name for component in bridge.discover(timeout=patience())}
+        assert {"/large", "/lasting"} <= found
+    assert asked.count("getSystemState") == asked.count("getTopicTypes") == 1
+    assert asked.count("requestTopic") < 3 * 20
+    peer.kill()
 
 
 def test_every_node_is_discovered_with_structures(master: Master) -> None:

@@ -15,6 +15,7 @@ from uoarm.bridge import Channel, Description, Handler
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, MessageError
 from uoarm.model import Endpoint, Message
 from uoarm_ros1._definitions import Listing, Record, Scalar, Shape, Text
+from uoarm_ros1._discovery import Graph
 from uoarm_ros1._master import GraphState
 from uoarm_ros1._node import Node
 from uoarm_ros1._options import Address, Port
@@ -43,7 +44,7 @@ _MOST_GOALS = 256
 
 
 def described_action(
-    node: Node, types: TypeStore, endpoint: Endpoint, name: str, address: Address, port: Port
+    graph: Graph, types: TypeStore, endpoint: Endpoint, name: str, address: Address, port: Port
 ) -> Description:
     """Return an action as a call: the goal is the request, the result the reply.
 
@@ -51,32 +52,32 @@ def described_action(
         BridgeError: no server of it is there, or its type is not known here.
     """
     if not endpoint.is_offered and port.peer_required:
-        require_server(node, endpoint, name)
-    kinds = action_type(node, types, endpoint, name, address)
+        require_server(graph, endpoint, name)
+    kinds = action_type(graph, types, endpoint, name, address)
     return Description(
         request=structure_of(_member(kinds.goal, "goal")),
         reply=structure_of(_member(kinds.result, "result")),
     )
 
 
-def require_server(node: Node, endpoint: Endpoint, name: str) -> None:
+def require_server(graph: Graph, endpoint: Endpoint, name: str) -> None:
     """Raise BridgeError where no node that lives serves an action."""
-    servers = _servers(node.master.state(), name)
+    servers = _servers(graph.state, name)
     if not servers:
         text = f"{endpoint}: there is no server of action {name}"
         raise BridgeError(text, FailureReason.NOT_FOUND)
-    if not any(map(node.is_alive, servers)):
+    if not any(map(graph.is_alive, servers)):
         text = f"{endpoint}: of the servers of action {name} none answers: {', '.join(servers)}"
         raise BridgeError(text, FailureReason.UNAVAILABLE)
 
 
 def action_type(
-    node: Node, types: TypeStore, endpoint: Endpoint, name: str, address: Address
+    graph: Graph, types: TypeStore, endpoint: Endpoint, name: str, address: Address
 ) -> ActionType:
     """Return the type of an action: as the address says, or the type of its goals."""
     kind = address.type
     if not kind:
-        goals = node.master.types().get(f"{name}/goal", "")
+        goals = graph.types.get(f"{name}/goal", "")
         if not goals.endswith("ActionGoal"):
             text = f"{endpoint}: the type of action {name} is not known: add it to the address"
             raise BridgeError(text, FailureReason.UNSUPPORTED)
@@ -121,7 +122,7 @@ class ActionCaller:
     ) -> None:
         self._node, self._name = node, name
         self._wait = node.settings.wait if port.wait is None else port.wait
-        kinds = action_type(node, types, endpoint, name, address)
+        kinds = action_type(Graph(node), types, endpoint, name, address)
         budget = node.settings.budget
         self._write_goal = framed_writer(kinds.goal)
         self._read_result = reader(kinds.result, budget)
@@ -217,7 +218,7 @@ class ActionCaller:
         while not servers():
             left = deadline - time.monotonic()
             if left <= 0:
-                require_server(self._node, endpoint, self._name)
+                require_server(Graph(self._node), endpoint, self._name)
                 why = "; ".join(self._subscription.failures)
                 text = f"{endpoint}: the server of action {self._name} did not connect in time"
                 raise BridgeError(f"{text}{f': {why}' if why else ''}", FailureReason.UNAVAILABLE)

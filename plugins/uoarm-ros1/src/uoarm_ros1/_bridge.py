@@ -26,21 +26,19 @@ from uoarm.model import Endpoint, Health, Message, MessageStructure, Options, Ro
 from uoarm_ros1._actions import ActionCaller, ServedAction, described_action
 from uoarm_ros1._channels import Place, Relay, SameTopic, TopicSink, TopicSource
 from uoarm_ros1._definitions import DefinitionError, Record, Service, record_of
-from uoarm_ros1._discovery import discovered
+from uoarm_ros1._discovery import Graph, discovered
 from uoarm_ros1._health import Lost, MasterHealth
 from uoarm_ros1._node import Node
 from uoarm_ros1._options import Address, Port, address_of, port_of, settings_of
 from uoarm_ros1._parameters import ParameterSink, ParameterSource, parameter_structure
-from uoarm_ros1._protocol import ProtocolError
 from uoarm_ros1._rosout import Clock, Rosout
 from uoarm_ros1._services import Caller, ServedService, probe_service
 from uoarm_ros1._structures import described_service, structure_of
-from uoarm_ros1._subscription import PublisherHeader, Wanted, read_publisher_header
+from uoarm_ros1._subscription import PublisherHeader
 from uoarm_ros1._types import TypeStore
 
 __all__ = ["Ros1Bridge"]
 
-_HEADER_SECONDS = 2.0
 _TICK_SECONDS = 0.25
 _JOIN_SECONDS = 1.0
 C = TypeVar("C", bound=Channel)
@@ -91,37 +89,42 @@ class Ros1Bridge(Bridge):
             self._rosout.say(health, cause)
 
     def _describe(self, endpoint: Endpoint) -> Description:
+        return self._described(endpoint, Graph(self._node))
+
+    def _described(self, endpoint: Endpoint, graph: Graph) -> Description:
         address, port = address_of(endpoint), port_of(endpoint)
         try:
             if address.is_parameter:
                 return Description(parameter_structure(self._node, endpoint, address))
             if endpoint.role is Role.SERVICE:
-                return self._describe_service(endpoint, address, port)
+                return self._describe_service(endpoint, address, port, graph)
             topic = self._node.resolve(address.name)
-            record = self._record(endpoint, topic, address, port)
-            self._require_peer(endpoint, topic, port)
+            record = self._record(endpoint, topic, address, port, graph)
+            self._require_peer(endpoint, topic, port, graph)
         except BridgeError as error:
             if error.reason in {FailureReason.NOT_FOUND, FailureReason.UNAVAILABLE}:
                 self._remember(endpoint)
             raise
         return Description(structure_of(record))
 
-    def _describe_service(self, endpoint: Endpoint, address: Address, port: Port) -> Description:
+    def _describe_service(
+        self, endpoint: Endpoint, address: Address, port: Port, graph: Graph
+    ) -> Description:
         name = self._node.resolve(address.name)
-        if self._is_action(endpoint, address, name):
-            return described_action(self._node, self._types, endpoint, name, address, port)
+        if self._is_action(endpoint, address, name, graph):
+            return described_action(graph, self._types, endpoint, name, address, port)
         if endpoint.is_offered or not port.peer_required:
             if not address.type:
                 return Description()
             return described_service(self._types.require_service(address.type, port.definition))
         return described_service(self._service(endpoint, name, address, port))
 
-    def _is_action(self, endpoint: Endpoint, address: Address, name: str) -> bool:
+    def _is_action(self, endpoint: Endpoint, address: Address, name: str, graph: Graph) -> bool:
         if endpoint.role is not Role.SERVICE:
             return False
         if address.type:
             return address.is_action
-        return not endpoint.is_offered and f"{name}/goal" in self._node.master.types()
+        return not endpoint.is_offered and f"{name}/goal" in graph.types
 
     def _service(self, endpoint: Endpoint, name: str, address: Address, port: Port) -> Service:
         """Return the type of a service that is there; what its server says of it must be ours."""
@@ -142,13 +145,21 @@ class Ros1Bridge(Bridge):
             raise BridgeError(text, FailureReason.UNSUPPORTED)
         return found
 
-    def _record(self, endpoint: Endpoint, topic: str, address: Address, port: Port) -> Record:
+    def _record(
+        self,
+        endpoint: Endpoint,
+        topic: str,
+        address: Address,
+        port: Port,
+        graph: Graph | None = None,
+    ) -> Record:
         """Return the type of a topic: as its publishers have it, else as it is defined here."""
         if endpoint.is_offered and address.type:
             return self._types.require(address.type, port.definition)
-        header = self._publisher_header(endpoint, topic, address, port)
+        graph = graph or Graph(self._node)
+        header = self._publisher_header(endpoint, topic, address, port, graph)
         if header is None:
-            kind = address.type or self._node.master.types().get(topic, "")
+            kind = address.type or graph.types.get(topic, "")
             if not kind:
                 text = f"{endpoint}: no node publishes {topic}, and its type is in no address"
                 raise BridgeError(text, FailureReason.NOT_FOUND)
@@ -180,27 +191,25 @@ class Ros1Bridge(Bridge):
         raise BridgeError(text, FailureReason.UNSUPPORTED)
 
     def _publisher_header(
-        self, endpoint: Endpoint, topic: str, address: Address, port: Port
+        self, endpoint: Endpoint, topic: str, address: Address, port: Port, graph: Graph
     ) -> PublisherHeader | None:
         """Return what a publisher of a topic says, None where an endpoint can do without.
 
         Raises:
             BridgeError: none is there that is required, or none of them answers.
         """
-        node, master = self._node, self._node.master
-        publishers = master.state().publishers.get(topic, ())
+        publishers = graph.state.publishers.get(topic, ())
         is_output = endpoint.role is Role.OUTPUT
         if is_output and port.node:
-            publishers = tuple(name for name in publishers if name == node.resolve(port.node))
+            meant = self._node.resolve(port.node)
+            publishers = tuple(name for name in publishers if name == meant)
         failures = []
         # Of those that were registered last first: who was killed stays registered before them.
         for name in reversed(publishers):
-            wanted = Wanted(node.another_name(), topic, address.type)
-            try:
-                uri = node.uri if name == node.name else master.node_uri(name)
-                return read_publisher_header(uri, wanted, time.monotonic() + _HEADER_SECONDS)
-            except (BridgeError, OSError, ProtocolError) as error:
-                failures.append(f"{name}: {error}")
+            header = graph.header(name, topic, address.type)
+            if isinstance(header, PublisherHeader):
+                return header
+            failures.append(f"{name}: {header}")
         if not is_output or not port.peer_required:
             return None
         if failures:
@@ -209,18 +218,18 @@ class Ros1Bridge(Bridge):
         who = f"node {port.node} does not publish" if port.node else "no node publishes"
         raise BridgeError(f"{endpoint}: {who} {topic}", FailureReason.NOT_FOUND)
 
-    def _require_peer(self, endpoint: Endpoint, topic: str, port: Port) -> None:
+    def _require_peer(self, endpoint: Endpoint, topic: str, port: Port, graph: Graph) -> None:
         """Refuse an input to which no node that lives subscribes."""
         if endpoint.role is not Role.INPUT or not port.peer_required:
             return
-        node = self._node
-        subscribers = node.master.state().subscribers.get(topic, ())
+        subscribers = graph.state.subscribers.get(topic, ())
         if port.node:
-            subscribers = tuple(name for name in subscribers if name == node.resolve(port.node))
+            meant = self._node.resolve(port.node)
+            subscribers = tuple(name for name in subscribers if name == meant)
         if not subscribers:
             who = f"node {port.node} does not subscribe" if port.node else "no node subscribes"
             raise BridgeError(f"{endpoint}: {who} to {topic}", FailureReason.NOT_FOUND)
-        if not any(map(node.is_alive, subscribers)):
+        if not any(map(graph.is_alive, subscribers)):
             text = (
                 f"{endpoint}: of the subscribers of {topic} none answers: {', '.join(subscribers)}"
             )
@@ -270,7 +279,7 @@ class Ros1Bridge(Bridge):
         self, endpoint: Endpoint, name: str, address: Address, port: Port
     ) -> Caller | ActionCaller:
         made: Caller | ActionCaller
-        if self._is_action(endpoint, address, name):
+        if self._is_action(endpoint, address, name, Graph(self._node)):
             made = ActionCaller(self._node, self._types, endpoint, name, address, port)
         else:
             made = Caller(self._node, name, self._service(endpoint, name, address, port))
@@ -323,7 +332,7 @@ class Ros1Bridge(Bridge):
         return self._opened_at(Relay(places[0], places[1], records[0]))
 
     def _discover(self) -> tuple[Discovered, ...]:
-        return discovered(self.name, self._node, self._describe)
+        return discovered(self.name, self._node, self._described)
 
     def _close(self) -> None:
         self._closing.set()

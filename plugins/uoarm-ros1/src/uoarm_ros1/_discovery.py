@@ -1,16 +1,23 @@
-"""Who is on the graph now: every node as a component with endpoints and their structures."""
+"""Who is on the graph now, each asked once; every node as a component with its endpoints."""
 
 from __future__ import annotations
 
+import time
 from collections import defaultdict
 from collections.abc import Callable, Mapping
+from functools import cached_property
 
 from uoarm.bridge import Description, Discovered
 from uoarm.errors import BridgeError
 from uoarm.model import Endpoint, Role
+from uoarm_ros1._master import GraphState
 from uoarm_ros1._node import Node
+from uoarm_ros1._protocol import ProtocolError
+from uoarm_ros1._subscription import PublisherHeader, Wanted, read_publisher_header
 
-__all__ = ["discovered"]
+__all__ = ["Graph", "discovered"]
+
+_HEADER_SECONDS = 2.0
 
 _EVERYWHERE = frozenset({"/rosout", "/rosout_agg", "/clock"})
 _OF_EVERY_NODE = ("/get_loggers", "/set_logger_level", "/tf2_frames")
@@ -18,14 +25,54 @@ _STATUS, _GOAL = "/status", "/goal"
 _PARTS = ("/goal", "/cancel", "/status", "/feedback", "/result")
 
 
+class Graph:
+    """What the master and the nodes answer, each question asked once: for one step of a bridge."""
+
+    def __init__(self, node: Node) -> None:
+        self._node = node
+        self._alive: dict[str, bool] = {}
+        self._headers: dict[tuple[str, str, str], PublisherHeader | str] = {}
+
+    @cached_property
+    def state(self) -> GraphState:
+        """Who publishes, subscribes and serves what."""
+        return self._node.master.state()
+
+    @cached_property
+    def types(self) -> Mapping[str, str]:
+        """The types of topics."""
+        return self._node.master.types()
+
+    def is_alive(self, name: str) -> bool:
+        """Whether a node answers."""
+        if name not in self._alive:
+            self._alive[name] = self._node.is_alive(name)
+        return self._alive[name]
+
+    def header(self, name: str, topic: str, kind: str) -> PublisherHeader | str:
+        """Return what a node says of a topic that it publishes, or why it does not."""
+        key = (name, topic, kind)
+        if key not in self._headers:
+            node = self._node
+            wanted = Wanted(node.another_name(), topic, kind)
+            try:
+                uri = node.uri if name == node.name else node.master.node_uri(name)
+                until = time.monotonic() + _HEADER_SECONDS
+                self._headers[key] = read_publisher_header(uri, wanted, until)
+            except (BridgeError, OSError, ProtocolError) as error:
+                self._headers[key] = str(error)
+        return self._headers[key]
+
+
 def discovered(
-    bridge: str, node: Node, describe: Callable[[Endpoint], Description]
+    bridge: str, node: Node, describe: Callable[[Endpoint, Graph], Description]
 ) -> tuple[Discovered, ...]:
     """Return every node that answers, but our own, as a component.
 
     Endpoints whose type is not known have no structures; `detail` says why.
     """
-    state, kinds = node.master.state(), node.master.types()
+    graph = Graph(node)
+    state, kinds = graph.state, graph.types
     ports: dict[str, list[tuple[Role, str, str]]] = defaultdict(list)
     actions = _actions(state.publishers, state.subscribers, kinds)
     for role, listing in ((Role.OUTPUT, state.publishers), (Role.INPUT, state.subscribers)):
@@ -42,9 +89,9 @@ def discovered(
             if not service.endswith(_OF_EVERY_NODE):
                 ports[name].append((Role.SERVICE, service, ""))
     return tuple(
-        _component(bridge, name, sorted(ports[name], key=lambda port: port[1]), describe)
+        _component(bridge, name, sorted(ports[name], key=lambda port: port[1]), describe, graph)
         for name in sorted(ports)
-        if name != node.name and node.is_alive(name)
+        if name != node.name and graph.is_alive(name)
     )
 
 
@@ -70,7 +117,8 @@ def _component(
     bridge: str,
     name: str,
     ports: list[tuple[Role, str, str]],
-    describe: Callable[[Endpoint], Description],
+    describe: Callable[[Endpoint, Graph], Description],
+    graph: Graph,
 ) -> Discovered:
     endpoints: list[tuple[Endpoint, Description]] = []
     missing: dict[str, None] = {}
@@ -79,7 +127,7 @@ def _component(
         port = own.strip("/").replace("/", "_")
         endpoint = Endpoint(bridge, name, role, address, port=port)
         try:
-            description = describe(endpoint)
+            description = describe(endpoint, graph)
         except BridgeError as error:
             description = Description()
             missing[str(error)] = None
