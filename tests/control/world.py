@@ -419,6 +419,7 @@ class World:
         elif isinstance(action, act.CancelBatch):
             self.cancelled |= {action.batch}
         elif isinstance(action, act.WakeAt):
+            assert action.time > self.now, "the timer would turn without a pause"
             self.wake_at = min(action.time, self.wake_at or action.time)
         elif isinstance(action, act.CallAction.__args__):
             self.lanes[action.lane] = (*self.lanes.get(action.lane, ()), action)

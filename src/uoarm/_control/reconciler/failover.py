@@ -46,6 +46,7 @@ __all__ = [
     "hand_over",
     "health_reported",
     "look_again",
+    "look_soon",
     "replace",
     "seek",
     "try_another",
@@ -53,6 +54,8 @@ __all__ = [
 
 _MINUTE = 60.0
 _AGAIN_SECONDS = 0.1
+_SELDOM_SECONDS = 5.0
+_SHARE = 8
 
 
 def health_reported(draft: Draft, event: HealthReported) -> None:
@@ -85,6 +88,8 @@ def health_reported(draft: Draft, event: HealthReported) -> None:
         _lose(draft, lost, frozenset(concerned), event)
     if is_lost and event.component is None:
         draft.actions.append(RetireBridge(event.bridge))
+    if event.health is Health.OK and not draft.serving.keys() >= set(concerned):
+        look_soon(draft)  # what is not open may be a candidate again
 
 
 def _judge_service(draft: Draft, name: str, event: HealthReported) -> None:
@@ -240,7 +245,10 @@ def found(draft: Draft, record: ConnectionRecord, event: ReplacementSought) -> N
         text = f"{failure.cause}; nothing takes over: {event.error}"
         end(draft, record, ConnectionState.FAILED, text)
         return
-    retry_at = draft.now + _AGAIN_SECONDS
+    # Looking takes processor time and asks frameworks: who waits for long looks more seldom.
+    waited, until = draft.now - failure.time, failure.time + draft.policy.wait
+    pause = max(_AGAIN_SECONDS, min(waited / _SHARE, _SELDOM_SECONDS))
+    retry_at = min(draft.now + pause, until)
     failure = evolve(failure, excluded=frozenset(), retry_at=retry_at)
     runs = record.state is ConnectionState.RUNNING
     record = draft.put(record, failure=failure, state=ConnectionState.WAITING, cause=failure.cause)
@@ -258,6 +266,16 @@ def look_again(draft: Draft, record: ConnectionRecord) -> None:
         seek(draft, record)
     else:
         draft.actions.append(WakeAt(failure.retry_at))
+
+
+def look_soon(draft: Draft) -> None:
+    """Have connections that wait look for what takes over, now that something may."""
+    soon = draft.now + _AGAIN_SECONDS
+    for record in tuple(draft.connections.values()):
+        failure = record.failure
+        if failure is not None and failure.retry_at is not None and failure.retry_at > soon:
+            draft.put(record, failure=evolve(failure, retry_at=soon))
+            draft.actions.append(WakeAt(soon))
 
 
 def advance(draft: Draft, record: ConnectionRecord) -> None:

@@ -13,7 +13,7 @@ from uoarm._control.reconciler.actions import Adopt, Announce, Release, Reply
 from uoarm._control.reconciler.draft import Draft
 from uoarm._control.reconciler.endings import cancel_switchover, drop_next
 from uoarm._control.reconciler.events import CandidatesChanged, Configured
-from uoarm._control.reconciler.failover import replace, seek
+from uoarm._control.reconciler.failover import look_soon, replace, seek
 from uoarm._control.reconciler.state import ComponentFailure, ConnectionRecord, listed
 from uoarm._control.reconciler.switchover import begin, seek_outdated
 from uoarm.model import ConnectionState
@@ -45,14 +45,15 @@ def configured(draft: Draft, event: Configured) -> None:
 def candidates_changed(draft: Draft, event: CandidatesChanged) -> None:
     """Know the bridges of the components that plans may have from now on.
 
-    A connection that waits for a candidate looks again by itself, and one that runs goes back to a
-    better candidate only where `failover.return_after` says so: what comes and goes moves nobody.
+    A connection that waits for a candidate looks again, and one that runs goes back to a better
+    candidate only where `failover.return_after` says so: what comes and goes moves nobody.
     A plan that is being sought, or was found and is not in use yet, must not have what is gone.
     """
     draft.bridges = event.bridges
     draft.candidates = event.number
     draft.replaced = (*draft.replaced, event.superseded)[-_KNOWN_CHANGES:]
     seek_outdated(draft)
+    look_soon(draft)
     draft.actions.append(Announce("candidates", "changed", event.told))
 
 

@@ -9,14 +9,15 @@ from uoarm._dataplane import Clock
 
 __all__ = ["Timer"]
 
-_LEAST_SECONDS = 0.001
+_LEAST_SECONDS = 0.02
 
 
 class Timer:
     """Calls back at the earliest of the times asked for, then waits to be asked again.
 
     It may call early where the clock is not the machine's own: whoever is called looks at the
-    clock. The thread begins with the first time asked for.
+    clock. Times that lie close together are one call, since each has everything looked at that
+    waits. The thread begins with the first time asked for.
 
     Args:
         clock: seconds.
