@@ -448,3 +448,35 @@ def test_schema_prints_that_of_the_configuration() -> None:
     done = run("schema")
     assert (done.exit_code, json.loads(done.stdout)) == (0, published_schema()), done.output
     assert run("schema", "check", "--help").exit_code == 0
+
+
+@pytest.mark.parametrize("command", ["request", "call", "resolve"])
+@pytest.mark.parametrize("way", ["as a word", "with -f", "in the folder"])
+def test_where_the_function_is_missing_those_of_the_file_are_named(
+    robot: str, command: str, way: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(Path(robot).parent)
+    given = {"as a word": [robot], "with -f": ["-f", robot], "in the folder": []}[way]
+    done = run(command, *given)
+    assert done.exit_code == 2
+    said = " ".join(done.stderr.split())
+    assert "Missing argument 'NAME'." in said
+    functions = said.partition("has the functions ")[2]
+    assert ("greeting" in functions) is (command != "request")
+    assert ("doubled" in functions) is (command != "call")
+
+
+def test_where_the_file_is_missing_too_that_is_said(tmp_path: Path) -> None:
+    done = run("request", str(tmp_path / "none.yaml"))
+    assert done.exit_code == 2
+    assert "none.yaml: the file cannot be read" in " ".join(done.stderr.split())
+
+
+def test_of_very_many_functions_some_are_named(robot: str) -> None:
+    many = "".join(
+        f"  f{number}:\n    components: [{{name: c{number}, bridge: python, "
+        f'service: {{endpoint: ["cli_counting:greet"]}}}}]\n'
+        for number in range(50)
+    )
+    Path(robot).write_text(f"version: 1\nbridges: {{python: {{}}}}\nfunctions:\n{many}")
+    assert run("call", robot).stderr.rstrip().endswith("f18, f19 and 30 more")

@@ -11,6 +11,8 @@ from typing import Any, TypeVar, cast
 import click
 from click.core import ParameterSource
 
+from uoarm.cli._shared import FunctionArgument
+
 __all__ = ["STANDARD", "Unnamed", "takes_configuration"]
 
 STANDARD = "robot.yaml"
@@ -50,7 +52,10 @@ def takes_configuration(
                 place = files[0] if files else None
             else:
                 place = _sorted(context, words, options)
-            options["file"] = _chosen(context, place, options["file"], unnamed)
+            options["file"] = file = _chosen(context, place, options["file"], unnamed)
+            for parameter in context.command.params:
+                if isinstance(parameter, FunctionArgument) and options[parameter.name] is None:
+                    raise parameter.missing(context, file or STANDARD)
             return command(**options)
 
         option = click.option(
@@ -94,7 +99,8 @@ def _sorted(context: click.Context, words: tuple[str, ...], options: dict[str, A
         if name in words:
             if not given and parameter.required:
                 raise click.MissingParameter(ctx=context, param=parameter)
-            default = parameter.get_default(context)
+            is_function = isinstance(parameter, FunctionArgument)
+            default = None if is_function else parameter.get_default(context)
             options[name] = given.pop(0) if given else default
     return cast("str", files[0])
 

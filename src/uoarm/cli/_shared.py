@@ -6,12 +6,13 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NoReturn, TypeVar
 
 import click
+from click.shell_completion import CompletionItem
 
 from uoarm import RobotManager, errors
 from uoarm._origin import install_command
@@ -19,6 +20,7 @@ from uoarm.config import load
 from uoarm.model import Function, Message, Role, to_json, write_json
 
 __all__ = [
+    "FunctionArgument",
     "exit_code_of",
     "fail",
     "function_argument",
@@ -36,6 +38,7 @@ __all__ = [
 F = TypeVar("F", bound=Callable[..., Any])
 
 REFUSED, CONFIGURATION, BRIDGE, INTERRUPTED = 1, 3, 4, 130
+_NAMED = 20
 
 
 def _can(function: Function, *, serve: bool) -> bool:
@@ -45,26 +48,56 @@ def _can(function: Function, *, serve: bool) -> bool:
     return any((one.service is not None) is serve for one in function.components)
 
 
-def function_argument(*, serves: bool | None = None) -> Callable[[F], F]:
-    """Give a command the name of a function as its argument, which the tab key completes.
+class FunctionArgument(click.Argument):
+    """The name of a function of the configuration, which the tab key completes.
+
+    It must be given; that it is missing is said once it is known in which file it would be.
 
     Args:
-        serves: whether only those are offered that answer calls, or only those that do not.
+        declarations: as of every argument.
+        serves: whether only those are meant that answer calls, or only those that do not.
     """
 
-    def names(context: click.Context, _: click.Parameter, incomplete: str) -> list[str]:
-        file = context.params.get("file") or os.environ.get("UOARM_CONFIG") or "robot.yaml"
+    def __init__(self, declarations: Sequence[str], *, serves: bool | None) -> None:
+        super().__init__(declarations, required=False, metavar="NAME")
+        self._serves = serves
+
+    def shell_complete(self, ctx: click.Context, incomplete: str) -> list[CompletionItem]:
+        """Return the names that begin so."""
+        file = ctx.params.get("file") or os.environ.get("UOARM_CONFIG") or "robot.yaml"
         try:
-            functions = load(file).functions
+            names = self._names(file)
         except errors.UoarmError:  # there is nothing to complete where it cannot be read
             return []
+        return [CompletionItem(name) for name in names if name.startswith(incomplete)]
+
+    def missing(self, context: click.Context, file: str) -> click.UsageError:
+        """Return the error that no name was given: it says which there are."""
+        try:
+            names = self._names(file)
+        except errors.UoarmError as error:
+            text = str(error)
+        else:
+            more = f" and {len(names) - _NAMED:,} more" if len(names) > _NAMED else ""
+            kind = {None: "", True: " that are called", False: " that are requested"}[self._serves]
+            text = f"{file} has no functions{kind}"
+            if names:
+                text = f"{file} has the functions {', '.join(names[:_NAMED])}{more}"
+        return click.MissingParameter(text, ctx=context, param=self)
+
+    def _names(self, file: str) -> list[str]:
+        functions = load(file).functions
+        is_any = self._serves is None
         return [
             name
-            for name, one in functions.items()
-            if name.startswith(incomplete) and (serves is None or _can(one, serve=serves))
+            for name, function in functions.items()
+            if is_any or _can(function, serve=bool(self._serves))
         ]
 
-    return click.argument("name", shell_complete=names)
+
+def function_argument(*, serves: bool | None = None) -> Callable[[F], F]:
+    """Give a command the name of a function as its argument; see `FunctionArgument`."""
+    return click.argument("name", cls=FunctionArgument, serves=serves)
 
 
 json_option = click.option("--json", "as_json", is_flag=True, help="Print JSON.")
