@@ -30,6 +30,7 @@ from uoarm_ros1._protocol import (
     encode_call,
     encode_header,
     encode_reply,
+    frames_of,
     http_reply,
     http_request,
     publisher_problem,
@@ -100,16 +101,16 @@ def test_a_header_that_is_none_is_refused_in_words(octets: bytes, why: str) -> N
 )
 def test_frames_come_whole_however_they_are_cut(frames: list[bytes], cuts: list[int]) -> None:
     stream = b"".join(struct.pack("<I", len(frame)) + frame for frame in frames)
-    for keeps_length in (False, True):
-        came = received(stream, cuts, keeps_length=keeps_length)
-        lengths = [struct.pack("<I", len(frame)) if keeps_length else b"" for frame in frames]
-        assert came == [length + frame for length, frame in zip(lengths, frames, strict=True)]
+    assert received(stream, cuts, in_runs=False) == frames
+    runs = received(stream, cuts, in_runs=True)
+    assert b"".join(runs) == stream
+    assert [bytes(frame[4:]) for run in runs for frame in frames_of(memoryview(run))] == frames
 
 
-def received(stream: bytes, cuts: list[int], *, keeps_length: bool) -> list[bytes]:
+def received(stream: bytes, cuts: list[int], *, in_runs: bool) -> list[bytes]:
     came: list[bytes | bytearray] = []
     reading, at, turn = FrameReader(1 << 20), 0, 0
-    reading.keeps_length = keeps_length
+    reading.in_runs = in_runs
     while at < len(stream):
         buffer = reading.buffer()
         count = min(len(buffer), cuts[turn % len(cuts)], len(stream) - at)

@@ -97,14 +97,14 @@ class _Subscribed:
         say: Callable[[Health, str], None],
         gone: Callable[[str], object] = lambda _: None,
         *,
-        keeps_length: bool = False,
+        in_runs: bool = False,
     ) -> None:
         self.place = place
         self._gone = gone
         self.end = _End(place.health("publisher"), say)
         self.is_latched = False
         self.breaks = 0
-        wanted = evolve(place.wanted(record), keeps_length=keeps_length)
+        wanted = evolve(place.wanted(record), in_runs=in_runs)
         self.subscription = Subscription(wanted, take, self._came, self._went)
 
     def open(self) -> None:
@@ -346,7 +346,7 @@ class Relay(Channel):
             source.report(self, health, cause)
 
         self._publishing = _Publishing(sink, record, say)
-        self._subscribed = _Subscribed(source, record, self._take, say, keeps_length=True)
+        self._subscribed = _Subscribed(source, record, self._take, say, in_runs=True)
         try:
             self._subscribed.open()
         except BaseException:
@@ -375,10 +375,9 @@ class Relay(Channel):
         """Look whether messages come."""
         self._subscribed.tick()
 
-    def _take(self, frame: bytes | bytearray, _: str) -> None:
-        self._moved += 1
+    def _take(self, run: bytes | bytearray, _: str) -> None:
         self._subscribed.took()
-        self._publishing.publication.send(frame)
+        self._moved += self._publishing.publication.send_run(run)
 
     def _close(self) -> None:
         self._subscribed.close()

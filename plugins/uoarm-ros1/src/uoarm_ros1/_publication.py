@@ -14,7 +14,12 @@ from contextlib import suppress
 
 from uoarm_ros1._definitions import Record
 from uoarm_ros1._loop import Handler, Loop
-from uoarm_ros1._protocol import encode_header, publisher_header, subscriber_problem
+from uoarm_ros1._protocol import (
+    encode_header,
+    frames_of,
+    publisher_header,
+    subscriber_problem,
+)
 
 __all__ = ["Publication", "keep_alive"]
 
@@ -74,12 +79,12 @@ class _Subscriber(Handler):
             return True  # closed, or no such question here
         return left == bytes(len(left))
 
-    def send(self, frame: bytes | bytearray) -> None:
-        """Hand a frame over; the oldest that waits is dropped where too many do."""
+    def send(self, run: bytes | bytearray) -> None:
+        """Hand frames over; the oldest that wait are dropped where too many do."""
         with self._lock:
             if self._is_closed:
                 return
-            view = memoryview(frame)
+            view, sent = memoryview(run), 0
             if not self._waiting:
                 try:
                     sent = self.socket.send(view)
@@ -89,21 +94,26 @@ class _Subscriber(Handler):
                     return  # the loop notices
                 if sent == len(view):
                     return
-                self._is_begun = sent > 0
-                view = view[sent:]
                 self._loop.write(self)
-            self._waiting.append(view)
-            self._octets += len(view)
-            while len(self._waiting) > 1 and (
-                len(self._waiting) > self._most or self._octets > self._most_octets
-            ):
-                if self._is_begun and len(self._waiting) <= 2:  # noqa: PLR2004 - that one, and this
-                    break
-                # The first may be half written: then the second is the oldest.
-                at = 1 if self._is_begun else 0
-                self._octets -= len(self._waiting[at])
-                del self._waiting[at]
-                self.lost += 1
+            for frame in frames_of(view):
+                if sent < len(frame):
+                    self._is_begun = self._is_begun or sent > 0
+                    self._wait_for_room(frame[sent:])
+                sent = max(0, sent - len(frame))
+
+    def _wait_for_room(self, view: memoryview) -> None:
+        self._waiting.append(view)
+        self._octets += len(view)
+        while len(self._waiting) > 1 and (
+            len(self._waiting) > self._most or self._octets > self._most_octets
+        ):
+            if self._is_begun and len(self._waiting) <= 2:  # noqa: PLR2004 - that one, and this
+                break
+            # The first may be half written: then the second is the oldest.
+            at = 1 if self._is_begun else 0
+            self._octets -= len(self._waiting[at])
+            del self._waiting[at]
+            self.lost += 1
 
     def writable(self) -> bool:
         with self._lock, suppress(BlockingIOError):
@@ -208,6 +218,18 @@ class Publication:
         self.sent += 1
         for subscriber in subscribers:
             subscriber.send(frame)
+
+    def send_run(self, run: bytes | bytearray) -> int:
+        """Send frames that came together; returns how many they are."""
+        frames = list(frames_of(memoryview(run)))
+        if self.latching:
+            for frame in frames:
+                self.send(bytes(frame))
+            return len(frames)
+        self.sent += len(frames)
+        for subscriber in self._subscribers:
+            subscriber.send(run)
+        return len(frames)
 
     def arrived(self, connection: socket.socket, header: Mapping[str, str]) -> None:
         """Take a connection in, or refuse it; in the loop's thread."""

@@ -49,7 +49,7 @@ class Wanted:
         most: octets that a message may have.
         silence: seconds without a message until a publisher is asked whether it is alive.
         nodelay: whether the publisher is to send small messages at once.
-        keeps_length: whether messages are wanted with their lengths in front.
+        in_runs: whether messages that come together are taken as one run, to be sent on.
     """
 
     caller: str
@@ -60,7 +60,7 @@ class Wanted:
     most: int = 16_777_216
     silence: float = 5.0
     nodelay: bool = True
-    keeps_length: bool = False
+    in_runs: bool = False
 
 
 @frozen
@@ -144,9 +144,9 @@ def _receive_header(
     answered = decode_header(frames[0])
     if problem := publisher_problem(answered, wanted.topic, wanted.kind, wanted.md5):
         raise ProtocolError(problem)
-    reader.most, reader.keeps_length = wanted.most, wanted.keeps_length
+    reader.most, reader.in_runs = wanted.most, wanted.in_runs
     reader.ready = frames[1:]
-    if wanted.keeps_length:
+    if wanted.in_runs:
         reader.ready = [struct.pack("<I", len(frame)) + frame for frame in reader.ready]
     return answered, reader
 

@@ -20,6 +20,7 @@ from uoarm_ros1._protocol._streams import (
     ReplyReader,
     decode_header,
     encode_header,
+    frames_of,
 )
 from uoarm_ros1._protocol._xmlrpc import Fault, decode_call, decode_reply, encode_call, encode_reply
 
@@ -39,6 +40,7 @@ __all__ = [
     "encode_call",
     "encode_header",
     "encode_reply",
+    "frames_of",
     "http_reply",
     "http_request",
     "publisher_header",

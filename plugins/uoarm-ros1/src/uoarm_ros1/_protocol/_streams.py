@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 
 __all__ = [
     "MAX_HEADER_OCTETS",
@@ -12,6 +12,7 @@ __all__ = [
     "ReplyReader",
     "decode_header",
     "encode_header",
+    "frames_of",
 ]
 
 MAX_HEADER_OCTETS = 1 << 20  # the definition of a type stands in it
@@ -63,6 +64,15 @@ def decode_header(octets: bytes | bytearray) -> dict[str, str]:
     return fields
 
 
+def frames_of(run: memoryview) -> Iterator[memoryview]:
+    """Return the frames of a run, each with its length in front."""
+    at = 0
+    while at < len(run):
+        end = at + _LENGTH.size + _LENGTH.unpack_from(run, at)[0]
+        yield run[at:end]
+        at = end
+
+
 class FrameReader:
     """Takes a stream apart into frames, each of which stands behind its length in four octets.
 
@@ -73,13 +83,14 @@ class FrameReader:
         most: octets that a frame may have.
 
     Attributes:
-        keeps_length: whether frames are returned with their lengths in front, to be sent on.
+        in_runs: whether frames that came together are returned as one run, each with its length
+            in front, to be sent on.
         ready: frames that came together with one that was asked for.
     """
 
     def __init__(self, most: int) -> None:
         self.most = most
-        self.keeps_length = False
+        self.in_runs = False
         self.ready: list[bytes | bytearray] = []
         self._stage = memoryview(bytearray(_STAGE_OCTETS))
         self._filled = 0
@@ -103,7 +114,7 @@ class FrameReader:
         return self._stage[self._filled :] if self._filled else self._stage
 
     def received(self, count: int) -> list[bytes | bytearray]:
-        """Take note of so many octets in the buffer; returns the frames that are whole by them.
+        """Take note of so many octets in the buffer; returns what is whole by them.
 
         Raises:
             ProtocolError: a frame is longer than is allowed.
@@ -116,7 +127,7 @@ class FrameReader:
             return [frame]
         self._filled += count
         frames: list[bytes | bytearray] = []
-        stage, at = self._stage, 0
+        stage, at, left = self._stage, 0, 0  # whole up to `at`, kept from `left` on
         while self._filled - at >= _LENGTH.size:
             (length,) = _LENGTH.unpack_from(stage, at)
             if length > self.most:
@@ -125,14 +136,18 @@ class FrameReader:
             end = start + length
             if end > self._filled:
                 if end - at > _STAGE_OCTETS:
-                    first = at if self.keeps_length else start
+                    first = at if self.in_runs else start
                     self._large = bytearray(end - first)
                     self._large_filled = self._filled - first
                     self._large[: self._large_filled] = stage[first : self._filled]
-                    at = self._filled
+                    left = self._filled
                 break
-            frames.append(bytes(stage[at if self.keeps_length else start : end]))
-            at = end
+            if not self.in_runs:
+                frames.append(bytes(stage[start:end]))
+            at = left = end
+        if self.in_runs and at:
+            frames.append(bytes(stage[:at]))
+        at = left
         self._filled -= at
         if at and self._filled:
             stage[: self._filled] = bytes(stage[at : at + self._filled])
