@@ -109,7 +109,8 @@ functions:
         input:
           from: octets
           endpoint: [{there}, {KIND}]
-          options: {{peer: optional, queue: 1000}}
+          options: {{peer: optional, queue: 10000}}
+          queue: {{policy: block, timeout: 60}}
           map: {{layout: layout, data: data}}
 """
     with RobotManager(loads(text)) as robot, robot.request("relayed"):
@@ -124,7 +125,7 @@ def relay_by_bridge(here: str, there: str, *, link: bool) -> None:
     bridge = Registry().create(BridgeSpec("ros", "ros1", {}))
     options = {"peer": "optional"}
     source = Endpoint("ros", "here", Role.OUTPUT, (here, KIND), options=options)
-    queued = {**options, "queue": 1000}
+    queued = {**options, "queue": 10_000}
     sink = Endpoint("ros", "there", Role.INPUT, (there, KIND), options=queued)
     structure = bridge.describe(source).message
     assert structure is not None
