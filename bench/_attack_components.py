@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 from typing import Any, TypedDict
 
-CONFIGURATION = """
+_CONFIGURATION = """
 version: 1
 bridges: {python: {}}
 functions:
@@ -25,6 +25,20 @@ functions:
         input: {endpoint: ["bench._attack_components:hang"]}
         output: {endpoint: ["bench._attack_components:hang"]}
 """
+
+_FUNCTION = """
+  f%d:
+    components:
+      - name: c%d
+        bridge: python
+        input: {endpoint: ["bench._attack_components:hang"]}
+        output: {endpoint: ["bench._attack_components:hang"]}
+"""
+
+
+def configuration(functions: int) -> str:
+    """Return the robot's file, with so many functions more, `f0` and on."""
+    return _CONFIGURATION + "".join(_FUNCTION % (number, number) for number in range(functions))
 
 
 class Pair(TypedDict):

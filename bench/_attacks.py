@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import asyncio
+import itertools
 import json
 import socket
 import struct
@@ -14,10 +16,12 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from typing import Any
 from urllib.parse import urlsplit
+from urllib.request import urlopen
 
 import cbor2
 from attrs import frozen
 from tests.server.hostile import HOSTILE, Hostile, many
+from websockets.asyncio.client import connect as connect_async
 from websockets.exceptions import ConnectionClosed
 from websockets.frames import Frame, Opcode
 from websockets.sync.client import ClientConnection, connect
@@ -36,11 +40,13 @@ class Attack:
         row: of the list of what was found, for whoever compares.
         sent: what is sent, in words.
         run: does it; returns how the server answered. May raise ConnectionClosed and OSError.
+        functions: that are open meanwhile, `f0` and on.
     """
 
     row: str
     sent: str
     run: Callable[[str], str]
+    functions: int = 0
 
 
 @contextmanager
@@ -308,6 +314,88 @@ def bombs(clients: int) -> Callable[[str], str]:
     return run
 
 
+def crowd(clients: int, *frames: str, path: str = "/", again: bool = False) -> Callable[[str], str]:
+    """Ask questions from so many clients, as fast as answers come.
+
+    Args:
+        clients: how many.
+        frames: the questions, of which each has the id `q`; `%d` is the number of the client.
+        path: of the endpoint.
+        again: to connect anew after each answer, as a page does that is loaded again.
+    """
+
+    def run(url: str) -> str:
+        return asyncio.run(_crowded(url.rstrip("/") + path, clients, frames, again=again))
+
+    return run
+
+
+async def _crowded(url: str, clients: int, frames: tuple[str, ...], *, again: bool) -> str:
+    answered: Counter[str] = Counter()
+    waits: list[float] = []
+    octets = 0
+    end = time.monotonic() + SECONDS
+
+    async def ask(number: int) -> None:
+        nonlocal octets
+        questions = itertools.cycle(frames)
+        while time.monotonic() < end:
+            async with connect_async(
+                url, max_size=None, compression=None, ping_interval=None, close_timeout=1
+            ) as made:
+                while time.monotonic() < end:
+                    question = next(questions)
+                    since = time.monotonic()
+                    await made.send(question % number if "%d" in question else question)
+                    answer = await made.recv()
+                    while '"q"' not in answer[:200] and '"q"' not in answer[-200:]:
+                        answer = await made.recv()
+                    waits.append(time.monotonic() - since)
+                    octets += len(answer)
+                    is_error = '"op":"Error"' in answer[:200] or '"result":false' in answer[:200]
+                    answered["refused" if is_error else "answered"] += 1
+                    if again:
+                        break
+
+    outcomes = await asyncio.gather(*map(ask, range(clients)), return_exceptions=True)
+    for outcome in outcomes:
+        if outcome is not None:
+            answered[type(outcome).__name__] += 1
+    counted = ", ".join(f"{count} x {what}" for what, count in answered.items())
+    return f"{counted}, {octets / 1e6:,.0f} MB, worst after {max(waits, default=0):.1f} s"
+
+
+def pages(clients: int) -> Callable[[str], str]:
+    """Read the metrics from so many clients, again and again."""
+
+    def run(url: str) -> str:
+        parts = urlsplit(url)
+        came: Counter[str] = Counter()
+
+        def read() -> None:
+            end = time.monotonic() + SECONDS
+            while time.monotonic() < end:
+                try:
+                    with urlopen(f"http://{parts.netloc}/metrics", timeout=60) as page:
+                        came[f"{page.status} with {len(page.read()) // 1000:,} KB"] += 1
+                except OSError as error:
+                    came[str(error)] += 1
+
+        threads = [threading.Thread(target=read) for _ in range(clients)]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+        return ", ".join(f"{count} x {what}" for what, count in came.items())
+
+    return run
+
+
+STATUS = '{"op":"Status","id":"q"}'
+WATCH = '{"op":"Status","type":"watch","id":"q"}'
+LIST = '{"op":"List","id":"q"}'
+ROSAPI = '{"op":"call_service","id":"q","service":"/rosapi/%s","args":%s}'
+MANY = 1000
 FRAGMENT = b" " * 1_000_000
 FRAGMENTS = masked(0x01, FRAGMENT) + masked(0x00, FRAGMENT) * 15
 PACKED_FRAGMENTS = masked(0x41, packed(FRAGMENT * 16))
@@ -340,6 +428,24 @@ ATTACKS: Mapping[str, Attack] = {
     "packed-200": Attack("13", "the same from 200", unfinished(200, PACKED_FRAGMENTS)),
     "bombs": Attack("13", "16 MB in 15.5 KB for five seconds from 8 clients", bombs(8)),
     "bombs-200": Attack("13", "the same from 200 clients", bombs(200)),
+    "status": Attack("2", "Status from 200 clients", crowd(200, STATUS), MANY),
+    "watch": Attack(
+        "3", "Status watch, List from 200, connecting anew",
+        crowd(200, WATCH, LIST, again=True), MANY,
+    ),
+    "list": Attack("3", "List from 200 clients", crowd(200, LIST), MANY),
+    "resolve": Attack(
+        "3", "Resolve from 200 clients", crowd(200, '{"op":"Resolve","type":"f%d","id":"q"}'), MANY
+    ),
+    "topics": Attack(
+        "3", "rosapi/topics_and_raw_types from 8 clients",
+        crowd(8, ROSAPI % ("topics_and_raw_types", "{}"), path="/rosbridge"), MANY,
+    ),
+    "topic-type": Attack(
+        "3", "rosapi/topic_type from 200 clients",
+        crowd(200, ROSAPI % ("topic_type", '{"topic":"/uoarm/f%d"}'), path="/rosbridge"), MANY,
+    ),
+    "metrics": Attack("3", "metrics from 20 clients", pages(20), MANY),
     "heads": Attack("12", "100 times Host twice, 100 times the path //[x", two_hosts),
 }  # fmt: skip
 

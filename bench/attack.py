@@ -1,8 +1,10 @@
 """Attacks a server of its own, with a well-behaved client beside it: `python -m bench.attack`.
 
 For each attack it prints how the server answered, how long the calls of the well-behaved client
-took, and what memory and threads the server had before, at most, and five seconds after. The exit
-code is 1 when the server died. `--source FOLDER` attacks the uoarm of another checkout, to compare.
+took, and an emergency stop beside it; what memory and threads the server had before, at most, and
+five seconds after; and how long it lived on after SIGTERM, while the attack ran again. Each has a
+server of its own, some with many open functions. The exit code is 1 when a server died before.
+`--source FOLDER` attacks the uoarm of another checkout, to compare.
 """
 
 from __future__ import annotations
@@ -17,25 +19,29 @@ import statistics
 import sys
 import tempfile
 import time
-from collections.abc import AsyncIterator
-from contextlib import asynccontextmanager, suppress
+from collections.abc import AsyncIterator, Iterator
+from contextlib import asynccontextmanager, contextmanager, suppress
 from pathlib import Path
+from typing import Any
 
 from attrs import define, field, frozen
 from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import ConnectionClosed
 from websockets.typing import Subprotocol
 
-from bench._attack_components import CONFIGURATION
+from bench._attack_components import configuration
 from bench._attacks import ATTACKS
 from bench.tables import print_table
 
 HERE = Path(__file__).parent
 PACE_SECONDS = 0.02
+STOP_SECONDS = 0.25
 QUIET_SECONDS = 3.0
 SETTLE_SECONDS = 5.0
+TERM_SECONDS = 2.0
 MOST_SECONDS = 90.0
-AIM = 10
+OPENED_AT_ONCE = 50
+FORM = Subprotocol("uoarm.v1.json")
 
 
 @frozen
@@ -47,30 +53,41 @@ class Use:
 
 
 @define
-class Caller:
-    """A client that calls at a steady pace and notes how long each call took, in seconds."""
+class Client:
+    """A client that asks one thing after the other, and notes how long answers took, in seconds."""
 
     socket: ClientConnection
     waits: list[float] = field(factory=list)
+    _number: int = 0
     _since: float | None = None
 
-    async def run(self) -> None:
-        """Call until cancelled."""
-        call = '{"op":"Call","type":"add","id":"%d","jsonMessage":{"a":1,"b":2}}'
-        number = 0
+    async def call(self) -> None:
+        """Call at a steady pace until cancelled."""
         while True:
-            number += 1
-            self._since = time.perf_counter()
-            await self.socket.send(call % number)
-            told = json.loads(await self.socket.recv())
-            while told.get("id") != str(number):
-                told = json.loads(await self.socket.recv())
-            self.waits.append(time.perf_counter() - self._since)
-            self._since = None
+            await self._ask('"op":"Call","type":"add","jsonMessage":{"a":1,"b":2}')
             await asyncio.sleep(PACE_SECONDS)
 
+    async def stop(self) -> None:
+        """Stop everything again and again until cancelled; only what stops is noted."""
+        while True:
+            await self._ask('"op":"Stop"')
+            noted = len(self.waits)
+            await self._ask('"op":"Stop","jsonMessage":{"release":true}')
+            del self.waits[noted:]
+            await asyncio.sleep(STOP_SECONDS)
+
+    async def _ask(self, fields: str) -> None:
+        self._number += 1
+        self._since = time.perf_counter()
+        await self.socket.send(f'{{{fields},"id":"{self._number}"}}')
+        answer = json.loads(await self.socket.recv())
+        while answer.get("id") != str(self._number):
+            answer = json.loads(await self.socket.recv())
+        self.waits.append(time.perf_counter() - self._since)
+        self._since = None
+
     def take(self) -> list[float]:
-        """Return the waits since the last time, with that of a call under way."""
+        """Return the waits since the last time, with that of a question under way."""
         waits, self.waits = self.waits, []
         if self._since is not None:
             waits.append(time.perf_counter() - self._since)
@@ -78,11 +95,13 @@ class Caller:
 
 
 @asynccontextmanager
-async def serving(source: Path) -> AsyncIterator[tuple[str, asyncio.subprocess.Process]]:
-    """Run `uoarm serve`; yields its address and process."""
+async def serving(
+    source: Path, functions: int
+) -> AsyncIterator[tuple[str, asyncio.subprocess.Process]]:
+    """Run `uoarm serve`, with so many functions to be opened; yields its address and process."""
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "robot.yaml"
-        file.write_text(CONFIGURATION, encoding="utf-8")
+        file.write_text(configuration(functions), encoding="utf-8")
         paths = os.pathsep.join(map(str, (source / "src", HERE.parent)))
         log = (Path(folder) / "log").open("wb")
         process = await asyncio.create_subprocess_exec(
@@ -119,59 +138,106 @@ def use(process: int) -> Use:
     return Use(int(found.get("VmRSS", 0)) / 1000, int(found.get("Threads", 0)))
 
 
+@contextmanager
+def attacking(name: str, url: str) -> Iterator[asyncio.Future[tuple[bytes, bytes]]]:
+    """Run an attack in a process of its own; what it printed is the result."""
+
+    async def run() -> tuple[bytes, bytes]:
+        attacker = await asyncio.create_subprocess_exec(
+            sys.executable, "-m", "bench._attacks", name, url,
+            stdout=asyncio.subprocess.PIPE, stderr=asyncio.subprocess.PIPE, cwd=HERE.parent,
+        )  # fmt: skip
+        try:
+            return await attacker.communicate()
+        finally:
+            if attacker.returncode is None:
+                attacker.kill()
+
+    running = asyncio.ensure_future(run())
+    try:
+        yield running
+    finally:
+        running.cancel()
+
+
 async def attacked(name: str, url: str, server: int) -> tuple[str, Use]:
     """Run one attack to its end; returns how the server answered, and the most that it used."""
-    attacker = await asyncio.create_subprocess_exec(
-        sys.executable, "-m", "bench._attacks", name, url,
-        stdout=asyncio.subprocess.PIPE, stderr=asyncio.subprocess.PIPE, cwd=HERE.parent,
-    )  # fmt: skip
-    reading = asyncio.ensure_future(attacker.communicate())
     peak = use(server)
     end = time.monotonic() + MOST_SECONDS
-    while not reading.done() and time.monotonic() < end:
-        now = use(server)
-        peak = Use(max(peak.megabytes, now.megabytes), max(peak.threads, now.threads))
-        await asyncio.sleep(0.05)
-    if not reading.done():
-        attacker.kill()
-    out, err = await reading
+    with attacking(name, url) as running:
+        while not running.done() and time.monotonic() < end:
+            now = use(server)
+            peak = Use(max(peak.megabytes, now.megabytes), max(peak.threads, now.threads))
+            await asyncio.sleep(0.05)
+        out, err = running.result() if running.done() else (b"", b"")
     lines = (out or err).decode().strip().splitlines()
     return (lines[-1] if lines else f"no end after {MOST_SECONDS:g} s"), peak
 
 
-async def attack(names: list[str], source: Path) -> list[tuple[str, ...]]:
-    """Return a row for each attack; the last one says so where the server died."""
-    rows: list[tuple[str, ...]] = []
-    async with serving(source) as (url, process):
-        form = Subprotocol("uoarm.v1.json")
-        async with connect(url, subprotocols=[form], ping_interval=None, open_timeout=60) as socket:
-            caller = Caller(socket)
-            calling = asyncio.ensure_future(caller.run())
-            for name in names:
-                await asyncio.sleep(QUIET_SECONDS)
-                quiet = statistics.median(caller.take())
-                before = use(process.pid)
-                answer, peak = await attacked(name, url, process.pid)
-                waits = caller.take()
-                await asyncio.sleep(SETTLE_SECONDS)
-                caller.take()
-                after = use(process.pid)
-                median, worst = statistics.median(waits), max(waits)
-                rows.append((
-                    ATTACKS[name].row, ATTACKS[name].sent, answer[:90],
-                    f"{quiet * 1000:,.1f}", f"{median * 1000:,.1f}", f"{worst * 1000:,.0f}",
-                    f"{worst / quiet:,.0f}",
-                    f"{before.megabytes:,.0f} / {peak.megabytes:,.0f} / {after.megabytes:,.0f}",
-                    f"{before.threads} / {peak.threads} / {after.threads}",
-                ))  # fmt: skip
-                print(" | ".join(rows[-1]), file=sys.stderr, flush=True)
-                if process.returncode is not None or calling.done():
-                    rows.append(("", "", f"the server ended: {process.returncode}", *[""] * 6))
-                    break
-            calling.cancel()
-            with suppress(asyncio.CancelledError, ConnectionClosed):
-                await calling
-    return rows
+async def open_functions(socket: ClientConnection, count: int) -> None:
+    """Open that many functions, some at a time."""
+    for first in range(0, count, OPENED_AT_ONCE):
+        numbers = range(first, min(count, first + OPENED_AT_ONCE))
+        for number in numbers:
+            await socket.send(f'{{"op":"Request","type":"f{number}","id":"{number}"}}')
+        left = {str(number) for number in numbers}
+        while left:
+            answer = json.loads(await socket.recv())
+            if answer["op"] == "Error":
+                raise RuntimeError(str(answer["jsonMessage"]))
+            left.discard(answer.get("id", ""))
+
+
+async def terminated(name: str, url: str, process: asyncio.subprocess.Process) -> str:
+    """Return for how many seconds a server lives on after SIGTERM, beside an attack."""
+    with attacking(name, url):
+        await asyncio.sleep(TERM_SECONDS)
+        since = time.perf_counter()
+        with suppress(ProcessLookupError):
+            process.send_signal(signal.SIGTERM)
+        try:
+            await asyncio.wait_for(process.wait(), MOST_SECONDS)
+        except asyncio.TimeoutError:
+            return f"more than {MOST_SECONDS:g}"
+        return f"{time.perf_counter() - since:.1f}"
+
+
+async def attack(name: str, source: Path) -> tuple[str, ...]:
+    """Return the row of an attack."""
+    attack = ATTACKS[name]
+    async with serving(source, attack.functions) as (url, process):
+        options: dict[str, Any] = {"subprotocols": [FORM], "ping_interval": None, "max_size": None}
+        async with (
+            connect(url, open_timeout=60, **options) as owner,
+            connect(url, open_timeout=60, **options) as call_socket,
+            connect(url, open_timeout=60, **options) as stop_socket,
+        ):
+            await open_functions(owner, attack.functions)
+            caller, stopper = Client(call_socket), Client(stop_socket)
+            beside = [asyncio.ensure_future(caller.call()), asyncio.ensure_future(stopper.stop())]
+            await asyncio.sleep(QUIET_SECONDS)
+            quiet, quiet_stop = (statistics.median(one.take()) for one in (caller, stopper))
+            before = use(process.pid)
+            answer, peak = await attacked(name, url, process.pid)
+            waits, stops = caller.take(), stopper.take()
+            await asyncio.sleep(SETTLE_SECONDS)
+            after, died = use(process.pid), any(task.done() for task in beside)
+            ended = f"died: {process.returncode}" if died else await terminated(name, url, process)
+            for task in beside:
+                task.cancel()
+                with suppress(asyncio.CancelledError, ConnectionClosed):
+                    await task
+    row = (
+        attack.row, attack.sent, answer[:90],
+        *(f"{seconds * 1000:,.1f}" for seconds in (quiet, statistics.median(waits), max(waits))),
+        f"{max(waits) / quiet:,.0f}",
+        *(f"{seconds * 1000:,.1f}" for seconds in (quiet_stop, max(stops, default=0.0))),
+        ended,
+        f"{before.megabytes:,.0f} / {peak.megabytes:,.0f} / {after.megabytes:,.0f}",
+        f"{before.threads} / {peak.threads} / {after.threads}",
+    )  # fmt: skip
+    print(" | ".join(row), file=sys.stderr, flush=True)
+    return row
 
 
 def main() -> int:
@@ -180,13 +246,15 @@ def main() -> int:
     parser.add_argument("names", nargs="*", help=f"of {', '.join(ATTACKS)}; all when left out")
     parser.add_argument("--source", type=Path, default=HERE.parent, metavar="FOLDER")
     options = parser.parse_args()
-    rows = asyncio.run(attack(options.names or list(ATTACKS), options.source.resolve()))
+    source = options.source.resolve()
+    rows = [asyncio.run(attack(name, source)) for name in options.names or ATTACKS]
     head = (
-        "row", "sent", "answer", "quiet median, ms", "median, ms", "worst, ms",
-        "worst / quiet", "MB before / most / after", "threads before / most / after",
+        "row", "sent", "answer", "quiet median, ms", "median, ms", "worst, ms", "worst / quiet",
+        "Stop quiet, ms", "Stop worst, ms", "SIGTERM, s",
+        "MB before / most / after", "threads before / most / after",
     )  # fmt: skip
     print_table(f"A well-behaved client beside attacks (load {os.getloadavg()[0]:.1f})", head, rows)
-    return int(rows[-1][2].startswith("the server ended"))
+    return int(any(row[9].startswith("died") for row in rows))
 
 
 if __name__ == "__main__":

@@ -31,7 +31,7 @@ _START_SECONDS = 10.0
 _END_SECONDS = 10.0
 _LATE = "the server does not listen: its start takes too long"
 _log = logging.getLogger("uoarm.server")
-_YOUNG_OBJECTS, _OLDEST, _LOOKS = 20_000, 2, 10
+_YOUNG_OBJECTS, _YOUNG_LOOKS, _OLDEST, _LOOKS = 20_000, 1, 2, 10
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 
@@ -140,7 +140,7 @@ def _short_collections() -> Iterator[None]:
             else:
                 gc.unfreeze()
 
-    gc.set_threshold(_YOUNG_OBJECTS, *former[1:])
+    gc.set_threshold(_YOUNG_OBJECTS, _YOUNG_LOOKS, former[2])
     gc.callbacks.append(collected)
     try:
         gc.collect()
