@@ -183,14 +183,19 @@ def opened(robot: RobotManager, count: int) -> None:
     eventually(all_run, f"{count} are open")
 
 
+def request(port: int, path: str = "/") -> bytes:
+    """Return the head of an opening handshake."""
+    return (
+        f"GET {path} HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\nUpgrade: websocket\r\n"
+        "Connection: Upgrade\r\nSec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n"
+        "Sec-WebSocket-Version: 13\r\n\r\n"
+    ).encode()
+
+
 def open_socket(port: int, path: str = "/") -> socket.socket:
     """Return a socket after its handshake, without anything that would read from it."""
     plain = socket.create_connection(("127.0.0.1", port), timeout=patience())
-    plain.sendall(
-        f"GET {path} HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\nUpgrade: websocket\r\n"
-        "Connection: Upgrade\r\nSec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n"
-        "Sec-WebSocket-Version: 13\r\n\r\n".encode()
-    )
+    plain.sendall(request(port, path))
     answer = b""
     while b"\r\n\r\n" not in answer:
         answer += plain.recv(1)

@@ -9,21 +9,24 @@ import zlib
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from functools import partial
+from typing import Any
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from tests.server.conftest import Hurry, Serve
-from tests.server.talk import Talk, eventually, frame, open_socket
+from tests.server.talk import Talk, eventually, frame, open_socket, request
 from websockets.exceptions import ConnectionClosed
 from websockets.frames import CloseCode, Frame, Opcode
 from websockets.sync.client import connect
 
 from uoarm.server import Limits, Server
+from uoarm.server.http import HandshakeHandler
 from uoarm.server.session._incoming import DEFLATE, Incoming, IncomingError, Turn, Turns
 from uoarm.testing import patience, slowness
 
 MEGABYTE = 1_000_000
+BURST = 20
 
 
 def packed(content: bytes, level: int = 9) -> bytes:
@@ -209,6 +212,104 @@ def test_who_was_idle_has_saved_up_nothing_and_waits_for_no_flood() -> None:
     order = asyncio.run(serve())
     assert order.index("small") <= 9  # after each of the others once, at most
     assert order.count("small") == 1
+
+
+def busy(seconds: float) -> None:
+    """Use the processor."""
+    end = time.thread_time() + seconds
+    while time.thread_time() < end:
+        pass
+
+
+def test_who_is_connected_goes_before_a_burst_of_those_who_come() -> None:
+    async def serve() -> list[str]:
+        turns, order = Turns(), []
+        done = asyncio.Event()
+
+        def work(name: str, seconds: float) -> bool:
+            order.append(name)
+            busy(seconds)
+            if len(order) == BURST + 1:
+                done.set()
+            return False
+
+        known = Turn(partial(work, "known", 0.0005))
+        for _ in range(20):  # with nobody else there
+            turns.ask(known)
+            await asyncio.sleep(0)
+        order.clear()
+        burst = [turns.turn_of_newcomer(partial(work, "new", 0.002)) for _ in range(BURST)]
+        for turn in burst:
+            turns.ask(turn)
+        turns.ask(known)
+        await asyncio.wait_for(done.wait(), patience())
+        return order
+
+    assert asyncio.run(serve()).index("known") <= 1
+
+
+def test_what_the_machine_does_meanwhile_is_nobodys() -> None:
+    def work() -> bool:
+        time.sleep(0.05)
+        return False
+
+    async def serve() -> float:
+        turns, turn = Turns(), Turn(work)
+        turns.ask(turn)
+        return turn.used
+
+    assert asyncio.run(serve()) < 0.04
+
+
+def test_handshakes_of_an_address_take_turns_with_those_of_others() -> None:
+    async def serve() -> list[str]:
+        turns, order = Turns(), list[str]()
+        ticks: list[int] = []
+
+        async def come(host: str) -> None:
+            await turns.open(turns.turn_of_newcomer(bool), host)
+            order.append(host)
+            ticks[-1] += 1
+
+        coming = [asyncio.ensure_future(come("many")) for _ in range(BURST)]
+        coming[BURST // 2].cancel()
+        coming += [asyncio.ensure_future(come("one")), asyncio.ensure_future(come("other"))]
+        while not all(task.done() for task in coming):
+            ticks.append(0)
+            await asyncio.sleep(0)
+        assert max(ticks) <= 3
+        return order
+
+    order = asyncio.run(serve())
+    assert len(order) == BURST + 1
+    assert max(order.index("one"), order.index("other")) <= 4
+
+
+def test_a_burst_of_handshakes_does_not_fill_a_turn_of_the_loop(
+    serve: Serve, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    begun = [0]
+    process = HandshakeHandler.process_request
+
+    async def processed(*arguments: Any) -> Any:
+        if not begun[-1]:
+            asyncio.get_running_loop().call_soon(lambda: begun.append(0))
+        begun[-1] += 1
+        return await process(*arguments)
+
+    monkeypatch.setattr(HandshakeHandler, "process_request", processed)
+    server = serve()
+    with ExitStack() as stack:
+        host, port = "127.0.0.1", server.ports[0]
+        opened = [stack.enter_context(socket.create_connection((host, port))) for _ in range(100)]
+        eventually(lambda: len(tuple(server._sockets)) == len(opened), "all are accepted")
+        for plain in opened:
+            plain.sendall(request(port))
+        for plain in opened:
+            plain.settimeout(patience())
+            assert plain.recv(12) == b"HTTP/1.1 101"
+    assert sum(begun) == len(opened)
+    assert max(begun) <= 4
 
 
 def compressed(content: bytes) -> bytes:

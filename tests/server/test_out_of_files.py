@@ -7,12 +7,13 @@ import errno
 import logging
 import re
 import resource
+import select
 import socket
 import subprocess
 import sys
 import threading
 from asyncio.constants import ACCEPT_RETRY_DELAY
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +29,7 @@ from uoarm.server.http._listener import Listener, NoRoomError, connections_possi
 from uoarm.testing import ManualClock, patience
 
 FILES = 64
+LEFT = 8
 HALF_OPEN = 200
 
 
@@ -55,6 +57,9 @@ def test_half_open_sockets_beyond_all_descriptors_are_told_once_and_outlived(
         told: list[str] = []
         reading = threading.Thread(target=lambda: told.extend(process.stderr or ()))
         reading.start()
+        # Of its half it would refuse those that are too many: somebody else has the rest.
+        used = sum(1 for _ in Path(f"/proc/{process.pid}/fd").iterdir())
+        resource.prlimit(process.pid, resource.RLIMIT_NOFILE, (used + LEFT, FILES))
         with ExitStack() as half_open:
             for _ in range(HALF_OPEN):
                 half_open.enter_context(
@@ -147,6 +152,24 @@ def test_other_failures_are_passed_on(monkeypatch: pytest.MonkeyPatch) -> None:
         for _ in range(2):
             with pytest.raises(ConnectionAbortedError):
                 listener.accept()
+
+
+def test_those_who_wait_are_accepted_a_few_at_a_time() -> None:
+    """Between them the loop serves others: asyncio asks until there is none."""
+    [listener] = asyncio.run(listen("127.0.0.1", 0))
+    with ExitStack() as stack:
+        stack.callback(listener.close)
+        for _ in range(5):
+            stack.enter_context(socket.create_connection(listener.getsockname()))
+        accepted: list[int] = []
+        while sum(accepted) < 5:
+            select.select([listener], [], [], patience())
+            accepted.append(0)
+            with suppress(BlockingIOError):
+                while True:
+                    listener.accept()[0].close()
+                    accepted[-1] += 1
+    assert accepted == [2, 2, 1]
 
 
 def test_all_addresses_of_a_name_listen_on_one_port() -> None:

@@ -24,6 +24,7 @@ from uoarm.server._settings import Settings
 from uoarm.server.access import Admission, Audit
 from uoarm.server.front_end import FrontEnd, MakeSession
 from uoarm.server.http import (
+    BACKLOG,
     OWN_PATHS,
     FrontEnds,
     HandshakeHandler,
@@ -226,6 +227,7 @@ class Server:
             listening = serve(
                 handle,
                 sock=one,
+                backlog=BACKLOG,
                 ssl=self._tls,
                 process_request=handshakes.process_request,
                 select_subprotocol=handshakes.select_subprotocol,

@@ -12,7 +12,7 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-__all__ = ["Listener", "NoRoomError", "connections_possible", "listen"]
+__all__ = ["BACKLOG", "Listener", "NoRoomError", "connections_possible", "listen"]
 
 _log = logging.getLogger("uoarm.server")
 _EXHAUSTED = frozenset({errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM})
@@ -21,7 +21,8 @@ _ABSENT = frozenset({errno.EADDRNOTAVAIL, errno.EAFNOSUPPORT})
 # tried a hundred times, each of which puts the socket back after its own second.
 _PAUSE_SECONDS = 0.5
 _SILENT_SECONDS = 60.0
-_BACKLOG = 128
+BACKLOG = 1024
+_AT_ONCE = 2
 
 
 class NoRoomError(OSError):
@@ -30,6 +31,9 @@ class NoRoomError(OSError):
 
 class Listener(socket.socket):
     """A listening socket whose `accept` fails once in a while, not as often as it is called.
+
+    After a few connections it takes no more until the loop asks again: asyncio would take all that
+    wait in one turn of its loop, in which nobody else is served.
 
     Args:
         clock: monotonic seconds.
@@ -42,6 +46,7 @@ class Listener(socket.socket):
         self._paused_till = self._silent_till = clock()
         self._unlogged = 0
         self._failed = False
+        self._accepted = 0  # since the loop asked
 
     def fileno(self) -> int:
         """Return the descriptor.
@@ -59,13 +64,18 @@ class Listener(socket.socket):
 
         Raises:
             NoRoomError: there is no room for one; asyncio tries again after a second.
-            BlockingIOError: nobody connects, or there was no room a moment ago.
+            BlockingIOError: nobody connects, it is others' turn, or there was no room a moment ago.
         """
         if self._clock() < self._paused_till:
             raise BlockingIOError(errno.EAGAIN, "there was no room a moment ago")
+        if self._accepted == _AT_ONCE:
+            self._accepted = 0
+            raise BlockingIOError(errno.EAGAIN, "others have their turn first")
+        self._accepted += 1
         try:
             return super().accept()
         except OSError as error:
+            self._accepted = 0
             if error.errno not in _EXHAUSTED:
                 raise
             self._paused_till = self._clock() + _PAUSE_SECONDS
@@ -127,7 +137,7 @@ def _bound(listener: Listener, address: tuple[Any, ...]) -> Listener:
             listener.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_V6ONLY, 1)
         listener.bind(address)
         listener.setblocking(False)
-        listener.listen(_BACKLOG)
+        listener.listen(BACKLOG)
     except BaseException:
         listener.close()
         raise

@@ -25,7 +25,7 @@ from websockets.typing import BytesLike
 
 from uoarm._deadlines import result_within
 from uoarm.server._limits import Limits
-from uoarm.server.session._incoming import Incoming, IncomingError, Turn, Turns
+from uoarm.server.session._incoming import Incoming, IncomingError, Turns
 from uoarm.server.streams import Account
 
 __all__ = ["Sockets", "TurnConnection", "address_of", "host_of"]
@@ -33,7 +33,7 @@ __all__ = ["Sockets", "TurnConnection", "address_of", "host_of"]
 _log = logging.getLogger("uoarm.server")
 _SLICE = 2048
 """Octets given to the parser in one go: 300 frames without content, which are parsed in 3 ms."""
-_TURN_SECONDS = 0.001
+_TURN_SECONDS = 0.00025
 _SMALL_FRAGMENT = 1024
 _HEAD_OCTETS = 2**16
 """Of a handshake, and of what follows it before its answer."""
@@ -116,10 +116,10 @@ class Sockets:
 class TurnConnection(ServerConnection):
     """A connection that is known from its first byte on, and refused when there are too many.
 
-    What arrives is parsed for a millisecond at a time; what is left waits for the loop's next turn,
-    with the socket unread meanwhile. Pings, pongs and small fragments beyond 200 a second make the
-    client be read more slowly: each costs an answer or a turn, and no well-behaved client sends
-    them by the thousand.
+    What arrives is parsed for a quarter of a millisecond at a time; what is left waits for the
+    loop's next turn, with the socket unread meanwhile. Pings, pongs and small fragments beyond 200
+    a second make the client be read more slowly: each costs an answer or a turn, and no
+    well-behaved client sends them by the thousand.
 
     All that has arrived and was not acted on is charged to the account of the client, from the
     first octet of a message on. Its messages come from `next_message`, not from `recv`.
@@ -138,7 +138,7 @@ class TurnConnection(ServerConnection):
         self._unparsed = 0  # octets of these
         self._head = 0  # octets that came before the connection was open
         self._begin = 0
-        self._turn = Turn(self._parse)
+        self._turn = sockets.turns.turn_of_newcomer(self._parse)
         self._timer: asyncio.Handle | None = None
         self._stopped: float | None = None  # since when; nothing is parsed until something is taken
         self._is_refused = False
@@ -169,6 +169,14 @@ class TurnConnection(ServerConnection):
         self._incoming.drop_unfinished()
         self._count()
         self._wake()
+
+    async def handshake(self, *arguments: Any, **options: Any) -> None:
+        """Do the opening handshake when it is its turn; see `ServerConnection`."""
+        head = (self.request_rcvd, self.connection_lost_waiter)
+        await asyncio.wait(head, return_when=asyncio.FIRST_COMPLETED)
+        if self.request is not None:
+            await self._sockets.turns.open(self._turn, host_of(self))
+        await super().handshake(*arguments, **options)
 
     async def keepalive(self) -> None:
         """Cut the client off, without a close frame, when it does not answer a ping in time."""

@@ -30,6 +30,17 @@ _PORTION = 2**16
 """Octets unpacked in one go: a tenth of a millisecond."""
 _SMALLEST_PILE, _LARGE_PILE = 2**12, 2**20
 _ALL_SECONDS = 0.002
+# The processor's time: whoever was being served when the machine did something else has had nothing
+# of that. Where it is told in steps of 16 ms, as on Windows, the time of day has to do.
+_FINE_SECONDS = 0.0001
+_now = (
+    time.thread_time
+    if time.get_clock_info("thread_time").resolution <= _FINE_SECONDS
+    else time.perf_counter
+)
+_OPENING_SECONDS = 0.001
+"""What a handshake takes of the loop, most of it beside what is parsed."""
+_MANY_HOSTS = 1024
 _RATIO = 64
 _ALWAYS_UNPACKED = 2**20
 """What any message may become: a longer one `_RATIO` times as long as it is compressed, no more."""
@@ -91,12 +102,13 @@ class Turn:
     """The part that one connection has in the loop's time. For `Turns`.
 
     Args:
-        work: parses and unpacks for a millisecond; returns whether there is more to do.
+        work: parses and unpacks for a moment; returns whether there is more to do.
+        used: virtual seconds that it has had.
     """
 
-    def __init__(self, work: Callable[[], bool]) -> None:
+    def __init__(self, work: Callable[[], bool], used: float = 0.0) -> None:
         self.work = work
-        self.used = 0.0  # virtual seconds
+        self.used = used
         self.is_waiting = False
 
 
@@ -106,24 +118,49 @@ class Turns:
     All together have two milliseconds of each of the loop's turns. Who has had least goes first
     (start-time fair queueing): one small message waits for nobody's flood, however many flood, and
     who was idle for long has saved up nothing.
+
+    A handshake counts as a millisecond, of its connection and of its address: whoever is connected
+    goes before a burst of those who come, and of these each address has its part.
     """
 
     def __init__(self) -> None:
-        self._waiting: list[tuple[float, int, Turn]] = []
+        self._waiting: list[tuple[float, float, int, Turn]] = []
         self._numbers = itertools.count()
         self._used = 0.0  # virtual seconds, of whoever was served last when it began
         self._spent = 0.0  # of this turn of the loop
         self._is_scheduled = False
+        self._hosts: dict[str, float] = {}  # when handshakes of an address are due, virtual seconds
+
+    def turn_of_newcomer(self, work: Callable[[], bool]) -> Turn:
+        """Return the turn of a connection that was made just now."""
+        return Turn(work, self._used + _OPENING_SECONDS)
+
+    async def open(self, turn: Turn, host: str) -> None:
+        """Wait until a connection from an address may finish its handshake."""
+        may_go_on = asyncio.get_running_loop().create_future()
+
+        def go_on() -> bool:
+            if not may_go_on.done():  # it has not been given up
+                may_go_on.set_result(None)
+                self._spent += _OPENING_SECONDS
+            return False
+
+        if len(self._hosts) > _MANY_HOSTS:
+            self._hosts = {name: due for name, due in self._hosts.items() if due > self._used}
+        due = max(self._used, self._hosts.get(host, 0.0))
+        turn.used = self._hosts[host] = due + _OPENING_SECONDS
+        self.ask(Turn(go_on, due))
+        await may_go_on
 
     def ask(self, turn: Turn) -> None:
         """Have the work of a turn done, now or soon; again while there is more. Idempotent."""
         if turn.is_waiting:
             return
-        turn.used = max(turn.used, self._used)
+        due = max(turn.used, self._used)
         if self._waiting or self._spent >= _ALL_SECONDS:
-            self._put(turn)
+            self._put(turn, due)
         else:
-            self._serve(turn)
+            self._serve(turn, due)
         if not self._is_scheduled:
             self._is_scheduled = True
             asyncio.get_running_loop().call_soon(self._serve_more)
@@ -131,26 +168,27 @@ class Turns:
     def _serve_more(self) -> None:
         self._spent = 0.0
         while self._waiting and self._spent < _ALL_SECONDS:
-            turn = heapq.heappop(self._waiting)[-1]
+            due, _, _, turn = heapq.heappop(self._waiting)
             turn.is_waiting = False
-            self._used = turn.used
-            self._serve(turn)
+            self._serve(turn, due)
         self._is_scheduled = bool(self._waiting)
         if self._is_scheduled:
             asyncio.get_running_loop().call_soon(self._serve_more)
 
-    def _serve(self, turn: Turn) -> None:
-        begun = time.perf_counter()
+    def _serve(self, turn: Turn, due: float) -> None:
+        self._used = due
+        begun = _now()
         has_more = turn.work()
-        used = time.perf_counter() - begun
+        used = _now() - begun
         self._spent += used
-        turn.used += used
+        turn.used = due + used
         if has_more:
-            self._put(turn)
+            self._put(turn, turn.used)
 
-    def _put(self, turn: Turn) -> None:
+    def _put(self, turn: Turn, due: float) -> None:
+        """Have a turn wait; of those that are due at once, who has had least goes first."""
         turn.is_waiting = True
-        heapq.heappush(self._waiting, (turn.used, next(self._numbers), turn))
+        heapq.heappush(self._waiting, (due, turn.used, next(self._numbers), turn))
 
 
 class IncomingError(Exception):
