@@ -54,11 +54,11 @@ def main(seconds: float, *, small: bool) -> None:
     came.clear()
     ages.clear()
     spin(seconds)
-    told = {"pictures": len(came) / seconds, "small": len(ages) / seconds}
+    reports = {"pictures": len(came) / seconds, "small": len(ages) / seconds}
     if ages:
         ages.sort()
-        told |= {"median": at(ages, 0.5), "p99": at(ages, 0.99)}
-    print(json.dumps(told), flush=True)
+        reports |= {"median": at(ages, 0.5), "p99": at(ages, 0.99)}
+    print(json.dumps(reports), flush=True)
 
 
 if __name__ == "__main__":

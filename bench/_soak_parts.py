@@ -29,7 +29,7 @@ def _journal(name: str) -> int:
 
 def numbers() -> Iterator[int]:
     """Emit some hundred numbers a second, until there are enough."""
-    begun, unheard = _journal("begun"), _journal("unheard")
+    begun, undelivered = _journal("begun"), _journal("unheard")
     number = 0
     while not (_folder() / "enough").exists():
         for _ in range(_EACH):
@@ -37,7 +37,7 @@ def numbers() -> Iterator[int]:
             try:
                 yield number
             except GeneratorExit:  # it came when nobody listened any more
-                os.write(unheard, b"x")
+                os.write(undelivered, b"x")
                 raise
             number += 1
         time.sleep(_PAUSE_SECONDS)

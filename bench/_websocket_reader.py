@@ -83,13 +83,13 @@ def main() -> int:
                 if sent is not None and busy is not None:
                     ages.append((time.monotonic_ns() - sent) / 1_000_000)
     spread = sorted(ages)
-    told = {
+    reports = {
         "median": at(spread, 0.5),
         "p99": at(spread, 0.99),
         "count": len(spread),
         "busy": time.process_time() - (busy or 0.0),
     }
-    print(json.dumps(told))
+    print(json.dumps(reports))
     return 0
 
 

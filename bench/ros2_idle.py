@@ -74,7 +74,7 @@ def talk(case: str) -> None:
     idle, hertz, kind = CASES[case]
     rclpy.init(args=[])
     node, native = Node("talker"), native_type(kind)
-    _kept = [node.create_publisher(native, f"/idle_{each}", 10) for each in range(idle)]
+    _kept = [node.create_publisher(native, f"/idle_{index}", 10) for index in range(idle)]
     publisher = node.create_publisher(native, "/busy", 100)
     ended = threading.Event()
     threading.Thread(target=_end_with_input, args=(ended,), daemon=True).start()
@@ -139,8 +139,8 @@ def listen_by_hand(case: str) -> None:
         else:
             meter.take(int(message.data))
 
-    for each in range(idle):
-        node.create_subscription(native, f"/idle_{each}", take, 10)
+    for index in range(idle):
+        node.create_subscription(native, f"/idle_{index}", take, 10)
     node.create_subscription(native, "/busy", take, 100)
     executor = SingleThreadedExecutor()
     executor.add_node(node)
@@ -174,7 +174,7 @@ def listen_by_bridge(case: str) -> None:
         else:
             meter.take(int(message["data"]))
 
-    for topic in (*(f"/idle_{each}" for each in range(idle)), "/busy"):
+    for topic in (*(f"/idle_{index}" for index in range(idle)), "/busy"):
         at = Endpoint("ros", topic, Role.OUTPUT, (topic, kind))
         structure = bridge.describe(at).message
         assert structure is not None

@@ -52,7 +52,9 @@ def main() -> None:
         except (subprocess.SubprocessError, OSError) as error:
             absent[name] = str(getattr(error, "stderr", None) or error)[-300:]
     if options.json:
-        named = [{"group": one.group, "name": one.name, "truth": one.contained} for one in cases]
+        named = [
+            {"group": case.group, "name": case.name, "truth": case.contained} for case in cases
+        ]
         print(json.dumps({"cases": named, "results": results, "absent": absent}))
         return
     _show(results, cases)

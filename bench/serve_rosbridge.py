@@ -88,10 +88,10 @@ class Reader:
 
     async def receive(self) -> Any:
         """Return the next message; fails on a status, so that no error is measured."""
-        told = json.loads(await asyncio.wait_for(self.socket.recv(), 20))
-        if told["op"] == "status":
-            raise RuntimeError(told["msg"])
-        return told
+        report = json.loads(await asyncio.wait_for(self.socket.recv(), 20))
+        if report["op"] == "status":
+            raise RuntimeError(report["msg"])
+        return report
 
 
 @asynccontextmanager
@@ -189,11 +189,12 @@ async def many(peer: Peer, clients: int) -> str:
     assert reader.stdout is not None
     await asyncio.wait_for(reader.stdout.readline(), 30)
     busy = _busy(peer)
-    told = json.loads(await asyncio.wait_for(reader.stdout.readline(), 30))
+    report = json.loads(await asyncio.wait_for(reader.stdout.readline(), 30))
     busy = _busy(peer) - busy
     await reader.wait()
-    ages = f"{told['median']:,.1f} / {told['p99']:,.1f} ms, {told['count'] / SECONDS:,.0f} a second"
-    return f"{ages}, {busy / SECONDS:.0%} of a core (client {told['busy'] / SECONDS:.0%})"
+    ages = f"{report['median']:,.1f} / {report['p99']:,.1f} ms"
+    rate = f"{report['count'] / SECONDS:,.0f} a second"
+    return f"{ages}, {rate}, {busy / SECONDS:.0%} of a core (client {report['busy'] / SECONDS:.0%})"
 
 
 async def topics(peer: Peer) -> str:
@@ -251,17 +252,17 @@ async def bare(*arguments: str) -> dict[str, float]:
     command = (sys.executable, "-m", "bench._ros2_reader", str(SECONDS), *arguments)
     reader = await asyncio.create_subprocess_exec(*command, stdout=asyncio.subprocess.PIPE)
     assert reader.stdout is not None
-    told, _ = await asyncio.wait_for(reader.communicate(), 30)
-    got: dict[str, float] = json.loads(told)
+    report, _ = await asyncio.wait_for(reader.communicate(), 30)
+    got: dict[str, float] = json.loads(report)
     return got
 
 
 async def bare_beside() -> str:
     """Return how old small messages are beside pictures where no server is between."""
-    told = await bare("small")
-    if "p99" not in told:
+    reports = await bare("small")
+    if "p99" not in reports:
         return "none came"
-    return f"{told['median']:.2f} / {told['p99']:.2f} ms, {told['small']:,.0f} a second"
+    return f"{reports['median']:.2f} / {reports['p99']:.2f} ms, {reports['small']:,.0f} a second"
 
 
 def _busy(peer: Peer) -> float:
@@ -354,7 +355,7 @@ async def run(chosen: argparse.Namespace) -> None:
     arguments = (sys.executable, "-m", "bench._ros2_world", str(TOPICS))
     world = await asyncio.create_subprocess_exec(*arguments, stdout=asyncio.subprocess.PIPE)
     assert world.stdout is not None
-    rows = {what: one for what, one in ROWS.items() if chosen.only in what}
+    rows = {what: row for what, row in ROWS.items() if chosen.only in what}
     table: list[Sequence[str]] = []
     try:
         await asyncio.wait_for(world.stdout.readline(), 30)

@@ -36,5 +36,5 @@ def print_table(title: str, head: Sequence[str], rows: Sequence[Sequence[str]]) 
     print(f"\n## {title}\n")
     print("| " + " | ".join(head) + " |")
     print("|" + "---|" * len(head))
-    for one in rows:
-        print("| " + " | ".join(one) + " |")
+    for sequence in rows:
+        print("| " + " | ".join(sequence) + " |")

@@ -136,7 +136,7 @@ class Recorder:
                     _stage(before, after, last.get(after.thread))
                     for before, after in itertools.pairwise(stamps)
                 )
-            last.update((one.thread, one) for one in stamps)
+            last.update((stamp.thread, stamp) for stamp in stamps)
 
 
 def _stage(before: Stamp, after: Stamp, last: Stamp | None) -> Stage:
@@ -255,9 +255,9 @@ def _compute() -> None:
 
 
 def _print(messages: list[tuple[Stage, ...]]) -> None:
-    wholes = sorted(sum(one.wall for one in stages) for stages in messages)
+    wholes = sorted(sum(stage.wall for stage in stages) for stages in messages)
     slow = at(wholes, 0.99)
-    tail = [stages for stages in messages if sum(one.wall for one in stages) >= slow]
+    tail = [stages for stages in messages if sum(stage.wall for stage in stages) >= slow]
     rows = []
     for index, first in enumerate(messages[0]):
         walls = sorted(stages[index].wall for stages in messages)
@@ -266,7 +266,7 @@ def _print(messages: list[tuple[Stage, ...]]) -> None:
             for what in ("processor", "machine", "waiting")
         ]
         rows.append(
-            (first.name, *(f"{one:,.0f}" for one in (at(walls, 0.5), at(walls, 0.99), *shares)))
+            (first.name, *(f"{share:,.0f}" for share in (at(walls, 0.5), at(walls, 0.99), *shares)))
         )
     rows.append(("all", f"{at(wholes, 0.5):,.0f}", f"{slow:,.0f}", "", "", ""))
     title = f"{len(messages)} messages, us; on the right the slowest {len(tail)}, on average"

@@ -36,11 +36,11 @@ def _takeover(function: str) -> float:
     best, spare = one.emitter("best", NUMBER), two.emitter("spare", NUMBER)
     two.loop("finder", NUMBER)
     two.loop("namer", NUMBER)
-    told: SimpleQueue[float] = SimpleQueue()
+    reports: SimpleQueue[float] = SimpleQueue()
 
     def take(number: int) -> None:
         if number > 0:
-            told.put(time.perf_counter())
+            reports.put(time.perf_counter())
 
     with uoarm.RobotManager(loads(ROBOT), bridges={"one": one, "two": two}) as robot:
         robot.request(function, on_message=take)
@@ -50,7 +50,7 @@ def _takeover(function: str) -> float:
         emitting.start()
         begun = time.perf_counter()
         one.die("best")
-        seconds = told.get(timeout=60) - begun
+        seconds = reports.get(timeout=60) - begun
         over.set()
         emitting.join()
     return seconds

@@ -57,18 +57,24 @@ def _case(name: str, schema: Schema, message: Message) -> list[tuple[str, ...]]:
             continue
     if plain is not message:
         asked["(lists of the buffers)"] = _plain, message
-    samples: dict[str, list[float]] = {one: [] for one in asked}
-    answers = {one: _answer(call, given) for one, (call, given) in asked.items()}
+    samples: dict[str, list[float]] = {text: [] for text in asked}
+    answers = {key: _answer(call, given) for key, (call, given) in asked.items()}
     for _ in range(_ROUNDS):
-        for one, (call, given) in asked.items():
-            if sum(samples[one]) > _SECONDS * 1e6:
+        for key, (call, given) in asked.items():
+            if sum(samples[key]) > _SECONDS * 1e6:
                 continue
             begun = time.perf_counter_ns()
             _answer(call, given)
-            samples[one].append((time.perf_counter_ns() - begun) / 1000)
+            samples[key].append((time.perf_counter_ns() - begun) / 1000)
     return [
-        (name, one, f"{at(sorted(took), 0.5):,.1f}", f"{at(sorted(took), 0.99):,.1f}", answers[one])
-        for one, took in samples.items()
+        (
+            name,
+            sample_name,
+            f"{at(sorted(took), 0.5):,.1f}",
+            f"{at(sorted(took), 0.99):,.1f}",
+            answers[sample_name],
+        )
+        for sample_name, took in samples.items()
     ]
 
 
@@ -166,8 +172,8 @@ def _plain(value: Any) -> Any:
     if isinstance(value, np.ndarray):
         return value.tolist()
     if isinstance(value, dict):
-        made = {name: _plain(one) for name, one in value.items()}
-        return made if any(made[name] is not one for name, one in value.items()) else value
+        made = {name: _plain(item) for name, item in value.items()}
+        return made if any(made[name] is not item for name, item in value.items()) else value
     return value
 
 

@@ -71,7 +71,7 @@ def finished(done: object) -> None:
 @pytest.mark.parametrize(
     ("function", "parameter"),
     sorted(parameters(), key=str),
-    ids=lambda one: getattr(one, "__qualname__", one),
+    ids=lambda item: getattr(item, "__qualname__", item),
 )
 def test_every_public_argument_is_looked_at(function: Callable[..., Any], parameter: str) -> None:
     first = next(iter(inspect.signature(function).parameters))

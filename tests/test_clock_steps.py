@@ -117,6 +117,6 @@ def test_a_clock_that_is_set_ends_what_has_a_date_and_nothing_else(port: int, cl
         eventually(comes_in_again, "a token lives again where the clock was set back")
         client.data(connection, 200)
         shown = client.ask("Status")
-    assert [one["state"] for one in shown["connections"]] == ["running"]
-    assert [one["gaps"] for one in shown["connections"] if "gaps" in one] in ([], [[]], [0])
-    assert [one["health"] for one in shown["components"]] == ["ok"]
+    assert [item["state"] for item in shown["connections"]] == ["running"]
+    assert [item["gaps"] for item in shown["connections"] if "gaps" in item] in ([], [[]], [0])
+    assert [component["health"] for component in shown["components"]] == ["ok"]

@@ -112,7 +112,7 @@ def test_a_module_that_is_imported_meanwhile_leaves_no_half_of_its_bytecode(
             [sys.executable, "-c", "import imported_meanwhile"], cwd=tmp_path, check=True,
             env=unmeasured(),
         )  # fmt: skip
-    assert [one.name for one in tmp_path.iterdir()] == ["imported_meanwhile.py"]
+    assert [path.name for path in tmp_path.iterdir()] == ["imported_meanwhile.py"]
     del sys.modules["imported_meanwhile"]
 
 

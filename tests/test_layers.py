@@ -231,7 +231,7 @@ PLUGINS = Path(__file__).parents[1] / "plugins"
 
 def _is_inside(parts: list[str]) -> bool:
     """Say whether a name is that of a package inside the server, which no page names."""
-    inside = {one.name for one in (ROOT / "server").iterdir() if one.is_dir()}
+    inside = {path.name for path in (ROOT / "server").iterdir() if path.is_dir()}
     return len(parts) > 1 and parts[0] == "server" and parts[1] in inside
 
 

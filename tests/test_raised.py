@@ -51,7 +51,7 @@ def test_records_beyond_the_limit_are_counted_in_the_next_one(
         log.write(logging.WARNING, f"record {number}")
     clock.advance(10)
     log.write(logging.WARNING, "record 5")
-    assert [one.getMessage() for one in caplog.records] == [
+    assert [record.getMessage() for record in caplog.records] == [
         "record 0",
         "record 1",
         "record 5 (and 3 more since the last record)",

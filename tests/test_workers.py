@@ -94,7 +94,7 @@ def test_idle_threads_end_and_new_ones_come() -> None:
         pool.submit(lambda: used.append(threading.current_thread()))
         before.check()
     assert len(set(used)) == 3
-    assert {one.name for one in used} == {"test"}
+    assert {thread.name for thread in used} == {"test"}
 
 
 def test_a_call_that_comes_when_a_thread_is_about_to_end_is_done(
@@ -135,19 +135,19 @@ def test_an_idle_thread_holds_nothing_of_what_it_did() -> None:
 
 def test_the_callback_gets_the_result_or_the_error_and_finds_room() -> None:
     pool = WorkerPool("test", 1)
-    told: list[tuple[object, BaseException | None]] = []
+    reports: list[tuple[object, BaseException | None]] = []
     again: list[bool] = []
 
     def done(result: object, error: BaseException | None) -> None:
         again.append(pool.submit(lambda: None, queue=False))
-        told.append((result, error))
+        reports.append((result, error))
 
     assert pool.submit(divmod, 7, 2, done=done)
-    wait(lambda: len(told) == 1 and pool.busy == 0)
-    assert told == [((3, 1), None)]
+    wait(lambda: len(reports) == 1 and pool.busy == 0)
+    assert reports == [((3, 1), None)]
     assert pool.submit(divmod, 7, 0, done=done)
-    wait(lambda: len(told) == 2)
-    assert isinstance(told[1][1], ZeroDivisionError)
+    wait(lambda: len(reports) == 2)
+    assert isinstance(reports[1][1], ZeroDivisionError)
     assert again == [True, True]
     pool.close()
 
@@ -169,7 +169,7 @@ def test_what_has_not_begun_when_it_closes_is_dropped_and_told_so() -> None:
     pool = WorkerPool("test", 1)
     gate, begun = threading.Event(), threading.Event()
     done: list[str] = []
-    told: list[BaseException | None] = []
+    reports: list[BaseException | None] = []
 
     def first() -> None:
         begun.set()
@@ -178,10 +178,10 @@ def test_what_has_not_begun_when_it_closes_is_dropped_and_told_so() -> None:
 
     pool.submit(first)
     assert begun.wait(patience())
-    pool.submit(done.append, "second", done=lambda _, error: told.append(error))
+    pool.submit(done.append, "second", done=lambda _, error: reports.append(error))
     assert pool.close() == 1
     assert pool.busy == 1
-    assert isinstance(told[0], WorkerPoolClosedError)
+    assert isinstance(reports[0], WorkerPoolClosedError)
     assert pool.close() == 0
     gate.set()
     assert not pool.submit(done.append, "third")
@@ -252,7 +252,7 @@ def test_a_thread_that_was_prepared_takes_the_next_call_and_ends_with_the_pool()
     pool.prepare()
     wait(lambda: len(ran) == len(pool._idle) == 1)
     pool.prepare()
-    spare = {one.ident for one in threading.enumerate() if one.name == "test"} - set(ran)
+    spare = {thread.ident for thread in threading.enumerate() if thread.name == "test"} - set(ran)
     pool.submit(act)
     wait(lambda: len(ran) == 2)
     assert {ran[1]} == spare

@@ -143,7 +143,7 @@ def read(report: Path) -> tuple[Counter[str], Counter[str]]:
     if report.exists():
         for case in ET.parse(report).getroot().iter("testcase"):
             skipped = case.find("skipped")
-            ended = {one.tag for one in case} & {"failure", "error"}
+            ended = {element.tag for element in case} & {"failure", "error"}
             if skipped is not None:
                 # Of a whole module, the text alone has the reason: (file, line, 'Skipped: ...').
                 whole = skipped.get("message") == "collection skipped"
@@ -156,15 +156,16 @@ def read(report: Path) -> tuple[Counter[str], Counter[str]]:
 def table(outcomes: Sequence[Outcome]) -> Iterator[str]:
     """The lines of the closing table."""
     yield f"{'tier':<10}{'':<10}{'passed':>8}{'failed':>8}{'skipped':>8}{'seconds':>9}"
-    for one in outcomes:
-        ran = sum(one.counts.values())
-        said = "FAILED" if one.failed else "ok" if ran else "not run"
-        numbers = "".join(f"{one.counts[name]:>8}" for name in ("passed", "failed", "skipped"))
-        yield f"{one.tier.name:<10}{said:<10}{numbers}{one.seconds:>9.0f}  {one.tier.what}"
-    for one in outcomes:
-        for reason, count in sorted(one.reasons.items()):
-            times = f" ({count} tests)" if one.counts else ""
-            yield f"  not run of {one.tier.name}{times}: {reason}"
+    for outcome in outcomes:
+        ran = sum(outcome.counts.values())
+        said = "FAILED" if outcome.failed else "ok" if ran else "not run"
+        numbers = "".join(f"{outcome.counts[name]:>8}" for name in ("passed", "failed", "skipped"))
+        seconds = f"{outcome.seconds:>9.0f}"
+        yield f"{outcome.tier.name:<10}{said:<10}{numbers}{seconds}  {outcome.tier.what}"
+    for outcome in outcomes:
+        for reason, count in sorted(outcome.reasons.items()):
+            times = f" ({count} tests)" if outcome.counts else ""
+            yield f"  not run of {outcome.tier.name}{times}: {reason}"
 
 
 def install() -> int:
@@ -201,7 +202,7 @@ def main(arguments: Sequence[str]) -> int:
     names = {name for given in arguments for name in NAMES[given]} or BY_DEFAULT
     outcomes = [run(tier) for tier in TIERS if tier.name in names]
     print("\n== what was run\n", *table(outcomes), sep="\n", flush=True)
-    return int(any(one.failed for one in outcomes))
+    return int(any(outcome.failed for outcome in outcomes))
 
 
 if __name__ == "__main__":

@@ -40,12 +40,12 @@ def plugin_facts(registry: Registry) -> dict[str, dict[str, str]]:
         except Exception as error:  # noqa: BLE001 - a broken plugin may raise anything
             facts[f"check {point.name}"] = {"usable": f"no: {cause_of(error, point)}"}
             continue
-        for one in checks:
-            if one.name in facts:
-                cause = f"another plugin has a check or a bridge type {one.name!r}"
+        for check in checks:
+            if check.name in facts:
+                cause = f"another plugin has a check or a bridge type {check.name!r}"
                 facts[f"check {point.name}"] = {"usable": f"no: {cause}"}
             else:
-                facts[one.name] = _checked(one, point)
+                facts[check.name] = _checked(check, point)
     return facts
 
 

@@ -108,7 +108,7 @@ def near(value: object, allowed: Collection[object], speller: Speller) -> str:
     """Return which of the allowed words a misspelt one may have been."""
     if not isinstance(value, str):
         return ""
-    return speller.guess(value, [str(one) for one in allowed if one != value])
+    return speller.guess(value, [str(item) for item in allowed if item != value])
 
 
 def _expected(types: str | list[str]) -> str:
@@ -140,7 +140,7 @@ def choose(kind: type[E], name: E | str, what: str, error: type[UoarmError]) -> 
     try:
         return kind(name)
     except ValueError:
-        known = [str(one.value) for one in kind]
+        known = [str(item.value) for item in kind]
         hint = Speller().guess(str(name), known).replace('"', "'")
         text = f"{what} {name!r}: expected {any_of(known)}"
         raise error(f"{text}; {hint}" if hint else text) from None
@@ -148,5 +148,5 @@ def choose(kind: type[E], name: E | str, what: str, error: type[UoarmError]) -> 
 
 def any_of(allowed: Collection[object]) -> str:
     """Write a choice: `a, b or c`."""
-    words = [str(one) for one in allowed]
+    words = [str(item) for item in allowed]
     return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} or {words[-1]}"

@@ -172,20 +172,20 @@ def test_an_inner_step_that_hangs_is_the_one_that_is_named() -> None:
 def test_the_name_of_a_step_is_put_together_only_where_it_is_told(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    told: list[Endpoint] = []
+    reports: list[Endpoint] = []
 
     def tell(endpoint: Endpoint) -> str:
-        told.append(endpoint)
+        reports.append(endpoint)
         return "the camera"
 
     monkeypatch.setattr(Endpoint, "__str__", tell)
     bridge = Puppet()
     bridge.open_source(ENDPOINT, ANY, lambda _: None).close()
-    assert not told
+    assert not reports
     bridge.step = fail
     with pytest.raises(BridgeError, match="bridge 'b': opening the camera failed: ZeroDivision"):
         bridge.open_source(ENDPOINT, ANY, lambda _: None)
-    assert told == [ENDPOINT]
+    assert reports == [ENDPOINT]
 
 
 def test_inner_steps_share_the_outer_thread() -> None:
@@ -244,13 +244,13 @@ def test_a_plugin_that_states_no_contract_version_is_a_problem(
 def test_what_we_ship_states_its_contract_version_as_a_number(folder: str) -> None:
     """A version that is imported from the core would agree with any core."""
     stated = [
-        {one.arg: one.value for one in call.keywords}.get("contract")
+        {keyword.arg: keyword.value for keyword in call.keywords}.get("contract")
         for file in (ROOT / folder).rglob("src/**/*.py" if folder == "plugins" else "**/*.py")
         for call in ast.walk(ast.parse(file.read_text(encoding="utf-8")))
         if isinstance(call, ast.Call) and getattr(call.func, "id", "") == "BridgeType"
     ]
     assert stated
-    assert all(isinstance(one, ast.Constant) and one.value == 2 for one in stated)
+    assert all(isinstance(expr, ast.Constant) and expr.value == 2 for expr in stated)
 
 
 def test_a_missing_plugin_says_what_to_install() -> None:
@@ -407,16 +407,16 @@ def test_a_call_that_keeps_its_time_stays_in_the_thread_of_the_caller(component:
     bridge.cancel_call(7)
     with pytest.raises(BridgeError, match="cancelled before it began"):
         bridge.call(endpoint, "request", number=7)
-    told: list[str] = []
+    reports: list[str] = []
 
     def cancelled() -> str:
-        with bridge.cancelling(lambda: told.append("cancelled")):
+        with bridge.cancelling(lambda: reports.append("cancelled")):
             assert bridge.cancel_call(8)
         return "ended early"
 
     bridge.step = cancelled
     assert bridge.call(endpoint, "request", number=8) == "ended early"
-    assert told == ["cancelled"]
+    assert reports == ["cancelled"]
     bridge.step = lambda: None
     bridge.close()
     with pytest.raises(BridgeError, match="is closed"):
@@ -436,7 +436,9 @@ def test_what_is_quick_opens_and_closes_in_the_thread_of_the_caller(component: s
     threads: list[threading.Thread] = []
     bridge.step = bridge.closing = lambda: threads.append(threading.current_thread())
     bridge.open_source(endpoint, ANY, lambda _: None).close()
-    assert [one is threading.current_thread() for one in threads] == 2 * [component == "quick"]
+    assert [thread is threading.current_thread() for thread in threads] == 2 * [
+        component == "quick"
+    ]
     bridge.step = bridge.closing = fail
     with pytest.raises(BridgeError, match=r"opening .*native trouble"):
         bridge.open_source(endpoint, ANY, lambda _: None)

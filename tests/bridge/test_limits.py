@@ -44,7 +44,7 @@ LIMITS = st.builds(
 def passed(limit: FieldLimit, commands: list[Sent], begin: float) -> list[bool]:
     """Say of each command whether it passed; the stop is taken as soon as it is due."""
     state = CommandState(CommandPolicy(LIFETIME, StopMessage({"v": REST}), (limit,)), begin)
-    now, told = begin, []
+    now, reports = begin, []
     for command in commands:
         now += command.pause
         if state.is_due(now):
@@ -54,13 +54,13 @@ def passed(limit: FieldLimit, commands: list[Sent], begin: float) -> list[bool]:
         assert refused is None or refused.reason == "beyond-limits"
         if refused is None:
             state.sent(now)
-        told.append(refused is None)
-    return told
+        reports.append(refused is None)
+    return reports
 
 
 def may_pass(limit: FieldLimit, commands: list[Sent]) -> list[bool]:
     """Say the same by the words of the page, without the state."""
-    before, since, told = REST, math.inf, []
+    before, since, reports = REST, math.inf, []
     for command in commands:
         since += command.pause
         if since >= LIFETIME:
@@ -75,8 +75,8 @@ def may_pass(limit: FieldLimit, commands: list[Sent]) -> list[bool]:
         )
         if is_fit:
             before, since = value, 0.0
-        told.append(is_fit)
-    return told
+        reports.append(is_fit)
+    return reports
 
 
 @given(limit=LIMITS, commands=st.lists(SENT, max_size=12))

@@ -154,9 +154,9 @@ def test_where_sends_may_not_overlap_the_stop_follows_the_one_that_hung(base: Ba
     base.hang = threading.Event()
     sending = Background(lambda: sink.send(GO))
     wait(lambda: phase(sink) is CommandPhase.STOPPING)
-    told = sink.hold(0.01)
-    assert told is not None
-    assert told.phase is CommandPhase.STOPPING, "it says that it has not stopped"
+    report = sink.hold(0.01)
+    assert report is not None
+    assert report.phase is CommandPhase.STOPPING, "it says that it has not stopped"
     base.hang.set()
     sending.result()
     wait(lambda: stopped(sink))
@@ -165,9 +165,9 @@ def test_where_sends_may_not_overlap_the_stop_follows_the_one_that_hung(base: Ba
 
 def test_what_is_held_takes_no_command_until_it_is_released(base: Base) -> None:
     sink = base.open_sink(ENDPOINT, ANY)
-    told = sink.hold(patience())
-    assert told is not None
-    assert (told.phase, told.held) == (CommandPhase.STOPPED, True)
+    report = sink.hold(patience())
+    assert report is not None
+    assert (report.phase, report.held) == (CommandPhase.STOPPED, True)
     with pytest.raises(CommandRefusedError, match="emergency stop") as caught:
         sink.send(GO)
     assert caught.value.reason == "held"

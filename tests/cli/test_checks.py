@@ -41,15 +41,15 @@ def _without_its_package() -> dict[str, str]:
 def test_what_a_plugin_lacks_is_told_with_the_command_that_brings_it(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    (python,) = (one for one in entry_points(group="uoarm.bridges") if one.name == "python")
+    (python,) = (entry for entry in entry_points(group="uoarm.bridges") if entry.name == "python")
     registry = Registry([python])
     kind = evolve(registry.types["python"], doctor=_without_its_package)
     monkeypatch.setattr(registry, "_types", {"python": kind})
-    told = plugin_facts(registry)["python"]["usable"]
-    assert told.startswith(
+    text = plugin_facts(registry)["python"]["usable"]
+    assert text.startswith(
         "no: ModuleNotFoundError: No module named 'no_such_module': `pip install"
     )
-    assert told.endswith("` brings what it needs")
+    assert text.endswith("` brings what it needs")
 
 
 def test_their_findings_are_shown_and_failures_named(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -33,8 +33,8 @@ def completed(monkeypatch: pytest.MonkeyPatch, line: str) -> list[str]:
     monkeypatch.setenv("_UOARM_COMPLETE", "bash_complete")
     monkeypatch.setenv("COMP_WORDS", line)
     monkeypatch.setenv("COMP_CWORD", str(len(words) - 1))
-    told = CliRunner().invoke(main, prog_name="uoarm").output
-    return [found.partition(",")[2] for found in told.split()]
+    text = CliRunner().invoke(main, prog_name="uoarm").output
+    return [found.partition(",")[2] for found in text.split()]
 
 
 @pytest.mark.parametrize("command", ["request", "resolve"])

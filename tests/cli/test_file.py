@@ -59,13 +59,13 @@ def file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     folder.mkdir()
     (folder / "file_greeting.py").write_text(COMPONENTS, encoding="utf-8")
     (folder / "lab.yaml").write_text(ROBOT, encoding="utf-8")
-    points = [one for one in entry_points(group="uoarm.bridges") if one.name == "python"]
+    points = [entry for entry in entry_points(group="uoarm.bridges") if entry.name == "python"]
     monkeypatch.setattr(_discover, "Registry", lambda: Registry(points))  # no other frameworks
     return Path("elsewhere/lab.yaml")
 
 
 def run(*arguments: str | Path, env: dict[str, str] | None = None) -> Result:
-    return CliRunner().invoke(main, [str(one) for one in arguments], env=env)
+    return CliRunner().invoke(main, [str(argument) for argument in arguments], env=env)
 
 
 def test_every_command_that_reads_a_configuration_is_among_them() -> None:
@@ -84,8 +84,8 @@ def test_each_way_of_naming_it_does_the_same(file: Path, name: str) -> None:
         run(name, *words, *more, env={"UOARM_CONFIG": str(file)}),
         run(name, *words, file, *more, env={"UOARM_CONFIG": "other.yaml"}),
     ]
-    exits = [(one.exit_code, one.stdout) for one in ways]
-    assert exits == [exits[0]] * len(ways), [one.output for one in ways]
+    exits = [(way.exit_code, way.stdout) for way in ways]
+    assert exits == [exits[0]] * len(ways), [way.output for way in ways]
     assert exits[0][0] == 0, ways[0].output
 
 

@@ -24,19 +24,21 @@ def contexts(
 
 
 ALL = list(contexts(main))
-GROUPS = [one for one in ALL if isinstance(one.command, click.Group)]
+GROUPS = [item for item in ALL if isinstance(item.command, click.Group)]
 
 
-@pytest.mark.parametrize("context", GROUPS, ids=lambda one: str(one.command_path))
+@pytest.mark.parametrize("context", GROUPS, ids=lambda item: str(item.command_path))
 def test_the_list_of_commands_cuts_no_sentence(context: click.Context) -> None:
     group = context.command
     assert isinstance(group, click.Group)
     room = _WIDTH - _BESIDE - max(map(len, group.commands))
-    shown = {name: one.get_short_help_str(room) for name, one in group.commands.items()}
+    shown = {name: command.get_short_help_str(room) for name, command in group.commands.items()}
     assert {name: text for name, text in shown.items() if not text or text.endswith("...")} == {}
 
 
-@pytest.mark.parametrize("context", ALL, ids=lambda one: str(one.command_path))
+@pytest.mark.parametrize("context", ALL, ids=lambda item: str(item.command_path))
 def test_every_option_says_what_it_is_for(context: click.Context) -> None:
-    options = [one for one in context.command.params if isinstance(one, click.Option)]
-    assert [one.opts for one in options if not one.help] == []
+    options = [
+        parameter for parameter in context.command.params if isinstance(parameter, click.Option)
+    ]
+    assert [option.opts for option in options if not option.help] == []

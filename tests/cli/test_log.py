@@ -57,7 +57,7 @@ def file(tmp_path: Path, request: pytest.FixtureRequest) -> Path:
 
 
 def run(*arguments: str | Path, env: dict[str, str] | None = None) -> Result:
-    return CliRunner().invoke(main, [str(one) for one in arguments], env=env)
+    return CliRunner().invoke(main, [str(argument) for argument in arguments], env=env)
 
 
 def in_process(*arguments: str | Path, **more: str) -> subprocess.CompletedProcess[str]:
@@ -75,9 +75,9 @@ def records(stderr: str) -> list[tuple[str, str]]:
     return [found.groups() for found in map(RECORD.match, stderr.splitlines()) if found]  # type: ignore[misc]
 
 
-@pytest.mark.parametrize("command", [main, *everything(main)], ids=lambda one: str(one.name))
+@pytest.mark.parametrize("command", [main, *everything(main)], ids=lambda item: str(item.name))
 def test_every_command_has_the_options(command: click.Command) -> None:
-    options = {name for one in command.params for name in one.opts}
+    options = {name for parameter in command.params for name in parameter.opts}
     assert {"--log-level", "--log-format"} <= options
 
 
@@ -160,7 +160,7 @@ def made(text: str, *arguments: object) -> logging.LogRecord:
 FORMATTERS = [TextFormatter(), JsonFormatter(), HostFormatter()]
 
 
-@pytest.mark.parametrize("formatter", FORMATTERS, ids=lambda one: type(one).__name__)
+@pytest.mark.parametrize("formatter", FORMATTERS, ids=lambda item: type(item).__name__)
 @pytest.mark.parametrize(
     "text",
     [
@@ -178,7 +178,7 @@ def test_no_secret_is_written(formatter: logging.Formatter, text: str) -> None:
     assert "***" in line
 
 
-@pytest.mark.parametrize("formatter", FORMATTERS, ids=lambda one: type(one).__name__)
+@pytest.mark.parametrize("formatter", FORMATTERS, ids=lambda item: type(item).__name__)
 @pytest.mark.parametrize("forged", ["\n", "\r", "\r\n", "\x1b[2J", "\u2028", "\x85"])
 def test_no_text_can_pass_for_a_record(formatter: logging.Formatter, forged: str) -> None:
     line = formatter.format(made(f"x{forged}2026-01-01T00:00:00.000Z ERROR uoarm: stopped"))

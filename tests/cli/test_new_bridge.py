@@ -18,9 +18,9 @@ def make(name: str, into: Path) -> tuple[int, str]:
 
 
 def test_the_generated_bridge_passes_the_kit(tmp_path: Path) -> None:
-    code, told = make("my_bus", tmp_path)
+    code, text = make("my_bus", tmp_path)
     assert code == 0
-    assert "pytest" in told
+    assert "pytest" in text
     project = tmp_path / "uoarm-my-bus"
     assert "example" not in (project / "pyproject.toml").read_text().lower()
     done = subprocess.run(
@@ -36,11 +36,11 @@ def test_the_generated_bridge_passes_the_kit(tmp_path: Path) -> None:
 
 
 def test_a_bad_name_and_a_folder_that_is_there_are_refused(tmp_path: Path) -> None:
-    code, told = make("My-Bus", tmp_path)
+    code, text = make("My-Bus", tmp_path)
     assert code == 2
-    assert "small letters" in told
+    assert "small letters" in text
     (tmp_path / "uoarm-bus").mkdir()
-    code, told = make("bus", tmp_path)
+    code, text = make("bus", tmp_path)
     assert code == 1
-    assert "is there already" in told
+    assert "is there already" in text
     assert not list((tmp_path / "uoarm-bus").iterdir())

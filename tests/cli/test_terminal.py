@@ -93,8 +93,8 @@ def test_every_message_of_a_flood_is_shown_or_counted(folder: Path) -> None:
     shown = len(messages(seen.text))
     assert shown
     last = " ".join(seen.last.split())
-    [told] = re.findall(r"([\d,]+) messages(?:, ([\d,]+) of them not shown)?", last)
-    received, hidden = (int(one.replace(",", "") or 0) for one in told)
+    [report] = re.findall(r"([\d,]+) messages(?:, ([\d,]+) of them not shown)?", last)
+    received, hidden = (int(item.replace(",", "") or 0) for item in report)
     assert received == shown + hidden
 
 
@@ -120,9 +120,9 @@ def test_on_a_narrow_terminal_flows_are_told_in_full_in_lines(folder: Path, widt
     assert seen.code == 0, seen.text
     [*_, flows] = seen.text.rpartition("counter.default")
     assert max(map(len, f"counter.default{flows}".splitlines())) <= width
-    told = " ".join(flows.split())
-    assert told.startswith("-> doubler.default received 3, delivered 3"), told
-    assert told.endswith("3 messages"), told
+    text = " ".join(flows.split())
+    assert text.startswith("-> doubler.default received 3, delivered 3"), text
+    assert text.endswith("3 messages"), text
     assert "…" not in seen.text
 
 
@@ -132,8 +132,8 @@ def test_on_a_narrow_terminal_what_goes_on_stands_below(folder: Path) -> None:
     assert seen.code == 1, seen.text
     assert max(map(len, seen.text.splitlines())) <= 40
     assert "available\n" in seen.text
-    [*_, told] = seen.text.partition("\n       0  long  (python)")
-    assert told, seen.text
-    _, *rest = told.splitlines()[:3]
-    assert all(line.startswith(" " * 9) for line in rest), told
-    assert "there is no module 'nothing_of_this_name'" in " ".join(told.split())
+    [*_, text] = seen.text.partition("\n       0  long  (python)")
+    assert text, seen.text
+    _, *rest = text.splitlines()[:3]
+    assert all(line.startswith(" " * 9) for line in rest), text
+    assert "there is no module 'nothing_of_this_name'" in " ".join(text.split())

@@ -36,7 +36,7 @@ functions: {f: {components: [{name: c, bridge: a, output: {endpoint: [c]}}]}}
 
 def islands(*bridges: str) -> dict[str, object]:
     """Return what each bridge has after the assignment, by name."""
-    text = "version: 1\nbridges:\n" + "".join(f"  {one}\n" for one in bridges) + FUNCTIONS
+    text = "version: 1\nbridges:\n" + "".join(f"  {bridge}\n" for bridge in bridges) + FUNCTIONS
     robot = assign(loads(text, types=TYPES), TYPES)
     return {name: spec.options.get("island") for name, spec in robot.bridges.items()}
 
@@ -97,12 +97,13 @@ def test_installations_without_a_written_number_never_meet(
     }
     robot = assign(Robot(specs, {}), TYPES)
     assert robot == assign(Robot(specs, {}), TYPES)
-    for one in robot.bridges.values():
-        if one.assigned:
+    for bridge in robot.bridges.values():
+        if bridge.assigned:
             rivals = [
                 other
                 for other in robot.bridges.values()
-                if other.host != one.host and other.options.get("island") == one.options["island"]
+                if other.host != bridge.host
+                and other.options.get("island") == bridge.options["island"]
             ]
             assert not rivals
 
@@ -116,7 +117,7 @@ def test_equal_numbers_of_two_installations_are_a_warning_with_its_place(tmp_pat
         f"  c: {{plugin: isles, {HUMBLE}, options: {{island: 7}}}}\n" + FUNCTIONS
     )
     report = inspect(file, TYPES)
-    (warning,) = [one for one in report.warnings if "same" in one.sentence]
+    (warning,) = [problem for problem in report.warnings if "same" in problem.sentence]
     assert (warning.place.line, warning.path) == (4, "$.bridges.b.options.island")
     assert "bridge a has the same island 7" in warning.sentence
 
@@ -143,8 +144,8 @@ def test_commands_show_what_was_chosen(
     registry = Registry()
     registry.add(KIND)
     monkeypatch.setattr("uoarm.cli._main.Registry", lambda: registry)
-    told = CliRunner().invoke(main, [command, "-f", str(file)], catch_exceptions=False).output
-    assert "b.island" in told
-    assert "65" in told
-    told = CliRunner().invoke(main, [command, "-f", str(file), "--json"]).output
-    assert {"a.island": "64", "b.island": "65"} in json.loads(told).values()
+    message = CliRunner().invoke(main, [command, "-f", str(file)], catch_exceptions=False).output
+    assert "b.island" in message
+    assert "65" in message
+    message = CliRunner().invoke(main, [command, "-f", str(file), "--json"]).output
+    assert {"a.island": "64", "b.island": "65"} in json.loads(message).values()

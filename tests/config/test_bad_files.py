@@ -458,14 +458,17 @@ def test_a_mistake_is_told_at_its_place(bad: Bad, tmp_path: Path) -> None:
     path.write_text(bad.text, encoding="utf-8")
     report = inspect(path)
     assert report.robot is None
-    found = [(one.place.line, one.place.column, one.path) for one in report.problems]
+    found = [
+        (problem.place.line, problem.place.column, problem.path) for problem in report.problems
+    ]
     assert (bad.line, bad.column, bad.path) in found, "\n".join(map(str, report.problems))
     assert any(
-        bad.says in written(one)
-        for one in report.problems
-        if (one.place.line, one.place.column, one.path) == (bad.line, bad.column, bad.path)
+        bad.says in written(problem)
+        for problem in report.problems
+        if (problem.place.line, problem.place.column, problem.path)
+        == (bad.line, bad.column, bad.path)
     ), "\n".join(map(str, report.problems))
-    assert all(one.file == str(path) for one in report.problems)
+    assert all(problem.file == str(path) for problem in report.problems)
 
 
 @pytest.mark.parametrize(
@@ -475,6 +478,6 @@ def test_one_mistake_gives_one_problem_unless_it_breaks_the_frame(bad: Bad, tmp_
     path = tmp_path / "robot.yaml"
     path.write_text(bad.text, encoding="utf-8")
     problems = inspect(path).problems
-    missing = [one for one in problems if "is missing" in one.sentence]
-    others = [one for one in problems if one not in missing]
+    missing = [problem for problem in problems if "is missing" in problem.sentence]
+    others = [problem for problem in problems if problem not in missing]
     assert len(others) <= 1 or "the name" in bad.says, "\n".join(map(str, problems))

@@ -14,14 +14,14 @@ NEEDS = st.dictionaries(
     st.sampled_from(NAMES),
     st.lists(st.frozensets(st.sampled_from(NAMES), max_size=3), min_size=1, max_size=3),
     min_size=1,
-).map(lambda needs: {one: [w & needs.keys() for w in ws] for one, ws in needs.items()})
+).map(lambda needs: {name: [w & needs.keys() for w in ws] for name, ws in needs.items()})
 
 
 def grounded(needs: Needs) -> set[str]:
     """Which functions can be grounded, by asking again until nothing changes."""
     found: set[str] = set()
     while True:
-        more = {one for one, ws in needs.items() if any(wanted <= found for wanted in ws)}
+        more = {name for name, ws in needs.items() if any(wanted <= found for wanted in ws)}
         if more == found:
             return found
         found = more
@@ -57,15 +57,15 @@ def test_every_cycle_told_is_a_cycle(needs: Needs) -> None:
     for cycle in [*unavoidable_cycles(needs), *avoidable_cycles(needs)]:
         assert cycle[0] == cycle[-1]
         assert len(set(cycle)) == len(cycle) - 1
-        for one, other in pairwise(cycle):
-            assert other in set().union(*needs[one])
+        for name, other in pairwise(cycle):
+            assert other in set().union(*needs[name])
 
 
 @given(NEEDS)
 def test_avoidable_cycles_are_told_where_grounded_functions_reach_themselves(needs: Needs) -> None:
     good = grounded(needs)
-    among = {one: [w & good for w in ws] for one, ws in needs.items() if one in good}
-    assert bool(avoidable_cycles(needs)) == any(reaches(among, one, one) for one in among)
+    among = {name: [w & good for w in ws] for name, ws in needs.items() if name in good}
+    assert bool(avoidable_cycles(needs)) == any(reaches(among, name, name) for name in among)
 
 
 def test_each_independent_knot_is_told_once() -> None:

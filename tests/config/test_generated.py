@@ -57,11 +57,15 @@ def test_every_generated_configuration_is_read_whole(configuration: dict[str, ob
         written = function["components"][0]
         component = robot.functions[name].components[0]
         assert component.priority == written["priority"]
-        assert {one.name: list(one.endpoint.address) for one in component.outputs} == {
-            port: one["endpoint"] for port, one in written["outputs"].items()
+        assert {output.name: list(output.endpoint.address) for output in component.outputs} == {
+            port: output["endpoint"] for port, output in written["outputs"].items()
         }
-        assert {one.name: str(one.source) for one in component.inputs if one.source} == {
-            port: one["from"] for port, one in written.get("inputs", {}).items() if "from" in one
+        assert {
+            input_.name: str(input_.source) for input_ in component.inputs if input_.source
+        } == {
+            port: input_["from"]
+            for port, input_ in written.get("inputs", {}).items()
+            if "from" in input_
         }
 
 

@@ -52,7 +52,7 @@ def test_a_machine_is_read(tmp_path: Path) -> None:
 def test_mistakes_are_told(tmp_path: Path, host: str, hosts: str, says: str) -> None:
     report = inspect(_write(tmp_path, host, hosts))
     assert report.robot is None
-    assert [says in str(one) for one in report.problems].count(True) == 1
+    assert [says in str(problem) for problem in report.problems].count(True) == 1
 
 
 @pytest.mark.parametrize(

@@ -45,16 +45,17 @@ def part(name: str, bridge: str = "arm", priority: int = 0) -> str:
 
 
 def robot(**functions: list[str]) -> str:
-    told = "".join(
-        f"  {name}:\n    components:\n" + "".join(f"    - {one}\n" for one in components)
+    text = "".join(
+        f"  {name}:\n    components:\n"
+        + "".join(f"    - {component}\n" for component in components)
         for name, components in functions.items()
     )
     bridges = "bridges: {arm: {plugin: memory}, head: {plugin: memory}}"
-    return f"version: 1\n{bridges}\nfunctions:\n{told}"
+    return f"version: 1\n{bridges}\nfunctions:\n{text}"
 
 
 def without_comments(text: str) -> str:
-    return "\n".join(one.partition("#")[0].rstrip() for one in text.splitlines())
+    return "\n".join(line.partition("#")[0].rstrip() for line in text.splitlines())
 
 
 LIKE_FILE = {"camera": [part("best", "head", 2), part("spare")], "lamp": [part("light")]}
@@ -103,7 +104,7 @@ FUNCTIONS = st.dictionaries(
 def made_of(functions: dict[str, tuple[list[str], int]]) -> str:
     return robot(
         **{
-            name: [part(f"{name}_{one}", priority=priority) for one in names]
+            name: [part(f"{name}_{text}", priority=priority) for text in names]
             for name, (names, priority) in functions.items()
         }
     )

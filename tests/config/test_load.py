@@ -83,7 +83,7 @@ def test_everything_that_can_be_written_arrives_in_the_model() -> None:
 
     camera = robot.functions["camera"]
     assert camera.description == "pictures"
-    assert [one.name for one in camera.components] == ["high", "low", "also_low"]
+    assert [component.name for component in camera.components] == ["high", "low", "also_low"]
     assert camera.components[0] == Component(
         "high",
         "camera",
@@ -133,7 +133,7 @@ def test_everything_that_can_be_written_arrives_in_the_model() -> None:
 
 def test_whole_numbers_are_integers_however_they_are_written() -> None:
     robot = loads(FULL)
-    priorities = [one.priority for one in robot.functions["camera"].components]
+    priorities = [component.priority for component in robot.functions["camera"].components]
     queue = robot.functions["face"].components[0].inputs[0].queue
     assert queue is not None
     assert {type(number) for number in [*priorities, queue.length]} == {int}
@@ -157,7 +157,7 @@ class TestWarnings:
         report = inspect(path)
         assert report.robot is not None
         assert report.robot.warnings == tuple(map(str, report.warnings))
-        return [(one.place.line, one.sentence) for one in report.warnings]
+        return [(warning.place.line, warning.sentence) for warning in report.warnings]
 
     def test_unused_bridges(self, tmp_path: Path) -> None:
         text = "version: 1\nbridges:\n  p: {}\n  q: {}\nfunctions: {}\n"

@@ -44,7 +44,7 @@ def out(address: str) -> str:
 
 def warned(*parts: str) -> list[str]:
     robot = loads(HEAD + "functions:\n" + "".join(parts), types={"bus": BUS})
-    return [one for one in robot.warnings if "without end" in one]
+    return [warning for warning in robot.warnings if "without end" in warning]
 
 
 def test_a_component_that_sends_where_it_listens() -> None:
@@ -98,4 +98,4 @@ def test_two_bridges_of_one_network_make_a_loop() -> None:
     head = HEAD.replace(", options: {n: 1}", "")
     parts = component("here", out("/a")), component("there", into("/a", "here"), bridge="other")
     robot = loads(head + "functions:\n" + "".join(parts), types={"bus": BUS})
-    assert any("/a -> /a" in one for one in robot.warnings)
+    assert any("/a -> /a" in warning for warning in robot.warnings)

@@ -41,6 +41,6 @@ def test_the_mistakes_on_the_page_read_as_they_are_reported(tmp_path: Path) -> N
     path = tmp_path / "robot.yaml"
     wrong = EXAMPLE.replace("priority: 20", "prioritty: 20").replace("from: camera", "from: camra")
     path.write_text(wrong, encoding="utf-8")
-    told = [str(one).replace(str(path), "robot.yaml") for one in inspect(path).problems]
-    assert len(told) == 2
-    assert all(line in PAGE for line in told), "\n".join(told)
+    reports = [str(problem).replace(str(path), "robot.yaml") for problem in inspect(path).problems]
+    assert len(reports) == 2
+    assert all(line in PAGE for line in reports), "\n".join(reports)

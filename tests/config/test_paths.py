@@ -122,7 +122,9 @@ def test_a_schema_says_which_options_are_paths(
     robot = load(tmp_path / "robot.yaml", registry.types)
     registry.create(robot.bridges["lab"]).close()
     inside = str(tmp_path.resolve())
-    expected = [one.replace("IN", inside) for one in expected] if files[0] == "[" else f"{inside}/a"
+    expected = (
+        [text.replace("IN", inside) for text in expected] if files[0] == "[" else f"{inside}/a"
+    )
     assert given[0] == {
         "file": f"{inside}/a/b",
         "url": f"{inside}/./tty".replace("/./", "/"),

@@ -70,7 +70,10 @@ def suggested(functions: str) -> dict[str, Component]:
     with RobotManager(robot) as manager:
         text = suggest(robot, manager.discover(), configured=robot.bridges)
     text = text[text.index("functions:") :]
-    return {one.name: one for one in told(HEAD.replace("functions:\n", text)).components()}
+    return {
+        component.name: component
+        for component in told(HEAD.replace("functions:\n", text)).components()
+    }
 
 
 def test_parameters_that_discovery_states_are_suggested() -> None:

@@ -20,7 +20,10 @@ CHANGED = {
 }
 BARE = {
     plans.text: plans
-    for plans in (*PLANS.values(), *(one for each in CHANGED.values() for one in each.values()))
+    for plans in (
+        *PLANS.values(),
+        *(item for changed in CHANGED.values() for item in changed.values()),
+    )
 }
 SEEN = {text: Plans(discovered(text)) for text in BARE}
 UNSEEN = {plans.text: BARE[text] for text, plans in SEEN.items()}
@@ -50,13 +53,13 @@ def moves(
             yield "configure back", partial(_configure, plans=world.first)
     if candidates and not world.state.configurers:
         if world.plans.text in SEEN:
-            yield "see", lambda one: one.discover(SEEN[one.plans.text])
-        elif "eye" not in {one.name for one in world.state.components.values()}:
-            yield "unsee", lambda one: one.discover(UNSEEN[one.plans.text])
-    made = sum(one.startswith("request") for one in world.asked)
+            yield "see", lambda item: item.discover(SEEN[item.plans.text])
+        elif "eye" not in {component.name for component in world.state.components.values()}:
+            yield "unsee", lambda item: item.discover(UNSEEN[item.plans.text])
+    made = sum(word.startswith("request") for word in world.asked)
     if made < requests:
         asked, function = f"c{made + 1}", FUNCTIONS[made % len(FUNCTIONS)]
-        yield f"request {asked}", lambda one: one.request(asked, function)
+        yield f"request {asked}", lambda item: item.request(asked, function)
     for identity in world.state.connections:
         yield f"kill {identity}", lambda one, i=identity: one.kill(i)  # type: ignore[misc]
     for name in world.state.bridges:
@@ -68,7 +71,7 @@ def moves(
     if made == requests and "stop" not in world.asked:
         yield "stop", World.stop
     if world.wake_at is not None:
-        yield "time", lambda one: one.pass_time(0.2)
+        yield "time", lambda item: item.pass_time(0.2)
 
 
 def _configure(world: World, plans: Plans) -> None:
@@ -84,18 +87,18 @@ def explore(first: World, depth: int, most: int, *, candidates: bool = False) ->
         following = []
         for world, path in layer:
             for name, move in moves(world, candidates=candidates):
-                after, told = world.copy(), (*path, name)
-                with saying(told):
+                after, reports = world.copy(), (*path, name)
+                with saying(reports):
                     move(after)
                 key = after.key()
                 if key in seen:
                     continue
                 seen.add(key)
-                with saying(told):
+                with saying(reports):
                     at_rest = after.copy()
                     at_rest.settle()
                     at_rest.check_at_rest()
-                following.append((after, told))
+                following.append((after, reports))
                 if len(seen) >= most:
                     return len(seen)
         layer = following
@@ -129,7 +132,10 @@ def test_whatever_the_order_a_change_of_configuration_ends_well(
     first.request("c2", "camera")
     for _ in range(8):  # one runs, the other is on its way
         first.do(next(iter(first.lanes)))
-        if any(one.state is ConnectionState.RUNNING for one in first.state.connections.values()):
+        if any(
+            connection.state is ConnectionState.RUNNING
+            for connection in first.state.connections.values()
+        ):
             break
     first.configure(CHANGED[change][PLANS[robot].text])
     assert explore(first, depth=12, most=250) == 250
@@ -175,7 +181,7 @@ class Walk(RuleBasedStateMachine):
     def move(self, trouble: int, choice: int) -> None:
         """Mostly, let what waits end well: else no walk gets far enough for a takeover."""
         there = list(moves(self.world, requests=12, changes=6, candidates=True))
-        well = [one for one in there if one[0].startswith("do ")]
+        well = [pair for pair in there if pair[0].startswith("do ")]
         chosen = well if well and trouble < 7 else there
         if chosen:
             name, make = chosen[choice % len(chosen)]
@@ -194,19 +200,19 @@ TestWalk.settings = settings(stateful_step_count=60, max_examples=40)
 
 def running(world: World) -> list[object]:
     """Return what the connections of a world have open, whatever numbers its parts have."""
-    names = {number: one.name for number, one in world.state.components.items()}
-    told: list[object] = []
+    names = {number: component.name for number, component in world.state.components.items()}
+    reports: list[object] = []
     for record in world.state.connections.values():
         placed = record.placement
         edges = [world.state.edges[number] for number in placed.edges]
-        told.append(
+        reports.append(
             (
                 str(record.wanted),
                 sorted(names[number] for number in placed.components.values()),
-                sorted((one.key, names[one.producer], str(one.edge)) for one in edges),
+                sorted((edge.key, names[edge.producer], str(edge.edge)) for edge in edges),
             )
         )
-    return told
+    return reports
 
 
 class Changes(RuleBasedStateMachine):

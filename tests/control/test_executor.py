@@ -39,20 +39,20 @@ def stage() -> Iterator[Stage]:
 
 def test_who_listens_to_nothing_pays_for_no_thread_and_hears_what_comes_later() -> None:
     def threads() -> int:
-        return sum(one.name == "uoarm-events" for one in threading.enumerate())
+        return sum(thread.name == "uoarm-events" for thread in threading.enumerate())
 
     before = threads()
     stage = Stage()
     with stage.robot as robot:
         robot.request("camera").kill()
         assert threads() == before
-        told: list[StatusEvent] = []
-        robot.listen(told.append)
+        reports: list[StatusEvent] = []
+        robot.listen(reports.append)
         assert threads() == before + 1
         robot.request("camera")
-        wait(lambda: len(told) == 2)
-    assert [one.change for one in told[:2]] == ["opening", "running"]
-    assert told[0].number > 2
+        wait(lambda: len(reports) == 2)
+    assert [report.change for report in reports[:2]] == ["opening", "running"]
+    assert reports[0].number > 2
     assert threads() == before
 
 

@@ -54,8 +54,10 @@ class Model:
 
     def check(self) -> None:
         assert self.lease.holder(self.now) == self.holder()
-        for one in (ALICE, BOB, SAFETY, GUEST):
-            assert self.lease.passes(one, self.now) is (self.holder() in {None, one})
+        for lease_holder in (ALICE, BOB, SAFETY, GUEST):
+            assert self.lease.passes(lease_holder, self.now) is (
+                self.holder() in {None, lease_holder}
+            )
         status = self.lease.status(self.now)
         assert status.holder == self.holder()
         assert 0 <= status.left <= DURATION
@@ -70,8 +72,14 @@ def passes(seconds: float) -> Callable[[Model], object]:
 
 
 STEPS: dict[str, Callable[[Model], object]] = {
-    **{f"{one} sends": asks(one, take_over=False) for one in (ALICE, BOB, SAFETY, GUEST)},
-    **{f"{one} takes over": asks(one, take_over=True) for one in (ALICE, BOB, SAFETY, GUEST)},
+    **{
+        f"{lease_holder} sends": asks(lease_holder, take_over=False)
+        for lease_holder in (ALICE, BOB, SAFETY, GUEST)
+    },
+    **{
+        f"{lease_holder} takes over": asks(lease_holder, take_over=True)
+        for lease_holder in (ALICE, BOB, SAFETY, GUEST)
+    },
     "alice leaves": lambda model: model.give_back(ALICE),
     "safety leaves": lambda model: model.give_back(SAFETY),
     "time passes": passes(DURATION / 2),
@@ -91,8 +99,8 @@ def test_every_order_of_four_steps_has_the_holder_that_it_should() -> None:
 
 
 def test_of_two_that_ask_at_once_one_has_it_and_the_other_is_told_who() -> None:
-    told: list[str] = []
-    lease = InputLease(POLICY, "base.default", told.append, clock=lambda: 0.0)
+    reports: list[str] = []
+    lease = InputLease(POLICY, "base.default", reports.append, clock=lambda: 0.0)
     at_once, refused = threading.Barrier(8), []
 
     def ask(sender: LeaseHolder) -> None:
@@ -108,7 +116,7 @@ def test_of_two_that_ask_at_once_one_has_it_and_the_other_is_told_who() -> None:
     for thread in threads:
         thread.join(patience())
     holder = lease.status().holder
-    assert told == [f"base.default: {holder} holds its lease"]
+    assert reports == [f"base.default: {holder} holds its lease"]
     text = f"base.default: {holder} holds its lease, for another 1.000 s without a command"
     assert refused == [("leased", f"{text} of its own")] * 7
 

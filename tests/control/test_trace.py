@@ -30,7 +30,7 @@ from uoarm.client import ServerError
 from uoarm.config import loads
 from uoarm.errors import BridgeError, CommandRefusedError, FailureReason, UoarmError
 from uoarm.model import ConnectionState, FailoverPolicy, Health, Plan
-from uoarm.server.access._request_head import RefusedError
+from uoarm.server.access._request_head import RefusedError, WrongTokenError
 from uoarm.testing import MemoryBridge, wait
 
 NUMBER = {"type": "integer"}
@@ -67,7 +67,7 @@ def played(
         camera.kill()
         two.die("finder", "it fell")
         wait(lambda: face.ended)
-    lines = [one.getMessage() for one in caplog.records if one.name == "uoarm.control"]
+    lines = [record.getMessage() for record in caplog.records if record.name == "uoarm.control"]
     return begun[0], done, lines
 
 
@@ -76,7 +76,7 @@ def test_a_log_of_events_replays_to_the_same_actions(
 ) -> None:
     state, done, lines = played
     plans = Plans(ROBOT)
-    every = {one.name for one in plans.robot.components()}
+    every = {component.name for component in plans.robot.components()}
 
     def find_plan(function: str, components: tuple[str, ...]) -> Plan:
         return plans(function, frozenset(every - {*components, "finder"}))
@@ -95,6 +95,7 @@ MADE: Mapping[type[UoarmError], Callable[[str], UoarmError]] = {
     CommandRefusedError: lambda text: CommandRefusedError(text, "leased"),
     ServerError: lambda text: ServerError("busy", text),
     RefusedError: lambda text: RefusedError(HTTPStatus.NOT_FOUND, text),
+    WrongTokenError: lambda text: WrongTokenError(HTTPStatus.FORBIDDEN, text),
 }
 
 
@@ -104,15 +105,15 @@ def _every_error() -> list[type[UoarmError]]:
         if re.search(r"^class \w+Error\(", path.read_text(encoding="utf-8"), re.MULTILINE):
             importlib.import_module(".".join(path.relative_to(source).with_suffix("").parts))
     found: list[type[UoarmError]] = [UoarmError]
-    for one in found:
-        found += one.__subclasses__()
-    own = [one for one in found if one.__module__.split(".")[0] == "uoarm"]
-    return sorted(own, key=lambda one: one.__name__)
+    for class_ in found:
+        found += class_.__subclasses__()
+    own = [class_ for class_ in found if class_.__module__.split(".")[0] == "uoarm"]
+    return sorted(own, key=lambda item: item.__name__)
 
 
 @pytest.mark.parametrize("kind", _every_error(), ids=lambda kind: kind.__name__)
 def test_every_error_is_read_back_as_itself(kind: type[UoarmError]) -> None:
-    assert [one.__name__ for one in _every_error()].count(kind.__name__) == 1
+    assert [class_.__name__ for class_ in _every_error()].count(kind.__name__) == 1
     error = MADE.get(kind, kind)("it is 'hot'\nand \"wet\"")
     _assert_same(error, ev.Resolved("c1", None, error))
     _assert_same(error, ev.Opened(1, (), error))
@@ -181,7 +182,7 @@ def test_what_is_discovered_is_in_the_log_and_replays(
         wait(lambda: len(robot.config.functions["camera"].components) == 2)
         one.die("first", "it was unplugged")
         wait(lambda: camera.gaps)
-    lines = [each.getMessage() for each in caplog.records if each.name == "uoarm.control"]
+    lines = [record.getMessage() for record in caplog.records if record.name == "uoarm.control"]
     state = begun[0]
     events = []
     for line, actions in zip(lines, done, strict=True):
@@ -189,7 +190,7 @@ def test_what_is_discovered_is_in_the_log_and_replays(
         events.append(event)
         state, again = step(state, event, now)
         assert list(map(repr, again)) == list(map(repr, actions)), line
-    seen = [each for each in events if isinstance(each, ev.CandidatesChanged)]
+    seen = [item for item in events if isinstance(item, ev.CandidatesChanged)]
     assert "camera@one/second" in seen[1].bridges
     assert "+ component camera@one/second" in seen[1].told
 
@@ -245,9 +246,11 @@ def _answered(event: ev.Event) -> tuple[object, ...] | None:
 def test_a_soak_that_took_waiting_for_the_end_goes_on() -> None:
     """Both detectors had died within seconds, at a load of eight; the soak gave up, wrongly."""
     plans = Plans(SOAK)
-    every = {one.name for one in plans.robot.components()}
+    every = {component.name for component in plans.robot.components()}
     policy = FailoverPolicy(wait=90.0, limit=1_000_000, return_after=0.5)
-    state = State(policy, {one.name: one.bridge for one in plans.robot.components()})
+    state = State(
+        policy, {component.name: component.bridge for component in plans.robot.components()}
+    )
     log = Path(__file__).parent / "field" / "both_detectors_died.jsonl"
     asked: set[tuple[object, ...]] = set()
     seen: list[tuple[ConnectionState, tuple[str, ...]]] = []
@@ -258,11 +261,11 @@ def test_a_soak_that_took_waiting_for_the_end_goes_on() -> None:
             assert answer in asked, line
             asked.remove(answer)
         state, actions = step(state, event, now)
-        asked |= {one for one in map(_asked, actions) if one is not None}
+        asked |= {tuple_ for tuple_ in map(_asked, actions) if tuple_ is not None}
         for action in actions:  # what ran out was closed with it when this was logged
             if isinstance(action, act.Finish):
                 state, _ = step(state, ev.RanOut(action.placement.user), now)
-        assert all(one.error is None for one in actions if isinstance(one, act.Reply)), line
+        assert all(item.error is None for item in actions if isinstance(item, act.Reply)), line
         record = state.connections["c1"]
         if record.current is not None:
             now_seen = record.state, record.components

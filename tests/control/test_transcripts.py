@@ -70,7 +70,7 @@ class Player(World):
         """Options: heard, known (the plan is), a way to validate."""
         self.asked += (f"request {identity}",)
         function, dot, port = wanted.partition(".")
-        modes = [ValidationMode(one) for one in options if one not in {"heard", "known"}]
+        modes = [ValidationMode(option) for option in options if option not in {"heard", "known"}]
         self.post(
             ev.Requested(
                 identity,
@@ -194,9 +194,13 @@ class Player(World):
 
 def describe(action: act.Action) -> str:
     """Return an action with all that it says, without what is empty."""
-    fields = {one.name: getattr(action, one.name) for one in attrs.fields(type(action))}
-    told = [f"{name}={plain(one)}" for name, one in fields.items() if one or isinstance(one, float)]
-    return " ".join([type(action).__name__, *told])
+    fields = {field.name: getattr(action, field.name) for field in attrs.fields(type(action))}
+    reports = [
+        f"{name}={plain(field)}"
+        for name, field in fields.items()
+        if field or isinstance(field, float)
+    ]
+    return " ".join([type(action).__name__, *reports])
 
 
 def plain(value: Any) -> str:
@@ -217,8 +221,8 @@ def plain(value: Any) -> str:
         )
     if isinstance(value, BaseException):
         reason = getattr(value, "reason", None)
-        told = f" {reason.value}" if isinstance(reason, Enum) else ""
-        return f"{type(value).__name__}({plain(str(value))}{told})"
+        text = f" {reason.value}" if isinstance(reason, Enum) else ""
+        return f"{type(value).__name__}({plain(str(value))}{text})"
     if isinstance(value, Enum):
         return str(value.value)
     if isinstance(value, frozenset):
@@ -237,7 +241,7 @@ def replay(text: str) -> Iterator[str]:
     """Yield a transcript's lines, with the actions that follow from its moves now."""
     lines = text.splitlines()
     robot, *policy = lines[0].removeprefix("robot: ").split()
-    options = dict(one.split("=") for one in policy)
+    options = dict(word.split("=") for word in policy)
     given: Any = {name: POLICIES[name](value) for name, value in options.items()}
     player = Player(robot, FailoverPolicy(**given))
     yield lines[0]

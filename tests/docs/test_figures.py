@@ -27,7 +27,7 @@ def drawn(name: str) -> str:
 def test_every_latency_is_drawn_and_dated(plot: str, kinds: set[str]) -> None:
     latency, picture = recorded("latency"), drawn(plot)
     assert latency["measured"] in picture
-    titles = {one["title"] for one in latency["figures"] if one["kind"] in kinds}
+    titles = {figure["title"] for figure in latency["figures"] if figure["kind"] in kinds}
     assert titles
     assert not [title for title in titles if f">{title}<" not in picture]
 
@@ -35,14 +35,14 @@ def test_every_latency_is_drawn_and_dated(plot: str, kinds: set[str]) -> None:
 def test_every_death_is_drawn_and_dated() -> None:
     deaths, picture = recorded("monitoring"), drawn("faults")
     assert deaths["measured"] in picture
-    assert not [one for one in deaths["figures"] if f">{one['killed']}<" not in picture]
+    assert not [figure for figure in deaths["figures"] if f">{figure['killed']}<" not in picture]
 
 
 def test_the_page_shows_the_same_run() -> None:
     page = PAGE.read_text(encoding="utf-8")
     for name in ("latency", "monitoring"):
         assert recorded(name)["measured"] in page
-    for one in recorded("latency")["figures"]:
-        assert f"{one['p50'] * 1e6:,.1f}" in page, one
-    for one in recorded("monitoring")["figures"]:
-        assert one["killed"] in page
+    for figure in recorded("latency")["figures"]:
+        assert f"{figure['p50'] * 1e6:,.1f}" in page, figure
+    for figure in recorded("monitoring")["figures"]:
+        assert figure["killed"] in page

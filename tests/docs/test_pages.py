@@ -44,7 +44,9 @@ class Block:
 def blocks(page: Path) -> list[Block]:
     text = page.read_text(encoding="utf-8")
     found = re.finditer(r"^```(\w*)\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)
-    return [Block(page, text[: one.start()].count("\n") + 1, one[1], one[2]) for one in found]
+    return [
+        Block(page, text[: match.start()].count("\n") + 1, match[1], match[2]) for match in found
+    ]
 
 
 EVERY = [block for page in PAGES for block in blocks(page)]
@@ -64,16 +66,16 @@ def test_the_pages_were_found() -> None:
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
 def test_links_lead_somewhere(page: Path) -> None:
     links = re.findall(r"\]\(([^)#\s]+)(?:#[^)]*)?\)", page.read_text(encoding="utf-8"))
-    gone = [one for one in links if "://" not in one and not (page.parent / one).exists()]
+    gone = [link for link in links if "://" not in link and not (page.parent / link).exists()]
     assert not gone
 
 
-@pytest.mark.parametrize("block", [one for one in EVERY if one.language == "python"], ids=str)
+@pytest.mark.parametrize("block", [item for item in EVERY if item.language == "python"], ids=str)
 def test_programs_are_python(block: Block) -> None:
     compile(block.text, str(block), "exec")
 
 
-@pytest.mark.parametrize(("block", "line"), COMMANDS, ids=lambda one: str(one)[:60])
+@pytest.mark.parametrize(("block", "line"), COMMANDS, ids=lambda item: str(item)[:60])
 def test_commands_and_their_options_exist(block: Block, line: str) -> None:
     words = shlex.split(line, comments=True)[1:]
     command: click.Command = main
@@ -85,7 +87,7 @@ def test_commands_and_their_options_exist(block: Block, line: str) -> None:
             pytest.skip(f"uoarm-{name}, which brings the command, is not installed")
         assert found is not None, f"{block}: no such command in {line!r}"
         command = found
-    known = {option for one in command.params for option in one.opts} | {"--help"}
+    known = {option for parameter in command.params for option in parameter.opts} | {"--help"}
     given = {
         word.partition("=")[0].strip("[]") for word in words if word.strip("[").startswith("-")
     }
@@ -108,7 +110,7 @@ def test_what_a_page_installs_of_ours_comes_from_the_checkout(page: Path) -> Non
 
 def test_the_first_steps_work_as_written(tmp_path: Path) -> None:
     install, components, robot, commands, printed, program, other, line = (
-        one.text for one in blocks(ROOT / "docs" / "first-steps.md")
+        item.text for item in blocks(ROOT / "docs" / "first-steps.md")
     )
     assert "pip install ." in install
     (tmp_path / "kitchen.py").write_text(components)
@@ -130,13 +132,13 @@ def test_the_first_steps_work_as_written(tmp_path: Path) -> None:
     )
     (tmp_path / "robot.yaml").write_text(mended)
     if find_spec("pint"):
-        told = run(["-m", "uoarm", "request", "fireAlarm", "--count", "3"], tmp_path)
-        assert [json.loads(one)["hot"] for one in told.splitlines()] == [False, False, True]
+        text = run(["-m", "uoarm", "request", "fireAlarm", "--count", "3"], tmp_path)
+        assert [json.loads(name)["hot"] for name in text.splitlines()] == [False, False, True]
 
 
 def test_a_component_works_as_written(tmp_path: Path) -> None:
     components, robot, commands, printed, program = (
-        one.text for one in blocks(ROOT / "docs" / "writing-a-component.md")
+        item.text for item in blocks(ROOT / "docs" / "writing-a-component.md")
     )
     (tmp_path / "parts.py").write_text(components)
     (tmp_path / "program.py").write_text(program)

@@ -17,7 +17,7 @@ ELSEWHERE = {"uoarm.cli", "uoarm.__main__"}
 
 
 def public_modules() -> set[str]:
-    found = {f"uoarm.{one.name}" for one in pkgutil.iter_modules(uoarm.__path__)}
+    found = {f"uoarm.{module.name}" for module in pkgutil.iter_modules(uoarm.__path__)}
     return {name for name in found if "._" not in name} - ELSEWHERE
 
 
@@ -43,5 +43,5 @@ def test_the_names_of_the_package_itself_are_in_the_reference() -> None:
 def test_a_public_module_lists_its_names(name: str) -> None:
     module = importlib.import_module(name)
     assert sorted(module.__all__) == sorted(set(module.__all__))
-    assert all(hasattr(module, one) for one in module.__all__)
+    assert all(hasattr(module, item) for item in module.__all__)
     assert module.__doc__

@@ -83,9 +83,9 @@ def test_three_frameworks_feed_one_function(scene: Scene) -> None:
 
 def ports(component: Component) -> list[tuple[str, ...]]:
     """What a component provides a function with, but for how its framework spells a type."""
-    ends = [one.endpoint for one in component.outputs]
+    ends = [output.endpoint for output in component.outputs]
     ends += [component.service.endpoint] if component.service is not None else []
-    return [(component.bridge, *one.address[:2]) for one in ends]
+    return [(component.bridge, *endpoint.address[:2]) for endpoint in ends]
 
 
 @pytest.mark.long
@@ -98,29 +98,31 @@ def test_a_line_of_needs_for_each_function_chooses_what_the_written_file_chooses
     filled_in = yaml.safe_load((scene.run / "robot.yaml").read_text(encoding="utf-8"))
     for name in ("ros", "rtm"):
         tree["bridges"][name] = filled_in["bridges"][name]
-    assert all(list(one) == ["needs"] for one in tree["functions"].values())
+    assert all(list(item) == ["needs"] for item in tree["functions"].values())
     wanted = {
-        name: [ports(one) for one in function.components]
+        name: [ports(component) for component in function.components]
         for name, function in written.functions.items()
     }
     with RobotManager(loads(yaml.safe_dump(tree), str(scene.run / "needs.yaml"))) as robot:
 
         def candidates() -> dict[str, list[list[tuple[str, ...]]]]:
             found = robot.config.functions
-            return {name: [ports(one) for one in found[name].components] for name in wanted}
+            return {
+                name: [ports(component) for component in found[name].components] for name in wanted
+            }
 
         with suppress(ResolutionError):  # bridges are asked from the first question on
             robot.resolve("camera")
         wait(lambda: candidates() == wanted, "others are found than are written")
         for name in ("faceRecognition", "speechGeneration", "patientRecord"):
             served = asked(scene.robot, "Resolve", name)["plan"]["steps"]
-            chosen = [written_name(one.component, written) for one in robot.resolve(name).steps]
-            assert chosen == [one["component"]["name"] for one in served]
+            chosen = [written_name(step.component, written) for step in robot.resolve(name).steps]
+            assert chosen == [item["component"]["name"] for item in served]
 
 
 def written_name(component: Component, written: Robot) -> str:
     """Return the name that the written file has for a component that nobody named."""
-    return next(one.name for one in written.components() if ports(one) == ports(component))
+    return next(item.name for item in written.components() if ports(item) == ports(component))
 
 
 @pytest.mark.needs("node", "chromium")
@@ -140,7 +142,7 @@ def test_both_applications_work_at_once(scene: Scene, footage: Footage, tmp_path
                 shown(browser, "Put the cuff", tmp_path / "3-arm.png")
                 chosen(browser, "The cuff is on")
                 shown(browser, "Thank you", tmp_path / "4-results.png")
-                told = browser.js("document.getElementById('values').innerText")
+                report = browser.js("document.getElementById('values').innerText")
                 assert not browser.complaints
             said, _ = terminal.communicate()
         finally:
@@ -148,22 +150,22 @@ def test_both_applications_work_at_once(scene: Scene, footage: Footage, tmp_path
     assert terminal.returncode == 0, said
     assert "Hello Franck" in said
     assert len(re.findall(r"stored$", said, re.MULTILINE)) == 3
-    assert told.count("saved") == 3
-    assert re.search(r"\d\d\d / \d\d", told)
+    assert report.count("saved") == 3
+    assert re.search(r"\d\d\d / \d\d", report)
     status = asked(scene.robot, "Status")
     assert not status["connections"], "what both have left is closed"
     codes = records(re.findall(r"records at (\S+)", (scene.run / "records.log").read_text())[0])
     # pulse, saturation and blood pressure, by their LOINC codes, from each application
     for code in ("8867-4", "59408-5", "85354-9"):
-        assert sum(code in each for each in codes) == 2, codes
+        assert sum(code in name for name in codes) == 2, codes
 
 
 def test_a_spare_takes_over_in_mid_stream(scene: Scene) -> None:
     with connect(scene.robot, max_size=None) as socket:
         socket.recv(timeout=patience())
         socket.send(json.dumps({"op": "Request", "type": "faceDetection", "id": "1"}))
-        told = json.loads(socket.recv(timeout=patience()))
-        assert told["jsonMessage"]["components"] == ["ros_camera", "rtm_detector"]
+        report = json.loads(socket.recv(timeout=patience()))
+        assert report["jsonMessage"]["components"] == ["ros_camera", "rtm_detector"]
         for _ in range(3):
             assert json.loads(socket.recv(timeout=patience()))["op"] == "Data"
         os.kill(scene.pids["detector"], signal.SIGKILL)
@@ -175,9 +177,9 @@ def test_a_spare_takes_over_in_mid_stream(scene: Scene) -> None:
         wait(taken_over, "the spare never took over")
         numbers: list[int] = []
         while len(numbers) < 3 or numbers[-1] < numbers[0] + 10:
-            told = json.loads(socket.recv(timeout=patience()))
-            assert told["op"] == "Data", told
-            numbers.append(told["x-number"])
+            report = json.loads(socket.recv(timeout=patience()))
+            assert report["op"] == "Data", report
+            numbers.append(report["x-number"])
     wait(lambda: "detector ended" in scene.told, "the scene does not tell of the death")
 
 

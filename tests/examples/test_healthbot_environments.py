@@ -41,13 +41,13 @@ def made(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Made:
 
 
 def test_what_is_missing_is_made_once_and_told(made: Made) -> None:
-    told: list[str] = []
-    separate.prepare_environments(told.append)
+    reports: list[str] = []
+    separate.prepare_environments(reports.append)
     assert [name for name, _ in made] == ["healthbot-jazzy", "healthbot-rtm"]
     assert any("[jazzy]" in requirement for requirement in made[0][1])
-    assert told.count("  Collecting something") == 2
-    assert not any("chatter" in line for line in told)
-    separate.prepare_environments(told.append)
+    assert reports.count("  Collecting something") == 2
+    assert not any("chatter" in line for line in reports)
+    separate.prepare_environments(reports.append)
     assert len(made) == 2
 
 

@@ -26,19 +26,19 @@ def scene(*arguments: str, flags: tuple[str, ...] = (), path: str = "") -> tuple
 
 
 def test_without_packages_it_says_which_and_where_to_read() -> None:
-    code, told = scene(flags=("-S",))
+    code, text = scene(flags=("-S",))
     assert code == 2
-    assert "attrs is not installed: see examples/healthbot/README.md" in told.replace(
+    assert "attrs is not installed: see examples/healthbot/README.md" in text.replace(
         "attr ", "attrs "
     )
 
 
 @pytest.mark.needs(*HEALTHBOT)
 def test_without_programs_it_says_what_to_install_and_what_does_not_run() -> None:
-    code, told = scene("--visit")
+    code, text = scene("--visit")
     assert code == 2
-    assert "Node.js 20.10 or later is not here (Debian: apt install nodejs)" in told
-    assert "Chromium is not here (Debian: apt install chromium)" in told
+    assert "Node.js 20.10 or later is not here (Debian: apt install nodejs)" in text
+    assert "Chromium is not here (Debian: apt install chromium)" in text
 
 
 @pytest.mark.needs(*HEALTHBOT)
@@ -46,6 +46,6 @@ def test_an_old_node_counts_as_none(tmp_path: Path) -> None:
     old = tmp_path / "node"
     old.write_text("#!/bin/sh\necho v18.20.4\n")
     old.chmod(0o755)
-    code, told = scene("--visit", path=str(tmp_path))
+    code, text = scene("--visit", path=str(tmp_path))
     assert code == 2
-    assert "Node.js" in told
+    assert "Node.js" in text

@@ -40,7 +40,10 @@ def installed_by(target: str) -> Iterator[Requirement]:
 
 def with_what_they_need(asked: Iterator[Requirement]) -> set[str]:
     """Return the names of the distributions that pip installs for some."""
-    todo = [(canonicalize_name(one.name), frozenset(one.extras)) for one in asked]
+    todo = [
+        (canonicalize_name(requirement.name), frozenset(requirement.extras))
+        for requirement in asked
+    ]
     seen = set(todo)
     while todo:
         name, extras = todo.pop()
@@ -84,7 +87,7 @@ def lacking(modules: Iterator[str] | set[str], installed: set[str]) -> set[str]:
     return {
         module
         for module in modules
-        if not {canonicalize_name(one) for one in owners.get(module, (module,))} & installed
+        if not {canonicalize_name(owner) for owner in owners.get(module, (module,))} & installed
     }
 
 

@@ -97,7 +97,7 @@ def test_a_measurement_becomes_an_observation_with_its_codes() -> None:
     pulse, pressure = observation(PULSE), observation(PRESSURE)
     assert pulse["code"]["coding"][0]["code"] == "8867-4"
     assert pulse["valueQuantity"]["value"] == 71
-    parts = {one["code"]["coding"][0]["code"]: one for one in pressure["component"]}
+    parts = {item["code"]["coding"][0]["code"]: item for item in pressure["component"]}
     assert parts["8480-6"]["valueQuantity"]["value"] == 121
     assert parts["8462-4"]["valueQuantity"]["code"] == "mm[Hg]"
 
@@ -113,13 +113,13 @@ def test_a_measurement_that_says_too_little_is_refused(change: Any, told: str) -
 def test_what_is_sent_twice_is_stored_once(service: Service, record: PatientRecord) -> None:
     first, second = record(PULSE), record(PULSE)
     assert first == second == {"id": identity(PULSE), "stored": True, "waiting": 0}
-    assert [one["id"] for one in service.stored()] == [identity(PULSE)]
+    assert [item["id"] for item in service.stored()] == [identity(PULSE)]
 
 
 def test_two_visits_in_the_same_moment_stay_two(service: Service, record: PatientRecord) -> None:
     for visit in ("one", "two"):
         record({**PULSE, "visit": visit})
-    found = {one["encounter"]["identifier"]["value"] for one in service.stored()}
+    found = {item["encounter"]["identifier"]["value"] for item in service.stored()}
     assert found == {"one", "two"}
 
 
@@ -138,7 +138,7 @@ def test_nothing_is_lost_while_the_service_is_down(
     again = PatientRecord(service.url, str(tmp_path / "spool.db"))
     try:
         wait(lambda: len(service.stored()) == 2, "what waited never arrived")
-        assert {one["id"] for one in service.stored()} == {identity(PULSE), identity(PRESSURE)}
+        assert {item["id"] for item in service.stored()} == {identity(PULSE), identity(PRESSURE)}
     finally:
         again.close()
 
@@ -251,8 +251,8 @@ def test_what_waits_is_sent_without_another_call(service: Service, tmp_path: Pat
     bridge = PythonBridge("records", {"path": [str(RECORDS)]})
     try:
         service.stop(signal.SIGKILL)
-        told = bridge.call(endpoint, dict(PULSE), timeout=patience())
-        assert told == {"id": identity(PULSE), "stored": False, "waiting": 1}
+        report = bridge.call(endpoint, dict(PULSE), timeout=patience())
+        assert report == {"id": identity(PULSE), "stored": False, "waiting": 1}
         service.start()
         wait(service.stored, "the measurement never arrived")
     finally:

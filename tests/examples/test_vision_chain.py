@@ -21,7 +21,9 @@ def robot_without(vision: Path, *names: str) -> Robot:
     file = vision / "robot.yaml"
     tree = yaml.safe_load(file.read_text(encoding="utf-8"))
     for function in tree["functions"].values():
-        function["components"] = [one for one in function["components"] if one["name"] not in names]
+        function["components"] = [
+            component for component in function["components"] if component["name"] not in names
+        ]
     return loads(yaml.safe_dump(tree), str(file))
 
 

@@ -42,7 +42,7 @@ def light(footage: Footage, tmp_path_factory: pytest.TempPathFactory) -> Chain:
 
 
 def still(footage: Footage, name: str) -> Frame:
-    file = next(one for one in sorted(footage.playlist.iterdir()) if name in one.name)
+    file = next(path for path in sorted(footage.playlist.iterdir()) if name in path.name)
     return next(camera(str(file)))
 
 
@@ -95,8 +95,8 @@ def test_descriptors_are_near_for_one_person_and_far_for_two(footage: Footage) -
     for photo in photos_in(footage.photos):
         picture = photo.read()
         described.append((photo.person, describer.describe(picture, detector.find(picture)[0])))
-    for (person, one), (other, two) in combinations(described, 2):
-        distance = float(np.linalg.norm(one - two))
+    for (person, ndarray), (other, two) in combinations(described, 2):
+        distance = float(np.linalg.norm(ndarray - two))
         if person == other:
             assert distance < 0.55
         else:
@@ -111,7 +111,7 @@ def test_no_picture_is_both_enrolled_and_played(footage: Footage) -> None:
     enrolled = [thumbnail(photo.read()) for photo in photos_in(footage.photos)]
     for frame in camera(str(footage.playlist), excerpt=90):
         played = thumbnail(as_picture(frame))
-        nearest = min(float(np.abs(played - one).mean()) for one in enrolled)
+        nearest = min(float(np.abs(played - ndarray).mean()) for ndarray in enrolled)
         assert nearest > 2.5, f"{frame['source']}, picture {frame['sequence']}"
 
 

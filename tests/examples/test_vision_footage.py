@@ -88,9 +88,9 @@ def test_a_client_that_fails_is_quoted(tmp_path: Path, monkeypatch: pytest.Monke
 
 
 def test_packages_are_told_before_they_are_fetched(cache: Path) -> None:
-    told: list[str] = []
-    prepare(cache, lambda package: told.append(package.name))
-    assert told == [package.name for package in PACKAGES]
+    reports: list[str] = []
+    prepare(cache, lambda package: reports.append(package.name))
+    assert reports == [package.name for package in PACKAGES]
 
 
 @pytest.mark.usefixtures("footage")

@@ -46,9 +46,9 @@ def test_a_port_that_is_taken_is_told_before_anything_is_fetched(
 def test_the_address_that_it_prints_shows_the_pictures() -> None:
     console = Console(record=True, width=40)
     live.tell(console, Mock(ports=(9080,)))
-    told = console.export_text()
-    assert "http://127.0.0.1:9080/#/graph/function/faceRecognition/use\n" in told
-    assert "press Watch" in told
+    text = console.export_text()
+    assert "http://127.0.0.1:9080/#/graph/function/faceRecognition/use\n" in text
+    assert "press Watch" in text
 
 
 def test_its_recordings_play_again_and_again(
@@ -64,4 +64,4 @@ def test_its_recordings_play_again_and_again(
     assert camera.outputs[0].endpoint.parameters["rate"] == RATE
     with RobotManager(robot) as manager, manager.request("camera") as frames:
         played: list[Frame] = list(islice(frames, 5))
-    assert [one["source"] for one in played] == ["a.png", "b.png", "a.png", "b.png", "a.png"]
+    assert [item["source"] for item in played] == ["a.png", "b.png", "a.png", "b.png", "a.png"]

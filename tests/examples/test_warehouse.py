@@ -25,13 +25,13 @@ def test_an_order_is_carried_out_and_everything_ends(tmp_path: Path) -> None:
         finally:
             scene.terminate()
             scene.wait(patience())
-    told = output.read_text()
+    text = output.read_text()
     logs = "\n".join(f"{log.name}: {log.read_text()[-500:]}" for log in tmp_path.glob("*.log"))
-    assert scene.returncode == 0, f"{told}\n{logs}"
-    assert re.search(r"done transport\w+$", told, re.MULTILINE), told
+    assert scene.returncode == 0, f"{text}\n{logs}"
+    assert re.search(r"done transport\w+$", text, re.MULTILINE), text
     (weighed,) = map(json.loads, (tmp_path / "weighed.jsonl").read_text().splitlines())
     assert abs(weighed["mass"] - 5) < 0.1
-    pids = [int(pid) for pid in re.findall(r" pid (\d+)", told)]
+    pids = [int(pid) for pid in re.findall(r" pid (\d+)", text)]
     assert len(pids) > 9
     assert not [pid for pid in pids if lives(pid)]
 

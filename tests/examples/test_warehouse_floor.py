@@ -128,13 +128,13 @@ def test_a_journal_that_was_cut_short_is_read_and_written_on(tmp_path: Path) -> 
     journal.close()
     with path.open("a") as file:
         file.write('{"order": "a", "sta')
-    assert [order.status for order in replay([placed], [one for one, _ in read_lines(path)])] == [
-        Status.LOADED
-    ]
+    assert [
+        order.status for order in replay([placed], [mapping for mapping, _ in read_lines(path)])
+    ] == [Status.LOADED]
     journal = Journal(path)
     journal.write([Note("a", Status.DONE, "v").line()])
     journal.close()
-    (order,) = replay([placed], [one for one, _ in read_lines(path)])
+    (order,) = replay([placed], [mapping for mapping, _ in read_lines(path)])
     assert (order.status, order.vehicle) == (Status.DONE, "v")
 
 

@@ -25,8 +25,8 @@ def test_an_answer_to_an_earlier_question_is_passed_over() -> None:
         def answer() -> None:
             octets, sender = floor.recvfrom(65_507)
             number = json.loads(octets)["number"]
-            for one in (number - 1, number):
-                floor.sendto(json.dumps({"number": one, "to": one}).encode(), sender)
+            for item in (number - 1, number):
+                floor.sendto(json.dumps({"number": item, "to": item}).encode(), sender)
 
         thread = threading.Thread(target=answer)
         thread.start()

@@ -28,7 +28,9 @@ def leg(number: int, carry: str = "") -> Command:
 
 def told(agv: vda.Agv, command: Command) -> list[tuple[str, str]]:
     emitted: list[Any] = list(agv.command(command))
-    return [(one.port, one.message.get("orderId", one.message.get("goal_id"))) for one in emitted]
+    return [
+        (item.port, item.message.get("orderId", item.message.get("goal_id"))) for item in emitted
+    ]
 
 
 def test_a_goal_is_given_again_until_it_is_heard_of(clock: list[float]) -> None:

@@ -14,7 +14,7 @@ from warehouse_orders.weighing import Weighing
 
 
 def orders(**status: Status) -> dict[str, Order]:
-    return {name: Order(name, "shelf1", "", 5.0, one, "amr") for name, one in status.items()}
+    return {name: Order(name, "shelf1", "", 5.0, value, "amr") for name, value in status.items()}
 
 
 def test_a_box_is_weighed_once_it_has_arrived_and_not_again() -> None:

@@ -58,7 +58,7 @@ class Fleet:
     def restart(self) -> None:
         """Have the coordinator begin again from its journal."""
         orders = replay(self.placed, [note.line() for note in self.journal])
-        held = Reservation.latest([one.line() for one in self.reserved])
+        held = Reservation.latest([reservation.line() for reservation in self.reserved])
         self.coordinator = Coordinator(orders, first_leg=round(self.now * 100), held=held)
 
     def kill(self, name: str) -> None:
@@ -120,10 +120,10 @@ class Fleet:
         for name in self.names:
             if name not in self.dead | self.cut:
                 payload = 10.0 if name == "vehicle3" else 50.0
-                told = asdict(self.floor.sense(name))
+                reports = asdict(self.floor.sense(name))
                 report = Report(
                     payload=payload, leg=self.drivers[name].done, stopped=self.stopped(name),
-                    drives_on=name == DRIVES_ON, **told,
+                    drives_on=name == DRIVES_ON, **reports,
                 )  # fmt: skip
                 self.reports.append((self.now + LATE, name, report))
         while self.reports and self.reports[0][0] <= self.now:

@@ -138,10 +138,10 @@ def test_numbers_and_arrays_of_them_accepted_at_once_are_valid(
 
 
 FORMS: dict[str, Callable[[float], Message]] = {
-    "number": lambda one: one,
-    "list": lambda one: [1.0, one],
-    "numpy": lambda one: np.array([1.0, one, 2.0]),
-    "array": lambda one: array("f", [1.0, one, 2.0]),
+    "number": lambda item: item,
+    "list": lambda item: [1.0, item],
+    "numpy": lambda item: np.array([1.0, item, 2.0]),
+    "array": lambda item: array("f", [1.0, item, 2.0]),
 }
 
 
@@ -177,7 +177,7 @@ def _knows_nothing(_: Schema) -> Accepts:
 def _as_messages_are(value: object) -> st.SearchStrategy[object]:
     """Values with some lists of numbers as buffers and tuples."""
     if isinstance(value, dict):
-        return st.fixed_dictionaries({name: _as_messages_are(one) for name, one in value.items()})
+        return st.fixed_dictionaries({name: _as_messages_are(item) for name, item in value.items()})
     if not isinstance(value, list):
         return st.just(value)
     forms: list[st.SearchStrategy[object]] = [
@@ -187,6 +187,6 @@ def _as_messages_are(value: object) -> st.SearchStrategy[object]:
     kinds = set(map(type, value))
     if kinds == {float}:
         forms += [st.just(np.array(value)), st.just(array("d", value))]
-    elif kinds == {int} and all(0 <= one < 256 for one in value):
+    elif kinds == {int} and all(0 <= item < 256 for item in value):
         forms += [st.just(bytes(value)), st.just(np.array(value, np.uint8))]
     return st.one_of(forms)

@@ -129,8 +129,8 @@ def test_what_more_than_one_route_got_counts_as_a_copy_for_all_but_the_first(
             outlet.deliver(4)
     outlet.detach(consumers[0].route)
     outlet.deliver(6)
-    received = [one.route.status().received for one in consumers]
-    copies = [one.route.status().copies for one in consumers]
+    received = [item.route.status().received for item in consumers]
+    copies = [item.route.status().copies for item in consumers]
     assert received == ([5, 3, 3] if retains else [4, 2, 2])
     assert copies == ([1, 3, 2] if retains else [0, 2, 1])
     sent = 6

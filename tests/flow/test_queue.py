@@ -192,7 +192,7 @@ def test_what_waits_is_bounded_in_octets_too_and_every_loss_is_counted(
 def test_a_producer_waits_for_octets_too() -> None:
     drops: Counter[str] = Counter()
     policy = QueuePolicy(5, OverflowPolicy.BLOCK, timeout=0.01, octets=50)
-    queue: BoundedQueue[int] = BoundedQueue(policy, lambda one: drops.update([one]), measure=int)
+    queue: BoundedQueue[int] = BoundedQueue(policy, lambda item: drops.update([item]), measure=int)
     queue.put(70)
     queue.put(1)
     assert drops == {"blocked-too-long": 1}
@@ -215,6 +215,6 @@ def test_items_that_a_reader_keeps_up_with_are_not_measured() -> None:
 
 def test_a_policy_may_be_named_and_an_unknown_name_is_refused_with_the_choices() -> None:
     assert QueuePolicy(policy="block").policy is OverflowPolicy.BLOCK
-    told = "policy 'blok': expected latest, drop-oldest or block; did you mean 'block'"
-    with pytest.raises(ConfigurationError, match=told):
+    text = "policy 'blok': expected latest, drop-oldest or block; did you mean 'block'"
+    with pytest.raises(ConfigurationError, match=text):
         QueuePolicy(policy="blok")

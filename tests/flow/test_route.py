@@ -60,7 +60,7 @@ def test_a_traceback_is_logged_only_where_a_program_went_wrong(
             raise raised
 
         Route("a", "b", refuse, clock=Clock()).deliver(7)
-    assert [bool(one.exc_info) for one in caplog.records] == [False, True, True]
+    assert [bool(record.exc_info) for record in caplog.records] == [False, True, True]
 
 
 def test_an_invalid_message_is_not_forwarded() -> None:

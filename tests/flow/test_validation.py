@@ -243,7 +243,7 @@ def test_long_lists_of_numbers_are_judged_as_each_number_would_be(
     else:
         fits = True
     bounded = schema.keys() != {"type"}
-    in_no_range = bounded and any(isinstance(one, float) and math.isnan(one) for one in items)
+    in_no_range = bounded and any(isinstance(item, float) and math.isnan(item) for item in items)
     assert fits == (Draft202012Validator(structure.schema).is_valid(items) and not in_no_range)
 
 

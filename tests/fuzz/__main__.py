@@ -58,9 +58,9 @@ def main() -> int:
         search = _search_guided if guided else _search_blindly
         outcome = search(name, options.runs, options.findings)
         found += len(outcome.findings)
-        told = "; ".join(outcome.findings) or "none"
+        text = "; ".join(outcome.findings) or "none"
         print(
-            f"{name:<34}{outcome.runs:>10,}{outcome.seconds:>9.1f}{outcome.covered:>10}  {told}",
+            f"{name:<34}{outcome.runs:>10,}{outcome.seconds:>9.1f}{outcome.covered:>10}  {text}",
             flush=True,
         )
     return int(found > 0)

@@ -85,13 +85,13 @@ def within(value: object, budget: Budget) -> None:
     while level:
         elements += len(level)
         inner: list[object] = []
-        for one in level:
-            if isinstance(one, dict):
-                elements += len(one)
-                inner += one.values()
-            elif isinstance(one, list):
-                inner += one
-        depth += any(isinstance(one, dict | list) for one in level)
+        for item in level:
+            if isinstance(item, dict):
+                elements += len(item)
+                inner += item.values()
+            elif isinstance(item, list):
+                inner += item
+        depth += any(isinstance(item, dict | list) for item in level)
         level = inner
     assert elements <= budget.elements, f"{elements} values"
     assert depth <= budget.depth, f"{depth} levels"
@@ -152,7 +152,7 @@ def _head(data: bytes) -> None:
 
 def _frame(tree: bytes, *buffers: bytes) -> bytes:
     parts = (len(tree).to_bytes(4, "little") + tree, *buffers)
-    return b"".join(one + bytes(-len(one) % 8) for one in parts)
+    return b"".join(part + bytes(-len(part) % 8) for part in parts)
 
 
 def _asked(**fields: object) -> dict[str, object]:
@@ -334,7 +334,7 @@ def _devices() -> Mapping[str, Target]:
         ),
         "oximeters": Target(
             lambda data: [
-                in_two(one)(data) for one in (ContecDecoder, Nonin1Decoder, Nonin2Decoder)
+                in_two(item)(data) for item in (ContecDecoder, Nonin1Decoder, Nonin2Decoder)
             ],
             (),
             (bytes(range(128, 136)), b"\x01\x81\x3c\x62\x00\x10" * 5),

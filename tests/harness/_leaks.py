@@ -103,21 +103,23 @@ class Holdings:
         ]
 
     def _new_threads(self) -> Iterator[threading.Thread]:
-        for one in threading.enumerate():
-            if one not in self._threads and not isinstance(one, threading._DummyThread):
-                yield one
+        for thread in threading.enumerate():
+            if thread not in self._threads and not isinstance(thread, threading._DummyThread):
+                yield thread
 
     def _found(self, name: str, kept: tuple[str, ...]) -> list[str]:
         # One that has taken the place of another of its name, which has ended, is not one more.
-        new = Counter(one.name for one in self._new_threads() if one.name not in _IDLE_THREADS)
-        new -= Counter(one.name for one in self._threads if not one.is_alive())
-        found = [f"thread {one!r}" for one in new.elements()]
+        new = Counter(
+            thread.name for thread in self._new_threads() if thread.name not in _IDLE_THREADS
+        )
+        new -= Counter(thread.name for thread in self._threads if not thread.is_alive())
+        found = [f"thread {element!r}" for element in new.elements()]
         if _starts != self._starts:
             found += [f"process {pid}: {text}" for pid, text in processes_of(name).items()]
         extra = _descriptors() - self._descriptors
-        found += [f"descriptor of {one}" for one in extra.elements()]
-        found += [f"temporary {one}" for one in _folders() - self._folders]
-        return [one for one in found if not one.startswith(kept)]
+        found += [f"descriptor of {element}" for element in extra.elements()]
+        found += [f"temporary {folder}" for folder in _folders() - self._folders]
+        return [word for word in found if not word.startswith(kept)]
 
 
 def processes_of(name: str = "") -> dict[int, str]:
@@ -129,7 +131,7 @@ def processes_of(name: str = "") -> dict[int, str]:
             continue
         with suppress(OSError):  # it ended meanwhile, or is another user's
             entries = variables_of(folder).decode(errors="replace").split("\0")
-            made = [one for one in entries if one.startswith(MARK)]
+            made = [entry for entry in entries if entry.startswith(MARK)]
             if made and (made[0] == wanted if name else made[0].startswith(wanted)):
                 command = (folder / "cmdline").read_bytes().decode(errors="replace")
                 found[int(folder.name)] = command.replace("\0", " ")[:200]

@@ -102,7 +102,9 @@ def _set_default(function: Callable[..., Any], name: str, value: float) -> None:
     if name in by_name:
         by_name[name] = value
         return
-    by_place = [one.name for one in parameters if one.default is not one.empty]
+    by_place = [
+        parameter.name for parameter in parameters if parameter.default is not parameter.empty
+    ]
     defaults = dict(zip(by_place, function.__defaults__ or (), strict=False))
     assert name in defaults, f"{function.__qualname__} has no {name} by default"
     function.__defaults__ = (*(defaults | {name: value}).values(),)

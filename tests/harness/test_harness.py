@@ -227,7 +227,7 @@ ORDERED = """
 def test_another_order_finds_a_test_that_depends_on_it(run: Run) -> None:
     run(ORDERED).assert_outcomes(passed=2)
     found = (run(ORDERED, UOARM_TEST_ORDER=str(seed)) for seed in range(4, 8))
-    assert any(one.parseoutcomes() == {"failed": 1, "passed": 1} for one in found)
+    assert any(run_result.parseoutcomes() == {"failed": 1, "passed": 1} for run_result in found)
 
 
 LATE = """
@@ -407,7 +407,7 @@ def test_what_is_to_be_had_from_debian_is_installed_and_named(page: str) -> None
         for package in need.get.partition("apt install ")[2].partition(",")[0].split()
     }
     assert "libfaketime" in wanted
-    assert {one for one in wanted if not re.search(rf"[`( ]{one}[`) ]", text)} == set()
+    assert {name for name in wanted if not re.search(rf"[`( ]{name}[`) ]", text)} == set()
 
 
 def test_there_are_more_workers_than_cores_unless_their_number_is_given(

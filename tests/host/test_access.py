@@ -107,10 +107,10 @@ def test_a_machine_that_pretends_to_be_another_gets_nothing_through(
     arm = _join(place, Identity.find(folder, "arm"))
     leg = _join(place, Identity.find(folder, "leg"))
     as_arm = leg.part(f"{keys.MACHINES}/arm")
-    heard: list[bytes] = []
-    as_arm.listen("talk/**", heard.append)
-    leg.listen("uoarm/**", heard.append)
-    leg.listen("**", heard.append)
+    received: list[bytes] = []
+    as_arm.listen("talk/**", received.append)
+    leg.listen("uoarm/**", received.append)
+    leg.listen("**", received.append)
     as_arm.answer("attach/thief", lambda _, reply: reply("stolen"))
     as_arm.show_alive("here/-/thief")
     got: list[bytes] = []
@@ -135,7 +135,7 @@ def test_a_machine_that_pretends_to_be_another_gets_nothing_through(
     _settle(registry, leg, "leg")
     registry.part("leg").publish("talk/mark", b"", b"mark", must_arrive=True)
     assert marked.wait(patience())  # whatever was on its way to the thief is there by now
-    assert set(heard) == {b"mark", b"from the thief"}  # of what it sent, only its own echo
+    assert set(received) == {b"mark", b"from the thief"}  # of what it sent, only its own echo
     assert b"from the thief" not in got
     arm.close()
     leg.close()

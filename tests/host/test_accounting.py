@@ -260,7 +260,11 @@ def test_hosts_that_die_together_are_waited_for_and_nothing_is_unaccounted(
 
         def unaccounted() -> int:
             status = robot.status()
-            own = tuple(one for one in status.connections if one.id == connection.id)
+            own = tuple(
+                connection_status
+                for connection_status in status.connections
+                if connection_status.id == connection.id
+            )
             status = evolve(status, connections=own)
             return journal(tmp_path, "source") - len(got) - losses(status).total()
 

@@ -29,10 +29,10 @@ def test_one_command_makes_all(tmp_path: Path) -> None:
     words = ["--manager", "192.0.2.1", "--manager", "robot.local", "--machine", "left_arm"]
     done = CliRunner().invoke(main, ["certificates", *words, "--folder", str(folder)])
     assert done.exit_code == 0, done.output
-    names = {one.name for one in folder.iterdir()}
+    names = {path.name for path in folder.iterdir()}
     assert names == {f"{a}.{b}" for a in ("ca", "manager", "left_arm") for b in ("pem", "key")}
     assert folder.stat().st_mode & 0o077 == 0
-    assert all(one.stat().st_mode & 0o777 == 0o600 for one in folder.glob("*.key"))
+    assert all(path.stat().st_mode & 0o777 == 0o600 for path in folder.glob("*.key"))
 
 
 def test_a_manager_listens_and_a_machine_joins_and_neither_does_both(tmp_path: Path) -> None:
@@ -47,8 +47,8 @@ def test_a_manager_listens_and_a_machine_joins_and_neither_does_both(tmp_path: P
     names = manager.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
     assert names.get_values_for_type(x509.IPAddress) == [ipaddress.ip_address("192.0.2.1")]
     assert names.get_values_for_type(x509.DNSName) == ["robot.local"]
-    for one in (manager, arm):
-        one.verify_directly_issued_by(authority.certificate)
+    for certificate in (manager, arm):
+        certificate.verify_directly_issued_by(authority.certificate)
 
 
 def test_the_authority_of_a_folder_stays(tmp_path: Path) -> None:

@@ -61,7 +61,7 @@ def there(tmp_path: Path) -> Iterator[There]:
 
 def _robot(place: str, *bridges: str, more: str = "") -> Robot:
     """Return a robot with a function for each `BRIDGE@MACHINE`, or bridge in this process."""
-    pairs = [one.partition("@") for one in bridges]
+    pairs = [bridge.partition("@") for bridge in bridges]
     listen = f"hosts: {{listen: {place}, {more} silence: {patience()}}}" if place else ""
     lines = ["version: 1", "failover: {wait: 0}", listen, "bridges:"]
     for name, _, machine in pairs:
@@ -89,7 +89,7 @@ def test_the_first_machine_joins_a_second_one_and_then_none_has_a_bridge(there: 
             there.emitters[name][-1].emit(3)
             assert connection.get(timeout=patience()) == 3
             assert connection.gaps == ()
-        assert [one.name for one in manager.status().machines] == ["arm", "leg"]
+        assert [machine.name for machine in manager.status().machines] == ["arm", "leg"]
         manager.apply(_robot("", "near"), force=True)
         wait(lambda: far.state is ConnectionState.FAILED)
         assert manager.status().machines == ()
@@ -163,4 +163,4 @@ def test_a_machine_that_the_link_does_not_know_is_told_whom_it_would_cut(there: 
             there.emitters[name][-1].emit(9)
             assert connection.get(timeout=patience()) == 9
         assert near.gaps == ()
-        wait(lambda: all(one.health is Health.OK for one in manager.status().bridges))
+        wait(lambda: all(bridge.health is Health.OK for bridge in manager.status().bridges))

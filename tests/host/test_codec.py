@@ -50,10 +50,10 @@ def test_what_is_not_a_number_stays_so() -> None:
 def test_numeric_arrays_keep_type_shape_and_values(kind: str, shape: tuple[int, ...]) -> None:
     sent = (np.arange(math.prod(shape)) % 2).astype(kind).reshape(shape)
     got = unpack(pack({"a": sent, "b": [sent, "text"]}))
-    for one in (got["a"], got["b"][0]):
-        assert one.dtype == sent.dtype
-        assert one.shape == sent.shape
-        assert (one == sent).all()
+    for item in (got["a"], got["b"][0]):
+        assert item.dtype == sent.dtype
+        assert item.shape == sent.shape
+        assert (item == sent).all()
 
 
 def test_a_strided_array_is_sent_as_it_reads() -> None:
@@ -72,7 +72,7 @@ def test_arrays_keep_type_and_values(code: str) -> None:
 def test_numbers_of_numpy_become_plain() -> None:
     got = unpack(pack([np.int64(3), np.float32(0.5), np.bool_(True)]))
     assert got == [3, 0.5, True]
-    assert [type(one) for one in got] == [int, float, bool]
+    assert [type(item) for item in got] == [int, float, bool]
 
 
 @pytest.mark.parametrize("code", "bBhHiIqQfd")
@@ -131,7 +131,7 @@ def test_noise_is_read_or_refused_and_nothing_else(noise: bytes) -> None:
 
 def framed(tree: bytes, *buffers: bytes) -> bytes:
     frame = len(tree).to_bytes(4, "little") + tree
-    return b"".join(one + bytes(-len(one) % 8) for one in (frame, *buffers))
+    return b"".join(chunk + bytes(-len(chunk) % 8) for chunk in (frame, *buffers))
 
 
 def buffer(kind: object, shape: object, size: object) -> bytes:

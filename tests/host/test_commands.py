@@ -119,7 +119,7 @@ def test_the_status_has_what_the_host_says_and_an_emergency_stop_reaches_it(fold
         wait(lambda: send(0.9) and refused("beyond-limits") > too_fast)  # from rest 0.6 at most
         before = taken(folder)
         report = manager.stop_all(timeout=patience())
-        assert [one.stopped for one in report.inputs] == [True]
+        assert [input_.stopped for input_ in report.inputs] == [True]
         assert taken(folder) == [*before, "0.0"]
         assert set(before) == {"0.5", "0.0"}
         assert before[-1] == "0.0"

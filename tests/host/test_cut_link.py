@@ -213,7 +213,7 @@ def test_what_a_short_cut_loses_is_counted_and_nothing_else_happens(
             got.append(connection.get(patience()))
         missing = got[-1] - got[0] + 1 - len(got)
         assert missing > 0
-        ((channel,),) = (one.channels for one in manager.status().components)
+        ((channel,),) = (component.channels for component in manager.status().components)
         assert dict(channel.facts)["lost_on_link"] == missing
         assert got == sorted(got)
         assert not connection.gaps
@@ -223,11 +223,11 @@ def test_two_cables_at_once_are_two(cable: Cable) -> None:
     other = Cable()
     try:
         assert other.lay() == ""
-        for one in (cable, other):
-            with socket.create_server((one.here, 0)) as server:
+        for item in (cable, other):
+            with socket.create_server((item.here, 0)) as server:
                 port = server.getsockname()[1]
-                call = f"import socket; socket.create_connection(('{one.here}', {port}), 60)"
-                within = ["ip", "netns", "exec", one.namespace]
+                call = f"import socket; socket.create_connection(('{item.here}', {port}), 60)"
+                within = ["ip", "netns", "exec", item.namespace]
                 subprocess.run([*within, sys.executable, "-c", call], check=True)
     finally:
         other.remove()

@@ -125,7 +125,7 @@ def test_large_messages_arrive_whole(ends: Ends) -> None:
         outgoing.send({"n": number, "data": bytes([number]) * 2_000_000})
     wait(lambda: len(taker.got) + incoming.lost == 30)
     assert incoming.lost == 0
-    assert all(one["data"] == bytes([one["n"]]) * 2_000_000 for one in taker.got)
+    assert all(item["data"] == bytes([item["n"]]) * 2_000_000 for item in taker.got)
 
 
 def test_a_slow_consumer_slows_its_producer_and_loses_nothing(ends: Ends) -> None:
@@ -499,13 +499,13 @@ def test_the_first_failure_is_told_at_once_and_what_is_told_twice_counts_once(en
     taker = _Taker()
     incoming = taker.incoming(near)
     outgoing = FlowSender(far, "flow/1", patience=patience())
-    told: list[tuple[int, int, int, str]] = []
-    outgoing.watch(lambda *what: told.append(what))
+    reports: list[tuple[int, int, int, str]] = []
+    outgoing.watch(lambda *what: reports.append(what))
     for number in range(40):
         outgoing.send(number)
     outgoing.send("bad")
-    wait(lambda: sum(raised for _, raised, _, _ in told) == 1)
-    assert told[-1][1:] == (1, 0, "ValueError: it was bad")
+    wait(lambda: sum(raised for _, raised, _, _ in reports) == 1)
+    assert reports[-1][1:] == (1, 0, "ValueError: it was bad")
     outgoing.confirm(incoming.handled())
-    assert sum(taken for taken, _, _, _ in told) == 40
-    assert sum(raised for _, raised, _, _ in told) == 1
+    assert sum(taken for taken, _, _, _ in reports) == 40
+    assert sum(raised for _, raised, _, _ in reports) == 1

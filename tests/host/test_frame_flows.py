@@ -174,12 +174,12 @@ def test_two_ends_that_take_by_writing_lose_nothing_on_a_full_link(
             end.write("forth", b"%d" % number, payload, patience())
 
     sending = [threading.Thread(target=send, args=(end,)) for end in flows]
-    for one in sending:
-        one.start()
-    for one in sending:
-        one.join(patience())
-    wait(lambda: all(len(one) == count for one in back.values()))
-    assert all(one == _numbers(*range(count)) for one in back.values())
+    for thread in sending:
+        thread.start()
+    for thread in sending:
+        thread.join(patience())
+    wait(lambda: all(len(item) == count for item in back.values()))
+    assert all(item == _numbers(*range(count)) for item in back.values())
 
 
 def test_an_end_in_the_midst_of_a_take_waits_for_nobody(flows: Ends) -> None:
@@ -193,7 +193,7 @@ def test_an_end_in_the_midst_of_a_take_waits_for_nobody(flows: Ends) -> None:
     taker.gate.set()
     wait(lambda: taker.got == _numbers(0))
     reading = taker.threads[0]
-    wait(lambda: all(one.ident != reading for one in threading.enumerate()))
+    wait(lambda: all(thread.ident != reading for thread in threading.enumerate()))
     assert taker.got == _numbers(0)
 
 
@@ -224,7 +224,7 @@ def test_the_thread_that_reads_sleeps_on_when_what_was_written_is_taken(flows: E
 
     def switches() -> int:
         lines = status.read_text().splitlines()
-        return int(next(one.split()[1] for one in lines if one.startswith("voluntary_ctxt")))
+        return int(next(line.split()[1] for line in lines if line.startswith("voluntary_ctxt")))
 
     before = switches()
     for number in range(200):

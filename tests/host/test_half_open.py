@@ -50,16 +50,16 @@ class Middleman:
             readable = [] if self._stall.is_set() else list(self._ends)
             if not readable:
                 self._stalled.set()
-            for one in select.select(readable, [], [], 0.02)[0]:
-                octets = one.recv(65536)
+            for socket in select.select(readable, [], [], 0.02)[0]:
+                octets = socket.recv(65536)
                 if not octets:
                     return self._close()
-                self._ends[one].sendall(octets)
+                self._ends[socket].sendall(octets)
         return self._close()
 
     def _close(self) -> None:
-        for one in (*self._ends, *self._ends.values()):
-            one.close()
+        for socket in (*self._ends, *self._ends.values()):
+            socket.close()
 
     def stall(self) -> None:
         """Carry nothing from now on."""
@@ -85,8 +85,8 @@ def middlemen(monkeypatch: pytest.MonkeyPatch, nothing_is_left: None) -> Iterato
 
     monkeypatch.setattr(process_connection, "LinkSockets", SimpleNamespace(make=detour))
     yield made
-    for one in made:
-        one.end()
+    for middleman in made:
+        middleman.end()
 
 
 def test_a_link_that_carries_nothing_is_given_up_and_what_it_held_is_counted(
@@ -106,7 +106,7 @@ def test_a_link_that_carries_nothing_is_given_up_and_what_it_held_is_counted(
     # at a full window, where it may have been since before this is looked at.
     wait(lambda: source.facts()["under_way"] > 10)  # type: ignore[operator] # an int
     hosted.hasten(bridge, slowness())
-    wait(lambda: any(one.health is Health.LOST for one in events.all))
+    wait(lambda: any(health_event.health is Health.LOST for health_event in events.all))
     assert "has not answered" in events.all[-1].cause
     with pytest.raises(BridgeError, match="died"):
         sink.send(1)

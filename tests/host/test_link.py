@@ -137,15 +137,15 @@ def test_frames_are_taken_until_the_subscription_ends(ends: Ends) -> None:
     far.publish("test/frames", b"one", b"1")
     assert got.get(timeout=patience()) == (b"one", b"1")
     end()
-    told: SimpleQueue[bytes] = SimpleQueue()
-    near.subscribe("test/others", 4, lambda _, header: told.put(header), "test")
+    reports: SimpleQueue[bytes] = SimpleQueue()
+    near.subscribe("test/others", 4, lambda _, header: reports.put(header), "test")
     near.show_alive("test/again")
     seen = threading.Event()
     far.watch_alive("test/again", lambda alive: seen.set())
     assert seen.wait(patience())
     far.publish("test/frames", b"two", b"2")
     far.publish("test/others", b"", b"3")
-    assert told.get(timeout=patience()) == b"3"
+    assert reports.get(timeout=patience()) == b"3"
     assert got.empty()
 
 

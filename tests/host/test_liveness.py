@@ -27,7 +27,7 @@ moments = st.lists(st.tuples(st.sampled_from(["asked", "heard"]), st.floats(0, 1
 def test_silence_is_counted_from_the_last_answer_and_by_questions(
     happened: list[tuple[str, float]],
 ) -> None:
-    silence, now, heard, unanswered = Silence(3.0, 0.0), 0.0, 0.0, 0
+    silence, now, received, unanswered = Silence(3.0, 0.0), 0.0, 0.0, 0
     for what, later in happened:
         now += later
         if what == "asked":
@@ -35,8 +35,8 @@ def test_silence_is_counted_from_the_last_answer_and_by_questions(
             unanswered += 1
         else:
             silence.heard(now)
-            heard, unanswered = now, 0
-        assert silence.seconds(now) == min(now - heard, unanswered * INTERVAL)
+            received, unanswered = now, 0
+        assert silence.seconds(now) == min(now - received, unanswered * INTERVAL)
         assert silence.is_over(now) is (silence.seconds(now) > 3.0)
 
 
@@ -44,15 +44,15 @@ def test_silence_is_counted_from_the_last_answer_and_by_questions(
 def test_doubt_is_told_when_it_begins_and_when_it_is_over(
     happened: list[tuple[str, float]],
 ) -> None:
-    silence, now, told = Silence(3.0, 0.0), 0.0, [False]
+    silence, now, reports = Silence(3.0, 0.0), 0.0, [False]
     for what, later in happened:
         now += later
         silence.asked() if what == "asked" else silence.heard(now)
         change = silence.doubt(now)
         if change is not None:
-            told.append(change)
-        assert told[-1] is silence.in_doubt is (silence.seconds(now) > 1.0)
-    assert all(one is not other for one, other in pairwise(told))
+            reports.append(change)
+        assert reports[-1] is silence.in_doubt is (silence.seconds(now) > 1.0)
+    assert all(flag is not other for flag, other in pairwise(reports))
 
 
 def test_a_process_that_was_stopped_gives_no_host_up_for_its_own_silence() -> None:
@@ -145,8 +145,8 @@ def heart(
 
 def test_answers_that_come_late_are_signs_of_life(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(liveness, "_INTERVAL_SECONDS", 0.01)
-    transport, told, over = LateTransport(late=5), list[object](), threading.Event()
-    heartbeat = heart(transport, told, over, 0.1)
+    transport, reports, over = LateTransport(late=5), list[object](), threading.Event()
+    heartbeat = heart(transport, reports, over, 0.1)
     heartbeat.start()
     assert transport.enough.wait(patience())
     heartbeat.stop()
@@ -158,12 +158,12 @@ def test_a_host_that_does_not_answer_is_doubted_and_then_given_up(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(liveness, "_INTERVAL_SECONDS", 0.01)
-    transport, told, over = LateTransport(late=None), list[object](), threading.Event()
-    heartbeat = heart(transport, told, over, 0.1)
+    transport, reports, over = LateTransport(late=None), list[object](), threading.Event()
+    heartbeat = heart(transport, reports, over, 0.1)
     heartbeat.start()
     assert over.wait(patience())
     heartbeat.join(patience())
-    doubt, silent = told
+    doubt, silent = reports
     assert doubt is True
     assert isinstance(silent, float)
     assert 0.1 < silent < 0.12

@@ -64,8 +64,8 @@ def test_what_a_row_says_it_waits_for_is_said_once(tmp_path: Path, port: int) ->
     file.write_text(file.read_text().replace(far[0], far[0] + far[0].replace("far", "arm")))
     with RobotManager.from_file(file) as manager:
         assert _machine(manager).cause == "waiting for its bridges far, arm"
-        told = {one.name: one.cause for one in manager.status().bridges}
-        assert told["far"] == told["arm"] == "waiting for machine 'arm'"
+        reports = {bridge.name: bridge.cause for bridge in manager.status().bridges}
+        assert reports["far"] == reports["arm"] == "waiting for machine 'arm'"
 
 
 def test_a_machine_that_comes_late_is_waited_for(tmp_path: Path, port: int) -> None:
@@ -73,7 +73,7 @@ def test_a_machine_that_comes_late_is_waited_for(tmp_path: Path, port: int) -> N
     events: list[StatusEvent] = []
     with RobotManager.from_file(file) as manager:
         manager.listen(events.append)
-        (status,) = (one for one in manager.status().bridges if one.name == "far")
+        (status,) = (bridge for bridge in manager.status().bridges if bridge.name == "far")
         assert status.health is Health.DEGRADED
         assert status.cause == "waiting for machine 'arm'"
         assert _machine(manager).cause == "waiting for its bridge far"
@@ -86,7 +86,7 @@ def test_a_machine_that_comes_late_is_waited_for(tmp_path: Path, port: int) -> N
             asking.join(patience())
             assert answers
             assert _machine(manager).present
-            wait(lambda: any(one.cause == "machine 'arm' has joined" for one in events))
+            wait(lambda: any(event.cause == "machine 'arm' has joined" for event in events))
 
 
 def test_a_link_that_fails_while_closing_is_told_and_the_manager_closes_all_the_same(
@@ -235,7 +235,7 @@ def test_a_host_that_hangs_is_given_up_but_never_killed(tmp_path: Path, port: in
         manager.listen(events.append)
         wait(answered)
         host.signal(signal.SIGSTOP)
-        wait(lambda: any("machine 'arm' has not answered for" in one.cause for one in events))
+        wait(lambda: any("machine 'arm' has not answered for" in event.cause for event in events))
         with pytest.raises(UoarmError, match=r"host of machine 'arm' (does not|is there)"):
             manager.call("where", 0, timeout=patience())
         assert host.runs

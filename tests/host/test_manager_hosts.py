@@ -157,14 +157,16 @@ def test_one_in_a_host_that_raises_is_degraded_and_lost_with_its_exception(
     connection = robot.request("refused")
     with pytest.raises(ConnectionClosedError, match=r"'refuser' was lost: .* is not wanted"):
         connection.get(patience())
-    events.wait_for(lambda one: (one.subject, one.change) == ("component refuser", "lost"))
-    told = [one for one in events.messages if one.subject == "component refuser"]
-    assert [one.change for one in told] == ["degraded", "lost"]
-    assert re.fullmatch(r"its input .default. raised ValueError: \d+ is not wanted", told[0].cause)
-    assert not [one for one in events.messages if one.subject == "component ticker"]
-    records = [one for one in caplog.records if one.name.startswith("uoarm.component.")]
-    assert {one.name for one in records} == {"uoarm.component.refuser"}
-    assert len([one for one in records if " raised ValueError" in one.getMessage()]) == 1
+    events.wait_for(lambda item: (item.subject, item.change) == ("component refuser", "lost"))
+    reports = [message for message in events.messages if message.subject == "component refuser"]
+    assert [report.change for report in reports] == ["degraded", "lost"]
+    assert re.fullmatch(
+        r"its input .default. raised ValueError: \d+ is not wanted", reports[0].cause
+    )
+    assert not [message for message in events.messages if message.subject == "component ticker"]
+    records = [record for record in caplog.records if record.name.startswith("uoarm.component.")]
+    assert {record.name for record in records} == {"uoarm.component.refuser"}
+    assert len([record for record in records if " raised ValueError" in record.getMessage()]) == 1
 
 
 def test_one_in_a_host_that_raises_is_replaced_by_the_next_candidate(robot: RobotManager) -> None:

@@ -37,7 +37,7 @@ def test_a_host_that_leaks_till_it_can_do_nothing_is_ended(tmp_path: Path) -> No
     bridge.watch(events)
     with pytest.raises(BridgeError):
         bridge.call(at("leak", Role.SERVICE), 20, timeout=patience())
-    wait(lambda: any(one.health is Health.LOST for one in events.all))
+    wait(lambda: any(health_event.health is Health.LOST for health_event in events.all))
     with pytest.raises(BridgeError, match=r"is dead|256 MiB"):
         bridge.call(at("double", Role.SERVICE), 2)
     bridge.close()

@@ -96,7 +96,9 @@ def test_a_call_that_is_cancelled_is_so_in_the_framework_and_no_other(
     assert arms.cancel_call(1)
     with pytest.raises(BridgeError, match="it was cancelled"):
         first.result()
-    assert [one for one in calls.read_text().splitlines() if "cancelled" in one] == ["cancelled 1"]
+    assert [line for line in calls.read_text().splitlines() if "cancelled" in line] == [
+        "cancelled 1"
+    ]
     assert arms.cancel_call(2)
     with pytest.raises(BridgeError, match="it was cancelled"):
         second.result()

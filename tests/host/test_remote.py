@@ -105,7 +105,7 @@ def test_messages_go_through_a_component_and_come_back(far: RemoteBridge) -> Non
     for number in range(200):
         sink.send({"n": number, "octets": b"abc", "image": image})
     wait(lambda: len(got) == 200)
-    assert [one["n"] for one in got] == list(range(200))
+    assert [item["n"] for item in got] == list(range(200))
     assert got[0]["octets"] == b"abc"
     assert (got[-1]["image"] == image).all()
 
@@ -153,9 +153,9 @@ def test_a_crash_in_c_is_told_with_the_line_that_called_it(
     with pytest.raises(BridgeError, match="SIGSEGV"):
         far.call(at("crash", Role.SERVICE), 7)
     wait(lambda: "in crash" in caplog.text)
-    told = [one for one in caplog.records if one.name == "uoarm.host.far"]
-    assert told[0].getMessage() == "Fatal Python error: Segmentation fault"
-    assert {one.levelno for one in told} == {logging.ERROR}
+    reports = [record for record in caplog.records if record.name == "uoarm.host.far"]
+    assert reports[0].getMessage() == "Fatal Python error: Segmentation fault"
+    assert {report.levelno for report in reports} == {logging.ERROR}
 
 
 def test_a_plugin_that_is_missing_in_the_host_says_so(

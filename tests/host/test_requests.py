@@ -30,8 +30,8 @@ def test_what_came_before_is_the_very_same_value(value: object) -> None:
 
 def test_what_is_equal_in_python_but_not_in_json_is_not_confused() -> None:
     options: list[object] = [1, 1.0, True]
-    read = [_read(to_json(endpoint(depth=one)), Endpoint).options["depth"] for one in options]
-    assert [type(one) for one in read] == [int, float, bool]
+    read = [_read(to_json(endpoint(depth=option)), Endpoint).options["depth"] for option in options]
+    assert [type(item) for item in read] == [int, float, bool]
 
 
 def test_the_same_data_of_another_kind_is_another_value() -> None:

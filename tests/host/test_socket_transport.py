@@ -158,8 +158,8 @@ def test_what_is_no_frame_ends_the_link_for_both(
     bare: tuple[SocketTransport, LinkSockets], told: bytes, place: str
 ) -> None:
     near, other = bare
-    for one in (other.requests, other.incoming):
-        one.settimeout(patience())
+    for item in (other.requests, other.incoming):
+        item.settimeout(patience())
     getattr(other, place).sendall(told)
     assert other.requests.recv(1) == other.incoming.recv(1) == b""
     with pytest.raises(BridgeError, match="the link is closed") as caught:

@@ -48,8 +48,8 @@ def test_components_ports_and_structures_are_told(face: XmlRpcServer) -> None:
     with _proxy(face) as proxy:
         assert proxy.components() == ["absent", "camera"]
         assert proxy.ports("camera") == ["default"]
-        told = json.loads(str(proxy.structure("camera", "default")))
-    assert told["message"]["schema"] == NUMBER
+        report = json.loads(str(proxy.structure("camera", "default")))
+    assert report["message"]["schema"] == NUMBER
 
 
 def test_what_cannot_be_described_is_a_fault(face: XmlRpcServer) -> None:
@@ -155,14 +155,14 @@ def test_idle_connections_cost_few_threads_and_end(
             stack.enter_context(socket.create_connection(("127.0.0.1", face.port), patience()))
             for _ in range(2 * xmlrpc_server._CONNECTIONS)
         ]
-        for one in idle[::2]:
+        for item in idle[::2]:
             with suppress(OSError):
-                one.sendall(
+                item.sendall(
                     b"POST /RPC2 HTTP/1.1\r\nHost: 127.0.0.1:1\r\nContent-Length: 9\r\n\r\n<"
                 )
-        for one in idle:
+        for item in idle:
             with suppress(ConnectionResetError):
-                while one.recv(4096):
+                while item.recv(4096):
                     pass
             assert threading.active_count() <= before + xmlrpc_server._CONNECTIONS
     with _proxy(face) as proxy:
@@ -186,7 +186,7 @@ def test_the_command_answers_until_it_is_interrupted(tmp_path: Path) -> None:
         assert process.stdout is not None
         place = process.stdout.readline().split()[-1]
         with ServerProxy(place) as proxy:
-            told = json.loads(str(proxy.structure("c")))
+            report = json.loads(str(proxy.structure("c")))
         process.send_signal(signal.SIGINT)
         assert process.wait(patience()) == 130
-    assert told["request"]["schema"]["type"] == "integer"
+    assert report["request"]["schema"]["type"] == "integer"

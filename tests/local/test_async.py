@@ -41,7 +41,7 @@ def test_handlers_run_in_one_thread_of_the_bridge() -> None:
         made.open_sink(talk.at("add", Role.INPUT), talk.ANY).send({"value": 5})
         assert taken.wait(1) == [{"value": 6}]
     assert Started.threads == {"uoarm-p-loop"}
-    assert "uoarm-p-loop" not in {one.name for one in threading.enumerate()}
+    assert "uoarm-p-loop" not in {thread.name for thread in threading.enumerate()}
 
 
 def test_an_asynchronous_generator_answers_a_message_with_several() -> None:

@@ -68,7 +68,7 @@ def two(tmp_path: Path) -> Iterator[tuple[Path, Path]]:
 
 
 def call(place: Path, address: str, message: Any, *more: Path) -> Any:
-    bridge = PythonBridge("p", {"path": [str(each) for each in (place, *more)]})
+    bridge = PythonBridge("p", {"path": [str(path) for path in (place, *more)]})
     try:
         return bridge.call(service(address), message, timeout=patience())
     finally:
@@ -212,9 +212,9 @@ def test_another_process_finds_the_module(kinds: Callable[[str], Any]) -> None:
 def test_a_traceback_shows_the_line_of_the_file(kinds: Callable[[str], Any]) -> None:
     with pytest.raises(BridgeError) as caught:
         kinds("unheard of")
-    told = "".join(traceback.format_exception(caught.value))
-    assert "python_kinds.py" in told
-    assert "raise LookupError(kind)" in told
+    text = "".join(traceback.format_exception(caught.value))
+    assert "python_kinds.py" in text
+    assert "raise LookupError(kind)" in text
 
 
 def test_what_is_installed_is_imported_once(tmp_path: Path) -> None:

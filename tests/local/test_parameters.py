@@ -122,7 +122,7 @@ def test_check_finds_modules_beside_the_file(tmp_path: Path) -> None:
     text = ROBOT.replace("tests.local.typed_parts", "beside").replace("PARAMETERS", "near: far")
     file.write_text(text, encoding="utf-8")
     problems = inspect(file, Registry().types, parameters=True).problems
-    assert [one.sentence for one in problems] == ['expected a number, got "far"']
+    assert [problem.sentence for problem in problems] == ['expected a number, got "far"']
 
 
 def test_check_goes_on_past_a_module_that_ends_the_program(tmp_path: Path) -> None:

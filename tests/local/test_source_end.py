@@ -143,7 +143,7 @@ def test_what_a_source_raises_is_logged_with_where_it_was_raised(
     bridge.open_source(at("numbers", Role.OUTPUT), ANY, lambda _: None, timeout=patience())
     wait(lambda: causes)
     bridge.close(timeout=patience())
-    [record] = [one for one in caplog.records if one.name == "uoarm.component.numbers"]
+    [record] = [item for item in caplog.records if item.name == "uoarm.component.numbers"]
     [cause] = causes
     assert cause.startswith("its source raised ValueError: invalid literal for int()")
     assert record.getMessage() == f"component numbers: {cause}"

@@ -137,8 +137,8 @@ def test_an_object_with_a_wrong_value_is_the_components_fault() -> None:
 
 def test_the_field_of_a_wrong_value_is_named() -> None:
     scan = {**SCAN, "points": [{"x": 1.0, "y": "far"}]}
-    told = r"points.0.y: expected a number, got 'far'"
-    with pytest.raises(BridgeError, match=told):
+    text = r"points.0.y: expected a number, got 'far'"
+    with pytest.raises(BridgeError, match=text):
         talk.call("ask_scan_unseen", scan)
 
 

@@ -44,15 +44,15 @@ def test_after_a_death_the_next_candidate_is_chosen(
 ) -> None:
     with robot.request("camera") as camera:
         assert camera.plan.provider.component.name == "best"
-        told = Collector()
+        report = Collector()
 
         def listen(event: StatusEvent) -> None:
             if event.change == "replaced":
-                told.deliver(event)
+                report.deliver(event)
 
         robot.listen(listen)
         bridge.die("best")
-        told.wait(1)
+        report.wait(1)
         assert camera.plan.provider.component.name == "next"
     assert robot.resolve("camera").provider.component.name == "next"
     bridge.emitter("best", NUMBER)
@@ -64,10 +64,10 @@ def test_a_bridge_that_is_lost_is_asked_again_about_components_that_were_not_ope
 ) -> None:
     robot.resolve("camera")
     bridge._components.clear()
-    told = Collector()
-    robot.listen(told.deliver)
+    report = Collector()
+    robot.listen(report.deliver)
     bridge.report(Health.DEGRADED, "the cable is loose")
-    told.wait(1)
+    report.wait(1)
     with pytest.raises(ResolutionError, match="no component"):
         robot.resolve("camera")
 
@@ -88,7 +88,7 @@ def test_a_survey_says_why_a_candidate_cannot_be_had(
     bridge.die("best")
     (camera,) = robot.check_availability()
     assert (camera.name, camera.provider) == ("camera", "next")
-    assert [one.component for one in camera.candidates] == ["best", "next"]
+    assert [candidate.component for candidate in camera.candidates] == ["best", "next"]
     assert "no component" in camera.candidates[0].cause
     assert camera.candidates[1].cause == ""
     bridge.die("next")

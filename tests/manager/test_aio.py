@@ -177,8 +177,8 @@ def test_one_that_hangs_does_not_keep_others_from_being_killed(
             await asyncio.to_thread(hang.entered.wait, 10)
             await connection.kill()
             assert connection.state is ConnectionState.CLOSED
-            for one in asked:
-                one.cancel()
+            for task in asked:
+                task.cancel()
 
     asyncio.run(play())
     wait(lambda: not robot.connections())

@@ -37,7 +37,7 @@ class Scene:
         self.robot.listen(self.events.append)
 
     def changes(self, subject: str) -> list[str]:
-        return [one.change for one in self.events if one.subject == subject]
+        return [event.change for event in self.events if event.subject == subject]
 
     def _make(self, name: str, options: Any) -> MemoryBridge:
         bridge = MemoryBridge(name, options)
@@ -66,7 +66,7 @@ def test_one_that_is_started_again_is_said_to_be_ok(scene: Scene) -> None:
     _lose(scene, scene.made["one"][0])
     scene.robot.resolve("camera")
     wait(lambda: scene.changes("bridge one") == ["lost", "ok"])
-    (status,) = [one for one in scene.robot.status().bridges if one.name == "one"]
+    (status,) = [bridge for bridge in scene.robot.status().bridges if bridge.name == "one"]
     assert (status.health, status.cause) == (Health.OK, "")
 
 
@@ -88,7 +88,7 @@ def test_what_a_lost_one_still_reports_is_not_about_the_next(scene: Scene) -> No
         assert len(scene.made["one"]) == 2
     wait(lambda: "ok" in scene.changes("bridge one"))
     assert scene.changes("bridge one").count("lost") == 1
-    assert "component camera" not in {one.subject for one in scene.events}
+    assert "component camera" not in {event.subject for event in scene.events}
     assert connection.gaps == ()
     assert not connection.ended
 

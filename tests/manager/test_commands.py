@@ -38,7 +38,10 @@ def memory() -> MemoryBridge:
 
 def status(manager: RobotManager) -> CommandStatus:
     (channel,) = (
-        one for each in manager.status().components for one in each.channels if one.command
+        channel_status
+        for component in manager.status().components
+        for channel_status in component.channels
+        if channel_status.command
     )
     assert channel.command is not None
     return channel.command

@@ -23,32 +23,32 @@ functions:
 def test_what_is_well_covers_up_nothing() -> None:
     bridge = MemoryBridge()
     loop = bridge.loop("both", NUMBER)
-    told = Collector()
+    report = Collector()
 
     def listen(event: StatusEvent) -> None:
         if event.subject == "component both":
-            told.deliver((event.change, event.cause))
+            report.deliver((event.change, event.cause))
 
     with RobotManager(loads(ROBOT), bridges={"memory": bridge}) as robot, robot.request("both"):
         robot.listen(listen)
-        into, out = sorted(loop.channels(), key=lambda one: one.endpoint.role.value)
+        into, out = sorted(loop.channels(), key=lambda channel: channel.endpoint.role.value)
         bridge.report(Health.DEGRADED, "its input limps", channel=into)
         bridge.report(Health.OK, "its output flows", channel=out)
         bridge.report(Health.DEGRADED, "its output limps, too", channel=out)
-        told.wait(2)
+        report.wait(2)
         (status,) = robot.status().components
         assert (status.health, status.cause) == (Health.DEGRADED, "its output limps, too")
         bridge.report(Health.OK, "its output flows again", channel=out)
-        told.wait(3)
+        report.wait(3)
         (status,) = robot.status().components
         assert (status.health, status.cause) == (Health.DEGRADED, "its input limps")
         bridge.report(Health.DEGRADED, "the whole bridge limps")
         bridge.report(Health.OK, "its input flows again", channel=into)
         bridge.report(Health.OK, "all is well")
-        told.wait(5)
+        report.wait(5)
         (status,) = robot.status().components
         assert (status.health, status.cause) == (Health.OK, "all is well")
-    assert told.messages[:5] == [
+    assert report.messages[:5] == [
         ("degraded", "its input limps"),
         ("degraded", "its output limps, too"),
         ("degraded", "its input limps"),

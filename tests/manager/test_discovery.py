@@ -60,7 +60,7 @@ class Stating(MemoryBridge):
 
     def _discover(self) -> tuple[Discovered, ...]:
         rates = {"default": 100.0}
-        return tuple(evolve(one, rates=rates) for one in super()._discover())
+        return tuple(evolve(discovered, rates=rates) for discovered in super()._discover())
 
 
 def test_what_is_open_has_the_rate_that_is_measured_and_the_rest_what_is_stated() -> None:
@@ -84,7 +84,7 @@ def test_what_is_open_has_the_rate_that_is_measured_and_the_rest_what_is_stated(
 def test_a_port_whose_structure_is_huge_is_left_out_and_counted() -> None:
     huge: Schema = {"enum": list(range(400_000))}
     seen, _ = find(loads(ROBOT), make_lab(hostile=huge))
-    assert [one.name for one in seen.components] == ["detector", "head"]
+    assert [component.name for component in seen.components] == ["detector", "head"]
     assert seen.left_out == 1
     assert "and 1 ports more, beyond the limit" in str(seen)
 
@@ -124,8 +124,8 @@ def test_of_ten_thousand_topics_and_more_those_beyond_the_limit_are_counted() ->
     lab.emitter("arm", NUMBER)
     robot = loads("version: 1\nbridges: {lab: {plugin: memory}}\nfunctions: {}\n")
     (seen,) = find(robot, lab)
-    assert [one.name for one in seen.components] == ["arm", "flood"]
-    assert sum(len(one.ports) for one in seen.components) == 10_000
+    assert [component.name for component in seen.components] == ["arm", "flood"]
+    assert sum(len(component.ports) for component in seen.components) == 10_000
     assert seen.left_out == 501
 
 
@@ -137,7 +137,7 @@ def test_an_input_is_fed_by_the_one_output_that_is_proven_to_fit() -> None:
     (component,) = suggested.functions["detector"].components
     assert str(component.inputs[0].source) == "camera.default"
     with RobotManager(suggested, bridges={"lab": make_lab()}) as manager:
-        assert [one.component.name for one in manager.resolve("detector").steps] == [
+        assert [step.component.name for step in manager.resolve("detector").steps] == [
             "head",
             "detector",
         ]
@@ -212,7 +212,7 @@ def test_a_slow_bridge_delays_nobody_and_is_in_a_later_look(slow: Slow) -> None:
         def seen() -> list[list[str]]:
             found = manager.discover(timeout=limit, grace=0.0)
             assert bool(found[0].components) != (found[0].cause == "has not answered yet")
-            return [[one.name for one in each.components] for each in found]
+            return [[component.name for component in findings.components] for findings in found]
 
         assert seen() == [[], ["detector", "head"]]
         lab.emitter("eye", NUMBER)
@@ -221,7 +221,10 @@ def test_a_slow_bridge_delays_nobody_and_is_in_a_later_look(slow: Slow) -> None:
         assert slow.asked == 1
         slow.may_answer.set()
         wait(lambda: seen()[0] == ["hand"])
-        assert [len(one.components) for one in manager.discover(timeout=limit)] == [1, 3]
+        assert [len(component.components) for component in manager.discover(timeout=limit)] == [
+            1,
+            3,
+        ]
 
 
 def test_a_bridge_that_starts_slowly_is_started_once_and_holds_up_who_waits_for_so_long() -> None:
@@ -256,13 +259,13 @@ def test_a_bridge_that_fails_is_told_as_it_answered_last_for_some_answers() -> N
     try:
         assert discovery.look(robot, patience())[0].components
         lab.cut()
-        told = [bool(discovery.look(robot, patience())[0].cause) for _ in range(4)]
+        reports = [bool(discovery.look(robot, patience())[0].cause) for _ in range(4)]
         lab.mend()
-        told.append(bool(discovery.look(robot, patience())[0].cause))
+        reports.append(bool(discovery.look(robot, patience())[0].cause))
     finally:
         discovery.close()
         lab.close()
-    assert told == [False, False, True, True, False]
+    assert reports == [False, False, True, True, False]
 
 
 def test_a_bridge_that_started_late_has_its_time_to_answer_from_then_on(

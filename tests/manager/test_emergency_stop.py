@@ -96,7 +96,7 @@ def test_everything_that_moves_stops_and_stays_so_until_it_is_released(
     left.send(5)
     report = robot.stop_all(timeout=patience())
     assert report.stopped
-    assert [(one.component, one.stopped) for one in report.inputs] == [
+    assert [(input_.component, input_.stopped) for input_ in report.inputs] == [
         ("left", True),
         ("right", True),
     ]
@@ -127,9 +127,11 @@ def test_the_status_shows_what_moves_and_for_how_long(robot: RobotManager) -> No
     text = str(robot.status())
     assert text.startswith("commands have been refused for ")
     assert re.search(r"left\.default +stopped", text), text
-    told = to_json(robot.status())
-    assert told["held"] >= 0
-    channel = next(one for one in told["components"] if one["name"] == "left")["channels"][0]
+    report = to_json(robot.status())
+    assert report["held"] >= 0
+    channel = next(component for component in report["components"] if component["name"] == "left")[
+        "channels"
+    ][0]
     assert channel["command"]["phase"] == "stopped"
     assert channel["limits"] == [{"path": ".", "minimum": 0.0, "maximum": 8.0, "rate": None}]
 
@@ -145,7 +147,7 @@ def test_who_does_not_stop_is_named_with_the_cause_and_keeps_nobody_waiting(
     assert motors.hangs.wait(patience())
     report = robot.stop_all(timeout=0.2)
     assert not report.stopped
-    assert [one.stopped for one in report.inputs] == [False, False]
+    assert [input_.stopped for input_ in report.inputs] == [False, False]
     assert "NOT STOPPED" in str(report)
     wait(lambda: "no power" in robot.stop_all(timeout=0.05).inputs[1].cause)
     motors.hanging.clear()

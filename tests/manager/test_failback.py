@@ -78,7 +78,7 @@ class Stage:
     def lose_best(self, *users: Connection) -> None:
         """Let the better camera die, and wait until its users go on."""
         self.one.die("best", "it was unplugged")
-        wait(lambda: all(one.gaps for one in users))
+        wait(lambda: all(user.gaps for user in users))
 
     def revive_best(self) -> None:
         self.best = self.one.emitter("best", NUMBER)
@@ -117,7 +117,7 @@ def set_users(
     change: Callable[[Mapping[str, ValidationMode]], Mapping[str, ValidationMode]],
 ) -> None:
     executor = robot._executor
-    edges = {n: one._replace(users=change(one.users)) for n, one in executor.state.edges.items()}
+    edges = {n: edge._replace(users=change(edge.users)) for n, edge in executor.state.edges.items()}
     executor.state = executor.state._replace(edges=edges)
 
 
@@ -162,11 +162,11 @@ def test_all_that_share_what_is_fed_return_together(stage: Stage) -> None:
     later, deeper = stage.robot.request("face"), stage.robot.request("name")
     stage.revive_best()
     stage.look_twice()
-    assert [len(one.gaps) for one in (moved, later, deeper)] == [2, 1, 1]
+    assert [len(connection.gaps) for connection in (moved, later, deeper)] == [2, 1, 1]
     assert cameras(stage) == ["best"]
     stage.best.emit(4)
-    assert [one.get(patience()) for one in (moved, later, deeper)] == [4, 4, 4]
-    assert not any(one.preferred for one in stage.records())  # nothing is left to look for
+    assert [connection.get(patience()) for connection in (moved, later, deeper)] == [4, 4, 4]
+    assert not any(record.preferred for record in stage.records())  # nothing is left to look for
 
 
 def test_one_that_cannot_return_leaves_all_where_they_are(stage: Stage) -> None:
@@ -181,7 +181,7 @@ def test_one_that_cannot_return_leaves_all_where_they_are(stage: Stage) -> None:
     assert stage.one.open_channels == 0  # what was opened of the better one is closed again
     stage.spare.emit(5)
     assert connection.get(patience()) == 5
-    set_users(stage.robot, lambda users: {one: users[one] for one in users if one != "c99"})
+    set_users(stage.robot, lambda users: {user: users[user] for user in users if user != "c99"})
     stage.look_twice()
     assert [gap.after[0] for gap in connection.gaps] == ["spare", "best"]
 
@@ -219,7 +219,7 @@ def test_every_message_is_received_or_counted_through_death_and_return(stage: St
 
     def accounted() -> int:
         routes = (*stage.robot.status().routes, *status().ended)
-        return len(got) + sum(sum(dict(one.dropped).values()) for one in routes)
+        return len(got) + sum(sum(dict(route_status.dropped).values()) for route_status in routes)
 
     wait(lambda: accounted() == fed)
     assert status().lost <= emitted - fed  # what the spare emitted until it was closed
@@ -330,7 +330,7 @@ def test_what_two_candidates_get_as_one_takes_over_counts_as_a_copy(
 
         def delivered(finder: str) -> int:
             routes = manager.status().routes
-            return sum(one.delivered for one in routes if one.consumer == f"{finder}.default")
+            return sum(route.delivered for route in routes if route.consumer == f"{finder}.default")
 
         def emit_and_switch(edges: Iterable[tuple[int, int | None]]) -> None:
             for number in (3, 4, 5):

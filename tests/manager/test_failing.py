@@ -85,18 +85,18 @@ class Scene:
 
     def _dealt_with(self) -> object:
         return [
-            (one.producer, one.delivered, one.dropped)
-            for one in self.robot.status().routes
-            if one.producer == "camera.default"
+            (route.producer, route.delivered, route.dropped)
+            for route in self.robot.status().routes
+            if route.producer == "camera.default"
         ]
 
     def component(self, name: str) -> ComponentStatus:
-        [found] = [one for one in self.robot.status().components if one.name == name]
+        [found] = [status for status in self.robot.status().components if status.name == name]
         return found
 
     def changes(self, subject: str) -> list[str]:
-        told: list[StatusEvent] = self.events.messages
-        return [one.change for one in told if one.subject == subject]
+        reports: list[StatusEvent] = self.events.messages
+        return [report.change for report in reports if report.subject == subject]
 
 
 @pytest.fixture(autouse=True)
@@ -131,9 +131,9 @@ def test_who_raises_is_degraded_at_once_with_the_exception_and_its_neighbours_ar
         assert (camera.health, camera.failed, camera.last_error) == (Health.OK, 0, "")
         with pytest.raises(TimeoutError) as caught:
             connection.get(0.001)
-        told = "no message within 0.001 s; first is degraded: its input 'default' raised OddError"
-        assert str(caught.value).startswith(told)
-        scene.events.wait_for(lambda one: one.subject == "component first")
+        text = "no message within 0.001 s; first is degraded: its input 'default' raised OddError"
+        assert str(caught.value).startswith(text)
+        scene.events.wait_for(lambda item: item.subject == "component first")
         assert connection.state is ConnectionState.RUNNING
 
 
@@ -143,7 +143,7 @@ def test_one_that_raises_on_everything_is_lost_and_the_next_candidate_takes_over
     throwing.raises.add("first")
     with scene.robot.request("filter") as connection:
         scene.emit(10, 0.6)
-        scene.events.wait_for(lambda one: one.change == "replaced")
+        scene.events.wait_for(lambda item: item.change == "replaced")
         scene.camera.emit({"value": 7})
         assert connection.get(patience()) == {"value": 7}
         assert "its input 'default' raises again and again" in connection.gaps[0].cause
@@ -178,7 +178,7 @@ def test_one_that_raises_now_and_then_is_kept_and_well_again_when_it_stops(scene
         assert scene.component("first").health is Health.OK
         assert scene.component("first").failed == 45
         assert connection.gaps == ()
-        scene.events.wait_for(lambda one: (one.subject, one.change) == ("component first", "ok"))
+        scene.events.wait_for(lambda item: (item.subject, item.change) == ("component first", "ok"))
         assert scene.changes("component first") == ["degraded", "ok"]
 
 
@@ -190,7 +190,7 @@ def test_the_rule_is_read_from_the_file() -> None:
     with scene.robot, scene.robot.request("filter"):
         throwing.raises.add("first")
         scene.emit(2, 0.1)
-        scene.events.wait_for(lambda one: one.change == "replaced")
+        scene.events.wait_for(lambda item: item.change == "replaced")
 
 
 def test_what_the_application_sends_to_one_that_raises_degrades_it_too(scene: Scene) -> None:
@@ -215,7 +215,7 @@ def test_a_service_that_raises_is_shown_and_then_another_one_is_called(scene: Sc
     assert scene.robot.call("answer", {"value": 1}, timeout=patience()) == {"value": 1}
     assert scene.component("best").health is Health.LOST
     lost = "component best", "lost", "answer"
-    scene.events.wait_for(lambda one: (one.subject, one.change, one.function) == lost)
+    scene.events.wait_for(lambda item: (item.subject, item.change, item.function) == lost)
     throwing.raises.clear()
     scene.clock.advance(301)
     assert scene.robot.resolve("answer").provider.component.name == "best"
@@ -232,7 +232,7 @@ def test_a_callback_that_raises_is_told_to_who_has_it_and_ends_nothing(scene: Sc
         [route] = connection.routes()
         wait(lambda: dict(connection.routes()[0].dropped) == {"failed": 20})
         assert "fail raised OSError: no room for {'value':" in route.last_error
-        scene.events.wait_for(lambda one: one.change == "degraded")
+        scene.events.wait_for(lambda item: item.change == "degraded")
         assert scene.changes("connection c1").count("degraded") == 1
         assert connection.state is ConnectionState.RUNNING
         assert scene.component("first").health is Health.OK
@@ -245,8 +245,8 @@ def test_hundreds_of_exceptions_are_one_record(
     throwing.raises.add("first")
     with scene.robot.request("filter"), caplog.at_level(logging.INFO, "uoarm"):
         scene.emit(300, 0.4)
-    records = [one for one in caplog.records if "OddError" in one.getMessage()]
-    [first] = [one for one in records if one.name == "uoarm.component.first"]
+    records = [record for record in caplog.records if "OddError" in record.getMessage()]
+    [first] = [record for record in records if record.name == "uoarm.component.first"]
     assert "its input 'default' raised OddError: first does not like 0" in first.getMessage()
     assert first.exc_info is not None
     assert frames(first.exc_info[1]) == ["first", "_step"], "and none of ours before them"
@@ -254,7 +254,7 @@ def test_hundreds_of_exceptions_are_one_record(
 
 def frames(error: BaseException | None) -> list[str]:
     assert error is not None
-    return [one.name for one in traceback.extract_tb(error.__traceback__)]
+    return [frame_summary.name for frame_summary in traceback.extract_tb(error.__traceback__)]
 
 
 def test_the_exception_of_a_service_has_its_own_frames_and_is_logged_once(
@@ -264,7 +264,7 @@ def test_the_exception_of_a_service_has_its_own_frames_and_is_logged_once(
     with pytest.raises(BridgeError) as caught:
         scene.robot.call("answer", {"value": 1}, timeout=patience())
     assert frames(caught.value.__cause__) == ["first", "_step"]
-    [record] = [one for one in caplog.records if one.exc_info]
+    [record] = [item for item in caplog.records if item.exc_info]
     assert record.exc_info is not None
     assert record.exc_info[1] is caught.value.__cause__
 
@@ -275,11 +275,11 @@ def test_a_death_and_a_takeover_have_one_record_each(
     throwing.raises.add("first")
     with scene.robot.request("filter"):
         scene.emit(10, 0.6)
-        scene.events.wait_for(lambda one: one.change == "replaced")
-    told = [(one.name, one.getMessage()) for one in caplog.records]
-    [lost] = [text for name, text in told if name == "uoarm.component.first" and " lost" in text]
+        scene.events.wait_for(lambda item: item.change == "replaced")
+    reports = [(record.name, record.getMessage()) for record in caplog.records]
+    [lost] = [text for name, text in reports if name == "uoarm.component.first" and " lost" in text]
     assert lost.startswith("component first lost: its input 'default' raises again and again")
-    [taken] = [text for name, text in told if name == "uoarm"]
+    [taken] = [text for name, text in reports if name == "uoarm"]
     assert taken.startswith("connection c1 replaced: component 'first' was lost")
 
 
@@ -290,7 +290,7 @@ def test_the_first_message_that_is_dropped_has_a_record_and_the_others_are_count
         scene.emit(70, 1.0)  # 64 wait for the application
         dropped = dict(connection.routes()[0].dropped)
     assert dropped == {"queue-full": 6}
-    assert [one.getMessage() for one in caplog.records if one.name == "uoarm"] == [
+    assert [record.getMessage() for record in caplog.records if record.name == "uoarm"] == [
         "camera.default -> c1: a message was dropped: queue-full"
     ]
 
@@ -304,9 +304,9 @@ def test_what_a_channel_has_lost_and_knows_stands_in_the_status(
         monkeypatch.setattr(channel, "facts", lambda: facts)
         camera = scene.component("camera")
         assert (camera.lost, camera.channels[0].lost) == (3, 3)
-        told = str(scene.robot.status())
+        text = str(scene.robot.status())
         assert (
-            "camera     output.default  lost_on_link 3, link_latency 0.0123, peer camera 7" in told
+            "camera     output.default  lost_on_link 3, link_latency 0.0123, peer camera 7" in text
         )
 
 
@@ -314,13 +314,13 @@ def test_deaths_and_takeovers_are_counted_for_as_long_as_the_manager_lives(scene
     throwing.raises.add("first")
     with scene.robot.request("filter"):
         scene.emit(10, 0.6)
-        scene.events.wait_for(lambda one: one.change == "replaced")
+        scene.events.wait_for(lambda item: item.change == "replaced")
     status = scene.robot.status()
     assert (status.deaths, status.takeovers) == ((("first", 1),), (("filter", 1),))
     lost = "component first", "lost", "filter"
-    scene.events.wait_for(lambda one: (one.subject, one.change, one.function) == lost)
+    scene.events.wait_for(lambda item: (item.subject, item.change, item.function) == lost)
     replaced = "connection c1", "replaced", "filter"
-    scene.events.wait_for(lambda one: (one.subject, one.change, one.function) == replaced)
+    scene.events.wait_for(lambda item: (item.subject, item.change, item.function) == replaced)
 
 
 def test_who_gives_what_its_structure_does_not_allow_is_degraded_and_then_lost(
@@ -359,7 +359,7 @@ def test_a_step_that_takes_everything_and_gives_only_what_is_wrong_is_replaced(
     throwing.wrong.add("first")
     with scene.robot.request("filter") as connection:
         scene.emit(10, 0.6)
-        scene.events.wait_for(lambda one: one.change == "replaced")
+        scene.events.wait_for(lambda item: item.change == "replaced")
         assert "its output 'default' gives again and again" in connection.gaps[0].cause
         assert scene.changes("component camera") == []
         throwing.wrong.clear()
@@ -404,7 +404,11 @@ def test_who_gives_what_its_bridge_cannot_read_is_degraded_and_then_lost(scene: 
         camera, first = scene.component("camera"), scene.component("first")
         assert camera.cause.startswith("its output 'default' gave what cannot be read: ")
         assert dict(camera.channels[0].facts)["unreadable"] == camera.failed == 1
-        [route] = [one for one in scene.robot.status().routes if one.consumer == "first.default"]
+        [route] = [
+            route_status
+            for route_status in scene.robot.status().routes
+            if route_status.consumer == "first.default"
+        ]
         assert (route.received, dict(route.dropped)) == (1, {"unreadable": 1})
         assert (first.health, first.failed) == (Health.OK, 0), "its consumer is not to blame"
         scene.emit_unread(9, 0.6)
@@ -422,7 +426,7 @@ def test_a_candidate_that_can_be_read_takes_over_from_one_that_cannot() -> None:
     with scene.robot, scene.robot.request("camera") as connection:
         with scene.camera.garbled():
             scene.emit_unread(10, 0.6)
-        scene.events.wait_for(lambda one: one.change == "replaced")
+        scene.events.wait_for(lambda item: item.change == "replaced")
         spare_camera.emit({"value": 7})
         assert connection.get(patience()) == {"value": 7}
         assert "what cannot be read" in connection.gaps[0].cause

@@ -112,9 +112,9 @@ def test_the_next_candidate_goes_on_behind_the_same_handle(make: Make) -> None:
     assert connection.state is ConnectionState.RUNNING
     assert connection.plan.provider.component.name == "next"
     wait(stage.replaced)
-    (told,) = [event for event in stage.events if event.change == "replaced"]
-    assert told.subject == "connection c1"
-    assert told.cause == f"{gap.cause}; next goes on"
+    (report,) = [event for event in stage.events if event.change == "replaced"]
+    assert report.subject == "connection c1"
+    assert report.cause == f"{gap.cause}; next goes on"
 
 
 def test_what_died_is_closed_and_what_goes_on_is_in_the_status(make: Make) -> None:
@@ -124,7 +124,9 @@ def test_what_died_is_closed_and_what_goes_on_is_in_the_status(make: Make) -> No
     wait(stage.replaced)
     wait(lambda: stage.one.open_channels == 0)
     status = stage.robot.status()
-    assert [(one.name, one.users) for one in status.components] == [("next", ("c1",))]
+    assert [(component.name, component.users) for component in status.components] == [
+        ("next", ("c1",))
+    ]
     connection.kill()
     assert stage.two.open_channels == 0
     assert stage.robot.status().components == ()
@@ -170,8 +172,8 @@ def test_a_component_in_the_middle_stays_open_when_its_feed_is_replaced(make: Ma
     assert connection.get(patience()) == 2
     assert connection.gaps[0].after == ("next", "finder")
     wait(stage.replaced)
-    (told,) = [event for event in stage.events if event.change == "replaced"]
-    assert told.cause.endswith("; next goes on")
+    (report,) = [event for event in stage.events if event.change == "replaced"]
+    assert report.cause.endswith("; next goes on")
 
 
 def test_two_connections_that_share_what_died_share_what_goes_on(make: Make) -> None:
@@ -214,7 +216,11 @@ def test_a_takeover_that_comes_too_late_takes_over_nothing(
     stage.one.die("best")
     wait(lambda: one.gaps and two.gaps)
     hang.release()
-    wait(lambda: {one.name for one in stage.robot.status().components} == {"last", "finder"})
+    wait(
+        lambda: (
+            {component.name for component in stage.robot.status().components} == {"last", "finder"}
+        )
+    )
     wait(lambda: stage.two.open_channels == 3)
     stage.last.emit(3)
     for connection in (one, two):
@@ -330,10 +336,10 @@ def test_while_it_waits_it_says_so_and_for_what(make: Make) -> None:
     assert (connection.state, connection.cause) == (ConnectionState.RUNNING, "")
     revived.emit(3)
     assert connection.get(patience()) == 3
-    told = [event for event in stage.events if event.subject == "connection c1"]
+    reports = [event for event in stage.events if event.subject == "connection c1"]
     changes = ["opening", "running", "waiting", "running", "replaced"]
-    assert [event.change for event in told] == changes
-    assert "it was unplugged" in told[2].cause
+    assert [event.change for event in reports] == changes
+    assert "it was unplugged" in reports[2].cause
 
 
 def test_a_connection_that_waits_can_be_killed(make: Make) -> None:

@@ -8,11 +8,11 @@ from uoarm.model import FailureLimits, Health
 
 def _play(rule: FailureRule, outcomes: str, seconds: float, begin: float = 0.0) -> list[Health]:
     """Play `.` for a success and `x` for a failure, one every so many seconds."""
-    told = []
-    for number, one in enumerate(outcomes):
-        rule.note(one == ".", one == "x", begin + number * seconds)
-        told.append(rule.health)
-    return told
+    reports = []
+    for number, outcome in enumerate(outcomes):
+        rule.note(outcome == ".", outcome == "x", begin + number * seconds)
+        reports.append(rule.health)
+    return reports
 
 
 def test_successes_are_no_news() -> None:

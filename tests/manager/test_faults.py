@@ -142,7 +142,11 @@ def test_a_component_that_raises_is_counted_and_does_not_end_the_flow(
         scene.camera.emit(1)
         scene.camera.emit(2)
         assert connection.get(patience()) == 2
-        (route,) = [one for one in scene.robot.status().routes if one.consumer == "filter.default"]
+        (route,) = [
+            route_status
+            for route_status in scene.robot.status().routes
+            if route_status.consumer == "filter.default"
+        ]
         assert dict(route.dropped) == {"failed": 1}
         assert route.last_error == "RuntimeError: no"
 
@@ -155,5 +159,9 @@ def test_a_callback_that_raises_is_counted_and_does_not_end_the_flow(scene: Scen
         scene.camera.emit(1)
         scene.camera.emit(2)
         wait(lambda: sum(dict(connection.routes()[0].dropped).values()) == 2)
-        (route,) = [one for one in scene.robot.status().routes if one.consumer.startswith("c")]
+        (route,) = [
+            route_status
+            for route_status in scene.robot.status().routes
+            if route_status.consumer.startswith("c")
+        ]
         assert dict(route.dropped) == {"failed": 2}

@@ -52,11 +52,11 @@ def test_a_connection_that_was_killed_leaves_nothing_to_the_collector(
         connection.get(patience())
     live = robot._executor.live
     watched = [*live.components.values(), *live.edges.values(), *live.runtimes.values()]
-    watched += [channel for one in live.components.values() for channel in one.channels]
-    watched += [one.receiver for one in live.runtimes.values()]
-    gone = [weakref.ref(one) for one in (*watched, connection)]
+    watched += [channel for component in live.components.values() for channel in component.channels]
+    watched += [runtime.receiver for runtime in live.runtimes.values()]
+    gone = [weakref.ref(item) for item in (*watched, connection)]
     watched.clear()
     connection.kill()
     stage.release()  # what iterates lets go
     del connection
-    wait(lambda: not [one() for one in gone if one() is not None])
+    wait(lambda: not [reference_type() for reference_type in gone if reference_type() is not None])

@@ -316,13 +316,15 @@ def test_what_hangs_in_the_thread_of_the_caller_is_left_by_a_second_signal(
 @pytest.fixture
 def called() -> Iterator[list[int]]:
     """Return the signals of which an application's handlers were told."""
-    told: list[int] = []
+    reports: list[int] = []
 
     def handle(number: int, frame: FrameType | None) -> None:
-        told.append(number)
+        reports.append(number)
 
-    former = [(one, signal.signal(one, handle)) for one in (signal.SIGINT, signal.SIGTERM)]
-    yield told
+    former = [
+        (signals, signal.signal(signals, handle)) for signals in (signal.SIGINT, signal.SIGTERM)
+    ]
+    yield reports
     for number, handler in former:
         signal.signal(number, handler)
 
@@ -364,9 +366,9 @@ def test_one_that_comes_as_a_block_begins_or_ends_is_raised_and_so_are_all_later
     with pytest.raises((KeyboardInterrupt, SystemExit)), Uninterrupted():
         pass
     assert left <= 0
-    for one in (signal.SIGINT, signal.SIGTERM):
+    for signals in (signal.SIGINT, signal.SIGTERM):
         with pytest.raises((KeyboardInterrupt, SystemExit)):
-            signal.raise_signal(one)
+            signal.raise_signal(signals)
     passed = []
 
     def put_off() -> None:

@@ -70,7 +70,7 @@ class Scene:
 
 
 def _is_new(plan: Plan) -> bool:
-    return all(one.schema == NEW for one in plan.provider.structures.values())
+    return all(structure.schema == NEW for structure in plan.provider.structures.values())
 
 
 def _is_about_two(event: object) -> bool:

@@ -122,7 +122,7 @@ def test_nobody_else_reads_it_before_it_is_in_its_place(
     part.write_text("of a process that was killed", encoding="utf-8")
     part.chmod(0o644)
     modes: list[int] = []
-    meanwhile(lambda: modes.extend(one.stat().st_mode & 0o777 for one in file.parent.iterdir()))
+    meanwhile(lambda: modes.extend(path.stat().st_mode & 0o777 for path in file.parent.iterdir()))
     assert robot.apply(loads(WITH_LAMP, str(file)), keep=True).is_kept
     assert modes == [0o600, 0o600]
 
@@ -163,7 +163,10 @@ def test_with_a_full_disk_nothing_changes_and_no_new_bridge_is_left(file: Path) 
         robot.request("camera")
         with full_after(10), pytest.raises(ConfigurationError, match="yaml cannot be written: "):
             robot.apply(other, keep=True)
-        assert (robot.revision, [one.closed for one in made]) == (0, [False, True])
+        assert (robot.revision, [memory_bridge.closed for memory_bridge in made]) == (
+            0,
+            [False, True],
+        )
         assert list(file.parent.iterdir()) == [file]
         assert file.read_text(encoding="utf-8") == ROBOT
         assert robot.apply(other, keep=True).is_kept
@@ -192,7 +195,7 @@ def test_a_limit_that_is_over_is_not_said_to_be_the_files(
 
 
 @pytest.mark.parametrize(
-    "spoil", [lambda one: evolve(one, text=""), lambda one: evolve(one, functions={})]
+    "spoil", [lambda item: evolve(item, text=""), lambda item: evolve(item, functions={})]
 )
 def test_what_no_text_says_cannot_be_kept(
     robot: RobotManager, file: Path, spoil: Callable[[object], object]

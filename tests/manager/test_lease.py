@@ -62,8 +62,8 @@ def test_who_sends_first_commands_and_any_other_is_told_who_does(memory: MemoryB
         manager.listen(events.append)
         first, second = manager.request("drive"), manager.request("drive")
         first.send(1)
-        told = refused(lambda: second.send(2))
-        assert f"base.default: connection {first.id} holds its lease" in told
+        text = refused(lambda: second.send(2))
+        assert f"base.default: connection {first.id} holds its lease" in text
         assert lease(manager).holder == LeaseHolder(f"connection {first.id}")
         assert f"connection {first.id}, 3" in str(manager.status())
         second.send(3, take_over=True)
@@ -72,7 +72,7 @@ def test_who_sends_first_commands_and_any_other_is_told_who_does(memory: MemoryB
         refused(lambda: second.send(6, take_over=True))
         assert lease(manager).priority == 10
         assert base.taken.messages == [1, 3, 5]
-        wait(lambda: [one.change for one in events].count("leased") == 3)
+        wait(lambda: [event.change for event in events].count("leased") == 3)
         cause = f"base.default: {SAFETY} holds its lease, who took it over from connection"
         assert events[-1].cause == f"{cause} {second.id}"
         assert events[-1].function == "drive"
@@ -109,8 +109,8 @@ def test_a_stop_by_who_was_taken_over_from_stops_nobody_else(memory: MemoryBridg
 
 def test_a_stop_that_cannot_be_is_told(memory: MemoryBridge) -> None:
     memory.taker("base", {"type": "number"})
-    told = "no stop message in the configuration"
-    with open_robot(memory) as manager, pytest.raises(UsageError, match=told):
+    text = "no stop message in the configuration"
+    with open_robot(memory) as manager, pytest.raises(UsageError, match=text):
         manager.request("lamp").stop()
 
 
@@ -169,5 +169,5 @@ def test_a_command_is_renewed_while_it_is_held_and_stopped_then(
         assert base.taken.messages[-1] == 4, "who was taken over from stops nobody"
         with second.hold(5, period=3600):
             assert base.taken.messages[-1] == 5
-    told = "commands live for 3600 s, and are renewed every 3600 s: it stops in between"
-    assert f"base.default: {told}" in caplog.text
+    text = "commands live for 3600 s, and are renewed every 3600 s: it stops in between"
+    assert f"base.default: {text}" in caplog.text

@@ -116,7 +116,7 @@ def test_a_call_under_way_is_cancelled_and_the_next_is_refused(
     robot: RobotManager, arms: Arms, reaching: list[BaseException | float]
 ) -> None:
     report = robot.stop_all(timeout=patience())
-    assert [(one.component, one.stopped) for one in report.inputs] == [("arm", True)]
+    assert [(input_.component, input_.stopped) for input_ in report.inputs] == [("arm", True)]
     wait(lambda: len(reaching) == 1)
     assert "the emergency stop cancelled the call: it was cancelled" in str(reaching[0])
     with pytest.raises(CommandRefusedError, match="until the emergency stop is released"):
@@ -147,14 +147,14 @@ def test_what_cannot_be_cancelled_is_reported_as_not_stopped(
 
 
 def test_a_call_that_was_cancelled_before_it_could_be_is_cancelled_when_it_can() -> None:
-    calls, call, told = CallsUnderWay(), CallUnderWay(7), list[str]()
+    calls, call, reports = CallsUnderWay(), CallUnderWay(7), list[str]()
     outer = calls.begin(call)
     assert not calls.cancel_number(7)
-    with calls.cancelling(lambda: told.append("cancelled")):
-        assert told == ["cancelled"]
+    with calls.cancelling(lambda: reports.append("cancelled")):
+        assert reports == ["cancelled"]
         assert calls.cancel_number(7)
     calls.end(call, outer)
-    assert told == ["cancelled", "cancelled"]
+    assert reports == ["cancelled", "cancelled"]
 
 
 def test_a_call_that_was_cancelled_before_it_began_never_does() -> None:

@@ -51,7 +51,9 @@ class Showing(MemoryBridge):
         self.rounds += 1
         if self.rounds == self.shown_at:
             self.hidden.clear()
-        return tuple(one for one in super()._discover() if one.name not in self.hidden)
+        return tuple(
+            discovered for discovered in super()._discover() if discovered.name not in self.hidden
+        )
 
 
 class Lab:
@@ -76,7 +78,7 @@ def lab(monkeypatch: pytest.MonkeyPatch) -> Iterator[Lab]:
 
 
 def candidates(manager: RobotManager, function: str) -> list[str]:
-    return [one.name for one in manager.config.functions[function].components]
+    return [component.name for component in manager.config.functions[function].components]
 
 
 def test_what_is_seen_and_fits_provides_a_function_that_names_nobody(lab: Lab) -> None:
@@ -86,9 +88,9 @@ def test_what_is_seen_and_fits_provides_a_function_that_names_nobody(lab: Lab) -
         camera = manager.request("camera")
         head.emit(7)
         assert camera.get(timeout=patience()) == 7
-        told = str(camera.plan)
-    assert "camera@lab/head (lab, discovered: exact structure, this machine, native)" in told
-    assert "camera: camera@lab/sign (discovered)" in told
+        text = str(camera.plan)
+    assert "camera@lab/head (lab, discovered: exact structure, this machine, native)" in text
+    assert "camera: camera@lab/sign (discovered)" in text
 
 
 ORDERS = {
@@ -107,7 +109,7 @@ def test_candidates_stand_in_the_order_of_the_rules(lab: Lab, more: str, order: 
     lab.lab.emitter("a", NUMBER)
     with lab.manager(CAMERA.replace("integer}", f"integer}}{more}")) as manager:
         manager.resolve("camera")
-        assert candidates(manager, "camera") == [f"camera@{one}" for one in order]
+        assert candidates(manager, "camera") == [f"camera@{name}" for name in order]
 
 
 def test_where_nothing_of_the_kind_is_seen_that_is_said(lab: Lab) -> None:
@@ -178,11 +180,13 @@ def test_of_a_thousand_that_come_and_go_between_two_rounds_only_the_last_state_c
     lab.lab.emitter("first", NUMBER)
     with lab.manager(CAMERA) as manager:
         camera = manager.request("camera")
-        told: set[tuple[str, ...]] = set()
+        reported: set[tuple[str, ...]] = set()
         change = manager._executor.change_candidates
 
         def changed(robot: Robot) -> None:
-            told.add(tuple(one.name for one in robot.functions["camera"].components))
+            reported.add(
+                tuple(component.name for component in robot.functions["camera"].components)
+            )
             change(robot)
 
         monkeypatch.setattr(manager._executor, "change_candidates", changed)
@@ -191,8 +195,8 @@ def test_of_a_thousand_that_come_and_go_between_two_rounds_only_the_last_state_c
         for number in range(1_000):
             lab.lab.emitter(f"guest{number}", NUMBER)
         lab.lab.may_answer.set()
-        wait(lambda: tuple(FIRST_AND_GUEST) in told)
-        assert told <= {tuple(FIRST_AND_GUEST[:1]), tuple(FIRST_AND_GUEST)}
+        wait(lambda: tuple(FIRST_AND_GUEST) in reported)
+        assert reported <= {tuple(FIRST_AND_GUEST[:1]), tuple(FIRST_AND_GUEST)}
         assert not camera.gaps
 
 
@@ -255,7 +259,7 @@ def test_what_is_requested_while_a_round_is_proving_stays_as_it_runs(
 
     def request_when_proven(*given: Any, **more: Any) -> Robot:
         found = add_candidates(*given, **more)
-        fed_by = {str(end.source) for one in found.components() for end in one.inputs}
+        fed_by = {str(end.source) for component in found.components() for end in component.inputs}
         if fed_by == {"eye"} and not faces:
             faces.append(manager.request("face"))
         return found
@@ -267,8 +271,8 @@ def test_what_is_requested_while_a_round_is_proving_stays_as_it_runs(
         wait(lambda: candidates(manager, "eye"))
         again = manager.request("face")
         assert again.plan.steps == faces[0].plan.steps
-        for one in (*faces, again):
-            one.kill()
+        for face in (*faces, again):
+            face.kill()
         wait(lambda: manager.resolve("face").steps[0].component.function == "eye")
 
 
@@ -280,7 +284,7 @@ def test_a_chain_is_fed_by_what_fits(lab: Lab) -> None:
         face = manager.request("face")
         head.emit(3)
         assert face.get(timeout=patience()) == 3
-        assert [one.component.function for one in face.plan.steps] == ["camera", "face"]
+        assert [step.component.function for step in face.plan.steps] == ["camera", "face"]
     assert "default from camera, contained" in str(face.plan)
 
 
@@ -354,7 +358,7 @@ def test_an_input_that_is_the_applications_is_fed_by_no_function(lab: Lab) -> No
     text = HEAD + text.replace("vehicle@", "vehicle, from_application: 'def*'")
     with lab.manager(text) as manager:
         drive = manager.request("drive")
-        assert [one.component.function for one in drive.plan.steps] == ["drive"]
+        assert [step.component.function for step in drive.plan.steps] == ["drive"]
         assert "default from the application" in str(drive.plan)
         default.emit(1)
         drive.send(2)

@@ -90,8 +90,8 @@ def stage() -> Iterator[Callable[[str], Stage]]:
         return made[-1]
 
     yield make
-    for one in made:
-        one.robot.close()
+    for item in made:
+        item.robot.close()
 
 
 ACTION = """
@@ -142,7 +142,9 @@ def test_an_output_reaches_a_framework_and_goes_on_when_its_provider_dies(
 
     def delivered() -> int:
         routes = there.robot.status().routes
-        (route,) = [one for one in routes if one.consumer == "net:camera.default"]
+        (route,) = [
+            route_status for route_status in routes if route_status.consumer == "net:camera.default"
+        ]
         assert route.producer == status.connections[0]
         return route.delivered
 
@@ -269,9 +271,9 @@ def test_a_source_that_has_finished_is_told_and_not_played_again(
     stage: Callable[[str], Stage],
 ) -> None:
     there = stage(f"{CAMERA[:-2]}, arm: {{input: {{endpoint: [wish]}}}}}}}}")
-    told: list[str] = []
+    reports: list[str] = []
     there.robot.listen(
-        lambda event: told.append(event.change) if event.subject == "offer net:camera" else None
+        lambda event: reports.append(event.change) if event.subject == "offer net:camera" else None
     )
     there.robot.offer(timeout=patience())
     there.best.emit(1)
@@ -282,7 +284,7 @@ def test_a_source_that_has_finished_is_told_and_not_played_again(
     assert (status.cause, status.connections) == ("component 'best' finished", ())
     assert not there.seen.channels()
     there.one.report(Health.OK, "all is well")  # upon which what failed would be opened again
-    wait(lambda: told == ["open", "finished"])
+    wait(lambda: reports == ["open", "finished"])
     there.apply("")
     assert there.robot.status().offers == ()
 
@@ -369,18 +371,18 @@ def test_what_is_lost_twice_in_a_row_is_opened_twice(
     stage: Callable[[str], Stage],
 ) -> None:
     there = stage(CAMERA)
-    told: list[str] = []
+    reports: list[str] = []
     there.robot.listen(
-        lambda event: told.append(event.change) if "offer" in event.subject else None
+        lambda event: reports.append(event.change) if "offer" in event.subject else None
     )
     there.offer()
 
     def opened(count: int) -> None:
-        wait(lambda: told.count("open") == count, "it was not opened again")
+        wait(lambda: reports.count("open") == count, "it was not opened again")
 
     for count in (1, 2):
         opened(count)
         (sink,) = there.seen.channels()
         there.net.report(Health.LOST, "it was unplugged", channel=sink)
     opened(3)
-    assert told == ["open", "opening"] * 2 + ["open"]
+    assert reports == ["open", "opening"] * 2 + ["open"]

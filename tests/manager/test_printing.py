@@ -47,9 +47,9 @@ def test_a_status_prints_as_the_command_line_shows_it(capsys: pytest.CaptureFixt
     bridge = MemoryBridge("one")
     camera = bridge.emitter("spare", NUMBER)
     bridge.loop("face", NUMBER)
-    told = Collector()
+    report = Collector()
     with RobotManager(loads(ROBOT), bridges={"one": bridge}) as robot:
-        robot.listen(told.deliver)
+        robot.listen(report.deliver)
         connection = robot.request("face")
         camera.emit(1)
         connection.get(patience())
@@ -59,9 +59,11 @@ def test_a_status_prints_as_the_command_line_shows_it(capsys: pytest.CaptureFixt
         lines = str(status).splitlines()
         assert "connections: 1" in lines
         assert "  c1  face      running  0" in lines
-        assert any(one.split()[:4] == ["spare.default", "face.default", "1", "1"] for one in lines)
-        told.wait(1)
-        assert str(told.messages[0]) == "#1 connection c1 opening"
+        assert any(
+            line.split()[:4] == ["spare.default", "face.default", "1", "1"] for line in lines
+        )
+        report.wait(1)
+        assert str(report.messages[0]) == "#1 connection c1 opening"
         assert repr(connection) == "<Connection c1 to 'face': running, spare -> face>"
         assert repr(connection.plan) == "<Plan face: spare -> face>"
         assert repr(robot) == "<RobotManager in memory: 2 functions, 1 connections>"
@@ -78,6 +80,6 @@ def test_plans_and_availability_print_as_the_command_line_shows_them(tmp_path: P
         "plan for wanted\n  1. wanted: good (python, priority 0)\npassed over"
     )
     shown = CliRunner().invoke(main, ["status", "-f", str(file)])
-    assert shown.output == "".join(f"{one}\n" for one in availability)
+    assert shown.output == "".join(f"{status}\n" for status in availability)
     assert str(availability[0]).startswith("wanted  from good\n       9  bad  (python)  ")
     assert str(availability[1]).startswith("hopeless  cannot be had\n")

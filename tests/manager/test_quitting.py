@@ -76,7 +76,9 @@ def everywhere(*parts: str) -> pytest.MarkDecorator:
 def robot_of(function: str, part: str, kind: str, host: str, when: object = "") -> RobotManager:
     folder = Path(__file__).parent
     text = ROBOT.format(folder=folder, host=host, kind=kind, part=part, when=when)
-    text = text if kind else "\n".join(one for one in text.splitlines() if "parameters" not in one)
+    text = (
+        text if kind else "\n".join(line for line in text.splitlines() if "parameters" not in line)
+    )
     others = [name for name in ("stepped", "sourced", "answered") if name != function]
     return RobotManager(loads("\n".join(_without(text, others))))
 
@@ -92,7 +94,7 @@ def _without(text: str, functions: list[str]) -> Iterator[str]:
 
 
 def component(robot: RobotManager, name: str) -> ComponentStatus | None:
-    return next((one for one in robot.status().components if one.name == name), None)
+    return next((status for status in robot.status().components if status.name == name), None)
 
 
 @everywhere("step", "async_step", "steps")
@@ -109,7 +111,7 @@ def test_a_step_that_quits_has_failed_and_the_next_candidate_takes_over(
             assert KINDS[kind] in connection.gaps[0].cause
             lost = "component quits", "lost"
             events.wait_for(
-                lambda one: (one.subject, one.change) == lost and KINDS[kind] in one.cause
+                lambda item: (item.subject, item.change) == lost and KINDS[kind] in item.cause
             )
 
 
@@ -218,7 +220,7 @@ def test_a_listener_that_quits_is_called_again_and_others_are_too(kind: str) -> 
         robot.listen(events.deliver)
         for _ in range(2):
             robot.request("ticks").kill()
-        events.wait_for(lambda one: (one.subject, one.change) == ("connection c2", "closed"))
+        events.wait_for(lambda item: (item.subject, item.change) == ("connection c2", "closed"))
 
 
 @pytest.mark.parametrize("host", ["", HOSTED], ids=["here", "hosted"])

@@ -86,7 +86,9 @@ def test_a_connection_goes_on_with_what_the_configuration_says_now(
     assert change.is_applied
     assert change.revision == robot.revision == 1
     assert change.differences == ("~ component best",)
-    assert [(one.connection, one.effect) for one in change.connections] == [(face.id, Effect.MOVES)]
+    assert [(connection.connection, connection.effect) for connection in change.connections] == [
+        (face.id, Effect.MOVES)
+    ]
     lab.emit("one.better", 2)
     assert face.get(timeout=patience()) == 2
     assert [gap.cause for gap in face.gaps] == ["the configuration was changed"]
@@ -95,8 +97,8 @@ def test_a_connection_goes_on_with_what_the_configuration_says_now(
 
 
 def test_what_is_not_concerned_loses_nothing(robot: RobotManager, lab: Lab) -> None:
-    heard: list[object] = []
-    robot.request("lamp", on_message=heard.append)
+    received: list[object] = []
+    robot.request("lamp", on_message=received.append)
     over = threading.Event()
 
     def emit() -> None:
@@ -110,15 +112,15 @@ def test_what_is_not_concerned_loses_nothing(robot: RobotManager, lab: Lab) -> N
         robot.apply(loads(OTHER_CAMERA))
         robot.apply(loads(ROBOT))
     sender.join()
-    wait(lambda: len(heard) == 2_000)
-    assert heard == list(range(2_000))
+    wait(lambda: len(received) == 2_000)
+    assert received == list(range(2_000))
 
 
 def test_a_dry_run_says_what_would_happen_and_does_nothing(robot: RobotManager) -> None:
     face, lamp = robot.request("face"), robot.request("lamp")
     change = robot.apply(loads(NO_LAMP.replace("[best]", "[better]")), dry_run=True)
     assert not change.is_applied
-    assert {one.connection: one.effect for one in change.connections} == {
+    assert {connection.connection: connection.effect for connection in change.connections} == {
         face.id: Effect.MOVES,
         lamp.id: Effect.ENDS,
     }
@@ -157,7 +159,7 @@ def test_what_was_in_force_before_can_be_applied_again(robot: RobotManager) -> N
     before = robot.history()[0].robot
     assert before is not None
     robot.apply(before)
-    assert [one.revision for one in robot.history()] == [0, 1, 2]
+    assert [change.revision for change in robot.history()] == [0, 1, 2]
     assert robot.config.functions["camera"] == before.functions["camera"]
 
 
@@ -244,7 +246,7 @@ def test_a_bridge_with_other_options_is_another_one(
     with RobotManager(loads(ROBOT), registry=registry) as robot:
         face, camera = robot.request("face"), robot.request("camera")
         robot.apply(loads(other))
-        before, after = (one for one in made if one.name == "two")
+        before, after = (memory_bridge for memory_bridge in made if memory_bridge.name == "two")
         lab.emit("one.best", 3)
         assert face.get(timeout=patience()) == camera.get(timeout=patience()) == 3
         assert after.open_channels > 0
@@ -262,7 +264,7 @@ def test_a_change_that_is_refused_leaves_no_bridge_behind(
         robot.request("face")
         with pytest.raises(ConfigurationError):
             robot.apply(loads(other))
-        before, after = (one for one in made if one.name == "two")
+        before, after = (memory_bridge for memory_bridge in made if memory_bridge.name == "two")
         assert after.closed
         assert not before.closed
 
@@ -321,18 +323,20 @@ STEPS = {
 
 def running(robot: RobotManager, lab: Lab) -> object:
     """Return what is open, as connections and bridges have it."""
-    plans = sorted(str(one.plan) for one in robot.connections())
-    components = sorted((one.name, len(one.users)) for one in robot.status().components)
-    return plans, components, {name: one.open_channels for name, one in lab.bridges.items()}
+    plans = sorted(str(connection.plan) for connection in robot.connections())
+    components = sorted(
+        (component.name, len(component.users)) for component in robot.status().components
+    )
+    return plans, components, {name: bridge.open_channels for name, bridge in lab.bridges.items()}
 
 
 @settings(max_examples=10, phases=[Phase.generate])  # an example that fails takes long
 @given(st.lists(st.sampled_from([*STEPS, "face", "camera", "kill"]), min_size=4, max_size=8))
 def test_any_sequence_of_changes_ends_in_what_a_fresh_start_would_open(steps: list[str]) -> None:
-    lab, heard = Lab("one", "two"), list[object]()
+    lab, received = Lab("one", "two"), list[object]()
     last = ROBOT
     with RobotManager(loads(ROBOT), bridges=lab.bridges) as robot:
-        robot.request("lamp", on_message=heard.append)
+        robot.request("lamp", on_message=received.append)
         others = [robot.request("face"), robot.request("camera")]
         for number, step in enumerate(steps):
             lab.emit("two.light", number)
@@ -350,6 +354,6 @@ def test_any_sequence_of_changes_ends_in_what_a_fresh_start_would_open(steps: li
                 fresh.request(connection.plan.function)
             expected = running(fresh, fresh_lab)
             wait(lambda: running(robot, lab) == expected)
-        sent = [one for number in range(len(steps)) for one in (number, -1 - number)]
-        wait(lambda: len(heard) == len(sent))
-        assert heard == sent
+        sent = [index for number in range(len(steps)) for index in (number, -1 - number)]
+        wait(lambda: len(received) == len(sent))
+        assert received == sent

@@ -59,7 +59,7 @@ def test_the_new_code_takes_over_behind_the_handle_when_that_is_asked(
     assert list(connection.gaps) == []
     shown = robot.reload(reload_code=True, dry_run=True)
     assert shown.differences == ("~ bridge py: its code", "~ bridge other: its code")
-    assert [str(one) for one in shown.connections] == ["c1 (times) moves: times  to  times"]
+    assert [str(effect) for effect in shown.connections] == ["c1 (times) moves: times  to  times"]
     connection.send(5)
     assert connection.get(patience()) == 10
     robot.reload(reload_code=True)

@@ -92,8 +92,8 @@ def start(motors: Motors, memory: MemoryBridge) -> Iterator[Start]:
         return made[-1]
 
     yield start
-    for one in made:
-        one.close()
+    for robot_manager in made:
+        robot_manager.close()
 
 
 def in_order(taken: list[tuple[str, Message]]) -> bool:

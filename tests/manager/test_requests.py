@@ -74,7 +74,9 @@ def test_messages_flow_from_the_source_to_the_application(make_robot: Make) -> N
         assert [connection.get(patience())["value"] for _ in range(3)] == [0, 1, 2]
 
         def delivered() -> dict[tuple[str, str], int]:
-            return {(one.producer, one.consumer): one.delivered for one in robot.status().routes}
+            return {
+                (route.producer, route.consumer): route.delivered for route in robot.status().routes
+            }
 
         ends = ("narrow.default", "wanted.default"), ("wanted.default", connection.id)
         wait(lambda: delivered() == dict.fromkeys(ends, 3))  # counted once it was taken
@@ -205,7 +207,7 @@ def test_the_status_can_be_asked_for_before_anything_of_a_connection_is_open(
     get, seen = robot._bridges.get, list[ConnectionState]()
 
     def get_watched(name: str) -> Bridge:
-        seen.extend(one.state for one in robot.status().connections)
+        seen.extend(status.state for status in robot.status().connections)
         return get(name)
 
     monkeypatch.setattr(robot._bridges, "get", get_watched)
@@ -349,7 +351,7 @@ def test_a_structure_that_nobody_states_is_asked_for_by_its_key(
 ) -> None:
     lab = Mute("lab", {})
     lab.emitter("eye", {})
-    lab.service("ask", {}, {}, lambda one: one)
+    lab.service("ask", {}, {}, lambda item: item)
     text = (
         "version: 1\nbridges: {lab: {plugin: memory}}\nfunctions:\n"
         f"  see: {{components: [{{name: eye, bridge: lab, {port}}}]}}\n"

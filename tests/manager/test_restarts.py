@@ -57,7 +57,9 @@ def test_at_the_limit_it_is_given_up_with_the_cause() -> None:
     for _ in range(3):
         _die(restarts, clock, after=1.0)
     clock.advance(1e6)
-    with pytest.raises(BridgeError, match="died 3 times in a row, at last: it was killed") as told:
+    with pytest.raises(
+        BridgeError, match="died 3 times in a row, at last: it was killed"
+    ) as report:
         restarts.check("far", 3)
-    assert told.value.reason is FailureReason.UNAVAILABLE
+    assert report.value.reason is FailureReason.UNAVAILABLE
     restarts.check("other", 3)

@@ -10,7 +10,7 @@ ONE, OTHER = (loads("version: 1\nbridges: {}\nfunctions: {}\n") for _ in range(2
 
 def test_first_rounds_are_short_until_every_need_is_met_or_frameworks_had_their_time() -> None:
     rounds = Rounds()
-    told = [
+    reports = [
         (
             rounds.ended(base, begun, begun + 0.01, is_whole=is_whole, has_all=has_all),
             rounds.matched is base,
@@ -27,7 +27,7 @@ def test_first_rounds_are_short_until_every_need_is_met_or_frameworks_had_their_
         )
     ]
     is_not_yet, is_matched = (0.25, False), (2.0, True)
-    assert told == [*[is_not_yet] * 2, *[is_matched] * 2, *[is_not_yet] * 3, is_matched]
+    assert reports == [*[is_not_yet] * 2, *[is_matched] * 2, *[is_not_yet] * 3, is_matched]
 
 
 def test_rounds_take_a_fifth_of_the_time_at_most() -> None:

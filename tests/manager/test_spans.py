@@ -52,8 +52,13 @@ def test_a_request_and_a_takeover_are_spans_of_one_trace(spans: Any) -> None:
     with RobotManager(loads(ROBOT), bridges={"memory": bridge}) as robot:
         robot.request("camera")
         bridge.die("best")
-        wait(lambda: "uoarm.takeover" in [one.name for one in spans.get_finished_spans()])
-    found = {one.name: one for one in spans.get_finished_spans()}
+        wait(
+            lambda: (
+                "uoarm.takeover"
+                in [finished_span.name for finished_span in spans.get_finished_spans()]
+            )
+        )
+    found = {finished_span.name: finished_span for finished_span in spans.get_finished_spans()}
     request, takeover = found["uoarm.request"], found["uoarm.takeover"]
     assert dict(request.attributes) == {"uoarm.function": "camera", "uoarm.connection": "c1"}
     assert takeover.attributes["uoarm.before"] == "best"
@@ -71,7 +76,7 @@ def test_a_request_that_fails_is_a_span_with_its_exception(spans: Any) -> None:
         pytest.raises(ResolutionError),
     ):
         robot.request("nothing")
-    found = {one.name: one for one in spans.get_finished_spans()}
+    found = {finished_span.name: finished_span for finished_span in spans.get_finished_spans()}
     assert not found["uoarm.request"].status.is_ok
     assert found["uoarm.resolve"].events[0].name == "exception"
 

@@ -163,7 +163,7 @@ class Chain:
     def __init__(self, expect: str) -> None:
         self.clock = ManualClock()
         self.bridge = MemoryBridge("memory", {})
-        self.best, self.spare = (self.bridge.emitter(one, NUMBER) for one in ("best", "spare"))
+        self.best, self.spare = (self.bridge.emitter(name, NUMBER) for name in ("best", "spare"))
         self.detector = self.bridge.loop("detector", NUMBER)
         self.bridge.loop("second", NUMBER)
         robot = loads(CHAIN.replace("EXPECT", expect))
@@ -191,9 +191,9 @@ class Chain:
     def pass_by(self, seconds: float) -> None:
         """Let time pass, and have what is stale then replaced before going on."""
         self.clock.advance(seconds)
-        before, told = self.face.gaps, len(self.told)  # it may be replaced as soon as it is told
+        before, report = self.face.gaps, len(self.told)  # it may be replaced as soon as it is told
         self.robot._staleness.look()
-        if len(self.told) > told:
+        if len(self.told) > report:
             wait(lambda: self.face.gaps != before)
 
     def fall_silent(self) -> None:

@@ -134,5 +134,5 @@ def test_without_pint_no_unit_is_refused_that_pint_knows(monkeypatch: pytest.Mon
     right = [name for name in names if not unit_mistake(name)]
     monkeypatch.setattr(_units, "missing_for_units", lambda: "this needs: pip install pint")
     assert [name for name in right if unit_mistake(name)] == []
-    units = {unit for one, other, *_ in PAIRS for unit in (one, other)}
+    units = {unit for text, other, *_ in PAIRS for unit in (text, other)}
     assert [unit for unit in units if unit_mistake(unit)] == []

@@ -25,9 +25,9 @@ def cost(message: object) -> tuple[int, int]:
     if not isinstance(message, list | dict):
         return 1, 0
     inner = list(message.values()) if isinstance(message, dict) else message
-    costs = [cost(one) for one in inner]
+    costs = [cost(item) for item in inner]
     names = len(inner) if isinstance(message, dict) else 0
-    elements = 1 + (sum(one for one, _ in costs) + names if inner else 1)
+    elements = 1 + (sum(number for number, _ in costs) + names if inner else 1)
     return elements, 1 + max((depth for _, depth in costs), default=0)
 
 

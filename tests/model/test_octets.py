@@ -25,9 +25,9 @@ MESSAGES = st.recursive(
 @pytest.mark.parametrize(
     ("text", "slack"),
     [
-        ("[" + ",".join(str(one * 1000) for one in range(20_000)) + "]", 1.1),
+        ("[" + ",".join(str(index * 1000) for index in range(20_000)) + "]", 1.1),
         ("[" + ",".join(["[]"] * 20_000) + "]", 1.1),
-        ("[" + ",".join(f'"{one}"' for one in range(20_000)) + "]", 1.1),
+        ("[" + ",".join(f'"{index}"' for index in range(20_000)) + "]", 1.1),
         ("[" + ",".join(['{"a":[]}'] * 20_000) + "]", 1.3),  # the name is one object, often counted
     ],
     ids=["numbers", "empty lists", "texts", "objects"],
@@ -59,8 +59,8 @@ def test_counting_stops_beyond_the_most_that_matters(message: object, most: int)
 
 def test_buffers_count_with_what_they_hold() -> None:
     octets = bytes(100_000)
-    for one in (octets, bytearray(octets), memoryview(octets), array("B", octets)):
-        assert 100_000 <= message_octets(one) <= 110_000
+    for item in (octets, bytearray(octets), memoryview(octets), array("B", octets)):
+        assert 100_000 <= message_octets(item) <= 110_000
     for buffer in (np.zeros((100, 100)), np.zeros(20_000)[::2], np.frombuffer(bytes(80_000))):
         assert 80_000 <= message_octets({"data": buffer}) <= 80_800
 

@@ -28,7 +28,7 @@ class Unwritten(list[int]):
         (dict.fromkeys(range(1000)), "an object with 1,000 members"),
         (1 << 100_000, "a large int"),
     ],
-    ids=lambda one: str(type(one)),
+    ids=lambda item: str(type(item)),
 )
 def test_a_value_is_shown_in_short(value: object, shown: str) -> None:
     assert show_value(value) == shown

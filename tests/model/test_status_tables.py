@@ -33,9 +33,9 @@ def test_a_table_has_its_columns_one_below_the_other() -> None:
 
 @pytest.mark.parametrize("width", [40, 60])
 def test_where_a_table_is_too_wide_each_row_says_what_it_has(width: int) -> None:
-    told = tell_status(STATUS, width)
-    assert max(map(len, told.splitlines())) <= width
-    joined = " ".join(told.split())
+    text = tell_status(STATUS, width)
+    assert max(map(len, text.splitlines())) <= width
+    joined = " ".join(text.split())
     assert "c1 function faceRecognition, state running, lost 0 c2" in joined
     assert f"c2 function x, state failed, lost 1, cause {'its bridge ' * 9}routes: 1" in joined
     if width > 40:

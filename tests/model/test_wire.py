@@ -172,8 +172,8 @@ def test_a_value_comes_back_the_same(value: Any) -> None:
     back = there_and_back(value)
     assert back == value
     assert to_json(back) == to_json(value)
-    assert {one.name: type(getattr(back, one.name)) for one in fields(type(value))} == {
-        one.name: type(getattr(value, one.name)) for one in fields(type(value))
+    assert {field.name: type(getattr(back, field.name)) for field in fields(type(value))} == {
+        field.name: type(getattr(value, field.name)) for field in fields(type(value))
     }
 
 

@@ -86,7 +86,7 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], tuple[Pat
 
 def metadata(wheel: Path) -> Message:
     with zipfile.ZipFile(wheel) as archive:
-        [name] = [one for one in archive.namelist() if one.endswith(".dist-info/METADATA")]
+        [name] = [text for text in archive.namelist() if text.endswith(".dist-info/METADATA")]
         return Parser().parsestr(archive.read(name).decode())
 
 
@@ -143,7 +143,7 @@ def test_the_same_files_build_into_the_same_octets(
     (tmp_path / "out").mkdir()
     again = build(project, tmp_path / "out", 0o077)
     digests = [
-        [sha256(one.read_bytes()).hexdigest() for one in pair] for pair in (built(name), again)
+        [sha256(path.read_bytes()).hexdigest() for path in pair] for pair in (built(name), again)
     ]
     assert digests[0] == digests[1]
 
@@ -152,10 +152,10 @@ def test_the_same_files_build_into_the_same_octets(
 def test_the_metadata_say_whose_it_is_and_where_it_runs(
     name: str, built: Callable[[str], tuple[Path, Path]]
 ) -> None:
-    told = metadata(built(name)[1])
-    assert told["Author"] == "the uoarm developers"
-    assert told["License-Expression"] == "Apache-2.0"
-    classifiers = told.get_all("Classifier") or []
+    report = metadata(built(name)[1])
+    assert report["Author"] == "the uoarm developers"
+    assert report["License-Expression"] == "Apache-2.0"
+    classifiers = report.get_all("Classifier") or []
     assert "Operating System :: POSIX :: Linux" in classifiers
     assert "Programming Language :: Python :: 3.13" in classifiers
 
@@ -168,7 +168,7 @@ def test_the_page_of_an_index_links_to_nothing_that_lies_in_the_repository(
     assert isinstance(page, str)
     assert page.startswith(f"# {name}")
     links = re.findall(r"\]\(([^)]*)\)", page)
-    assert not [one for one in links if not one.startswith("https://")]
+    assert not [link for link in links if not link.startswith("https://")]
 
 
 @projects(name for name in PROJECTS if name != "uoarm")
@@ -176,7 +176,7 @@ def test_a_plugin_bounds_the_core_below_and_above(
     name: str, built: Callable[[str], tuple[Path, Path]]
 ) -> None:
     needs = metadata(built(name)[1]).get_all("Requires-Dist") or []
-    [core] = [one for one in needs if re.match(r"uoarm[<>=]", one)]
+    [core] = [need for need in needs if re.match(r"uoarm[<>=]", need)]
     assert set(core.removeprefix("uoarm").split(",")) == {">=0.1", "<0.2"}
 
 
@@ -184,5 +184,5 @@ def test_the_extras_do_not_bring_two_builds_of_one_opencv(
     built: Callable[[str], tuple[Path, Path]],
 ) -> None:
     needs = metadata(built("uoarm")[1]).get_all("Requires-Dist") or []
-    vision = [one for one in needs if one.startswith("opencv") and one.endswith("== 'vision'")]
-    assert [one.partition("<")[0] for one in vision] == ["opencv-python-headless"]
+    vision = [need for need in needs if need.startswith("opencv") and need.endswith("== 'vision'")]
+    assert [name.partition("<")[0] for name in vision] == ["opencv-python-headless"]

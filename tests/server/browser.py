@@ -90,19 +90,19 @@ class Browser:
         if session := getattr(self, "_session", ""):
             message["sessionId"] = session
         self._socket.send(json.dumps(message))
-        while (told := json.loads(self._socket.recv(timeout=SECONDS))).get("id") != number:
-            self._note(told)
-        assert "error" not in told, f"{method}: {told['error']}"
-        result: dict[str, Any] = told["result"]
+        while (report := json.loads(self._socket.recv(timeout=SECONDS))).get("id") != number:
+            self._note(report)
+        assert "error" not in report, f"{method}: {report['error']}"
+        result: dict[str, Any] = report["result"]
         return result
 
     def js(self, expression: str) -> Any:
         """Return the value of an expression in the page."""
-        told = self.tell(
+        reports = self.tell(
             "Runtime.evaluate", expression=expression, returnByValue=True, awaitPromise=True
         )
-        assert "exceptionDetails" not in told, (expression, told["exceptionDetails"])
-        return told["result"].get("value")
+        assert "exceptionDetails" not in reports, (expression, reports["exceptionDetails"])
+        return reports["result"].get("value")
 
     def until(self, expression: str) -> Any:
         """Wait until an expression is true in the page and return it."""
@@ -119,7 +119,9 @@ class Browser:
 
         Any interface of the machine will do, such as one that another test makes.
         """
-        others = [one for one in self.complaints if "ERR_NETWORK_CHANGED" not in one]
+        others = [
+            complaint for complaint in self.complaints if "ERR_NETWORK_CHANGED" not in complaint
+        ]
         if len(others) < len(self.complaints):
             self.complaints[:] = others
             self.tell("Page.reload")

@@ -49,11 +49,11 @@ def text(value: str) -> bytes:
 
 def rows(sizes: list[int], items: bytes) -> bytes:
     """Return a multi-dimensional array (RFC 8746, section 3.1.1), true or not."""
-    return b"\xd8\x28\x82" + head(4, len(sizes)) + b"".join(head(0, one) for one in sizes) + items
+    return b"\xd8\x28\x82" + head(4, len(sizes)) + b"".join(head(0, size) for size in sizes) + items
 
 
 def cbor_fields(**fields: bytes) -> bytes:
-    return head(5, len(fields)) + b"".join(text(name) + one for name, one in fields.items())
+    return head(5, len(fields)) + b"".join(text(name) + field for name, field in fields.items())
 
 
 def cbor_call(value: bytes) -> bytes:
@@ -132,7 +132,8 @@ HOSTILE: Mapping[str, Hostile] = {
     "empty texts": _one("json", lambda: json_call(many('""'))),
     "numbers": _one("json", lambda: json_call(many("1"))),
     "names": _one(
-        "json", lambda: json_call("{" + ",".join(f'"{one}":1' for one in range(1_200_000)) + "}")
+        "json",
+        lambda: json_call("{" + ",".join(f'"{index}":1' for index in range(1_200_000)) + "}"),
     ),
     "empty lists in CBOR": _one("cbor", lambda: cbor_call(many_cbor(b"\x80"))),
     "empty maps in CBOR": _one("cbor", lambda: cbor_call(many_cbor(b"\xa0"))),
@@ -151,6 +152,8 @@ HOSTILE: Mapping[str, Hostile] = {
     "many ids to wait for": _one("json", lambda: resume(many('"i"', 1_900_000))),
     "many extensions": _one(
         "json",
-        lambda: '{"op":"List","id":"h",' + ",".join(f'"x-{one}":1' for one in range(240_000)) + "}",
+        lambda: (
+            '{"op":"List","id":"h",' + ",".join(f'"x-{index}":1' for index in range(240_000)) + "}"
+        ),
     ),
 }

@@ -118,7 +118,7 @@ def count(message: Image) -> Count:
 
 
 def drive(message: Goal) -> Answer:
-    stops = ", ".join(str(one["count"]) for one in message["stops"])
+    stops = ", ".join(str(stop["count"]) for stop in message["stops"])
     hurry = "fast" if message["hurry"] else "slowly"
     return {"text": f"{hurry} to {message['x']} on {message['frame']} by {stops}"}
 

@@ -125,10 +125,10 @@ class Talk:
     def next(self, kind: str) -> dict[str, Any]:
         """Return the next message that is no answer and has this type."""
         while True:
-            for one in self._others:
-                if one["type"] == kind:
-                    self._others.remove(one)
-                    return one
+            for item in self._others:
+                if item["type"] == kind:
+                    self._others.remove(item)
+                    return item
             self._receive()
 
     def data(self, connection: str, count: int) -> list[Any]:
@@ -157,15 +157,15 @@ class Talk:
         frame = self.socket.recv(timeout=SECONDS)
         assert isinstance(frame, bytes) == self.binary
         if isinstance(frame, bytes):
-            told = read_binary(frame, Spending(Budget()))
+            report = read_binary(frame, Spending(Budget()))
         else:
-            told = json.loads(frame)
-        TOLD[told["op"]].validate(told)
-        if told["op"] in {"Reply", "Error"}:
-            assert told.get("id") not in self._answers, "a second answer"
-            self._answers[told.get("id")] = told
+            report = json.loads(frame)
+        TOLD[report["op"]].validate(report)
+        if report["op"] in {"Reply", "Error"}:
+            assert report.get("id") not in self._answers, "a second answer"
+            self._answers[report.get("id")] = report
         else:
-            self._others.append(told)
+            self._others.append(report)
 
 
 def eventually(condition: Callable[[], object], what: str) -> None:
@@ -177,7 +177,7 @@ def opened(robot: RobotManager, count: int) -> None:
     """Wait until so many connections run, and no others are there."""
 
     def all_run() -> bool:
-        states = [one.state for one in robot.status().connections]
+        states = [connection.state for connection in robot.status().connections]
         return states == [ConnectionState.RUNNING] * count
 
     eventually(all_run, f"{count} are open")

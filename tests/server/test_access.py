@@ -104,9 +104,9 @@ def test_a_role_may_do_what_is_named_and_nothing_else(guarded: Server) -> None:
         assert driver.ask("Call", "add", {"a": 1, "b": 1}) == {"value": 2}
         assert driver.refused("Request", "numbers")["code"] == "denied"
         assert driver.refused("Resolve", "numbers")["code"] == "denied"
-        assert [one["name"] for one in driver.ask("List")["functions"]] == ["echo"]
+        assert [function["name"] for function in driver.ask("List")["functions"]] == ["echo"]
         shown = driver.ask("Status")
-        assert {one["function"] for one in shown["connections"]} == {"echo"}
+        assert {connection["function"] for connection in shown["connections"]} == {"echo"}
         assert "numbers" not in str(shown)
         assert driver.refused("Kill", numbers, {"everyone": True})["code"] == "unknown"
 
@@ -162,9 +162,9 @@ def test_changes_of_what_the_application_itself_opens_and_kills_at_once_are_told
         mine.kill()
         go_on.set()
         for change in ("opening", "running", "closed"):
-            told = driver.next("change")["jsonMessage"]
-            assert (told["subject"], told["change"]) == (f"connection {mine.id}", change)
-            assert told["function"] == "echo"
+            report = driver.next("change")["jsonMessage"]
+            assert (report["subject"], report["change"]) == (f"connection {mine.id}", change)
+            assert report["function"] == "echo"
         end()
 
 

@@ -124,7 +124,7 @@ def is_let_go(looks: list[tuple[float, int, float]]) -> bool:
     many = [look for look in looks[begun:] if look[1] > FRESH]
     stood = any(
         later[0] - (first[0] - first[2]) >= PATIENCE
-        and all(one[2] > LATE for one in many if first[0] <= one[0] <= later[0])
+        and all(pair[2] > LATE for pair in many if first[0] <= pair[0] <= later[0])
         for first, later in itertools.combinations_with_replacement(many, 2)
     )
     return waiting > FRESH and age > LATE and stood
@@ -231,7 +231,7 @@ def test_whatever_is_taken_is_handed_out_in_order_or_counted_as_lost(
             else:
                 feed.take(bytes(step))
                 assert feed._waiting[-1].number == feed.number
-                held = [one.message_octets for one in feed._waiting]
+                held = [envelope.message_octets for envelope in feed._waiting]
                 assert sum(held[:-FRESH]) <= most
                 if feed.number % FRESH == 0:
                     assert sum(held) <= most or len(held) <= FRESH

@@ -142,7 +142,7 @@ def test_a_slow_call_holds_up_nothing(server: Server) -> None:
 
 def test_looking_around(server: Server) -> None:
     async def work(client: Client) -> None:
-        assert {"numbers", "add"} <= {one["name"] for one in await client.functions()}
+        assert {"numbers", "add"} <= {function["name"] for function in await client.functions()}
         assert "numbers" in (await client.resolve("doubled"))["text"]
         assert client.hello["protocol"] == 1
         async with await client.request("numbers"):
@@ -222,7 +222,7 @@ HELLO = '{"op":"Status","type":"hello","jsonMessage":{}}'
         '{"op":"Reply","id":"1","jsonMessage":{"connection":"c1"}}',
         b"binary",
     ],
-    ids=lambda one: str(one[:50]),
+    ids=lambda item: str(item[:50]),
 )
 def test_a_server_that_sends_rubbish_is_left_with_a_plain_error(frame: str | bytes) -> None:
     async def rubbish(socket: ServerConnection) -> None:

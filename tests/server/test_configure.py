@@ -73,7 +73,7 @@ def test_who_has_the_right_changes_it_and_sees_the_revisions(guarded: Server) ->
         assert change["is_applied"]
         keeper.open("torch")
         revisions = keeper.ask("Configure")["revisions"]
-        assert [one["revision"] for one in revisions] == [0, 1]
+        assert [revision["revision"] for revision in revisions] == [0, 1]
         again = {"text": MORE, "reload_code": True, "dry_run": True}
         assert keeper.ask("Configure", message=again)["differences"] == [
             "~ bridge python: its code"
@@ -84,8 +84,8 @@ def test_only_who_has_that_right_too_writes_the_file(guarded: Server) -> None:
     with enter(guarded, "keeper") as keeper:
         refused = keeper.refused("Configure", message={"text": MORE, "keep": True})
         assert (refused["code"], "may not keep" in refused["text"]) == ("denied", True)
-        told = keeper.ask("Configure")
-        assert (len(told["revisions"]), told["configuration"]) == (1, CONFIGURATION)
+        report = keeper.ask("Configure")
+        assert (len(report["revisions"]), report["configuration"]) == (1, CONFIGURATION)
     with enter(guarded, "owner") as owner:  # the robot of these tests is of no file to write to
         refused = owner.refused("Configure", message={"text": MORE, "keep": True})
         assert refused["code"] in {"usage", "configuration"}
@@ -98,7 +98,7 @@ def test_what_bridges_see_is_told_to_who_sees_all_and_taken_by_who_may_change(
     with enter(guarded, "viewer") as viewer:
         (python, *others) = viewer.ask("Discover")["bridges"]
         assert (python["bridge"], python["configured"], python["cause"]) == ("python", True, "")
-        assert not any(one["configured"] or one["components"] for one in others)
+        assert not any(item["configured"] or item["components"] for item in others)
         take = {"take": {"bridge": "python", "component": "nobody"}}
         assert viewer.refused("Discover", message=take)["code"] == "denied"
     with enter(guarded, "keeper") as keeper:
@@ -148,18 +148,18 @@ def test_what_is_wrong_or_in_the_way_is_told_and_nothing_changes(guarded: Server
         assert "(numbers) ends" in refused["text"]
         refused = keeper.refused("Configure", message={"text": MORE, "revision": 3})
         assert refused["code"] == "usage"
-        assert [one["revision"] for one in keeper.ask("Configure")["revisions"]] == [0]
+        assert [revision["revision"] for revision in keeper.ask("Configure")["revisions"]] == [0]
 
         keeper.ask("Configure", message={"text": NO_NUMBERS, "force": True})
-        told = keeper.next("connection")["jsonMessage"]
-        assert (told["connection"], told["state"]) == (numbers, "failed")
+        report = keeper.next("connection")["jsonMessage"]
+        assert (report["connection"], report["state"]) == (numbers, "failed")
 
 
 def test_the_python_client(guarded: Server) -> None:
     async def work() -> None:
         async with connect(url(guarded), token=TOKENS["keeper"]) as keeper:
             assert (await keeper.configure(MORE))["is_applied"]
-            assert [one["revision"] for one in await keeper.revisions()] == [0, 1]
+            assert [revision["revision"] for revision in await keeper.revisions()] == [0, 1]
             with pytest.raises(ConfigurationError, match="funktions"):
                 await keeper.configure("version: 1\nfunktions: {}\n")
             assert (await keeper.rollback(0, dry_run=True))["revision"] == 2
@@ -186,10 +186,10 @@ def test_the_command_line(guarded: Server, tmp_path: Path) -> None:
     assert apply(guarded, path, "--revision", "0").exit_code == 1
     assert apply(guarded, tmp_path / "none.yaml", "--rollback", "0").exit_code == 0
     asked = ["history", "--url", url(guarded), "--token"]
-    told = CliRunner().invoke(main, [*asked, TOKENS["keeper"]])
-    assert (told.exit_code, "+ function torch" in told.output) == (0, True)
-    told = CliRunner().invoke(main, [*asked, TOKENS["keeper"], "--json"])
-    assert [one["revision"] for one in json.loads(told.stdout)] == [0, 1, 2]
+    report = CliRunner().invoke(main, [*asked, TOKENS["keeper"]])
+    assert (report.exit_code, "+ function torch" in report.output) == (0, True)
+    report = CliRunner().invoke(main, [*asked, TOKENS["keeper"], "--json"])
+    assert [load["revision"] for load in json.loads(report.stdout)] == [0, 1, 2]
     assert CliRunner().invoke(main, [*asked, TOKENS["viewer"]]).exit_code == 4
     assert apply(guarded, path, who="viewer").exit_code == 4
     path.write_text("version: 1\nfunktions: {}\n", encoding="utf-8")

@@ -65,35 +65,35 @@ def extensions(socket: Counting) -> str:
 async def list_many(socket: Counting) -> tuple[str, int, Any]:
     """Return what was negotiated, how many octets a list of functions took, and the list."""
     before = socket.octets
-    told = await asked(socket, op="List", id="1")
-    return extensions(socket), socket.octets - before, told
+    report = await asked(socket, op="List", id="1")
+    return extensions(socket), socket.octets - before, report
 
 
 def test_nothing_is_compressed_unless_the_server_is_told_to(server: Server) -> None:
-    negotiated, octets, told = talking(server, list_many)
+    negotiated, octets, report = talking(server, list_many)
     assert negotiated == ""
-    assert octets > len(json.dumps(told, separators=(",", ":")))
+    assert octets > len(json.dumps(report, separators=(",", ":")))
 
 
 def test_texts_are_compressed_for_clients_that_ask_for_it(serve: Serve) -> None:
     server = serve(deflate=True)
-    negotiated, octets, told = talking(server, list_many)
+    negotiated, octets, report = talking(server, list_many)
     assert negotiated.startswith("permessage-deflate")
     assert "server_no_context_takeover" in negotiated
-    assert octets < len(json.dumps(told)) / 2
-    assert talking(server, list_many, compression=None)[2] == told
+    assert octets < len(json.dumps(report)) / 2
+    assert talking(server, list_many, compression=None)[2] == report
 
 
 def test_a_client_may_want_a_small_window(serve: Serve) -> None:
     small = [ClientPerMessageDeflateFactory(server_max_window_bits=9)]
-    negotiated, _, told = talking(serve(deflate=True), list_many, extensions=small)
+    negotiated, _, report = talking(serve(deflate=True), list_many, extensions=small)
     assert "server_max_window_bits=9" in negotiated
-    assert told["op"] == "Reply"
+    assert report["op"] == "Reply"
 
 
 def test_messages_of_every_kind_pass_there_and_back(serve: Serve) -> None:
     """Short, long, longest, and such as do not get shorter."""
-    letters = [chr(one) for one in range(0x20, 0x7F)]
+    letters = [chr(index) for index in range(0x20, 0x7F)]
     draw = random.Random(5)
     texts = ["", "a" * 100_000, "".join(draw.choices(letters, k=20_000)), "é" * 700]
 
@@ -149,6 +149,6 @@ def test_a_browser_asks_for_it_and_reads_what_comes(serve: Serve) -> None:
     with Browser(program) as browser:
         browser.go(f"http://127.0.0.1:{server.ports[0]}/")
         browser.until("document.querySelector('.link-state.open')")
-        extensions, told = browser.js(ASK)
+        extensions, report = browser.js(ASK)
     assert extensions.startswith("permessage-deflate")
-    assert told == "Reply"
+    assert report == "Reply"

@@ -105,7 +105,7 @@ def test_every_listener_gets_every_message_in_order_and_the_end_last(steps: list
             elif others:
                 feed.remove(others[-1])
                 gone.append((others.pop(), 0))
-        gone = [(one, len(one.took)) for one, _ in gone]
+        gone = [(reader, len(reader.took)) for reader, _ in gone]
         feed.finish("closed", "kill")
         end = asyncio.get_running_loop().time() + patience()
         while "closed kill" not in first.took:
@@ -113,9 +113,9 @@ def test_every_listener_gets_every_message_in_order_and_the_end_last(steps: list
             assert asyncio.get_running_loop().time() < end
         encoder.close()
         assert first.took == [*range(1, feed.number + 1), "closed kill"]
-        for one in others:
-            assert one.took == first.took[len(first.took) - len(one.took) :]
-        assert all(len(one.took) == count for one, count in gone)
+        for reader in others:
+            assert reader.took == first.took[len(first.took) - len(reader.took) :]
+        assert all(len(reader.took) == count for reader, count in gone)
         late = Reader(encoder)
         feed.add(late, late.prepare)
         assert late.took == ["closed kill"]
@@ -128,19 +128,19 @@ def test_a_long_message_is_written_once_for_each_form_and_beside_the_loop() -> N
         encoder, loop = Encoder(), asyncio.get_running_loop()
         feed = Feed(LoopMailbox(loop), Limits())
         readers = [Reader(encoder) for _ in range(3)]
-        for one in readers:
-            feed.add(one, one.prepare)
+        for reader in readers:
+            feed.add(reader, reader.prepare)
         feed.take(LONG)
         end = loop.time() + patience()
-        while not all(one.took for one in readers):
+        while not all(reader.took for reader in readers):
             await asyncio.sleep(0)
             assert loop.time() < end
-        [thread] = [thread for one in readers for thread in one.threads]
+        [thread] = [thread for reader in readers for thread in reader.threads]
         assert thread is not threading.current_thread()
         encoder.close()
         feed.take(LONG)  # what comes while the server stops is written in the loop
         feed.finish("closed", "kill")
-        assert all(one.took == [1, 2, "closed kill"] for one in readers)
+        assert all(reader.took == [1, 2, "closed kill"] for reader in readers)
 
     asyncio.run(run())
 
@@ -148,7 +148,7 @@ def test_a_long_message_is_written_once_for_each_form_and_beside_the_loop() -> N
 def _plain(value: Any) -> Any:
     """Return a value as JSON text has it."""
     if isinstance(value, list):
-        return [_plain(one) for one in value]
+        return [_plain(item) for item in value]
     if isinstance(value, float) and value != value:  # noqa: PLR0124 - so is NaN
         return "NaN"
     if isinstance(value, int) and abs(value) >= 2**53:

@@ -101,7 +101,7 @@ def test_its_own_port_has_its_endpoint_on_every_path(serve: Serve) -> None:
 def test_the_client_chooses_among_its_subprotocols(
     serve: Serve, offered: list[str] | None, chosen: str | None
 ) -> None:
-    wanted = None if offered is None else [Subprotocol(one) for one in offered]
+    wanted = None if offered is None else [Subprotocol(name) for name in offered]
     with enter(serve(front_ends=[LINES]), subprotocols=wanted) as client:
         assert client.subprotocol == chosen
 
@@ -128,7 +128,9 @@ def test_a_session_that_fails_ends_its_connection_and_is_named(
         assert closed.value.rcvd.code == 1011
         other.send(ADD)
         assert told(other) == '{"value":3}'
-    assert [one.message for one in caplog.records if "tests.server.lines failed" in one.message]
+    assert [
+        record.message for record in caplog.records if "tests.server.lines failed" in record.message
+    ]
 
 
 def test_a_task_that_it_leaves_behind_ends_nothing_when_it_quits(
@@ -233,7 +235,9 @@ def test_a_client_whose_session_cannot_be_made_is_sent_away_and_holds_nothing(
 
 def found(*front_ends: FrontEnd) -> tuple[list[str], list[str]]:
     made = FrontEnds(OWN_PATHS, front_ends)
-    return [one.name for one in made.usable], [one.cause for one in made.problems]
+    return [front_end.name for front_end in made.usable], [
+        problem.cause for problem in made.problems
+    ]
 
 
 def test_what_cannot_be_served_is_a_problem_with_its_cause() -> None:
@@ -244,7 +248,7 @@ def test_what_cannot_be_served_is_a_problem_with_its_cause() -> None:
     names, causes = found(LINES, older, same_name, same_path, reserved)
     assert names == ["lines"]
     assert [len(causes), "contract version 0" in causes[0]] == [4, True]
-    assert all("already there: lines of text" in one for one in causes[1:3])
+    assert all("already there: lines of text" in cause for cause in causes[1:3])
     assert "the server's own" in causes[3]
 
 

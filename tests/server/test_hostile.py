@@ -17,7 +17,7 @@ def test_it_is_refused_and_the_session_goes_on(server: Server, hostile: Hostile)
             client.raw(frame)
         client.ask("List")
         errors = [client.answer(identity) for identity in client.unheard]
-    assert [one["op"] for one in errors] == ["Error"] * hostile.errors
-    for one in errors:
-        assert one["jsonMessage"]["code"] in {"unreadable", "limit", "unknown"}
-        assert len(one["jsonMessage"]["text"]) < 400
+    assert [error["op"] for error in errors] == ["Error"] * hostile.errors
+    for error in errors:
+        assert error["jsonMessage"]["code"] in {"unreadable", "limit", "unknown"}
+        assert len(error["jsonMessage"]["text"]) < 400

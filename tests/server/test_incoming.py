@@ -37,7 +37,7 @@ def packed(content: bytes, level: int = 9) -> bytes:
 def parsed(*frames: Frame) -> list[Frame]:
     """Return frames as they are after the extension has had them."""
     extension = DEFLATE.process_request_params([], [])[1]
-    return [extension.decode(one) for one in frames]
+    return [extension.decode(item) for item in frames]
 
 
 def pieces(content: bytes, lengths: list[int], *, deflate: bool) -> list[Frame]:
@@ -78,8 +78,8 @@ def test_messages_come_whole_and_in_order_and_leave_nothing(
 ) -> None:
     incoming = Incoming(MEGABYTE)
     for content, lengths, deflate in sent:
-        for one in pieces(content, lengths, deflate=deflate):
-            incoming.add(one)
+        for piece in pieces(content, lengths, deflate=deflate):
+            incoming.add(piece)
     assert messages(incoming) == [content for content, *_ in sent]
     assert incoming.octets == 0
     assert not incoming.is_within_message
@@ -133,8 +133,8 @@ def test_what_follows_the_last_block_of_a_message_is_dropped() -> None:
     incoming = Incoming(MEGABYTE)
     first = Frame(Opcode.BINARY, ended + b"\x00", fin=False, rsv1=True)
     more = [Frame(Opcode.CONT, bytes(50_000), fin=False) for _ in range(50)]
-    for one in parsed(first, *more, Frame(Opcode.CONT, b"")):
-        incoming.add(one)
+    for item in parsed(first, *more, Frame(Opcode.CONT, b"")):
+        incoming.add(item)
         while incoming.is_packed:
             incoming.unpack()
         assert incoming.octets < 100

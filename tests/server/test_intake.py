@@ -43,7 +43,7 @@ def test_no_rate_is_passed_by_a_client_that_is_made_to_wait(
 
 def test_a_client_within_its_rates_never_waits() -> None:
     pace = RateLimiter(Limits(messages_per_second=10, octets_per_second=1000), 0.0)
-    assert not any(pace.spend(0.1 * one, octets=100, elements=1) for one in range(1, 1000))
+    assert not any(pace.spend(0.1 * index, octets=100, elements=1) for index in range(1, 1000))
 
 
 def test_a_large_message_is_taken_and_waited_for_afterwards() -> None:
@@ -72,8 +72,8 @@ def test_others_are_served_while_something_heavy_is_decoded() -> None:
 
         loop_thread = threading.current_thread()
         waiting = [loop.create_task(decoder.run(100_000, heavy)) for _ in range(3)]
-        for one in waiting:
-            one.add_done_callback(lambda task: done.append(task.result()))
+        for item in waiting:
+            item.add_done_callback(lambda task: done.append(task.result()))
         done.append(await decoder.run(100, lambda: "light"))
         gate.set()
         await asyncio.gather(*waiting)

@@ -44,7 +44,7 @@ def test_a_session_is_taken_up_message_by_message(talk: Connect) -> None:
     waiting = [call, "never sent"]
     taken = second.ask("Resume", message={"key": key, "waiting": waiting})
     assert taken["session"] == first.hello["session"]
-    assert [one["connection"] for one in taken["own"]] == [connection]
+    assert [item["connection"] for item in taken["own"]] == [connection]
     assert second.answer("never sent")["jsonMessage"]["code"] == "closed"
     script.gate.set()
     assert second.answer(call)["jsonMessage"] == {"value": 1}
@@ -114,7 +114,7 @@ def test_kept_answers_are_bounded_and_the_newest(
         kept = {name: answers.get(name) for name in newest if answers.get(name) is not None}
         assert list(kept) == list(newest)[len(newest) - len(kept) :]
         assert len(kept) <= most
-        assert sum(len(one or b"") for one in kept.values()) <= most_bytes
+        assert sum(len(chunk or b"") for chunk in kept.values()) <= most_bytes
 
 
 def test_sessions_that_wait_are_bounded_in_octets_and_those_that_hold_most_end_first(
@@ -124,11 +124,11 @@ def test_sessions_that_wait_are_bounded_in_octets_and_those_that_hold_most_end_f
     proxy = between(server)
     with ExitStack() as stack:
         kept = [stack.enter_context(Talk(f"ws://127.0.0.1:{proxy.port}/")) for _ in range(4)]
-        keys = [one.ask("Resume")["key"] for one in kept]
+        keys = [talk.ask("Resume")["key"] for talk in kept]
         text = "x" * 100_000
-        for number, one in enumerate(kept):  # answers of 0, 0.5, 1 and 1.5 MB are kept
+        for number, talk in enumerate(kept):  # answers of 0, 0.5, 1 and 1.5 MB are kept
             for _ in range(5 * number):
-                assert one.ask("Call", "parrot", {"text": text}) == {"text": text}
+                assert talk.ask("Call", "parrot", {"text": text}) == {"text": text}
         proxy.cut()
         waiting = "uoarm_serve_kept_sessions 3.0"
         eventually(lambda: waiting in figures(server), "the one that holds most is ended")

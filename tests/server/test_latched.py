@@ -54,8 +54,8 @@ def robot(memory: MemoryBridge, latched: Emitter) -> Iterator[RobotManager]:
 def numbered(client: Talk, connection: str, count: int) -> list[tuple[int, object]]:
     """Return messages with their numbers."""
     came = [client.next(connection) for _ in range(count)]
-    assert {one["type"] for one in came} <= {connection}
-    return [(one["x-number"], one["jsonMessage"]) for one in came]
+    assert {item["type"] for item in came} <= {connection}
+    return [(item["x-number"], item["jsonMessage"]) for item in came]
 
 
 @FORMS

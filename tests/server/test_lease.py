@@ -69,7 +69,7 @@ def robot(memory: MemoryBridge, base: Taker) -> Iterator[RobotManager]:
 @pytest.fixture
 def guarded(serve: Serve, tmp_path: Path) -> Server:
     access = tmp_path / "access.yaml"
-    access.write_text(ACCESS.format(**{name: hash_token(one) for name, one in TOKENS.items()}))
+    access.write_text(ACCESS.format(**{name: hash_token(token) for name, token in TOKENS.items()}))
     return serve(access=access)
 
 
@@ -113,8 +113,8 @@ def test_one_client_commands_and_the_other_is_told_which(
         wait(lambda: lease(robot).holder is None)
 
     def audited() -> list[str]:
-        told = (json.loads(one.getMessage()).get("lease", "") for one in caplog.records)
-        return [one for one in told if one]
+        told = (json.loads(record.getMessage()).get("lease", "") for record in caplog.records)
+        return [item for item in told if item]
 
     wait(lambda: audited()[-1:] == [f"base.default: {fenced} gave its lease back"])
     assert audited()[0] == f"base.default: {holder} holds its lease"

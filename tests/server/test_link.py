@@ -29,7 +29,7 @@ class Socket:
 
     def __init__(self, *told: Mapping[str, Any]) -> None:
         self.sent: list[dict[str, Any]] = []
-        self._told = deque(json.dumps(one) for one in told)
+        self._told = deque(json.dumps(mapping) for mapping in told)
 
     async def send(self, frame: bytes, text: bool) -> None:
         assert text
@@ -108,8 +108,10 @@ def test_of_more_than_can_be_asked_for_the_rest_fails() -> None:
         await link.run()
         waiting = after.sent[0]["jsonMessage"]["waiting"]
         assert waiting == [str(number) for number in range(4096)]
-        assert [one["id"] for one in told] == [str(number) for number in range(4096, 5000)]
-        assert {(one["op"], one["jsonMessage"]["code"]) for one in told} == {("Error", "closed")}
+        assert [mapping["id"] for mapping in told] == [str(number) for number in range(4096, 5000)]
+        assert {(mapping["op"], mapping["jsonMessage"]["code"]) for mapping in told} == {
+            ("Error", "closed")
+        }
 
     asyncio.run(asyncio.wait_for(work(), patience()))
 
@@ -131,7 +133,7 @@ def test_changes_that_nobody_takes_are_the_newest() -> None:
         first = asyncio.ensure_future(anext(watching))
         await asyncio.sleep(0)
         await client.read()
-        numbers = [(await first).number, *[one.number async for one in watching]]
+        numbers = [(await first).number, *[status_event.number async for status_event in watching]]
         assert len(numbers) < 2000
         assert numbers == list(range(numbers[0], 3000))
 

@@ -44,8 +44,8 @@ def test_the_status_of_a_running_robot_is_shown(server: Server, robot: RobotMana
         assert shown.exit_code == 0, shown.output
         assert "connections: 1" in shown.output
         assert "numbers" in shown.output
-        told = CliRunner().invoke(main, ["status", "--url", url_of(server), "--json"])
-        assert json.loads(told.stdout)["connections"][0]["state"] == "running"
+        report = CliRunner().invoke(main, ["status", "--url", url_of(server), "--json"])
+        assert json.loads(report.stdout)["connections"][0]["state"] == "running"
         script.put(END)
 
 

@@ -41,4 +41,4 @@ def test_after_the_end_of_the_loop_nothing_is_kept() -> None:
         kept.append(weakref.ref(action))
         mailbox.put(action)
         del action
-    assert [one() for one in kept] == [None] * 3
+    assert [reference_type() for reference_type in kept] == [None] * 3

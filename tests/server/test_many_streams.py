@@ -38,7 +38,7 @@ def test_a_thousand_functions_asked_at_once_are_all_opened(
     server = serve()
     with Talk(f"ws://127.0.0.1:{server.ports[0]}/") as client:
         asked = [client.send("Request", f"f{number}") for number in range(COUNT)]
-        opened = [client.answer(one)["jsonMessage"]["connection"] for one in asked]
+        opened = [client.answer(name)["jsonMessage"]["connection"] for name in asked]
         came = {connection: client.data(connection, 1) for connection in opened}
     assert came == {connection: [number] for number, connection in enumerate(opened)}
     assert not whole.called, "what each opening looks at does not grow with what is open"

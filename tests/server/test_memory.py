@@ -78,7 +78,7 @@ def test_whatever_is_charged_is_released_with_the_client(plan: list[tuple[str, i
         assert memory.held == sum(account.held for account in accounts.values())
         assert memory.held == sum(memory.kinds.values())
         assert all(
-            account.held == sum(one.octets for one in made.get(who, ()))
+            account.held == sum(charge.octets for charge in made.get(who, ()))
             for who, account in accounts.items()
         )
         assert all(account.held <= 50 for account in accounts.values())
@@ -106,8 +106,8 @@ def test_data_for_a_component_that_hangs_is_bounded_and_goes_with_its_client(
     with Talk(url(server)) as client:
         connection = client.open("hang")
         sent = [client.send("Data", connection, {"text": "x" * 300_000}) for _ in range(30)]
-        answers = [client.answer(one) for one in sent]
-        refused = [one["jsonMessage"]["code"] for one in answers if one["op"] == "Error"]
+        answers = [client.answer(name) for name in sent]
+        refused = [answer["jsonMessage"]["code"] for answer in answers if answer["op"] == "Error"]
         assert set(refused) <= {"limit"}
     eventually(lambda: server.held_octets == 0, "everything was let go")
     eventually(lambda: not robot.status().connections, "it is closed")
@@ -213,9 +213,9 @@ def test_killing_again_what_hangs_takes_no_more_threads(talk: Connect) -> None:
     kills = [client.send("Kill", connection) for _ in range(200)]
     client.ask("List")  # all kills were begun
     assert threading.active_count() <= before + 2
-    told = [client.answer(one) for one in kills]
-    assert [one["op"] for one in told[:32]] == ["Reply"] * 32
-    assert all(one["jsonMessage"]["code"] in {"limit", "unknown"} for one in told[32:])
+    reports = [client.answer(kill) for kill in kills]
+    assert [report["op"] for report in reports[:32]] == ["Reply"] * 32
+    assert all(report["jsonMessage"]["code"] in {"limit", "unknown"} for report in reports[32:])
     assert operator.ask("List")
 
 
@@ -226,11 +226,11 @@ def test_opening_what_hangs_again_and_again_is_refused_and_takes_bounded_threads
     before, codes, sent = threading.active_count(), [], 0
     for _ in range(12):
         with Talk(url(server)) as client:
-            told = client.answer(client.send("Request", "hang"))["jsonMessage"]
-            if "code" in told:
-                codes.append(told["code"])
+            report = client.answer(client.send("Request", "hang"))["jsonMessage"]
+            if "code" in report:
+                codes.append(report["code"])
             else:
-                client.raw(message % told["connection"])
+                client.raw(message % report["connection"])
                 client.answer("d")
                 sent += 1
                 eventually(lambda: len(script.hanging) == sent, "the component has taken it")  # noqa: B023

@@ -60,8 +60,8 @@ def test_messages_are_sent_and_come_back(talk: Connect, binary: bool) -> None:
     client = talk(binary=binary)
     connection = client.open("echo")
     identities = [client.send("Data", connection, {"value": value}) for value in range(100)]
-    assert all(client.answer(one)["op"] == "Reply" for one in identities)
-    assert [one["value"] for one in client.data(connection, 100)] == list(range(100))
+    assert all(client.answer(identity)["op"] == "Reply" for identity in identities)
+    assert [item["value"] for item in client.data(connection, 100)] == list(range(100))
 
 
 @FORMS
@@ -121,7 +121,7 @@ def test_a_call_that_takes_too_long_fails_alone(talk: Connect) -> None:
 
 
 def test_functions_are_listed(talk: Connect) -> None:
-    functions = {one["name"]: one for one in talk().ask("List")["functions"]}
+    functions = {function["name"]: function for function in talk().ask("List")["functions"]}
     assert functions["numbers"]["description"] == "what a test plays"
     assert functions["numbers"]["outputs"] == ["default"]
     assert functions["echo"]["inputs"] == ["default"]
@@ -195,19 +195,19 @@ def test_the_end_of_a_source_is_told_after_its_last_message(talk: Connect) -> No
     connection = client.open("numbers")
     script.put({"value": 1}, END)
     assert client.data(connection, 1) == [{"value": 1}]
-    told = client.next("connection")["jsonMessage"]
-    assert told["connection"] == connection
-    assert told["state"] == "closed"
-    assert "finished" in told["cause"]
+    report = client.next("connection")["jsonMessage"]
+    assert report["connection"] == connection
+    assert report["state"] == "closed"
+    assert "finished" in report["cause"]
 
 
 def test_the_death_of_a_component_is_told_with_its_cause(talk: Connect) -> None:
     client = talk()
     connection = client.open("numbers")
     script.put(RuntimeError("lens fell off"))
-    told = client.next("connection")["jsonMessage"]
-    assert (told["connection"], told["state"]) == (connection, "failed")
-    assert "lens fell off" in told["cause"]
+    report = client.next("connection")["jsonMessage"]
+    assert (report["connection"], report["state"]) == (connection, "failed")
+    assert "lens fell off" in report["cause"]
     script.reset()
     assert client.open("numbers") != connection
 
@@ -216,13 +216,13 @@ def test_changes_are_told_to_those_who_watch(talk: Connect) -> None:
     watcher, other = talk(), talk()
     assert watcher.ask("Status", "watch")["connections"] == []
     connection = other.open("numbers")
-    told = [watcher.next("change")["jsonMessage"] for _ in range(2)]
-    assert [one["subject"] for one in told] == [f"connection {connection}"] * 2
-    assert [one["change"] for one in told] == ["opening", "running"]
+    reports = [watcher.next("change")["jsonMessage"] for _ in range(2)]
+    assert [report["subject"] for report in reports] == [f"connection {connection}"] * 2
+    assert [report["change"] for report in reports] == ["opening", "running"]
     watcher.ask("Status", "unwatch")
     other.ask("Kill", connection)
     status = watcher.ask("Status")
-    assert [one["name"] for one in status["bridges"]] in ([], ["python"])
+    assert [bridge["name"] for bridge in status["bridges"]] in ([], ["python"])
 
 
 def test_the_status_has_the_client_s_own_counters(talk: Connect) -> None:
@@ -266,7 +266,7 @@ def test_kill_waits_for_what_was_sent_before_it(talk: Connect) -> None:
     for value in range(50):
         client.send("Data", own, {"value": value})
     client.ask("Kill", own)
-    assert [one["value"] for one in listener.data(connection, 50)] == list(range(50))
+    assert [item["value"] for item in listener.data(connection, 50)] == list(range(50))
 
 
 def test_requests_under_way_are_limited(serve: Serve) -> None:
@@ -275,7 +275,7 @@ def test_requests_under_way_are_limited(serve: Serve) -> None:
         waiting = [client.send("Call", "slow", {"value": 1}) for _ in range(2)]
         assert client.refused("Call", "slow", {"value": 1})["code"] == "limit"
         script.gate.set()
-        assert all(client.answer(one)["op"] == "Reply" for one in waiting)
+        assert all(client.answer(name)["op"] == "Reply" for name in waiting)
         assert client.ask("Call", "add", {"a": 1, "b": 1})
 
 
@@ -302,9 +302,9 @@ def test_a_function_that_cannot_be_had_is_waited_for_where_asked(
     with Talk(f"ws://127.0.0.1:{server.ports[0]}/") as client:
         assert client.refused("Request", "missing")["code"] == "resolution"
         waiting = client.send("Request", "missing", {"wait": 600})
-        told = client.next("waiting")
-        assert (told["id"], told["jsonMessage"]["function"]) == (waiting, "missing")
-        assert "nothing" in told["jsonMessage"]["cause"]
+        reports = client.next("waiting")
+        assert (reports["id"], reports["jsonMessage"]["function"]) == (waiting, "missing")
+        assert "nothing" in reports["jsonMessage"]["cause"]
         monkeypatch.setattr(components, "nothing", components.numbers, raising=False)
         opened = client.answer(waiting)
         assert (opened["op"], opened["jsonMessage"]["function"]) == ("Reply", "missing")
@@ -323,7 +323,7 @@ def test_functions_that_are_opened_wait_for_threads_and_are_no_calls(serve: Serv
     with Talk(f"ws://127.0.0.1:{server.ports[0]}/") as client:
         names = ("numbers", "picture", "doubled", "echo")
         asked = [client.send("Request", name) for name in names]
-        assert [client.answer(one)["op"] for one in asked] == ["Reply"] * len(names)
+        assert [client.answer(text)["op"] for text in asked] == ["Reply"] * len(names)
 
 
 def test_open_connections_are_limited(serve: Serve) -> None:

@@ -54,8 +54,8 @@ def test_half_open_sockets_beyond_all_descriptors_are_told_once_and_outlived(
         found = re.search(r"ws://127\.0\.0\.1:(\d+)/", process.stdout.readline())
         assert found
         port = int(found[1])
-        told: list[str] = []
-        reading = threading.Thread(target=lambda: told.extend(process.stderr or ()))
+        reports: list[str] = []
+        reading = threading.Thread(target=lambda: reports.extend(process.stderr or ()))
         reading.start()
         # Of its half it would refuse those that are too many: somebody else has the rest.
         used = sum(1 for _ in Path(f"/proc/{process.pid}/fd").iterdir())
@@ -65,7 +65,7 @@ def test_half_open_sockets_beyond_all_descriptors_are_told_once_and_outlived(
                 half_open.enter_context(
                     socket.create_connection(("127.0.0.1", port), timeout=patience())
                 )
-            eventually(lambda: told, "what cannot be taken is told")
+            eventually(lambda: reports, "what cannot be taken is told")
 
         def comes_in() -> bool:
             try:
@@ -78,10 +78,10 @@ def test_half_open_sockets_beyond_all_descriptors_are_told_once_and_outlived(
         process.terminate()
         assert process.wait(patience()) == 0
         reading.join(patience())
-    text = "".join(told)
+    text = "".join(reports)
     assert text.count("no connection can be taken: Too many open files") == 1
     assert "Traceback" not in text
-    assert len(told) == 1, text
+    assert len(reports) == 1, text
 
 
 def test_failures_in_a_pause_are_not_tried_and_those_in_silence_are_counted(
@@ -117,7 +117,7 @@ def test_a_server_that_stops_in_a_pause_says_nothing_more(
     monkeypatch: pytest.MonkeyPatch, robot: RobotManager
 ) -> None:
     """asyncio puts the socket back into its loop after a second, closed or not."""
-    told: list[dict[str, Any]] = []
+    reports: list[dict[str, Any]] = []
     failed = asyncio.Event()
 
     def full(_: socket.socket) -> object:
@@ -128,7 +128,7 @@ def test_a_server_that_stops_in_a_pause_says_nothing_more(
         loop = asyncio.get_running_loop()
         server = Server(robot, Settings(port=0))
         await server.start()
-        loop.set_exception_handler(lambda _, context: told.append(context))
+        loop.set_exception_handler(lambda _, context: reports.append(context))
         with socket.create_connection(("127.0.0.1", server.ports[0]), timeout=patience()):
             await failed.wait()
             await server.stop()
@@ -139,8 +139,8 @@ def test_a_server_that_stops_in_a_pause_says_nothing_more(
     with monkeypatch.context() as patch:
         patch.setattr(socket.socket, "accept", full)
         asyncio.run(stop_in_a_pause())
-    assert told
-    assert all(isinstance(one["exception"], NoRoomError) for one in told), told
+    assert reports
+    assert all(isinstance(report["exception"], NoRoomError) for report in reports), reports
 
 
 def test_other_failures_are_passed_on(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -175,12 +175,12 @@ def test_those_who_wait_are_accepted_a_few_at_a_time() -> None:
 def test_all_addresses_of_a_name_listen_on_one_port() -> None:
     sockets = asyncio.run(listen("localhost", 0))
     try:
-        assert {one.getsockname()[1] for one in sockets} == {sockets[0].getsockname()[1]}
+        assert {listener.getsockname()[1] for listener in sockets} == {sockets[0].getsockname()[1]}
         with pytest.raises(OSError, match="in use"):
             asyncio.run(listen("localhost", sockets[0].getsockname()[1]))
     finally:
-        for one in sockets:
-            one.close()
+        for listener in sockets:
+            listener.close()
 
 
 def test_half_of_all_files_are_left_to_the_robot(monkeypatch: pytest.MonkeyPatch) -> None:

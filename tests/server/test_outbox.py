@@ -76,11 +76,11 @@ def test_what_is_too_old_makes_way_for_what_is_new_but_a_few_are_never_lost() ->
                 outbox.put(slow, b"s%d" % number)
             outbox.put(fast, b"f%d" % number)
             outbox.put(whole, b"w%d" % number)
-        assert [one.dropped for one in (slow, fast, whole)] == [0, 14, 0]
+        assert [item.dropped for item in (slow, fast, whole)] == [0, 14, 0]
         now = 10.0
         written = await drain(outbox)
         assert written[:3] == [b"s0", b"f14", b"w0"]
-        assert [one.dropped for one in (slow, fast, whole)] == [0, 14, 0]
+        assert [item.dropped for item in (slow, fast, whole)] == [0, 14, 0]
         assert (len(written), outbox.waiting_bytes) == (3 + 16 + 30, 0)
 
     run(work())
@@ -330,9 +330,9 @@ def test_every_message_is_sent_waits_or_is_counted(plan: list[tuple[str, int]]) 
             elif not outbox.empty:
                 frames = await outbox.next(number)
                 assert sum(len(frame) for frame, _ in frames[:-1]) < number
-        for count, one in zip(put, lanes, strict=True):
-            assert count == one.sent + one.dropped + len(one.waiting)
-        waiting = [len(frame) for one in lanes for _, frames in one.waiting for frame in frames]
-        assert sum(waiting) <= 1000 or all(len(one.waiting) <= 1 for one in lanes)
+        for count, item in zip(put, lanes, strict=True):
+            assert count == item.sent + item.dropped + len(item.waiting)
+        waiting = [len(frame) for item in lanes for _, frames in item.waiting for frame in frames]
+        assert sum(waiting) <= 1000 or all(len(item.waiting) <= 1 for item in lanes)
 
     run(work())

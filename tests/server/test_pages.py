@@ -24,36 +24,36 @@ def test_pages_may_load_nothing_from_elsewhere(server: Server) -> None:
         policy = answer.headers["Content-Security-Policy"].split("; ")
         assert answer.headers["Content-Type"] == "text/javascript; charset=utf-8"
     assert "default-src 'self'" in policy
-    assert not any("unsafe" in one or "http" in one or "*" in one for one in policy)
+    assert not any("unsafe" in item or "http" in item or "*" in item for item in policy)
 
 
 def test_the_page_names_no_other_place() -> None:
-    own = [one for folder in ("app", "style") for one in (STATIC / folder).iterdir()]
+    own = [path for folder in ("app", "style") for path in (STATIC / folder).iterdir()]
     assert len(own) > 30
-    for one in [*own, STATIC / "index.html"]:
-        text = one.read_text(encoding="utf-8")
-        assert "//" not in re.sub(r"(?m)^\s*//.*|\s// .*|/\*[^/]*\*/", "", text), one.name
-        assert "innerHTML" not in text, one.name
-        assert "eval(" not in text, one.name
+    for path in [*own, STATIC / "index.html"]:
+        text = path.read_text(encoding="utf-8")
+        assert "//" not in re.sub(r"(?m)^\s*//.*|\s// .*|/\*[^/]*\*/", "", text), path.name
+        assert "innerHTML" not in text, path.name
+        assert "eval(" not in text, path.name
 
 
 def test_files_of_others_are_listed_with_version_and_licence() -> None:
     table = (STATIC / "vendor" / "README.md").read_text(encoding="utf-8")
     rows = re.findall(r"^\| `([^`]+)` \| `[^`]+` \| [0-9.]+ \|.*$", table, re.MULTILINE)
     licences = set(re.findall(r"`([^`]+\.LICENSE\.txt)`", table))
-    there = {one.name for one in (STATIC / "vendor").iterdir()} - {"README.md"}
+    there = {path.name for path in (STATIC / "vendor").iterdir()} - {"README.md"}
     assert there == {*rows, *licences}
 
 
 def test_functions_are_listed_with_what_they_use(talk: Connect) -> None:
-    functions = {one["name"]: one for one in talk().ask("List")["functions"]}
+    functions = {function["name"]: function for function in talk().ask("List")["functions"]}
     assert functions["doubled"]["components"][0]["uses"] == ["numbers"]
     assert functions["numbers"]["components"][0]["uses"] == []
 
 
 def test_what_cannot_be_resolved_tells_its_candidates_as_data(talk: Connect) -> None:
     rejected = talk().refused("Resolve", "missing")["rejected"]
-    assert [one["component"] for one in rejected] == ["missing"]
+    assert [item["component"] for item in rejected] == ["missing"]
     assert "nothing" in rejected[0]["reasons"][0]["sentence"]
 
 

@@ -30,7 +30,9 @@ def run(command: list[str], robot: RobotManager, *, rounds: int) -> None:
         if process.poll() is not None:
             pytest.fail(f"it ended with {process.returncode}:\n{process.communicate()[0]}")
         states = {
-            one.id: one.state for one in robot.status().connections if one.function == function
+            connection.id: connection.state
+            for connection in robot.status().connections
+            if connection.function == function
         }
         if met.isdisjoint(states) and list(states.values()) == [ConnectionState.RUNNING]:
             met.update(states)

@@ -55,15 +55,15 @@ def test_its_own_certificate_is_known_by_its_fingerprint(
     trusted = ("--fingerprint", known, "--token", "tablet")
     for command in ("stop", "status"):
         assert ask(command, url, *trusted)[0] == 0
-    code, told = ask("status", url)
-    assert (code, "self-signed" in told, "--fingerprint" in told) == (4, True, True)
+    code, text = ask("status", url)
+    assert (code, "self-signed" in text, "--fingerprint" in text) == (4, True, True)
     other = known.translate(str.maketrans("0123456789ABCDEF", "123456789ABCDEF0"))
-    code, told = ask("stop", url, "--fingerprint", other, "--token", "tablet")
-    assert (code, known.replace(":", "").lower() in told) == (4, True)
-    code, told = ask("status", url, "--fingerprint", known)
-    assert (code, "without a token" in told) == (4, True)
-    code, told = ask("status", url.replace("wss", "ws"))
-    assert (code, "with TLS it is wss://" in told) == (4, True)
+    code, text = ask("stop", url, "--fingerprint", other, "--token", "tablet")
+    assert (code, known.replace(":", "").lower() in text) == (4, True)
+    code, text = ask("status", url, "--fingerprint", known)
+    assert (code, "without a token" in text) == (4, True)
+    code, text = ask("status", url.replace("wss", "ws"))
+    assert (code, "with TLS it is wss://" in text) == (4, True)
 
 
 @pytest.mark.needs("node")
@@ -132,8 +132,8 @@ def test_an_authority_is_trusted_and_a_certificate_is_shown(
 def test_options_that_do_nothing_together_are_wrong_usage(
     url: str, more: tuple[str, ...], said: str
 ) -> None:
-    code, told = ask("status", url, *more)
-    assert (code, said in told) == (2, True), told
+    code, text = ask("status", url, *more)
+    assert (code, said in text) == (2, True), text
 
 
 @pytest.mark.parametrize(

@@ -89,7 +89,7 @@ OPENING = tuple(UPGRADE.items())
 def test_a_header_that_decides_and_comes_twice_is_a_bad_request(
     guarded: Server, log: Log, twice: tuple[str, str], path: str, more: tuple[tuple[str, str], ...]
 ) -> None:
-    rest = [one for one in (HOST, TOKEN) if one != twice]
+    rest = [pair for pair in (HOST, TOKEN) if pair != twice]
     assert status(guarded, head(path, *rest, twice, twice, *more)) == 400
     other = (twice[0], "another")
     assert status(guarded, head(path, *rest, twice, other, *more)) == 400

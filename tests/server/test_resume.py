@@ -190,7 +190,7 @@ def test_what_is_asked_while_it_is_down_waits(server: Server, between: Between) 
             asking = [asyncio.ensure_future(client.call("add", {"a": 1, "b": n})) for n in range(9)]
             await asyncio.sleep(0)
             proxy.admit()
-        assert [(await one)["value"] for one in asking] == list(range(1, 10))
+        assert [(await task)["value"] for task in asking] == list(range(1, 10))
 
     run(proxy, work)
 
@@ -263,7 +263,12 @@ def test_sessions_without_a_connection_are_limited(
                 await streams[1].get()
             async with resumed(one):
                 first.admit()
-            await until(lambda: [one.function for one in robot.status().connections] == ["numbers"])
+            await until(
+                lambda: (
+                    [connection.function for connection in robot.status().connections]
+                    == ["numbers"]
+                )
+            )
 
     run(first, work)
 

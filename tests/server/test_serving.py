@@ -211,9 +211,9 @@ def test_a_port_that_is_taken_is_told_in_one_line(start: Start) -> None:
 def test_tls_auto_tells_the_fingerprint(start: Start, tmp_path: Path) -> None:
     process, _ = start("--tls", "auto")
     assert process.stdout is not None
-    told = process.stdout.readline()
+    text = process.stdout.readline()
     path = tmp_path / "state" / "uoarm" / "tls" / "server.pem"
-    assert told == f"certificate {path}, SHA-256 {fingerprint_of(path)}\n"
+    assert text == f"certificate {path}, SHA-256 {fingerprint_of(path)}\n"
 
 
 def test_off_loopback_it_refuses_to_start_without_an_access_file(start: Start) -> None:
@@ -268,7 +268,7 @@ def test_a_server_that_does_not_end_is_told(
         pass
     assert "the server has not ended" in caplog.text
     go_on.set()
-    wait(lambda: all(one.name != "uoarm-serve" for one in threading.enumerate()))
+    wait(lambda: all(thread.name != "uoarm-serve" for thread in threading.enumerate()))
 
 
 def test_what_goes_wrong_while_reloading_ends_no_later_reload(
@@ -299,17 +299,17 @@ def test_a_signal_while_its_loop_closes_is_no_exception(
 ) -> None:
     """As `make` and a terminal both tell of the same Ctrl-C."""
     close = BaseSelectorEventLoop.close
-    told: list[object] = []
+    reports: list[object] = []
 
     def close_late(loop: BaseSelectorEventLoop) -> None:
         close(loop)  # and the handlers are still there
         signal.raise_signal(signal.SIGTERM)
 
     monkeypatch.setattr(BaseSelectorEventLoop, "close", close_late)
-    monkeypatch.setattr(sys, "unraisablehook", told.append)
+    monkeypatch.setattr(sys, "unraisablehook", reports.append)
     monkeypatch.setitem(sys.modules, "uvloop", None)  # another loop
     run(robot, Settings(port=0), lambda _: signal.raise_signal(signal.SIGTERM))
-    assert not told
+    assert not reports
 
 
 def _torch(file: Path) -> None:
@@ -324,17 +324,17 @@ def _torch(file: Path) -> None:
 def _until(process: subprocess.Popen[str], wanted: str) -> list[str]:
     """Return what a server tells on standard error up to the wanted line."""
     assert process.stderr is not None
-    told: list[str] = []
+    reports: list[str] = []
     ends = threading.Timer(patience(), process.kill)
     ends.start()
     try:
-        while not told or wanted not in told[-1]:
-            told.append(process.stderr.readline())
-            assert told[-1], f"the server ended, or it never told {wanted!r}: {told}"
+        while not reports or wanted not in reports[-1]:
+            reports.append(process.stderr.readline())
+            assert reports[-1], f"the server ended, or it never told {wanted!r}: {reports}"
     finally:
         ends.cancel()
         ends.join()
-    return told
+    return reports
 
 
 @pytest.mark.parametrize("arguments", [(), ("--watch-config",)])
@@ -347,16 +347,16 @@ def test_the_configuration_is_read_again_when_it_is_asked_for_or_watched(
         _torch(tmp_path / "robot.yaml")
         if not arguments:
             process.send_signal(signal.SIGHUP)
-        told = _until(process, "+ function torch")
-        assert "revision 1, applied" in "".join(told)
+        reports = _until(process, "+ function torch")
+        assert "revision 1, applied" in "".join(reports)
         client.open("torch")
 
 
 def test_two_signals_stop_what_moves_and_let_commands_through_again(start: Start) -> None:
     process, _ = start()
     process.send_signal(signal.SIGUSR1)
-    told = _until(process, "nothing open moves")
-    assert "commands have been refused for" in "".join(told)
+    reports = _until(process, "nothing open moves")
+    assert "commands have been refused for" in "".join(reports)
     process.send_signal(signal.SIGUSR2)
     _until(process, "commands are let through again")
 
@@ -371,8 +371,8 @@ def test_what_was_stopped_is_stopped_after_a_restart_until_it_is_released(
     (kept,) = (tmp_path / "state" / "uoarm" / "stopped").iterdir()
     assert stat.S_IMODE(kept.stat().st_mode) == 0o600
     process, port = start()
-    told = _until(process, "commands are refused")
-    assert str(kept) in told[-1]
+    reports = _until(process, "commands are refused")
+    assert str(kept) in reports[-1]
     with Talk(f"ws://127.0.0.1:{port}/") as client:
         assert client.ask("Status")["held"] >= 0
         client.ask("Stop", message={"release": True})

@@ -56,7 +56,7 @@ def test_calls_that_hang_leave_threads_to_who_comes_later(serve: Serve) -> None:
         assert greedy.ask("List")
         assert late.ask("Call", "add", {"a": 1, "b": 2})
         script.gate.set()
-        assert all(greedy.answer(one)["op"] == "Reply" for one in hanging)
+        assert all(greedy.answer(name)["op"] == "Reply" for name in hanging)
 
 
 def in_name_of(owner: str, workers: Workers, gate: threading.Event) -> asyncio.Future[bool]:

@@ -33,10 +33,10 @@ class Robot:
         self, since: int | None = None, *, role: Role = ALL, form: Form = TEXT_FORM
     ) -> dict[str, Any]:
         question = StatusQuestion(role, form, since)
-        told = form.map_of(self.views.make([question])[question].fields)
+        report = form.map_of(self.views.make([question])[question].fields)
         spending = Spending(Budget())
         found: Any = (
-            read_text(told.decode(), spending) if form.text else read_binary(told, spending)
+            read_text(report.decode(), spending) if form.text else read_binary(report, spending)
         )
         return dict(found)
 
@@ -80,16 +80,16 @@ def test_what_is_known_with_what_has_changed_is_the_whole(
     known: Mapping[str, Any] = robot.ask(role=role, form=form)
     for status in (STATUS, change, STATUS, change):
         robot.status = status
-        told = robot.ask(known["version"], role=role, form=form)
-        assert told["since"] == known["version"]
-        known = _merged_status(known, told)
+        reports = robot.ask(known["version"], role=role, form=form)
+        assert reports["since"] == known["version"]
+        known = _merged_status(known, reports)
         assert plain(known) == plain(to_json(visible_status(status, VIEWS.of(role))))
 
 
 def test_what_has_not_changed_is_not_told() -> None:
     robot = Robot()
-    told = robot.ask(robot.ask()["version"])
-    assert not told.keys() & {attribute.name for attribute in fields(StatusMap)}
+    reports = robot.ask(robot.ask()["version"])
+    assert not reports.keys() & {attribute.name for attribute in fields(StatusMap)}
 
 
 def test_the_age_of_a_route_alone_is_not_told_and_known_all_the_same() -> None:
@@ -98,9 +98,9 @@ def test_the_age_of_a_route_alone_is_not_told_and_known_all_the_same() -> None:
     known = robot.ask()
     robot.clock.advance(3)
     robot.status = evolve(STATUS, routes=(evolve(ROUTE, age=5.0),))
-    told = robot.ask(known["version"])
-    assert "routes" not in told
-    assert _merged_status(known, told)["routes"][0]["age"] == 5
+    reports = robot.ask(known["version"])
+    assert "routes" not in reports
+    assert _merged_status(known, reports)["routes"][0]["age"] == 5
     assert robot.ask()["routes"][0]["age"] == 5
 
 
@@ -110,9 +110,9 @@ def test_a_version_that_is_not_known_gets_the_whole_map() -> None:
     for _ in range(300):
         robot.ask()
     for version in (0, first, 2**52):
-        told = robot.ask(version)
-        assert "since" not in told
-        assert told["components"]
+        reports = robot.ask(version)
+        assert "since" not in reports
+        assert reports["components"]
 
 
 def test_versions_of_another_server_are_not_those_of_this() -> None:

@@ -123,12 +123,16 @@ def test_who_stopped_and_released_is_in_the_audit_log(
         memory.mend()
         wait(lambda: driver.ask("Stop")["stopped"])
         keeper.ask("Stop", message={"release": True})
-    told = [json.loads(one.getMessage()) for one in caplog.records if one.name == "uoarm.audit"]
-    stops = [one for one in told if one.get("operation") == "stop" and "done" in one]
-    assert {one["role"] for one in stops} == {"driver"}
+    reports = [
+        json.loads(record.getMessage()) for record in caplog.records if record.name == "uoarm.audit"
+    ]
+    stops = [report for report in reports if report.get("operation") == "stop" and "done" in report]
+    assert {stop["role"] for stop in stops} == {"driver"}
     assert (stops[0]["done"], stops[0]["left"]) == (False, ["base.default"])
     assert (stops[-1]["done"], stops[-1]["left"]) == (True, [])
-    (released,) = [one for one in told if one.get("operation") == "release" and "done" in one]
+    (released,) = [
+        report for report in reports if report.get("operation") == "release" and "done" in report
+    ]
     assert (released["role"], released["done"]) == ("keeper", True)
 
 
@@ -171,11 +175,11 @@ def test_the_command_line_says_who_has_not_stopped(
         return result.exit_code, result.output
 
     robot.request("drive")
-    code, told = stop("driver")
-    assert (code, "stopped      base.default (drive)" in told) == (0, True)
+    code, text = stop("driver")
+    assert (code, "stopped      base.default (drive)" in text) == (0, True)
     memory.cut("no radio")
-    code, told = stop("driver")
-    assert (code, "NOT STOPPED  base.default (drive)" in told, "no radio" in told) == (
+    code, text = stop("driver")
+    assert (code, "NOT STOPPED  base.default (drive)" in text, "no radio" in text) == (
         1,
         True,
         True,
@@ -184,9 +188,9 @@ def test_the_command_line_says_who_has_not_stopped(
     (tmp_path / "file").write_text("no folder", encoding="utf-8")
     stops = robot._executor.live.emergency_stop
     monkeypatch.setattr(stops, "_file", StopFile(tmp_path / "file" / "stopped"))
-    code, told = stop("driver")
-    assert "stopped      base.default" in told
-    assert (code, "NOT STOPPED AFTER A RESTART" in told) == (1, True)
+    code, text = stop("driver")
+    assert "stopped      base.default" in text
+    assert (code, "NOT STOPPED AFTER A RESTART" in text) == (1, True)
     monkeypatch.undo()
     assert stop("keeper")[0] == 4
     assert stop("keeper", "--release") == (0, "commands are let through again\n")
@@ -194,6 +198,6 @@ def test_the_command_line_says_who_has_not_stopped(
 
 @pytest.mark.parametrize("command", ["stop", "apply", "history"])
 def test_who_names_no_server_asks_the_one_that_serve_starts_here(command: str) -> None:
-    found = {one.name: one.default for one in main.commands[command].params}
+    found = {parameter.name: parameter.default for parameter in main.commands[command].params}
     settings = Settings()
     assert found["url"] == f"ws://{settings.host}:{settings.port}/"

@@ -21,9 +21,9 @@ def find_node() -> str:
 
 @pytest.mark.needs("node")
 def test_the_pages_code_does_what_it_says() -> None:
-    files = [str(one) for one in sorted(TESTS.glob("*.test.mjs"))]
+    files = [str(path) for path in sorted(TESTS.glob("*.test.mjs"))]
     done = subprocess.run(
         [find_node(), "--test", *files], capture_output=True, text=True, check=False
     )
     assert done.returncode == 0, done.stdout + done.stderr
-    assert f"# pass {sum(Path(one).read_text().count('test(') for one in files)}" in done.stdout
+    assert f"# pass {sum(Path(file).read_text().count('test(') for file in files)}" in done.stdout

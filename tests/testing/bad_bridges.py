@@ -273,8 +273,8 @@ def mixes(world: BadWorld, bridge: MemoryBridge) -> None:
         everyone.append(deliver)
 
         def give(message: Message) -> None:
-            for each in everyone:
-                each(message)
+            for callback in everyone:
+                callback(message)
 
         return give
 
@@ -432,8 +432,10 @@ def ghost(world: BadWorld, bridge: MemoryBridge, discover: Any) -> Any:
 def other_structure(world: BadWorld, bridge: MemoryBridge, discover: Any) -> Any:
     def discovered() -> tuple[Discovered, ...]:
         return tuple(
-            evolve(one, endpoints=tuple((end, Description()) for end, _ in one.endpoints))
-            for one in discover()
+            evolve(
+                component, endpoints=tuple((end, Description()) for end, _ in component.endpoints)
+            )
+            for component in discover()
         )
 
     return discovered
@@ -479,8 +481,8 @@ def closes_all(world: BadWorld, bridge: MemoryBridge, made: Source) -> None:
 
 def closes_others(world: BadWorld, bridge: MemoryBridge, close: Any) -> Any:
     def closed() -> None:
-        for each in world.bridges:
-            each._components.clear()
+        for memory_bridge in world.bridges:
+            memory_bridge._components.clear()
 
     return closed
 
@@ -588,11 +590,11 @@ def whole_bridge(event: HealthEvent) -> HealthEvent:
 
 
 def only_once() -> Callable[[HealthEvent], HealthEvent | None]:
-    told: list[HealthEvent] = []
+    reports: list[HealthEvent] = []
 
     def change(event: HealthEvent) -> HealthEvent | None:
-        told.append(event)
-        return event if len(told) == 1 else None
+        reports.append(event)
+        return event if len(reports) == 1 else None
 
     return change
 
@@ -671,7 +673,7 @@ def waits_for_the_link(world: BadWorld, bridge: MemoryBridge, made: Channel) -> 
 
 def declares(**changed: Any) -> Spoil:
     def declares_otherwise(world: BadWorld, _: MemoryBridge) -> None:
-        made = {key: one(world) if callable(one) else one for key, one in changed.items()}
+        made = {key: value(world) if callable(value) else value for key, value in changed.items()}
         world.declared = evolve(world.declared, **made)
 
     return declares_otherwise

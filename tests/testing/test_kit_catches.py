@@ -71,13 +71,13 @@ def test_a_bad_bridge_is_found_out(bug: Bug) -> None:
     for times in LONGER:  # on a machine that is starved the time is over before the bug shows
         with pytest.raises((AssertionError, UoarmError)) as caught:
             run(bug, BadWorld(bug.spoil, times * NOTHING_COMES), times * HANGING)
-        told = str(caught.value)
-        if bug.says in told and passes_without(bug, times):
+        text = str(caught.value)
+        if bug.says in text and passes_without(bug, times):
             break
     else:
-        pytest.fail(f"this is found out where the bug is and where it is not:\n{told}")
+        pytest.fail(f"this is found out where the bug is and where it is not:\n{text}")
     assert isinstance(caught.value, AssertionError)
-    assert f"the rule is: {rule_of(bug.caught)} ({PAGE}#" in told
+    assert f"the rule is: {rule_of(bug.caught)} ({PAGE}#" in text
 
 
 @pytest.mark.parametrize("name", CAUGHT)

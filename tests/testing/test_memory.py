@@ -157,9 +157,9 @@ def test_garbled_messages_are_counted_and_the_link_goes_on() -> None:
 
 
 def test_nothing_passes_a_link_that_is_cut() -> None:
-    bridge, got, told = MemoryBridge(), Collector(), list[HealthEvent]()
+    bridge, got, reports = MemoryBridge(), Collector(), list[HealthEvent]()
     camera, screen = bridge.emitter("camera", BYTE), bridge.taker("screen", BYTE)
-    bridge.watch(told.append)
+    bridge.watch(reports.append)
     bridge.open_source(output("camera"), MessageStructure(BYTE), got.deliver)
     sink = bridge.open_sink(sink_of("screen"), MessageStructure(BYTE))
     bridge.cut("unplugged")
@@ -170,7 +170,7 @@ def test_nothing_passes_a_link_that_is_cut() -> None:
     camera.emit({"value": 2})
     sink.send({"value": 2})
     assert got.messages == screen.taken.messages == [{"value": 2}]
-    assert [event.health for event in told] == [Health.DEGRADED] * 2 + [Health.OK] * 2
+    assert [event.health for event in reports] == [Health.DEGRADED] * 2 + [Health.OK] * 2
     bridge.close()
 
 
@@ -294,8 +294,8 @@ def test_a_collector_sees_deliveries_that_overlap() -> None:
         both = [Background(lambda: got.deliver(1)), Background(lambda: got.deliver(2))]
         got.wait_begun(2)
         assert got.messages == []
-    for one in both:
-        one.result()
+    for background in both:
+        background.result()
     assert got.overlaps == 1
     with pytest.raises(AssertionError, match="2 of 3"):
         got.wait(3, timeout=0.0)

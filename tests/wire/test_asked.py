@@ -59,7 +59,7 @@ def test_the_server_takes_exactly_what_the_schema_allows(op: str, rest: dict[str
         ({"op": "Request", "id": "1", "type": "f", "jsonMessage": {"every": -1}}, "every"),
         ({"op": "Kill", "id": "1", "type": [1] * 200_000}, "too much beside a message"),
         ({"op": "Data", "id": "1", "type": ["1"] * 200_000, "jsonMessage": 1}, "too much beside"),
-        ({"op": "List", "id": "1", **{f"x-{one}": 1 for one in range(100)}}, "64 fields"),
+        ({"op": "List", "id": "1", **{f"x-{index}": 1 for index in range(100)}}, "64 fields"),
         ({"op": "Resume", "id": "1", "jsonMessage": {"waiting": [1] * 5000}}, "waiting"),
     ],
 )

@@ -180,7 +180,7 @@ def rows(sizes: list[int], items: bytes = b"\x81\x01") -> bytes:
         (b"\xd8\x28\x82\x01\x81\x01", "sizes and items"),
         (b"\xd8\x28\x82\x81\x01\xa1\x61a\x01", "sizes and items"),
     ],
-    ids=lambda one: one[:30] if isinstance(one, str) else "",
+    ids=lambda item: item[:30] if isinstance(item, str) else "",
 )
 def test_dimensions_are_asked_about_before_rows_are_made(data: bytes, says: str) -> None:
     with pytest.raises(ControlMessageError, match=says) as caught:
@@ -203,7 +203,7 @@ def test_what_dimensions_make_counts_as_depth() -> None:
         rows([1000, 1], b"\xd8\x40\x59\x03\xe8" + bytes(1000)),
         b"\xd8\x54\x59\x07\xd0" + bytes(2000),
         b"\x99\x03\xe8" + b"\x80" * 1000,
-        b"\xb9\x03\xe8" + b"".join(cbor2.dumps(f"{one}") + b"\x01" for one in range(1000)),
+        b"\xb9\x03\xe8" + b"".join(cbor2.dumps(f"{index}") + b"\x01" for index in range(1000)),
         b"\x9f" + b"\x01" * 1000 + b"\xff",
         b"\x99\x03\xe8" + b"\x62ab" * 1000,
         b"\x99\x03\xe8" + b"\xd8\x40\x41a" * 1000,

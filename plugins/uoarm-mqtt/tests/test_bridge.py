@@ -72,8 +72,8 @@ def heard(bridge: Bridge) -> list[HealthEvent]:
 
 
 def until(events: list[HealthEvent], health: Health) -> HealthEvent:
-    wait(lambda: any(one.health is health for one in events), f"{health}: {events}", patience())
-    return next(one for one in events if one.health is health)
+    wait(lambda: any(event.health is health for event in events), f"{health}: {events}", patience())
+    return next(event for event in events if event.health is health)
 
 
 class TestTopics:
@@ -91,11 +91,11 @@ class TestTopics:
         ]
 
     def test_overlapping_filters_get_each_message_once(self, bridge: Bridge, peer: Peer) -> None:
-        listeners = [listen(bridge, one)[0] for one in ("over/#", "over/+", "over/x", "over/x")]
+        listeners = [listen(bridge, name)[0] for name in ("over/#", "over/+", "over/x", "over/x")]
         for number in range(5):
             peer.publish("over/x", str(number))
-        for one in listeners:
-            assert one.wait(5, patience()) == [0, 1, 2, 3, 4]
+        for listener in listeners:
+            assert listener.wait(5, patience()) == [0, 1, 2, 3, 4]
 
     def test_each_new_consumer_gets_what_is_retained_and_nobody_twice(
         self, bridge: Bridge, peer: Peer
@@ -133,7 +133,9 @@ class TestTopics:
             for number in range(10):
                 peer.publish("work/items", str(number))
             both = (first, second)
-            wait(lambda: sum(len(one.messages) for one in both) == 10, "lost", patience())
+            wait(
+                lambda: sum(len(collector.messages) for collector in both) == 10, "lost", patience()
+            )
             assert sorted([*first.messages, *second.messages]) == list(range(10))
             assert first.messages, "the other got everything"
             assert second.messages, "the other got everything"
@@ -244,7 +246,9 @@ class TestStructures:
             (came,) = collector.wait(1, patience())
             assert came == {"topic": "lab/counter", "message": {"n": 7}}
             assert type(came["message"]["n"]) is int
-            (only,) = [one for one in bridge.discover() if one.name == "lab/counter"]
+            (only,) = [
+                component for component in bridge.discover() if component.name == "lab/counter"
+            ]
             assert only.endpoints[0][1].message == MessageStructure(schema)
 
     def test_a_schema_that_is_none_is_named(self, broker: Broker, peer: Peer) -> None:
@@ -294,15 +298,15 @@ class TestPresence:
         peers = [Peer(broker, will=(f"two/{name}", "gone")) for name in "ab"]
         with bridge_to(broker) as bridge:
             events = heard(bridge)
-            for name, one in zip("ab", peers, strict=True):
-                one.publish(f"two/{name}", "online", retain=True)
+            for name, item in zip("ab", peers, strict=True):
+                item.publish(f"two/{name}", "online", retain=True)
                 bridge.describe(endpoint(f"two/{name}/x", presence={"topic": f"two/{name}"}))
             peers[0].die()
             event = until(events, Health.LOST)
             assert event.component == "component of two/a/x"
             assert "gone" in event.cause
-        for one in peers:
-            one.close()
+        for item in peers:
+            item.close()
 
     def test_ours_is_announced_and_withdrawn(self, broker: Broker, peer: Peer) -> None:
         came = peer.collect("robots/ours")
@@ -310,7 +314,7 @@ class TestPresence:
             bridge.describe(endpoint("anything"))
             wait(lambda: came, "no birth", patience())
         wait(lambda: len(came) == 2, "no goodbye", patience())
-        assert [one.payload for one in came] == [b"online", b"offline"]
+        assert [item.payload for item in came] == [b"online", b"offline"]
 
 
 class TestServices:
@@ -338,7 +342,7 @@ class TestServices:
             )
         peer.publish("served/double", b"1")
         wait(lambda: len(came) == 3, "not answered", patience())
-        assert [one.properties.CorrelationData for one in came] == [b"21", b"-1", b"{"]
+        assert [item.properties.CorrelationData for item in came] == [b"21", b"-1", b"{"]
         assert came[0].payload == b"42"
         assert "of no negative number" in dict(came[1].properties.UserProperty)["error"]
         assert "MessageError" in dict(came[2].properties.UserProperty)["error"]
@@ -367,7 +371,7 @@ class TestBroker:
             sink.send(1)
             assert collector.wait(2, patience()) == [0, 1]
             assert source.facts()["interruptions"] == 1
-            assert [one.health for one in events] == [Health.DEGRADED, Health.OK]
+            assert [event.health for event in events] == [Health.DEGRADED, Health.OK]
 
     def test_away_for_longer_than_its_grace_it_is_lost_once(self, tmp_path: Path) -> None:
         with running(tmp_path / "broker") as broker, bridge_to(broker, grace=0.5) as bridge:
@@ -376,7 +380,10 @@ class TestBroker:
             broker.kill()
             event = until(events, Health.LOST)
             assert (event.channel, event.component) == (None, None)
-            assert [one.health for one in events] == [Health.DEGRADED, Health.LOST]
+            assert [health_event.health for health_event in events] == [
+                Health.DEGRADED,
+                Health.LOST,
+            ]
 
     def test_one_that_appears_late_is_told(self, tmp_path: Path) -> None:
         broker = Broker(tmp_path / "broker")
@@ -399,7 +406,7 @@ class TestBroker:
             broker.send_signal(signal.SIGSTOP)
             try:
                 # Before that the broker may have ended the connection of one that was late itself.
-                wait(lambda: any("Keep alive" in one.cause for one in events), f"{events}")
+                wait(lambda: any("Keep alive" in event.cause for event in events), f"{events}")
                 bridge.close(timeout=patience())
             finally:
                 broker.send_signal(signal.SIGCONT)

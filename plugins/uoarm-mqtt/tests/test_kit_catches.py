@@ -50,8 +50,8 @@ def made(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     for owner in (_link.BrokerConnection, _channels.Backlog):
         monkeypatch.setattr(owner, "__init__", noting(owner.__init__))
     yield
-    for one in opened:
-        one.close()
+    for item in opened:
+        item.close()
 
 
 @pytest.mark.long
@@ -77,9 +77,9 @@ def test_a_bad_bridge_is_found_out(bug: Bug, broker: Broker, tmp_path: Path) -> 
                 with suppress(BridgeError):  # one of the bugs
                     bridge.close()
         world.close()
-    told = str(caught.value)
-    assert bug.says in told, told
-    assert f"the rule is: {rule_of(bug.caught)} ({PAGE}#" in told
+    text = str(caught.value)
+    assert bug.says in text, text
+    assert f"the rule is: {rule_of(bug.caught)} ({PAGE}#" in text
 
 
 def test_the_page_has_the_table() -> None:

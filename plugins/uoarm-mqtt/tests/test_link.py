@@ -65,14 +65,14 @@ def test_what_is_published_as_it_closes_is_answered_once(
     link: BrokerConnection, monkeypatch: pytest.MonkeyPatch, qos: int
 ) -> None:
     link.require_up()
-    gate, told = Gate(), list[Outcome]()
+    gate, reports = Gate(), list[Outcome]()
     monkeypatch.setattr(BrokerConnection, "_note", gate.before(BrokerConnection._note))
-    publishing = Background(lambda: link.publish("a", b"x", told.append, qos=qos))
+    publishing = Background(lambda: link.publish("a", b"x", reports.append, qos=qos))
     assert gate.reached.wait(patience())
     monkeypatch.undo()
     close_during(link, gate)
     publishing.result()
-    assert len(told) == 1
+    assert len(reports) == 1
     assert not link._pending
 
 

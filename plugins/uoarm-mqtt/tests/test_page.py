@@ -37,8 +37,8 @@ def test_the_example_runs_as_printed(broker: Broker, tmp_path: Path) -> None:
 
         def answered() -> bool:
             done = [_run(["-m", *shlex.split(line)], tmp_path) for line in commands.splitlines()]
-            said[:] = [one.stdout + one.stderr for one in done]
-            return not any(one.returncode for one in done)
+            said[:] = [process.stdout + process.stderr for process in done]
+            return not any(process.returncode for process in done)
 
         wait(answered, "the peers of the page did not come up", patience())
         assert "".join(said) == printed

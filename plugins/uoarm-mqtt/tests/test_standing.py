@@ -71,7 +71,7 @@ def peer(broker: Broker) -> Iterator[Peer]:
 
 
 def facts(robot: RobotManager, component: str) -> dict[str, Any]:
-    [found] = [one for one in robot.status().components if one.name == component]
+    [found] = [status for status in robot.status().components if status.name == component]
     return dict(found.channels[0].facts)
 
 
@@ -86,10 +86,10 @@ def test_what_is_cleared_stands_no_more_and_harms_nobody(robot: RobotManager, pe
     later = robot.request("scan")
     with pytest.raises(TimeoutError):
         later.get(0)
-    [component] = [one for one in robot.status().components if one.name == "scanner"]
+    [component] = [status for status in robot.status().components if status.name == "scanner"]
     assert (component.health, component.cause) == (Health.OK, "")
     peer.publish("scan", json.dumps({"n": 2}))
-    assert [one.get(patience()) for one in (first, later)] == [{"n": 2}] * 2
+    assert [connection.get(patience()) for connection in (first, later)] == [{"n": 2}] * 2
 
 
 @HOSTS
@@ -128,7 +128,7 @@ def test_what_is_no_number_or_text_is_refused(
     peer.publish("scan", payload)
     peer.publish("scan", "1")
     assert scans.get(patience()) == 1
-    [component] = [one for one in robot.status().components if one.name == "scanner"]
+    [component] = [status for status in robot.status().components if status.name == "scanner"]
     assert component.health in {Health.OK, Health.DEGRADED}
     assert facts(robot, "scanner")["unreadable"] == 1
 

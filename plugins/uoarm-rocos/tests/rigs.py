@@ -53,7 +53,7 @@ class Events:
                 return seen[-1]
 
     def health(self, health: Health) -> HealthEvent:
-        event = self.until(lambda one: one.health is health)
+        event = self.until(lambda item: item.health is health)
         assert isinstance(event, HealthEvent)
         return event
 

@@ -137,8 +137,8 @@ messages: st.SearchStrategy[WireMessage] = st.one_of(
 
 def fitting(fields: Fields) -> st.SearchStrategy[dict[str, Any]]:
     """Return messages that fit these fields."""
-    required = {name: _value(one.type) for name, one in fields.items() if one.required}
-    optional = {name: _value(one.type) for name, one in fields.items() if not one.required}
+    required = {name: _value(field.type) for name, field in fields.items() if field.required}
+    optional = {name: _value(field.type) for name, field in fields.items() if not field.required}
     return st.fixed_dictionaries(required, optional=optional)
 
 
@@ -156,7 +156,7 @@ def _value(kind: Field) -> st.SearchStrategy[Any]:
         return st.lists(_value(kind.items), min_size=kind.min_items, max_size=most)
     if isinstance(kind, StructField):
         return fitting(kind.members)
-    choices = [one for one in kind.choices if len(one) <= _most(kind.max_length)]
+    choices = [choice for choice in kind.choices if len(choice) <= _most(kind.max_length)]
     if kind.choices:
         return st.sampled_from(choices) if choices else st.nothing()
     return st.text(max_size=min(9, _most(kind.max_length)))

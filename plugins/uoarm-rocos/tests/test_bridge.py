@@ -52,7 +52,7 @@ def test_describe_gives_structures_of_the_devices_own_catalogue(
 def test_discover_lists_every_api(robot: tuple[Bridge, Events]) -> None:
     (found,) = robot[0].discover()
     assert (found.name, found.detail) == ("robot", "simulated robot")
-    roles = {(one.address[1], one.role.value) for one, _ in found.endpoints}
+    roles = {(item.address[1], item.role.value) for item, _ in found.endpoints}
     assert roles == {
         ("odometry", "output"), ("velocity", "input"),
         ("driveStraight", "service"), ("echo", "service"),
@@ -95,7 +95,7 @@ def test_flows_go_both_ways(robot: tuple[Bridge, Events]) -> None:
     sink = bridge.open_sink(endpoint("robot", "velocity", "input"), ANY)
     assert got.get() == {"x": 0.0, "y": 0.0, "heading": 0.0}
     sink.send({"linear": 0.5, "angular": 0})
-    moved = got.until(lambda one: one["x"] > 0.01)
+    moved = got.until(lambda item: item["x"] > 0.01)
     assert moved["y"] == 0.0
     assert source.unreadable == 0
     assert sink.facts() == {"sent": 1}

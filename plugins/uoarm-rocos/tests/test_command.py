@@ -72,7 +72,7 @@ def test_an_oximeter_on_a_pty_with_a_link(tmp_path: Path) -> None:
         with bridged(clip=clip) as (bridge, _):
             got = Events()
             bridge.open_source(endpoint("clip", "pulseOximetry"), ANY, got)
-            assert got.until(lambda one: "spo2" in one)["spo2"] == 91
+            assert got.until(lambda item: "spo2" in item)["spo2"] == 91
     assert not Path(link).is_symlink()
 
 

@@ -121,7 +121,7 @@ def test_a_result_that_breaks_the_catalogue_is_an_error() -> None:
 
 
 def test_a_device_of_another_profile_says_so() -> None:
-    told = "this device speaks 2"
+    text = "this device speaks 2"
 
     profiles: set[int] = set()
 
@@ -137,14 +137,14 @@ def test_a_device_of_another_profile_says_so() -> None:
                 asked = device.hear(Describe)
                 assert isinstance(asked, Describe)
                 profiles.add(asked.profile)
-                device.say(partial(_refusal, asked.id, told))
+                device.say(partial(_refusal, asked.id, text))
                 while connection.recv(4096):  # until the bridge has read it, and gone
                     pass
 
     def says_so(bridge: Bridge) -> bool:
         with pytest.raises(BridgeError) as raised:
             bridge.describe(ECHO)
-        return told in str(raised.value)
+        return text in str(raised.value)
 
     with listening() as (listener, port), ThreadPoolExecutor(1) as pool:
         over = threading.Event()
@@ -179,24 +179,24 @@ def test_a_flow_that_the_device_ends_has_finished() -> None:
     with scripted() as (device, got, events):
         device.say(lambda seq: Data(seq, device.flow, GOOD))
         device.say(lambda seq: Close(seq, device.flow))
-        ended = events.until(lambda one: one.channel is not None)
+        ended = events.until(lambda item: item.channel is not None)
         assert (ended.health, ended.cause) == (Health.FINISHED, "the device ended the flow")
         assert got.get() == GOOD
 
 
 def test_a_flow_that_fails_is_lost_with_the_devices_reason() -> None:
     with scripted() as (device, _, events):
-        told = "the left wheel is off"
-        device.say(lambda seq: ErrorMessage(seq, device.flow, ErrorCode.FAILED, told))
-        lost = events.until(lambda one: one.channel is not None)
+        text = "the left wheel is off"
+        device.say(lambda seq: ErrorMessage(seq, device.flow, ErrorCode.FAILED, text))
+        lost = events.until(lambda item: item.channel is not None)
         assert lost.health is Health.LOST
-        assert told in lost.cause
+        assert text in lost.cause
 
 
 def test_an_error_of_the_whole_line_ends_it() -> None:
     with scripted() as (device, _, events):
         device.say(lambda seq: ErrorMessage(seq, 0, ErrorCode.LIMIT, "low battery"))
-        assert "low battery" in events.until(lambda one: one.channel is not None).cause
+        assert "low battery" in events.until(lambda item: item.channel is not None).cause
 
 
 def test_a_refused_flow_is_not_open() -> None:

@@ -90,7 +90,7 @@ def test_nonin_format_2_frames() -> None:
     decoder = Nonin2Decoder()
     # start, status with sync, wave, rate MSB, sum; then rate LSB; then saturation
     got = decoder.feed(bytes.fromhex("01 81 33 01 B6  01 80 66 04 EB  01 80 FF 61 E1"))
-    assert [one["waveform"] for one in got] == [0.2, 0.4, 1.0]
+    assert [item["waveform"] for item in got] == [0.2, 0.4, 1.0]
     assert "pulse" not in got[1]  # the packet has not said it yet
     assert (got[2]["pulse"], got[2]["spo2"], got[2]["quality"]) == (132, 97, "good")
 
@@ -114,7 +114,7 @@ def test_a_nonin_packet_with_a_gap_gives_no_number_of_the_wrong_frame() -> None:
     del frames[1]
     frames.insert(1, b"\x00")  # the gap is seen by its octet
     got = decoder.feed(b"".join(frames))
-    assert all("pulse" not in one for one in got)
+    assert all("pulse" not in item for item in got)
     assert decoder.discarded == 1
 
 

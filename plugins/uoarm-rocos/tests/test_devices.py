@@ -54,11 +54,11 @@ def test_an_oximeter_says_finger_out_then_searching_then_numbers(driver: str, ki
         bridged(clip={"driver": driver, "url": url, "wait": LIMIT}) as (bridge, _),
     ):
         source = bridge.open_source(PULSE, ANY, got)
-        away = got.until(lambda one: one["quality"] in {"finger-out", "probe-error"})
+        away = got.until(lambda item: item["quality"] in {"finger-out", "probe-error"})
         assert not {"pulse", "spo2", "waveform"} & away.keys()
-        searching = got.until(lambda one: one["quality"] == "searching")
+        searching = got.until(lambda item: item["quality"] == "searching")
         assert not {"pulse", "spo2"} & searching.keys()
-        good = got.until(lambda one: "pulse" in one)
+        good = got.until(lambda item: "pulse" in item)
         assert good["spo2"] == 95
         assert 55 <= good["pulse"] <= 65
         assert int(str(source.facts()["discarded"])) < 5  # opening a port may cut one frame in two
@@ -95,7 +95,7 @@ def test_octets_that_look_like_flow_control_are_numbers() -> None:
         device.write(contec_frame(pulse=70, spo2=97))
         bridge.open_source(PULSE, ANY, got)
         device.write(contec_frame(pulse=0x11, spo2=0x13, wave=0x13))
-        low = got.until(lambda one: one["pulse"] == 0x11)
+        low = got.until(lambda item: item["pulse"] == 0x11)
         assert (low["spo2"], low["waveform"]) == (0x13, 0x13 / 127)
 
 
@@ -135,10 +135,10 @@ def test_an_oximeter_that_is_switched_off_is_degraded_then_lost_and_said_why() -
             wait_open(bridge, "clip")
             device.write(contec_frame(pulse=70, spo2=97))
             source = bridge.open_source(PULSE, ANY, Events())
-            silent = events.until(lambda one: one.channel is source)
+            silent = events.until(lambda item: item.channel is source)
             assert silent.health is Health.DEGRADED
             assert "no frame from clip for " in silent.cause
-            assert events.until(lambda one: one.channel is source).health is Health.LOST
+            assert events.until(lambda item: item.channel is source).health is Health.LOST
 
 
 def test_a_port_where_nothing_speaks_is_unavailable() -> None:
@@ -162,10 +162,10 @@ def test_an_unplugged_oximeter_comes_back() -> None:
     ):
         source = bridge.open_source(PULSE, ANY, got)
         pulled.set()
-        lost = events.until(lambda one: one.channel is source)
+        lost = events.until(lambda item: item.channel is source)
         assert lost.health is Health.DEGRADED
         assert "lost" in lost.cause
-        assert events.until(lambda one: one.channel is source).health is Health.OK
+        assert events.until(lambda item: item.channel is source).health is Health.OK
 
 
 def test_a_call_waits_for_a_measurement_and_the_monitor_hears_that_it_was_taken() -> None:

@@ -59,10 +59,10 @@ def test_a_device_that_comes_back_goes_on_with_its_flows() -> None:
     ):
         source = bridge.open_source(ODOMETRY, ANY, got)
         pulled.set()
-        lost = events.until(lambda one: one.channel is source)
+        lost = events.until(lambda item: item.channel is source)
         assert lost.health is Health.DEGRADED
         assert "closed the connection" in lost.cause
-        back = events.until(lambda one: one.channel is source)
+        back = events.until(lambda item: item.channel is source)
         assert (back.health, back.cause) == (Health.OK, "connected again")
         while not got.queue.empty():
             got.get()
@@ -76,9 +76,9 @@ def test_a_device_that_stays_away_is_lost_after_its_grace_with_the_cause() -> No
             bridge, events = stack.enter_context(bridged(robot=robot))
             source = bridge.open_source(ODOMETRY, ANY, Events())
             bridge.describe(ECHO)
-        assert events.until(lambda one: one.channel is source).health is Health.DEGRADED
-        events.until(lambda one: one.component == "robot" and one.health is Health.LOST)
-        lost = events.until(lambda one: one.channel is source)
+        assert events.until(lambda item: item.channel is source).health is Health.DEGRADED
+        events.until(lambda item: item.component == "robot" and item.health is Health.LOST)
+        lost = events.until(lambda item: item.channel is source)
         assert lost.health is Health.LOST
         assert "refused" in lost.cause
         with pytest.raises(BridgeError, match="refused") as raised:
@@ -116,9 +116,9 @@ def test_another_catalogue_after_reconnecting_is_refused_with_the_difference() -
             got.get()
         with running(server(other_catalogue()), TcpEnd(port_of(url))):
             assert structure
-            changed = events.until(lambda one: one.component and one.health is Health.LOST)
+            changed = events.until(lambda item: item.component and item.health is Health.LOST)
             assert "'echo' changed" in changed.cause
-            lost = events.until(lambda one: one.channel is source)
+            lost = events.until(lambda item: item.channel is source)
             assert lost.health is Health.LOST
             assert "refused after reconnecting: API 'odometry' changed" in lost.cause
             assert "output.more is new" in lost.cause
@@ -144,8 +144,8 @@ def test_a_serial_device_may_be_unplugged_and_plugged_in_elsewhere(tmp_path: Pat
         assert url == link
         source = bridge.open_source(ODOMETRY, ANY, got)
         pulled.set()
-        assert events.until(lambda one: one.channel is source).health is Health.DEGRADED
-        assert events.until(lambda one: one.channel is source).health is Health.OK
+        assert events.until(lambda item: item.channel is source).health is Health.DEGRADED
+        assert events.until(lambda item: item.channel is source).health is Health.OK
 
 
 class Scripted:
@@ -213,15 +213,15 @@ GOOD = {"x": 1.0, "y": 0.0, "heading": 0.0}
 
 def test_silence_of_a_flow_degrades_it_and_then_loses_it() -> None:
     with scripted(grace=0.2) as (_, _got, events):
-        said = events.until(lambda one: one.channel is not None)
+        said = events.until(lambda item: item.channel is not None)
         assert said.health is Health.DEGRADED
         assert "no message of odometry" in said.cause
-        assert events.until(lambda one: one.channel is not None).health is Health.LOST
+        assert events.until(lambda item: item.channel is not None).health is Health.LOST
 
 
 def test_a_device_without_a_heartbeat_is_dropped() -> None:
     with scripted(heartbeat=1.0) as (device, _, events):
-        lost = events.until(lambda one: one.channel and "line" in one.cause)
+        lost = events.until(lambda item: item.channel and "line" in item.cause)
         assert "said nothing for" in lost.cause
         with suppress(OSError):
             while device.connection.recv(10_000):
@@ -279,12 +279,12 @@ def test_data_that_break_the_catalogue_are_dropped_and_shown() -> None:
     with scripted() as (device, got, events):
         flow = device.flow
         device.say(lambda seq: Data(seq, flow, {"x": "far", "y": 0.0, "heading": 0.0}))
-        said = events.until(lambda one: one.channel is not None)
+        said = events.until(lambda item: item.channel is not None)
         assert said.health is Health.DEGRADED
         assert "data of odometry.x: expected a number, got 'far'" in said.cause
         device.say(lambda seq: Data(seq, flow, GOOD))
         assert got.get() == GOOD
-        assert events.until(lambda one: one.channel is not None).health is Health.OK
+        assert events.until(lambda item: item.channel is not None).health is Health.OK
 
 
 @pytest.mark.parametrize(
@@ -302,7 +302,7 @@ def test_what_cannot_be_read_over_tcp_ends_the_line_with_its_cause(sent: bytes, 
         with suppress(OSError):
             device.connection.sendall(sent)
             device.connection.shutdown(socket.SHUT_WR)
-        lost = events.until(lambda one: one.channel is not None)
+        lost = events.until(lambda item: item.channel is not None)
         assert lost.health is Health.DEGRADED
         assert said in lost.cause
 
@@ -312,7 +312,7 @@ def test_a_device_that_begins_anew_on_the_same_line_is_greeted_anew() -> None:
         device.seq = 0
         flow = device.flow
         device.say(lambda seq: Data(seq, flow, GOOD))
-        assert "begun anew" in events.until(lambda one: one.channel is not None).cause
+        assert "begun anew" in events.until(lambda item: item.channel is not None).cause
 
 
 def test_garbage_and_a_flood_on_a_serial_line_harm_no_later_frame() -> None:
@@ -321,10 +321,10 @@ def test_garbage_and_a_flood_on_a_serial_line_harm_no_later_frame() -> None:
         structures = Events()
         asking = Thread(target=lambda: structures(bridge.describe(ODOMETRY)), daemon=True)
         asking.start()
-        heard: list[bytes] = []
-        while not heard:
-            heard = framer.feed(device.read(1))
-        asked = CODEC.read(heard[0])
+        received: list[bytes] = []
+        while not received:
+            received = framer.feed(device.read(1))
+        asked = CODEC.read(received[0])
         assert isinstance(asked, Describe)
         for _ in range(50):
             device.write(b"\x7e<half a frame \xff\x00\x7d" + b"noise" * 700)

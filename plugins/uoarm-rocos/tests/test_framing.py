@@ -29,14 +29,14 @@ def fed(framer: Framer, octets: bytes, cuts: list[int]) -> list[bytes]:
 def test_frames_come_back_however_they_are_cut(
     kind: type[LengthFramer | StuffedFramer], sent: list[bytes], cuts: list[int]
 ) -> None:
-    octets = b"".join(kind().frame(one) for one in sent)
+    octets = b"".join(kind().frame(chunk) for chunk in sent)
     assert fed(kind(), octets, cuts) == sent
 
 
 @given(garbage=st.binary(max_size=80), sent=payloads)
 def test_every_whole_frame_after_garbage_is_found(garbage: bytes, sent: list[bytes]) -> None:
     framer = StuffedFramer()
-    octets = garbage + b"".join(framer.frame(one) for one in sent)
+    octets = garbage + b"".join(framer.frame(chunk) for chunk in sent)
     assert framer.feed(octets)[-len(sent) :] == sent or not sent
 
 

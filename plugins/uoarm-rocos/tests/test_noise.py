@@ -114,7 +114,7 @@ def test_a_device_of_the_profile_is_understood_after_noise_and_messages_nobody_a
     with PseudoTerminal() as device, bridged(robot={"url": device.path}) as (bridge, _):
         with Peer(device) as peer:
             channel = bridge.open_source(ODOMETRY, ANY, last(got))
-            for part in noise([peer.framed(one) for one in unawaited()], OCTETS, 2):
+            for part in noise([peer.framed(item) for item in unawaited()], OCTETS, 2):
                 device.write(part)
 
             def understood() -> bool:
@@ -132,11 +132,11 @@ def unawaited() -> list[WireMessage]:
     """Messages that are whole, and that no device may send now."""
     ids = (0, 1, 2, 3, 77, 2**32 - 1)
     return [
-        *(Result(seq, one, {}) for seq, one in enumerate(ids)),
-        *(Data(seq, one, {}) for seq, one in enumerate(ids) if one > 3),
-        *(Open(seq, one, "odometry", Direction.INPUT) for seq, one in enumerate(ids) if one > 3),
-        *(Close(seq, one) for seq, one in enumerate(ids) if one > 3),
-        *(ErrorMessage(seq, one, ErrorCode.BUSY, "x") for seq, one in enumerate(ids) if one > 3),
+        *(Result(seq, id_, {}) for seq, id_ in enumerate(ids)),
+        *(Data(seq, id_, {}) for seq, id_ in enumerate(ids) if id_ > 3),
+        *(Open(seq, id_, "odometry", Direction.INPUT) for seq, id_ in enumerate(ids) if id_ > 3),
+        *(Close(seq, id_) for seq, id_ in enumerate(ids) if id_ > 3),
+        *(ErrorMessage(seq, id_, ErrorCode.BUSY, "x") for seq, id_ in enumerate(ids) if id_ > 3),
         Call(5, 77, "odometry", {}),
         Describe(6, 77),
         Heartbeat(7),

@@ -69,7 +69,7 @@ def check(bridge: Bridge, events: Events) -> None:
     assert 36.5 <= first["temperature"] <= 37.1
     assert first["place"] == "ear"
     assert bridge.call(PLACE, {"place": "mouth"}) == {"before": "ear"}
-    got.until(lambda one: one["place"] == "mouth")
+    got.until(lambda item: item["place"] == "mouth")
     source.close()
     with pytest.raises(BridgeError) as raised:
         bridge.describe(endpoint("thermometer", "bodyWeight"))

@@ -31,7 +31,7 @@ def test_the_pulse_wave_has_the_persons_rate_and_keeps_its_bounds() -> None:
     assert person.at(60).beat == pytest.approx(75, abs=1)
     middle = (max(waves) + min(waves)) / 2
     pairs = itertools.pairwise(waves)
-    rising = sum(one < middle <= two for one, two in pairs)
+    rising = sum(value < middle <= two for value, two in pairs)
     assert rising == pytest.approx(75, abs=2)
 
 
@@ -39,11 +39,11 @@ def test_the_rate_that_is_told_is_the_rate_at_which_the_heart_beats() -> None:
     person = Person()
     for start in (3.0, 17.5, 40.2):
         step = 0.001
-        told = person.at(start).pulse
+        report = person.at(start).pulse
         beats = person._beats(
             start + step, *(math.tau * hz * (start + step) for hz in (0.25, 0.1))
         ) - person._beats(start, *(math.tau * hz * start for hz in (0.25, 0.1)))
-        assert beats / step * 60 == pytest.approx(told, abs=0.05)
+        assert beats / step * 60 == pytest.approx(report, abs=0.05)
 
 
 def test_apnoea_lowers_the_saturation_and_lets_it_recover() -> None:

@@ -37,7 +37,7 @@ def loudness(audio: bytes) -> tuple[float, float]:
     with wave.open(io.BytesIO(audio)) as reader:
         count = reader.getnframes()
         samples = struct.unpack(f"<{count}h", reader.readframes(count))
-        mean = (sum(one * one for one in samples) / count) ** 0.5
+        mean = (sum(sample * sample for sample in samples) / count) ** 0.5
         return mean, count / reader.getframerate()
 
 
@@ -252,12 +252,12 @@ def test_a_player_that_fails_or_hangs_is_an_error_within_the_limit(
             bridge.call(SAY, {"text": "Hello."}, timeout=0.5)
     speech = Speech("voice", EspeakEngine(), {})
     (api,) = speech.catalogue(0.0).apis.values()
-    limit, told = 0.5, ""
-    while "interrupted by its limit" not in told:  # a busy machine synthesises for as long, too
-        assert limit < patience(), told
+    limit, text = 0.5, ""
+    while "interrupted by its limit" not in text:  # a busy machine synthesises for as long, too
+        assert limit < patience(), text
         with pytest.raises(BridgeTimeoutError) as raised:
             speech.call(api, {"text": "Hello."}, timeout=limit)
-        limit, told = 2 * limit, str(raised.value)
+        limit, text = 2 * limit, str(raised.value)
 
 
 def test_a_player_that_starts_while_the_device_is_closed_is_ended(

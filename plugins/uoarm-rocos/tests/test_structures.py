@@ -50,8 +50,8 @@ def plain(value: Any) -> Any:
     if isinstance(value, bytes):
         return list(value)
     if isinstance(value, dict):
-        return {key: plain(one) for key, one in value.items()}
-    return [plain(one) for one in value] if isinstance(value, list) else value
+        return {key: plain(item) for key, item in value.items()}
+    return [plain(item) for item in value] if isinstance(value, list) else value
 
 
 def test_ranges_units_and_enums_are_exact() -> None:
@@ -142,7 +142,7 @@ def test_buffers_and_numpy_fit() -> None:
     assert fitted == {
         "on": True, "rate": 1.5, "mode": "fast", "spo2": 7, "image": b"abc", "levels": [1, 0, -1]
     }  # fmt: skip
-    assert {type(one) for one in fitted.values()} == {bool, float, str, int, bytes, list}
+    assert {type(item) for item in fitted.values()} == {bool, float, str, int, bytes, list}
 
 
 def test_one_class_for_each_api() -> None:

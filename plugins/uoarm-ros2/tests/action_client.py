@@ -18,20 +18,20 @@ def main(url: str) -> None:
     ros = roslibpy.Ros(url)
     ros.run(timeout=SECONDS)
     action = roslibpy.ActionClient(ros, "/uoarm/fibonacci", "test_msgs/Fibonacci")
-    told: SimpleQueue[tuple[str, Any]] = SimpleQueue()
+    reports: SimpleQueue[tuple[str, Any]] = SimpleQueue()
 
     def send(order: int) -> str:
         identity: str = action.send_goal(
             roslibpy.Goal({"order": order}),
-            lambda result: told.put(("result", result)),
-            lambda feedback: told.put(("feedback", list(feedback["sequence"]))),
-            lambda error: told.put(("error", error)),
+            lambda result: reports.put(("result", result)),
+            lambda feedback: reports.put(("feedback", list(feedback["sequence"]))),
+            lambda error: reports.put(("error", error)),
         )
         return identity
 
     def end() -> tuple[list[Any], str, Any]:
         steps = []
-        while (one := told.get(timeout=SECONDS))[0] == "feedback":
+        while (one := reports.get(timeout=SECONDS))[0] == "feedback":
             steps.append(one[1])
         return steps, *one
 
@@ -43,7 +43,7 @@ def main(url: str) -> None:
     assert result["values"] == {"sequence": [0, 1, 1, 2, 3, 5, 8]}, result
 
     identity = send(1000)
-    assert told.get(timeout=SECONDS)[0] == "feedback"
+    assert reports.get(timeout=SECONDS)[0] == "feedback"
     action.cancel_goal(identity)
     _, kind, result = end()
     assert (kind, result["status"].value) == ("result", ENDS["canceled"]), result

@@ -68,8 +68,8 @@ class RosWorld(World):
     def await_receivers(self, kind: str, count: int) -> None:
         """DDS tells a writer of its readers, and a reader nothing of what its writers know."""
         if kind == "echoed":
-            told = self._lasting.do("subscriptions", topic="/echoed", expected=count)
-            assert told["count"] == count
+            reports = self._lasting.do("subscriptions", topic="/echoed", expected=count)
+            assert reports["count"] == count
 
     def carried(self, kind: str, message: Message) -> Message:
         return rounded(KINDS[kind], message)
@@ -144,7 +144,7 @@ def rounded(native: str, message: Message) -> Message:
 def _rounded(kind: str, value: Any) -> Any:
     element = kind.removeprefix("sequence<").split(",")[0].split("[")[0].rstrip(">")
     if isinstance(value, list):
-        return [_rounded(element, each) for each in value]
+        return [_rounded(element, item) for item in value]
     if isinstance(value, dict):
         package, name = element.split("/")
         return rounded(f"{package}/msg/{name}", value)

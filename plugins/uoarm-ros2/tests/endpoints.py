@@ -30,7 +30,12 @@ def sink(bridge: Bridge, at: Endpoint) -> Any:
 
 def known(bridge: Bridge, *nodes: str, bare: bool = False) -> None:
     """Wait until the bridge sees these nodes with their endpoints; bare ones have none."""
-    wait(lambda: {each.name for each in bridge.discover() if bare or each.endpoints} >= set(nodes))
+    wait(
+        lambda: (
+            {component.name for component in bridge.discover() if bare or component.endpoints}
+            >= set(nodes)
+        )
+    )
 
 
 def matched(channel: Channel, count: int) -> None:
@@ -75,6 +80,6 @@ class Inbox:
     def event(self, health: Health, words: str) -> HealthEvent:
         """Wait for a health event with these words in its cause."""
         event: HealthEvent = self.wait_until(
-            lambda each: each.health is health and words in each.cause
+            lambda item: item.health is health and words in item.cause
         )
         return event

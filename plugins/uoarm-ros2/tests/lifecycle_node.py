@@ -45,9 +45,12 @@ class Numbers(LifecycleNode):  # type: ignore[misc]  # rclpy has no types
         self.timer: Any = None
 
     def _judge(self, parameters: list[Parameter]) -> SetParametersResult:
-        if any(each.name == "camera.names" and "top" in each.value for each in parameters):
+        if any(
+            parameter.name == "camera.names" and "top" in parameter.value
+            for parameter in parameters
+        ):
             return SetParametersResult(successful=False, reason="there is no camera on top")
-        self.writes += sum(self.has_parameter(each.name) for each in parameters)
+        self.writes += sum(self.has_parameter(parameter.name) for parameter in parameters)
         return SetParametersResult(successful=True)
 
     def _end(self, step: str, begun: Any) -> Any:

@@ -49,7 +49,7 @@ def messages_of(draw: st.DrawFn, record: Record) -> Any:
     def value(shape: Shape) -> Any:
         if isinstance(shape, Record):
             if shape.name not in drawn:
-                drawn[shape.name] = {each.name: value(each.shape) for each in shape.fields}
+                drawn[shape.name] = {field.name: value(field.shape) for field in shape.fields}
             return drawn[shape.name]
         if not isinstance(shape, Listing):
             return draw(_plain(shape))
@@ -81,12 +81,12 @@ def _scalars(scalar: Scalar) -> st.SearchStrategy[Any]:
 def plain(value: Any) -> Any:
     """The same message with lists in the place of buffers."""
     if isinstance(value, dict):
-        return {key: plain(each) for key, each in value.items()}
+        return {key: plain(item) for key, item in value.items()}
     if isinstance(value, memoryview | array | np.ndarray):
         return value.tolist()
     if isinstance(value, bytes):
         return list(value)
-    return [plain(each) for each in value] if isinstance(value, list) else value
+    return [plain(item) for item in value] if isinstance(value, list) else value
 
 
 def same(got: Any, wanted: Any) -> bool:

@@ -372,14 +372,14 @@ class Doer:
             if order is not None:
                 goal = Fibonacci.Goal(order=order)
                 sent = client.send_goal_async(goal)
-                sent.add_done_callback(lambda each: answered(order, each.result()))
+                sent.add_done_callback(lambda item: answered(order, item.result()))
 
         def answered(order: int, handle: Any) -> None:
             if not handle.accepted:
                 ended(0)
                 return
             result = handle.get_result_async()
-            result.add_done_callback(lambda each: ended(each.result().status))
+            result.add_done_callback(lambda item: ended(item.result().status))
             if order % 5 == 4:
                 handle.cancel_goal_async()
 

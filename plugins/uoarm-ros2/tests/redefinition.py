@@ -50,10 +50,10 @@ def redefine_goal_reply(native: Any) -> None:
 
 def _redefined(address: Any) -> Any:
     other = _Hash(1, (ctypes.c_uint8 * 32)(*range(32)))
-    tell = _Tell(lambda _: ctypes.addressof(other))
+    report = _Tell(lambda _: ctypes.addressof(other))
     table = _copied(address, _POINTERS)
-    table[_HASH_FUNCTION] = ctypes.cast(tell, ctypes.c_void_p).value
-    _kept.extend((table, other, tell))
+    table[_HASH_FUNCTION] = ctypes.cast(report, ctypes.c_void_p).value
+    _kept.extend((table, other, report))
     return table
 
 

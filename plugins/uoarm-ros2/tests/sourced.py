@@ -35,19 +35,21 @@ class Sourced:
         here.mkdir(parents=True)
         others.mkdir()
         ours = _top_level_of_ros(site)
-        for each in site.iterdir():
-            is_data = each.suffix in {".dist-info", ".egg-info", ".libs", ".pth"}
-            if each.name in ours and not is_data and "bootstrapper" not in each.name:
-                (here / each.name).symlink_to(each)
-            elif each.name not in ours and each.suffix != ".pth":
-                (others / each.name).symlink_to(each)
+        for path in site.iterdir():
+            is_data = path.suffix in {".dist-info", ".egg-info", ".libs", ".pth"}
+            if path.name in ours and not is_data and "bootstrapper" not in path.name:
+                (here / path.name).symlink_to(path)
+            elif path.name not in ours and path.suffix != ".pth":
+                (others / path.name).symlink_to(path)
         for library in (*(Path(sys.prefix) / "lib").glob("*.so*"), *site.glob("ros_*.libs/*")):
             target = self.prefix / "lib" / library.name
             if not target.exists():
                 target.symlink_to(library)
         for name in ("share", "include"):
             (self.prefix / name).symlink_to(Path(sys.prefix) / name)
-        code = [str(Path(str(each.__file__)).parents[1]) for each in (uoarm, uoarm_ros2)]
+        code = [
+            str(Path(str(module_type.__file__)).parents[1]) for module_type in (uoarm, uoarm_ros2)
+        ]
         wheels_alone = {"_ROS_WHEELS_BOOTSTRAP_COMPLETE", "VIRTUAL_ENV"}
         self.environment = {
             **{name: value for name, value in os.environ.items() if name not in wheels_alone},
@@ -87,9 +89,12 @@ class Sourced:
 def _top_level_of_ros(site: Path) -> set[str]:
     """Return what wheels of ROS 2 put into a folder of packages."""
     found = set()
-    for each in distributions():
-        if str(each.metadata["Name"]).lower().startswith(_OF_ROS):
-            paths = [Path(str(each.locate_file(file))).resolve() for file in each.files or ()]
+    for distribution in distributions():
+        if str(distribution.metadata["Name"]).lower().startswith(_OF_ROS):
+            paths = [
+                Path(str(distribution.locate_file(file))).resolve()
+                for file in distribution.files or ()
+            ]
             inside = [path for path in paths if path.is_relative_to(site.resolve())]
             found |= {path.relative_to(site.resolve()).parts[0] for path in inside}
     return found

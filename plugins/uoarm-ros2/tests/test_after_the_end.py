@@ -154,10 +154,10 @@ def test_the_client_of_an_action_does_not_keep_the_node_on_the_graph(
 def test_a_goal_whose_bridge_closes_in_mid_call_fails(
     participant: Participant, station: Station
 ) -> None:
-    asked, told = threading.Event(), []
+    asked, reports = threading.Event(), []
 
     def cancelling(cancel: Callable[[], object]) -> Any:
-        told.append(cancel)
+        reports.append(cancel)
         return nullcontext()
 
     taken = []
@@ -169,10 +169,10 @@ def test_a_goal_whose_bridge_closes_in_mid_call_fails(
     goals = server(station, accept)
     action = Action(station, Graph(station, 0.0), "/slow", FIBONACCI)
     call = failed(lambda: action.call({"order": 3}, patience(), patience(), cancelling))
-    wait(lambda: asked.is_set() and told != [])
+    wait(lambda: asked.is_set() and reports != [])
     participant.close(patience())
     assert call().reason is FailureReason.CLOSED
-    assert told[0]() is False  # nobody can be told any more
+    assert reports[0]() is False  # nobody can be told any more
 
 
 def test_a_call_whose_bridge_closes_in_mid_call_fails(

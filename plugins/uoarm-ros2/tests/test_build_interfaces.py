@@ -76,9 +76,9 @@ def test_what_cannot_be_built_is_one_error_with_its_place(
 ) -> None:
     folder, output = write(files), tmp_path / "out"
     assert main(["build-interfaces", str(folder), "--output", str(output)]) == 1
-    told = capsys.readouterr()
-    assert text in told.err
-    assert told.out == ""
+    reports = capsys.readouterr()
+    assert text in reports.err
+    assert reports.out == ""
     assert not output.exists()
 
 
@@ -89,9 +89,9 @@ def test_without_a_compiler_it_says_so_before_any_work(
 ) -> None:
     monkeypatch.setenv("CC", "no-such-compiler -O3")
     assert main(["build-interfaces", str(write(DEFINITIONS))]) == 4
-    told = capsys.readouterr().err
-    assert "there is no compiler: none of no-such-compiler is on the path; install gcc" in told
-    assert "definitions" not in told.splitlines()[0].partition("there is")[0]
+    text = capsys.readouterr().err
+    assert "there is no compiler: none of no-such-compiler is on the path; install gcc" in text
+    assert "definitions" not in text.splitlines()[0].partition("there is")[0]
 
 
 def test_packages_are_built_after_those_that_they_need() -> None:
@@ -104,7 +104,7 @@ def test_packages_are_built_after_those_that_they_need() -> None:
 def test_an_idl_beside_its_source_is_not_a_second_definition(write: Callable[..., Path]) -> None:
     folder = write({"claw/msg/Grip.msg": "bool a\n", "claw/msg/Grip.idl": "", "claw/srv/B.idl": ""})
     (package,) = packages_in(folder / "claw")
-    assert [str(each) for each in package.files] == ["msg/Grip.msg", "srv/B.idl"]
+    assert [str(file) for file in package.files] == ["msg/Grip.msg", "srv/B.idl"]
 
 
 def test_a_wheel_has_what_it_records(write: Callable[..., Path], tmp_path: Path) -> None:
@@ -162,11 +162,11 @@ def test_a_node_talks_what_was_built(
     """Two packages, one of which holds types of the other, as message, service and action."""
     words = ["build-interfaces", str(write(DEFINITIONS)), "--output", str(tmp_path / "out")]
     assert main([*words, "--json"]) == 0
-    told = capsys.readouterr()
-    wheels = [Path(each) for each in json.loads(told.out)]
-    assert [each.name.split("-")[0] for each in wheels] == ["arm_msgs", "claw_msgs"]
+    reports = capsys.readouterr()
+    wheels = [Path(load) for load in json.loads(reports.out)]
+    assert [wheel.name.split("-")[0] for wheel in wheels] == ["arm_msgs", "claw_msgs"]
     assert wheels[0].name.startswith("arm_msgs-1.2.3-cp")
-    assert "claw_msgs: compiling" in told.err
+    assert "claw_msgs: compiling" in reports.err
     with zipfile.ZipFile(wheels[1]) as archive:
         assert b"arm-msgs==1.2.3" in archive.read("claw_msgs-0.0.0.dist-info/METADATA")
     target = tmp_path / "target"

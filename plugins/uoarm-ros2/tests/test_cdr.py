@@ -34,8 +34,8 @@ def record(name: str) -> Record:
 def kinds(value: Any) -> Any:
     """The types of everything in a message."""
     if isinstance(value, dict):
-        return {key: kinds(each) for key, each in value.items()}
-    return [kinds(each) for each in value] if isinstance(value, list) else type(value)
+        return {key: kinds(item) for key, item in value.items()}
+    return [kinds(item) for item in value] if isinstance(value, list) else type(value)
 
 
 @pytest.mark.parametrize("name", MESSAGE_TYPES)

@@ -56,7 +56,7 @@ def test_why_types_are_not_known_is_said_once_for_all_nodes_that_talk_them(
     for name in ("left", "right"):
         peer(name).do("serve", name=f"/{name}/one")
         peer(f"{name}_too").do("act", name=f"/{name}/two")
-    for name in [each for each in sys.modules if each.split(".")[0] == "test_msgs"]:
+    for name in [module for module in sys.modules if module.split(".")[0] == "test_msgs"]:
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, "test_msgs", None)
 
@@ -94,14 +94,14 @@ def test_what_is_installed_is_listed_without_a_graph(run: Run) -> None:
 def test_what_cannot_be_shown_says_why(
     run: Run, words: tuple[str, ...], status: int, text: str
 ) -> None:
-    got, _, told = run(*words)
+    got, _, report = run(*words)
     assert got == status
-    assert text in told
+    assert text in report
 
 
 def test_a_domain_of_the_environment_that_is_none_is_an_error_of_the_command(
     run: Run, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("ROS_DOMAIN_ID", "lab")
-    status, _, told = run("list")
-    assert (status, told) == (4, "the environment says ROS_DOMAIN_ID='lab', expected 0 to 232\n")
+    status, _, report = run("list")
+    assert (status, report) == (4, "the environment says ROS_DOMAIN_ID='lab', expected 0 to 232\n")

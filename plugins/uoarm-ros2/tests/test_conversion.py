@@ -43,8 +43,8 @@ def test_the_defaults_of_a_type_are_what_its_class_makes(name: str) -> None:
     # What is on the wire cannot be compared: between fields and at its end Fast CDR aligns, and
     # leaves there what memory held.
     wires = [serialize_message(native) for native in (ours, made)]
-    heard = [reader(shape)(deserialize_message(wire, shape.native)) for wire in wires]
-    assert same(*map(plain, heard))
+    received = [reader(shape)(deserialize_message(wire, shape.native)) for wire in wires]
+    assert same(*map(plain, received))
     assert len(wires[0]) == len(wires[1])
 
 

@@ -42,7 +42,7 @@ def uninstall(monkeypatch: pytest.MonkeyPatch) -> Callable[[str], None]:
     """Makes a package as if nobody had installed it here; peers have it."""
 
     def uninstall(package: str) -> None:
-        for name in [each for each in sys.modules if each.split(".")[0] == package]:
+        for name in [module for module in sys.modules if module.split(".")[0] == package]:
             monkeypatch.delitem(sys.modules, name)
         monkeypatch.setitem(sys.modules, package, None)
 
@@ -69,8 +69,8 @@ def hashes(share: Path) -> dict[str, str]:
     """Return what `rosidl` wrote for every message type that is installed."""
     found: dict[str, str] = {}
     for path in sorted(share.glob("*/msg/*.json")):
-        for each in json.loads(path.read_text())["type_hashes"]:
-            found[each["type_name"]] = each["hash_string"]
+        for hash_ in json.loads(path.read_text())["type_hashes"]:
+            found[hash_["type_name"]] = hash_["hash_string"]
     return found
 
 
@@ -130,9 +130,9 @@ def test_a_type_that_no_node_describes_is_talked_both_ways(
     with pytest.raises(MessageError, match="alignment_check"):
         out.send({**message, "alignment_check": "seven"})
     ends = bridge._station.ends("/come")  # type: ignore[attr-defined]  # what DDS tells of both
-    assert len({each.definition for each in ends}) == 1 < len(ends)
-    (found,) = [each for each in bridge.discover() if each.name == "/there"]
-    assert {each.port for each, told in found.endpoints if told.message} >= {"come", "go"}
+    assert len({item.definition for item in ends}) == 1 < len(ends)
+    (found,) = [component for component in bridge.discover() if component.name == "/there"]
+    assert {item.port for item, report in found.endpoints if report.message} >= {"come", "go"}
 
 
 def _nested(fields: Any) -> Any:

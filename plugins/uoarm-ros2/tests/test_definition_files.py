@@ -59,7 +59,7 @@ def test_every_installed_type_has_the_structure_that_the_bridge_describes(
     assert not found.problems
     assert {"test_msgs/msg/WStrings", "sensor_msgs/msg/Imu"} < found.structures.keys()
     assert {name.split("/")[1] for name in found.structures} == {"msg", "srv", "action"}
-    wrong = [name for name, one in found.structures.items() if one != described(name)]
+    wrong = [name for name, structure in found.structures.items() if structure != described(name)]
     assert not wrong
 
 
@@ -81,15 +81,15 @@ def test_idl_alone_says_the_same_but_for_defaults(
         shutil.copy(share / f"{name}.idl", copy)
     alone = read_definitions(tmp_path)
     assert not alone.problems
-    assert {name: bare(one.schema) for name, one in alone.structures.items()} == {
+    assert {name: bare(structure.schema) for name, structure in alone.structures.items()} == {
         name: bare(found.structures[name].schema) for name in names
     }
 
 
 def bare(schema: Any) -> Any:
     if isinstance(schema, dict):
-        return {name: bare(one) for name, one in schema.items() if name != "default"}
-    return [bare(one) for one in schema] if isinstance(schema, list) else schema
+        return {name: bare(value) for name, value in schema.items() if name != "default"}
+    return [bare(item) for item in schema] if isinstance(schema, list) else schema
 
 
 def write(folder: Path, **files: str) -> Path:

@@ -112,8 +112,8 @@ def test_another_service_under_the_name_is_an_event_and_so_is_its_end(
 
     def told(health: Health, words: str) -> bool:
         call(bridge, "/mixed")
-        found = [each for each in events.messages if words in each.cause]
-        return [(each.health, each.component) for each in found] == [(health, "thing")]
+        found = [message for message in events.messages if words in message.cause]
+        return [(item.health, item.component) for item in found] == [(health, "thing")]
 
     words = "service /mixed is not the same everywhere: /stranger has std_srvs/srv/SetBool_Re"
     wait(lambda: told(Health.DEGRADED, words))

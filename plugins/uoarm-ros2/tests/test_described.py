@@ -26,7 +26,7 @@ SEQUENCES = "test_msgs/msg/UnboundedSequences"
 @pytest.fixture
 def uninstalled(monkeypatch: pytest.MonkeyPatch) -> None:
     """As if nobody had installed test_msgs here; peers have it."""
-    for name in [each for each in sys.modules if each.split(".")[0] == "test_msgs"]:
+    for name in [module for module in sys.modules if module.split(".")[0] == "test_msgs"]:
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, "test_msgs", None)
 
@@ -59,8 +59,8 @@ def test_a_type_that_nobody_installed_is_talked_both_ways(
     assert same(inbox.wait_for(1)[0], message)
     with pytest.raises(MessageError, match="alignment_check"):
         out.send({**message, "alignment_check": "seven"})
-    (found,) = [each for each in bridge.discover() if each.name == "/there"]
-    assert {each.port for each, told in found.endpoints if told.message} >= {"come", "go"}
+    (found,) = [component for component in bridge.discover() if component.name == "/there"]
+    assert {item.port for item, report in found.endpoints if report.message} >= {"come", "go"}
 
 
 def _basic(schema: Any) -> dict[str, object]:

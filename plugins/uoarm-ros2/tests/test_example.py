@@ -72,17 +72,17 @@ def interrupted(process: subprocess.Popen[str]) -> int:
 def test_a_talker_started_by_hand_is_heard(run: Run) -> None:
     talker, request = commands(0)
     in_background(run, talker)
-    heard = run(request)
-    numbers = [int(re.findall(r'"hello (\d+)"', line)[0]) for line in lines(heard.stdout, 3)]
+    received = run(request)
+    numbers = [int(re.findall(r'"hello (\d+)"', line)[0]) for line in lines(received.stdout, 3)]
     assert numbers == list(range(numbers[0], numbers[0] + 3))
-    assert interrupted(heard) == 130
+    assert interrupted(received) == 130
 
 
 def test_the_doctor_says_what_is_used(run: Run) -> None:
     (doctor,) = commands(1)
-    told, _ = run(doctor).communicate(timeout=patience())
+    text, _ = run(doctor).communicate(timeout=patience())
     for word in ("rclpy", "distribution", "rmw", "domain"):
-        assert re.search(rf"^  {word} +\S", told, re.MULTILINE), told
+        assert re.search(rf"^  {word} +\S", text, re.MULTILINE), text
 
 
 def test_a_camera_of_ros_feeds_python_which_feeds_ros(run: Run) -> None:

@@ -62,8 +62,8 @@ def world(make_bridge: MakeBridge) -> tuple[Bridge, Any, Any]:
 
 
 def test_the_definition_of_the_message_is_that_of_tf2_msgs() -> None:
-    told = "RIHS01_e369d0f05a23ae52508854b66f6aa0437f3449d652e8cbf22d5abe85d020f087"
-    assert type_hash(shape_of(tf_message(), TF_MESSAGE)) == told
+    text = "RIHS01_e369d0f05a23ae52508854b66f6aa0437f3449d652e8cbf22d5abe85d020f087"
+    assert type_hash(shape_of(tf_message(), TF_MESSAGE)) == text
     assert tf_message() is tf_message()  # what a class is made of is never given back
 
 
@@ -83,10 +83,10 @@ def test_a_frame_is_looked_up_in_another(world: tuple[Bridge, Any, Any]) -> None
         look_up(bridge, "map", "camera", time={"sec": 13, "nanosec": 0}, timeout=0)
     with pytest.raises(BridgeError, match="frame 'nose' is not known; known are base, camera, map"):
         look_up(bridge, "map", "nose", timeout=0)
-    told = bridge.describe(FRAMES, timeout=patience())
-    assert told.request is not None
-    assert told.reply is not None
-    assert told.reply.native_type == "geometry_msgs/msg/TransformStamped"
+    report = bridge.describe(FRAMES, timeout=patience())
+    assert report.request is not None
+    assert report.reply is not None
+    assert report.reply.native_type == "geometry_msgs/msg/TransformStamped"
 
 
 def test_a_look_up_that_waits_goes_on_with_the_first_frame_that_answers_it(

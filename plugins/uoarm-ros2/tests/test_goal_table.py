@@ -53,8 +53,8 @@ class Play:
         self.table.hear_result({"goal_id": name, "status": status}, what)
 
     def told(self) -> list[tuple[Any, ...]]:
-        told, self.clients.told = self.clients.told, []
-        return told
+        reports, self.clients.told = self.clients.told, []
+        return reports
 
     def run(self, request: bytes, name: str) -> None:
         self.ask(request)

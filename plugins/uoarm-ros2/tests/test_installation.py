@@ -103,9 +103,9 @@ def test_a_middleware_that_is_not_there_is_told_with_those_that_are() -> None:
         "try: uoarm_bridge_types()[0].doctor()\n"
         "except Exception as error: print(type(error).__name__, error)\n"
     )
-    told = output(code, RMW_IMPLEMENTATION="rmw_none_cpp")
-    assert told.startswith("PluginError the environment says RMW_IMPLEMENTATION=rmw_none_cpp")
-    assert "only rmw_fastrtps_cpp: unset the variable" in told
+    text = output(code, RMW_IMPLEMENTATION="rmw_none_cpp")
+    assert text.startswith("PluginError the environment says RMW_IMPLEMENTATION=rmw_none_cpp")
+    assert "only rmw_fastrtps_cpp: unset the variable" in text
     assert output(code, RMW_IMPLEMENTATION="rmw_fastrtps_cpp") == ""
 
 

@@ -51,8 +51,8 @@ def test_a_node_is_configured_and_activated_on_request_and_deactivated_after(
     inbox = Inbox()
     source = opened(bridge, numbers(parameters={"gain": 2.5, "late": 7}), inbox)
     inbox.wait_for(3)
-    told = camera.do("transitions", expected=2)
-    assert told == {"asked": ["configure", "activate"], "gains": [2.5], "writes": 2}
+    reports = camera.do("transitions", expected=2)
+    assert reports == {"asked": ["configure", "activate"], "gains": [2.5], "writes": 2}
     source.close()
     asked = camera.do("transitions", expected=3)["asked"]
     assert asked == ["configure", "activate", "deactivate"]

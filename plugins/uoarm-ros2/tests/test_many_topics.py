@@ -61,7 +61,10 @@ def test_the_hash_of_our_definition_is_kept_once_the_graph_has_it_for_sure(
     station: Station = make_bridge()._station
 
     def told(*definitions: str) -> str:
-        ends = [End(station.full_name, INT64, Policies(), definition=each) for each in definitions]
+        ends = [
+            End(station.full_name, INT64, Policies(), definition=definition)
+            for definition in definitions
+        ]
         others = [
             End("/other", INT64, Policies(), definition="other"),
             End(station.full_name, "std_msgs/msg/String", Policies(), definition="text"),

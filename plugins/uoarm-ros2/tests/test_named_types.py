@@ -88,7 +88,9 @@ def test_check_names_types_that_are_not_here_and_files_that_cannot_be_read(tmp_p
     (tmp_path / "robot.yaml").write_text(CHECKED)
     done = CliRunner().invoke(main, ["check", str(tmp_path / "robot.yaml"), "--json"])
     assert done.exit_code == 0, done.output
-    warnings = {one["path"]: one["sentence"] for one in json.loads(done.stdout)["warnings"]}
+    warnings = {
+        warning["path"]: warning["sentence"] for warning in json.loads(done.stdout)["warnings"]
+    }
     wrong = (
         "Force.msg: line 1: 'uint8 newtons 300': expected a whole number from 0 to 255, got '300'"
     )
@@ -140,8 +142,8 @@ def test_clients_of_rosbridge_share_messages_of_real_types() -> None:
         send(op="advertise", topic="/aim", type="geometry_msgs/Twist")
         send(op="publish", topic="/aim", msg={"linear": {"x": "fast"}})
         send(op="publish", topic="/aim", msg={"linear": {"x": 0.5}})
-        told, got = (json.loads(client.recv(timeout=patience())) for _ in range(2))
-    assert told["msg"].startswith("message: /aim: $.linear.x: expected a number"), told
+        report, got = (json.loads(client.recv(timeout=patience())) for _ in range(2))
+    assert report["msg"].startswith("message: /aim: $.linear.x: expected a number"), report
     zero = {"x": 0.0, "y": 0.0, "z": 0.0}
     assert got["msg"] == {"linear": {**zero, "x": 0.5}, "angular": zero}
     assert not manager.status().bridges

@@ -104,8 +104,8 @@ class Counter:
 
     def feed(self, name: str, *numbers: int) -> None:
         wait(self._outputs["feedback"].channels)
-        told = {"goal_id": name, "feedback": {"sequence": list(numbers)}}
-        self._outputs["feedback"].emit(told)
+        reports = {"goal_id": name, "feedback": {"sequence": list(numbers)}}
+        self._outputs["feedback"].emit(reports)
 
     def end(self, name: str, status: str, *numbers: int) -> None:
         """Give the result, and how it ended; after a takeover each output is opened for itself."""
@@ -172,8 +172,8 @@ def stage(make_bridge: Callable[..., Bridge], client: Peer) -> Iterator[Callable
         return made[-1]
 
     yield make
-    for each in made:
-        each.robot.close()
+    for item in made:
+        item.robot.close()
 
 
 def test_goals_run_side_by_side_with_feedback_and_each_has_its_result(
@@ -262,8 +262,8 @@ class Work:
                     taken += 1
                     self._begin(counter, number, goals[number]["order"])
                 counter.begun = len(goals)
-                for each in cancels[counter.cancelled :]:
-                    counter.end(each["goal_id"], "canceled")
+                for cancel in cancels[counter.cancelled :]:
+                    counter.end(cancel["goal_id"], "canceled")
                 counter.cancelled = len(cancels)
                 if taken >= self._life:
                     taken = 0
@@ -312,7 +312,7 @@ def test_a_service_is_an_action_without_feedback(bridge: Bridge, client: Peer) -
     assert client.do("give_up", goal=first["goal"]) == refused
     leave.set()
     second = client.do("pursue", name="/served", order=-1)
-    ends = [client.do("outcome", goal=each["goal"]) for each in (first, second)]
+    ends = [client.do("outcome", goal=item["goal"]) for item in (first, second)]
     assert ends == [
         {"status": SUCCEEDED, "sequence": [0, 1, 2]},
         {"status": ABORTED, "sequence": []},

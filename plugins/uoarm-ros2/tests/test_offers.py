@@ -53,11 +53,11 @@ def test_nodes_use_what_is_offered_and_nobody_has_to_be_there_first(
     memory = MemoryBridge("one")
     counter: Any = memory.emitter("counter", NUMBER)
     arm = memory.taker("arm", NUMBER)
-    memory.service("switch", FLAG, TOLD, lambda one: {"success": one["data"], "message": "done"})
+    memory.service("switch", FLAG, TOLD, lambda item: {"success": item["data"], "message": "done"})
     bridge = make_bridge()
     with RobotManager(loads(ROBOT), bridges={"ros": bridge, "one": memory}) as robot:
         robot.offer()
-        wait(lambda: {one.state for one in robot.status().offers} == {OfferState.OPEN})
+        wait(lambda: {offer.state for offer in robot.status().offers} == {OfferState.OPEN})
         node = peer("node")
         assert node.do("call", name="/offered/switch", value=True) == {
             "success": True,
@@ -76,11 +76,11 @@ def test_nodes_use_what_is_offered_and_nobody_has_to_be_there_first(
         node.do("advertise", topic="/offered/goal")
         node.do("subscriptions", topic="/offered/goal", expected=1)
         node.do("publish", topic="/offered/goal", count=3)
-        wait(lambda: [one["data"] for one in arm.taken.messages][-1:] == [3])
-        told: list[str] = []
-        robot.listen(lambda event: told.append(event.cause))
+        wait(lambda: [message["data"] for message in arm.taken.messages][-1:] == [3])
+        reports: list[str] = []
+        robot.listen(lambda event: reports.append(event.cause))
         node.end()
         ros: Any = bridge
-        wait(lambda: [one.facts()["matched"] for one in ros._watched] == [0, 0])
-        assert [one.cause for one in robot.status().offers] == ["", "", ""]
-        assert not any("is gone" in cause for cause in told)
+        wait(lambda: [item.facts()["matched"] for item in ros._watched] == [0, 0])
+        assert [offer.cause for offer in robot.status().offers] == ["", "", ""]
+        assert not any("is gone" in cause for cause in reports)

@@ -287,7 +287,7 @@ def test_a_bridge_closes_in_time_while_messages_flow_both_ways(
         Background(bridge.close).result(patience())
         assert sending.result(patience()) is FailureReason.CLOSED
         talker.answer()
-    assert [each.name for each in threading.enumerate() if each.name.startswith("ros2")] == []
+    assert [thread.name for thread in threading.enumerate() if thread.name.startswith("ros2")] == []
 
 
 def send_until_closed(out: Sink) -> FailureReason:

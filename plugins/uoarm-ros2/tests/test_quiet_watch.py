@@ -48,7 +48,7 @@ class Ear:
 
     @property
     def is_quiet(self) -> bool:
-        return self.entity.is_quiet and all(each.is_quiet for each in self.events)
+        return self.entity.is_quiet and all(event.is_quiet for event in self.events)
 
 
 def test_what_is_quiet_is_heard_and_is_quiet_again(

@@ -140,7 +140,7 @@ def test_a_service_has_its_type_and_what_it_is_made_of(ask: Send, kind: str) -> 
     [response] = call(ask, "service_response_details", type=kind)["typedefs"]
     assert response["fieldnames"] == ["success", "message"]
     other = call(ask, "service_request_details", type="std_srvs/Trigger")["typedefs"]
-    assert [each["type"] for each in other] == ["std_srvs/Trigger_Request"]
+    assert [item["type"] for item in other] == ["std_srvs/Trigger_Request"]
 
 
 def test_an_action_has_its_type_and_what_it_is_made_of(ask: Send) -> None:

@@ -333,7 +333,7 @@ def test_a_goal_that_is_cancelled_before_it_is_sent_is_never_sent() -> None:
         assert caught.value.reason is FailureReason.REFUSED
         action.send({"order": 4})  # the first that comes
         wait(lambda: asked != [])
-        assert [each.goal.order for each in asked] == [4]
+        assert [goal_request.goal.order for goal_request in asked] == [4]
     finally:
         participant.close(patience())
 
@@ -350,17 +350,17 @@ def test_an_action_is_four_streams(make_bridge: Make, peer: Start) -> None:
     ended = results.wait_for(1)[0]
     assert ended["status"] == "succeeded"
     assert list(ended["result"]["sequence"]) == [0, 1, 1, 2, 3, 5]
-    told = feedback.wait_for(4)  # a topic of its own: the result may be here before the last
-    assert [len(each["feedback"]["sequence"]) for each in told] == [3, 4, 5, 6]
-    assert {each["goal_id"] for each in told} == {ended["goal_id"]}
+    reports = feedback.wait_for(4)  # a topic of its own: the result may be here before the last
+    assert [len(report["feedback"]["sequence"]) for report in reports] == [3, 4, 5, 6]
+    assert {report["goal_id"] for report in reports} == {ended["goal_id"]}
     goal.send({"order": 1000})
     accepted = statuses.wait_until(
-        lambda each: each["status"] == "accepted" and each["goal_id"] != ended["goal_id"]
+        lambda item: item["status"] == "accepted" and item["goal_id"] != ended["goal_id"]
     )
     cancel.send({"goal_id": accepted["goal_id"]})
     assert results.wait_for(2)[1]["status"] == "canceled"
     goal.send({"order": -1})
-    assert statuses.wait_until(lambda each: each["status"] == "rejected")
+    assert statuses.wait_until(lambda item: item["status"] == "rejected")
     with pytest.raises(MessageError, match="field order"):
         goal.send({"order": "five"})
 
@@ -373,9 +373,9 @@ def test_goals_of_a_killed_server_are_lost(bridge: Bridge, peer: Start) -> None:
     channel = source(bridge, endpoint(Role.OUTPUT, "/fibonacci", FIBONACCI, "status"), statuses)
     goal = sink(bridge, endpoint(Role.INPUT, "/fibonacci", FIBONACCI))
     goal.send({"order": 1000})
-    statuses.wait_until(lambda each: each["status"] == "accepted")
+    statuses.wait_until(lambda item: item["status"] == "accepted")
     server.kill()
-    assert statuses.wait_until(lambda each: each["status"] == "lost")
+    assert statuses.wait_until(lambda item: item["status"] == "lost")
     assert events.event(Health.LOST, "the server of /fibonacci is gone").channel is channel
 
 
@@ -403,7 +403,7 @@ def test_goals_of_a_server_that_another_one_replaces_are_lost(
     source(bridge, endpoint(Role.OUTPUT, "/fibonacci", FIBONACCI, "status"), statuses)
     goal = sink(bridge, endpoint(Role.INPUT, "/fibonacci", FIBONACCI))
     goal.send({"order": 100_000})
-    statuses.wait_until(lambda each: each["status"] == "accepted")
+    statuses.wait_until(lambda item: item["status"] == "accepted")
     came: list[BridgeError] = []
 
     def call() -> None:
@@ -421,11 +421,11 @@ def test_goals_of_a_server_that_another_one_replaces_are_lost(
     graph = bridge._graph  # type: ignore[attr-defined]  # what DDS tells
     wait(lambda: len(graph.servers("/fibonacci/_action/send_goal")) == 2)
     server.kill()
-    assert statuses.wait_until(lambda each: each["status"] == "lost")
+    assert statuses.wait_until(lambda item: item["status"] == "lost")
     calling.join(patience())
     assert "went away in mid-call" in str(came[0])
     goal.send({"order": 3})
-    assert statuses.wait_until(lambda each: each["status"] == "succeeded")
+    assert statuses.wait_until(lambda item: item["status"] == "succeeded")
 
 
 def test_a_goal_that_was_not_answered_when_its_server_died_is_lost(
@@ -525,7 +525,7 @@ def test_the_graph_is_discovered_without_predefining(bridge: Bridge, peer: Start
     robot.do("serve", name="/increment")
     robot.do("act", name="/fibonacci")
     known(bridge, "/robot")
-    (found,) = (each for each in bridge.discover() if each.name == "/robot")
+    (found,) = (component for component in bridge.discover() if component.name == "/robot")
     seen = {at.address: (at.role, what) for at, what in found.endpoints}
     assert seen["/numbers", INT64][0] is Role.OUTPUT
     assert (

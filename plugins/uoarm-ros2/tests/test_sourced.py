@@ -51,10 +51,10 @@ def sourced(tmp_path: Path) -> Sourced:
 def test_an_installation_that_was_sourced_is_used(
     sourced: Sourced, peer: Callable[..., Peer]
 ) -> None:
-    told = json.loads(sourced.run("-c", DOCTOR))
-    assert told["rclpy"].startswith(str(sourced.prefix))
-    assert told["distribution"] == "jazzy, from a ROS 2 installation that was sourced"
-    assert "conflict" not in told
+    report = json.loads(sourced.run("-c", DOCTOR))
+    assert report["rclpy"].startswith(str(sourced.prefix))
+    assert report["distribution"] == "jazzy, from a ROS 2 installation that was sourced"
+    assert "conflict" not in report
     assert "std_srvs/srv/SetBool" in sourced.run("-m", "uoarm_ros2", "interfaces")
     peer("talker").do("advertise", topic="/numbers")
     numbers = {"role": "output", "name": "/numbers", "type": "std_msgs/msg/Int64", "known": True}

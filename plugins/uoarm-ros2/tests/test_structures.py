@@ -150,7 +150,7 @@ def test_a_class_that_was_not_generated_is_refused() -> None:
 def _without_nonfinite(value: Any) -> Any:
     """NaN and infinities stand outside JSON; `x-nonfinite` says that they may come."""
     if isinstance(value, dict):
-        return {name: _without_nonfinite(each) for name, each in value.items()}
+        return {name: _without_nonfinite(item) for name, item in value.items()}
     if isinstance(value, list):
-        return [_without_nonfinite(each) for each in value]
+        return [_without_nonfinite(item) for item in value]
     return 0.0 if isinstance(value, float) and not math.isfinite(value) else value

@@ -128,8 +128,8 @@ def test_others_go_on_while_a_sender_waits_for_room(
     calls = set()
     while sending.is_alive():
         with suppress(FileNotFoundError, ProcessLookupError):  # it has ended
-            told = Path(f"/proc/self/task/{sending.native_id}/syscall").read_text()
-            calls.add(told.split()[0])
+            text = Path(f"/proc/self/task/{sending.native_id}/syscall").read_text()
+            calls.add(text.split()[0])
     out._end.native = native
     assert calls & {"35", "230"}  # nanosleep, clock_nanosleep
 
@@ -160,7 +160,7 @@ def test_of_what_is_large_few_are_kept(bridge: Bridge, kind: str, depth: int) ->
     out = sink(bridge, endpoint(Role.INPUT, "/kept", kind, **options))
     options["qos"] = {"depth": 7}
     stated = source(bridge, endpoint(Role.OUTPUT, "/kept", kind, **options), print)
-    kept = [str(each.facts()["qos"]).rsplit(" ", 1)[1] for each in (into, out, stated)]
+    kept = [str(item.facts()["qos"]).rsplit(" ", 1)[1] for item in (into, out, stated)]
     assert kept == [str(depth), str(depth), "7"]
 
 
@@ -384,10 +384,10 @@ def test_a_peer_is_counted_once_although_its_node_is_named_later(
 
     def named_late(station: Station, topic: str) -> tuple[Any, ...]:
         found = publishers(station, topic)
-        looks.extend(one.node for one in found if one.node == "/bad")
+        looks.extend(item.node for item in found if item.node == "/bad")
         if len(looks) > 4:
             return found
-        return tuple(evolve(one, node=UNKNOWN) if one.node == "/bad" else one for one in found)
+        return tuple(evolve(item, node=UNKNOWN) if item.node == "/bad" else item for item in found)
 
     monkeypatch.setattr(Station, "publishers", named_late)
     bridge = make_bridge()
@@ -468,7 +468,7 @@ def test_in_simulated_time_a_topic_grows_stale_by_the_clock(make_bridge: Make) -
         nonlocal second
         second += 40_000
         clock.send({"clock": {"sec": second, "nanosec": 0}})
-        return any(each.health is Health.LOST for each in events.messages)
+        return any(message.health is Health.LOST for message in events.messages)
 
     wait(stale)
     assert events.event(Health.LOST, "no message for 36000 s").channel is channel
@@ -552,7 +552,12 @@ def test_what_was_latched_beside_one_who_does_not_latch_is_told_and_can_be_had(
 
 def _publishers(bridge: Bridge, topic: str) -> list[str]:
     found = bridge.discover()
-    return [each.name for each in found for at, _ in each.endpoints if at.address[0] == topic]
+    return [
+        discovered.name
+        for discovered in found
+        for at, _ in discovered.endpoints
+        if at.address[0] == topic
+    ]
 
 
 def test_a_killed_publisher_that_promised_its_rate_is_lost_before_the_middleware_knows(

@@ -189,15 +189,15 @@ def test_frames_and_samples_have_a_budget(monkeypatch: pytest.MonkeyPatch) -> No
 
 numbers = some.floats(-100, 100)
 rotations = some.tuples(numbers, numbers, numbers, numbers).filter(
-    lambda each: sum(one * one for one in each) > 1
+    lambda item: sum(value * value for value in item) > 1
 )
 
 
 @some.composite
 def transformations(draw: Any) -> Transformation:
-    told = draw(rotations)
-    norm = math.sqrt(sum(each * each for each in told))
-    x, y, z, w = (each / norm for each in told)
+    report = draw(rotations)
+    norm = math.sqrt(sum(item * item for item in report))
+    x, y, z, w = (item / norm for item in report)
     return Transformation(draw(some.tuples(numbers, numbers, numbers)), (x, y, z, w))
 
 

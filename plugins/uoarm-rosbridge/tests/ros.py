@@ -42,11 +42,11 @@ class Ros:
     def receive(self) -> dict[str, Any]:
         frame = self.socket.recv(timeout=SECONDS)
         if isinstance(frame, bytes):
-            told = read_binary(frame, Spending(Budget()))
+            reports = read_binary(frame, Spending(Budget()))
         else:
-            told = json.loads(frame)
-        assert isinstance(told, dict)
-        return told
+            reports = json.loads(frame)
+        assert isinstance(reports, dict)
+        return reports
 
     def call(self, service: str, args: object = None) -> Any:
         self.send(op="call_service", id="c", service=service, args=args)
@@ -65,9 +65,9 @@ class Ros:
         return message
 
     def messages(self, count: int) -> list[Any]:
-        told = [self.receive() for _ in range(count)]
-        assert {one["op"] for one in told} == {"publish"}
-        return [one["msg"] for one in told]
+        reports = [self.receive() for _ in range(count)]
+        assert {report["op"] for report in reports} == {"publish"}
+        return [report["msg"] for report in reports]
 
     def __enter__(self) -> Self:
         return self
@@ -89,7 +89,7 @@ def opened(robot: RobotManager, count: int) -> None:
     """Wait until so many connections run, and no others are there."""
 
     def all_run() -> bool:
-        states = [one.state for one in robot.status().connections]
+        states = [connection.state for connection in robot.status().connections]
         return states == [ConnectionState.RUNNING] * count
 
     eventually(all_run, f"{count} are open")

@@ -105,10 +105,12 @@ def test_what_is_denied_is_in_the_audit_log(
     with caplog.at_level(logging.INFO, "uoarm.audit"), at(guarded, "viewer") as viewer:
         viewer.refused(op="publish", topic="/uoarm/echo", msg={"value": 1})
         viewer.refused(op="advertise", topic="/chatter", type="x")
-    told = [json.loads(one.message) for one in caplog.records if one.name == "uoarm.audit"]
+    reports = [
+        json.loads(record.message) for record in caplog.records if record.name == "uoarm.audit"
+    ]
     denied = [
-        (one["role"], one["operation"], one["function"])
-        for one in told
-        if one.get("allowed") is False
+        (report["role"], report["operation"], report["function"])
+        for report in reports
+        if report.get("allowed") is False
     ]
     assert denied == [("viewer", "send", "echo"), ("viewer", "send", "/chatter")]

@@ -19,9 +19,9 @@ def send(client: Ros, goal: object, *, action: str = "/uoarm/navigate", **more: 
 
 
 def result(client: Ros) -> dict[str, Any]:
-    told = client.receive()
-    assert told["op"] == "action_result", told
-    return told
+    reports = client.receive()
+    assert reports["op"] == "action_result", reports
+    return reports
 
 
 def test_a_function_that_takes_goals_is_an_action(enter: Enter, robot: RobotManager) -> None:
@@ -29,8 +29,8 @@ def test_a_function_that_takes_goals_is_an_action(enter: Enter, robot: RobotMana
     send(with_feedback, {"value": 2}, feedback=True)
     action = {"action": "/uoarm/navigate", "id": "g"}
     for step in range(2):
-        told = {"op": "action_feedback", "values": {"step": step}, **action}
-        assert with_feedback.receive() == told
+        reports = {"op": "action_feedback", "values": {"step": step}, **action}
+        assert with_feedback.receive() == reports
     ended = {"op": "action_result", "status": SUCCEEDED, "result": True, **action}
     assert result(with_feedback) == {**ended, "values": {"walked": 2}}
     send(without, [3])
@@ -46,8 +46,8 @@ def test_goals_of_many_clients_run_side_by_side(enter: Enter) -> None:
         assert result(client)["values"] == {"walked": number + 1}
     for number, client in reversed(list(enumerate(clients))):
         client.send(op="cancel_action_goal", action="/uoarm/navigate", id=f"waits {number}")
-        told = result(client)
-        assert (told["id"], told["status"]) == (f"waits {number}", CANCELED)
+        reports = result(client)
+        assert (reports["id"], reports["status"]) == (f"waits {number}", CANCELED)
 
 
 def test_a_goal_is_cancelled_at_once_or_later(enter: Enter) -> None:
@@ -81,8 +81,8 @@ def test_all_goals_of_a_client_are_cancelled_by_the_service_of_ros(enter: Enter)
     for identity in "ab":
         send(client, {"value": 0}, id=identity)
     client.send(op="call_service", service="/uoarm/navigate/_action/cancel_goal", args={})
-    told = [client.receive() for _ in range(3)]
-    assert {one.get("id") for one in told} == {"a", "b", None}
+    reports = [client.receive() for _ in range(3)]
+    assert {report.get("id") for report in reports} == {"a", "b", None}
     other.send(op="cancel_action_goal", action="/uoarm/navigate", id="g")
     assert result(other)["status"] == CANCELED
 
@@ -103,10 +103,10 @@ def test_all_goals_of_a_client_are_cancelled_by_the_service_of_ros(enter: Enter)
 def test_a_goal_that_fails_has_a_result(enter: Enter, action: str, goal: object, said: str) -> None:
     client = enter()
     send(client, goal, action=action)
-    told = result(client)
-    assert (told["id"], told["action"]) == ("g", action)
-    assert (told["result"], told["status"]) == (False, 0)
-    assert said in told["values"]
+    reports = result(client)
+    assert (reports["id"], reports["action"]) == ("g", action)
+    assert (reports["result"], reports["status"]) == (False, 0)
+    assert said in reports["values"]
     send(client, {"value": 1})
     assert result(client)["result"] is True
 
@@ -117,8 +117,12 @@ def test_a_service_is_an_action_without_feedback_that_cannot_be_cancelled(enter:
     said = client.refused(op="cancel_action_goal", action="/uoarm/slow", id="g")
     assert "cannot be cancelled" in said
     script.gate.set()
-    told = result(client)
-    assert (told["values"], told["status"], told["result"]) == ({"value": 7}, SUCCEEDED, True)
+    reports = result(client)
+    assert (reports["values"], reports["status"], reports["result"]) == (
+        {"value": 7},
+        SUCCEEDED,
+        True,
+    )
 
 
 def test_an_id_is_one_goal_at_a_time_and_goals_are_limited(serve: Serve) -> None:
@@ -147,8 +151,8 @@ def test_the_end_of_a_function_ends_its_goals(enter: Enter, robot: RobotManager)
     send(client, {"value": 1}, id="h")
     assert result(client)["id"] == "h"
     end(robot)
-    told = result(client)
-    assert (told["id"], told["result"]) == ("g", False)
+    reports = result(client)
+    assert (reports["id"], reports["result"]) == ("g", False)
     send(client, {"value": 1})
     assert result(client)["values"] == {"walked": 1}
 
@@ -172,8 +176,8 @@ def test_clients_work_on_goals_of_one_another(enter: Enter) -> None:
     said = provider.refused(op="action_result", status=99, result=True, values={}, **goal)
     assert "expected one of" in said
     provider.send(op="action_result", values={"at": 1}, status=CANCELED, result=True, **goal)
-    told = result(client)
-    assert (told["values"], told["status"], told["result"]) == ({"at": 1}, CANCELED, True)
+    reports = result(client)
+    assert (reports["values"], reports["status"], reports["result"]) == ({"at": 1}, CANCELED, True)
 
 
 def test_a_provider_that_fails_withdraws_or_goes_fails_the_goal(server: Server) -> None:

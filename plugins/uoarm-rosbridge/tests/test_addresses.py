@@ -62,9 +62,9 @@ def test_a_topic_of_the_robot_s_framework_is_told_once(
 
 def test_a_service_of_the_robot_s_framework_is_told(client: Ros) -> None:
     client.send(op="call_service", service="/lamp", id="c")
-    told = client.receive()
-    assert told["result"] is False
-    assert f"/lamp{BETWEEN}/uoarm/lamp" in told["values"]
+    reports = client.receive()
+    assert reports["result"] is False
+    assert f"/lamp{BETWEEN}/uoarm/lamp" in reports["values"]
     client.send(op="advertise_service", service="/lamp", type="lab/Lamp")
     client.send(op="call_service", service="/lamp", id="d")
     assert client.receive()["op"] == "call_service", "that of a client is called"

@@ -107,7 +107,7 @@ def test_a_well_behaved_client_is_served_beside_it(
             held = max(held, server.held_octets)
     assert not failures
     assert 0 < longest_step("uoarm-serve") < CPU_SECONDS
-    # What arrives is counted from its first octet on: one message may arrive as memory is full.
+    # What arrives is counted from its first octet: one may be arriving as memory is full.
     assert held <= MEMORY + LARGEST
     eventually(lambda: server.held_octets == 0, "everything was let go")
     eventually(lambda: resident() < before + 4 * MEMORY, "memory is given back")

@@ -44,8 +44,8 @@ def test_a_plain_python_picture_serialised(enter: Enter, robot: RobotManager) ->
         script.put({"width": -2, "data": data})
     small, *large = client.messages(3)
     assert small["bytes"] == HEADER + struct.pack("=qI3B", -2, 3, 1, 2, 3)
-    for told, size in zip(large, (5000, 200_000), strict=True):
-        assert told["bytes"] == HEADER + struct.pack("=qI", -2, size) + bytes(size)
+    for report, size in zip(large, (5000, 200_000), strict=True):
+        assert report["bytes"] == HEADER + struct.pack("=qI", -2, size) + bytes(size)
     assert before - 1 <= small["secs"] + small["nsecs"] / 1e9 <= time.time() + 1
     assert set(small) == {"secs", "nsecs", "bytes"}
 
@@ -74,9 +74,9 @@ def test_what_has_no_layout_is_refused_and_nothing_stays_open(
     enter: Enter, robot: RobotManager, topic: str, said: str
 ) -> None:
     client = enter()
-    told = client.refused(op="subscribe", id="s", topic=topic, compression="cbor-raw")
-    assert said in told
-    assert "ask for cbor instead of cbor-raw" in told
+    text = client.refused(op="subscribe", id="s", topic=topic, compression="cbor-raw")
+    assert said in text
+    assert "ask for cbor instead of cbor-raw" in text
     opened(robot, 0)
     client.send(op="subscribe", topic=topic, compression="cbor")
     if topic.startswith("/uoarm"):
@@ -88,11 +88,11 @@ def test_a_message_that_does_not_fit_is_told_once(enter: Enter, robot: RobotMana
     client.send(op="subscribe", topic="/uoarm/numbers", compression="cbor-raw")
     opened(robot, 1)
     script.put({"value": "lie"}, {"value": "lie"}, {"other": 1}, {"value": 2**70}, {"value": 5})
-    told: list[Any] = []
-    while not told or told[-1]["op"] == "status":
-        told.append(client.receive())
-    assert all("does not fit its structure" in one["msg"] for one in told[:-1])
-    assert told[-1]["msg"]["bytes"] == HEADER + struct.pack("=q", 5)
+    reports: list[Any] = []
+    while not reports or reports[-1]["op"] == "status":
+        reports.append(client.receive())
+    assert all("does not fit its structure" in report["msg"] for report in reports[:-1])
+    assert reports[-1]["msg"]["bytes"] == HEADER + struct.pack("=q", 5)
 
 
 def test_alignment_is_counted_from_after_the_header() -> None:
@@ -177,7 +177,7 @@ def test_long_arrays_are_not_copied_and_what_follows_is_aligned() -> None:
     expected += struct.pack("=dI4x", 1.5, 10_000) + points.tobytes() + struct.pack("=Ii", 1, 7)
     assert b"".join(parts) == HEADER + expected
     whose = [part.obj for part in parts if isinstance(part, memoryview)]
-    assert all(one is given for one, given in zip(whose, (pixels, points), strict=True))
+    assert all(buffer is given for buffer, given in zip(whose, (pixels, points), strict=True))
 
 
 @pytest.mark.parametrize(

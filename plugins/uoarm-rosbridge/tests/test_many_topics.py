@@ -36,8 +36,8 @@ def test_a_thousand_topics_are_subscribed_at_once(serve: Serve) -> None:
     with Ros(url(serve())) as client:
         for number in range(COUNT):
             client.send(op="subscribe", topic=f"/uoarm/f{number}")
-        told = [client.receive() for _ in range(COUNT)]
-    assert {(one["op"], one["topic"], one["msg"]["v"]) for one in told} == {
+        reports = [client.receive() for _ in range(COUNT)]
+    assert {(report["op"], report["topic"], report["msg"]["v"]) for report in reports} == {
         ("publish", f"/uoarm/f{number}", number) for number in range(COUNT)
     }
 

@@ -37,8 +37,8 @@ def test_a_function_is_a_topic(enter: Enter, robot: RobotManager) -> None:
 @pytest.mark.parametrize("op", ["subscribe", "advertise"])
 def test_another_type_than_that_of_ros_is_told(enter: Enter, robot: RobotManager, op: str) -> None:
     client = enter()
-    told = client.refused(op=op, id="1", topic="/uoarm/typed", type="std_msgs/String")
-    assert "has the type 'std_msgs/msg/Int32', not 'std_msgs/String'" in told
+    text = client.refused(op=op, id="1", topic="/uoarm/typed", type="std_msgs/String")
+    assert "has the type 'std_msgs/msg/Int32', not 'std_msgs/String'" in text
     opened(robot, 0)
     client.send(op=op, topic="/uoarm/typed", type="std_msgs/Int32")
     opened(robot, 1)
@@ -49,8 +49,8 @@ def test_another_type_than_that_of_the_publisher_is_told(enter: Enter) -> None:
     publisher.send(op="advertise", topic="/chatter", type="std_msgs/msg/String")
     publisher.send(op="publish", topic="/chatter", msg={"data": "a"}, latch=True)
     assert publisher.call("/rosapi/get_time")
-    told = client.refused(op="subscribe", topic="/chatter", type="std_msgs/Int32")
-    assert "has the type 'std_msgs/msg/String', not 'std_msgs/Int32'" in told
+    text = client.refused(op="subscribe", topic="/chatter", type="std_msgs/Int32")
+    assert "has the type 'std_msgs/msg/String', not 'std_msgs/Int32'" in text
     client.send(op="subscribe", topic="/chatter", type="std_msgs/String")
     assert client.messages(1) == [{"data": "a"}]
 
@@ -99,7 +99,7 @@ def test_a_function_s_input_is_a_topic(enter: Enter, robot: RobotManager) -> Non
     client.send(op="advertise", topic="/uoarm/echo", type="any/Type")
     for value in range(50):
         client.send(op="publish", topic="/uoarm/echo", msg={"value": value})
-    assert [one["value"] for one in other.messages(50)] == list(range(50))
+    assert [message["value"] for message in other.messages(50)] == list(range(50))
 
 
 def test_what_was_published_before_unadvertise_arrives(enter: Enter, robot: RobotManager) -> None:
@@ -228,7 +228,7 @@ def test_rosapi_knows_its_own_services(enter: Enter, kind: str) -> None:
     [request] = client.call("/rosapi/service_request_details", {"type": kind})["typedefs"]
     assert (request["type"], request["fieldnames"]) == ("rosapi_msgs/TopicType_Request", ["topic"])
     stamp = client.call("/rosapi/service_response_details", {"type": "rosapi/GetTime"})["typedefs"]
-    assert [one["type"] for one in stamp] == [
+    assert [item["type"] for item in stamp] == [
         "rosapi_msgs/GetTime_Response", "builtin_interfaces/Time",
     ]  # fmt: skip
 
@@ -399,9 +399,9 @@ def test_fragments_both_ways(enter: Enter, robot: RobotManager) -> None:
     script.put({"width": 1, "data": bytes(300)})
     pieces = [client.receive()]
     pieces += [client.receive() for _ in range(pieces[0]["total"] - 1)]
-    assert all(len(one["data"]) <= 100 for one in pieces)
-    assert [one["num"] for one in pieces] == list(range(len(pieces)))
-    whole = json.loads("".join(one["data"] for one in pieces))
+    assert all(len(item["data"]) <= 100 for item in pieces)
+    assert [item["num"] for item in pieces] == list(range(len(pieces)))
+    whole = json.loads("".join(item["data"] for item in pieces))
     assert len(base64.b64decode(whole["msg"]["data"])) == 300
     text = json.dumps({"op": "call_service", "id": "f", "service": "/uoarm/add", "args": [1, 2]})
     halves = [text[:20], text[20:]]
@@ -423,8 +423,8 @@ def test_an_answer_comes_in_fragments(enter: Enter, fields: dict[str, Any]) -> N
     pieces = [client.receive()]
     pieces += [client.receive() for _ in range(pieces[0]["total"] - 1)]
     assert len(pieces) > 3
-    assert {one["id"] for one in pieces} == {pieces[0]["id"]}
-    whole = json.loads("".join(one["data"] for one in pieces))
+    assert {item["id"] for item in pieces} == {pieces[0]["id"]}
+    whole = json.loads("".join(item["data"] for item in pieces))
     assert (whole["id"], whole["values"]) == ("x" * 300, {"value": 3})
 
 
@@ -464,16 +464,16 @@ def test_an_input_whose_function_ended_leaves_nothing(enter: Enter, robot: Robot
     client.send(op="publish", topic="/uoarm/echo", msg={"value": 1})
     opened(robot, 1)
     end(robot)
-    told = client.receive()["msg"]
-    if told.startswith("closed: "):  # the message itself, where it was still on its way
-        told = client.receive()["msg"]
-    assert "/uoarm/echo has closed" in told
+    report = client.receive()["msg"]
+    if report.startswith("closed: "):  # the message itself, where it was still on its way
+        report = client.receive()["msg"]
+    assert "/uoarm/echo has closed" in report
     eventually(lambda: not publications(), "the publication is gone")
 
 
 def publications() -> list[object]:
     gc.collect()
-    return [one for one in gc.get_objects() if isinstance(one, Publication)]
+    return [object_ for object_ in gc.get_objects() if isinstance(object_, Publication)]
 
 
 def test_rosapi_shows_functions_and_components(enter: Enter) -> None:
@@ -549,9 +549,9 @@ piece = st.fixed_dictionaries(
 @given(st.lists(piece, max_size=30))
 def test_no_fragments_at_all_break_the_collector(pieces: list[dict[str, Any]]) -> None:
     fragments = Fragments(700, 1.0)
-    for one in pieces:
+    for item in pieces:
         with suppress(ControlMessageError):
-            fragments.add(one)
+            fragments.add(item)
         assert 0 <= fragments.octets <= 700
 
 
@@ -605,10 +605,10 @@ def test_no_operations_at_all_break_the_endpoint(
         for op, fields, more in steps:
             client.send(**{**fields, **more, "op": op})
         client.send(op="call_service", id="last one", service="/rosapi/get_time")
-        told = client.receive()
-        while told.get("id") != "last one":
-            assert "its log says more" not in str(told)
-            told = client.receive()
+        reports = client.receive()
+        while reports.get("id") != "last one":
+            assert "its log says more" not in str(reports)
+            reports = client.receive()
 
 
 def test_a_message_in_pieces_that_is_not_finished_in_time_is_let_go(serve: Serve) -> None:
@@ -616,20 +616,20 @@ def test_a_message_in_pieces_that_is_not_finished_in_time_is_let_go(serve: Serve
     with Ros(url(server)) as client:
         client.send(op="fragment", id="m", data="x" * 100_000, num=0, total=2)
         eventually(lambda: server.held_octets > 100_000, "it is held")
-        told = client.receive()
-        assert (told["op"], told["level"]) == ("status", "error")
-        assert "message 'm' was not finished within" in told["msg"]
+        reports = client.receive()
+        assert (reports["op"], reports["level"]) == ("status", "error")
+        assert "message 'm' was not finished within" in reports["msg"]
         eventually(lambda: server.held_octets < 10_000, "it was let go")
 
 
 def test_pieces_find_no_room_where_others_and_their_sender_have_too_much(serve: Serve) -> None:
     server = serve(Limits(message_bytes=200_000, total_memory_bytes=200_000))
     with Ros(url(server)) as client, Ros(url(server)) as other:
-        told = {"op": "service_response"}
+        reports = {"op": "service_response"}
         for number in range(5):
-            if told["op"] == "service_response":
+            if reports["op"] == "service_response":
                 client.send(op="fragment", id="m", data="x" * 50_000, num=number, total=9)
                 client.send(op="call_service", service="/rosapi/get_time")
-                told = client.receive()
-        assert "holds as much as it may" in told["msg"]
+                reports = client.receive()
+        assert "holds as much as it may" in reports["msg"]
         assert other.call("/rosapi/get_time")

@@ -206,8 +206,8 @@ def test_messages_wait_for_the_type_in_their_order_and_the_server_does_not(
     assert speaker.call("/rosapi/topics")["topics"]
     listener.call("/rosapi/has_param", {"name": "x"})
     types.may_answer.set()
-    told = listener.messages(3)
-    assert [len(one["octets"]) for one in told] == [4, len(LONG), 4]
+    reports = listener.messages(3)
+    assert [len(report["octets"]) for report in reports] == [4, len(LONG), 4]
     assert speaker.receive()["msg"] == "message: /talk: linear: expected a mapping, got 5"
     listener.send(op="unsubscribe", topic="/talk")
     eventually(lambda: "/talk" not in speaker.call("/rosapi/topics")["topics"], "the topic is gone")
@@ -289,7 +289,7 @@ def test_each_message_goes_on_once_in_its_order_or_is_told(
     steps: list[tuple[str, int, int]], pauses: list[int], kind: str
 ) -> None:
     world = World(iter(pauses))
-    told: list[int] = []
+    reports: list[int] = []
 
     async def act() -> None:
         hub = Hub()
@@ -301,12 +301,12 @@ def test_each_message_goes_on_once_in_its_order_or_is_told(
 
             def done(error: BaseException | None, number: int = number) -> None:
                 if error is not None:
-                    told.append(number)
+                    reports.append(number)
 
             try:
                 publication.publish(message, done, octets, None)
             except UoarmError:
-                told.append(number)
+                reports.append(number)
             for _ in range(turns):
                 await asyncio.sleep(0)
         publication.close()
@@ -315,8 +315,8 @@ def test_each_message_goes_on_once_in_its_order_or_is_told(
 
     asyncio.run(act())
     wrong = [i for i, step in enumerate(steps) if step[0] != "fits" and kind == "geo/msg/Twist"]
-    assert told == wrong
-    assert [cast("Any", one)["linear"]["x"] for one in world.got] == [
+    assert reports == wrong
+    assert [cast("Any", item)["linear"]["x"] for item in world.got] == [
         number for number in range(len(steps)) if number not in wrong
     ]
     assert world.octets == 0

@@ -51,13 +51,13 @@ class Emitting:
         return not self.listeners
 
     def take(self, message: Message) -> None:
-        for one in tuple(self.listeners):
-            one.offer(Envelope(1, message))
+        for listener in tuple(self.listeners):
+            listener.offer(Envelope(1, message))
 
     def finish(self, state: str, cause: str) -> None:
         self.end = (state, cause)
-        for one in tuple(self.listeners):
-            one.ended(state, cause)
+        for listener in tuple(self.listeners):
+            listener.ended(state, cause)
 
 
 class Taking:

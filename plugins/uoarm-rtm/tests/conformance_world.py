@@ -75,7 +75,7 @@ class RtmWorld(World):
     def takes(self, kind: str, message: Message) -> bool:
         """CORBA's strings cannot hold a zero, nor half a surrogate pair."""
         texts = list(strings(message)) if kind in {"text", "image", "union"} else []
-        return not any("\0" in each or surrogate(each) for each in texts)
+        return not any("\0" in text or surrogate(text) for text in texts)
 
     def samples(self, kind: str) -> Sequence[Message]:
         tm = {"sec": 1, "nsec": 2}
@@ -127,29 +127,29 @@ def strings(message: Message) -> Any:
     if isinstance(message, str):
         yield message
     elif isinstance(message, dict):
-        for each in message.values():
-            yield from strings(each)
+        for item in message.values():
+            yield from strings(item)
     elif isinstance(message, list):
-        for each in message:
-            yield from strings(each)
+        for item in message:
+            yield from strings(item)
 
 
 def surrogate(text: str) -> bool:
-    return any(0xD800 <= ord(each) <= 0xDFFF for each in text)
+    return any(0xD800 <= ord(name) <= 0xDFFF for name in text)
 
 
 def rounded(shape: Shape, value: Any) -> Any:
     """The message with every number as the float or double of its field has it."""
     if isinstance(shape, Record):
-        return {each.name: rounded(each.shape, value[each.name]) for each in shape.fields}
+        return {field.name: rounded(field.shape, value[field.name]) for field in shape.fields}
     if isinstance(shape, Choice):
-        inner = {each.name: each.shape for each in shape.variants}
+        inner = {variant.name: variant.shape for variant in shape.variants}
         return {
-            name: rounded(inner[name], each) if name in inner else each
-            for name, each in value.items()
+            name: rounded(inner[name], item) if name in inner else item
+            for name, item in value.items()
         }
     if isinstance(shape, Listing) and not isinstance(value, bytes):
-        return [rounded(shape.element, each) for each in value]
+        return [rounded(shape.element, item) for item in value]
     if shape == Scalar("float"):
         return struct.unpack("f", struct.pack("f", value))[0]
     return float(value) if shape == Scalar("double") else value

@@ -91,9 +91,9 @@ class Inbox:
         """Wait for a health event with these words in its cause."""
 
         def found() -> HealthEvent | None:
-            for each in self.messages:
-                if each.health is health and words in each.cause:
-                    event: HealthEvent = each
+            for message in self.messages:
+                if message.health is health and words in message.cause:
+                    event: HealthEvent = message
                     return event
             return None
 

@@ -60,8 +60,8 @@ def found() -> list[tuple[Endpoint, bool]]:
     try:
         return [
             (at, what.message is not None)
-            for each in bridge.discover(timeout=30)
-            for at, what in each.endpoints
+            for component in bridge.discover(timeout=30)
+            for at, what in component.endpoints
         ]
     finally:
         bridge.close()
@@ -102,13 +102,13 @@ def connectors(bridge: Any, at: Endpoint) -> int:
 def example(shape: Shape) -> Message:
     """The plainest message of a type."""
     if isinstance(shape, Record):
-        return {each.name: example(each.shape) for each in shape.fields}
+        return {field.name: example(field.shape) for field in shape.fields}
     if isinstance(shape, Listing):
         if shape.element == Scalar("octet"):
             return bytes(shape.size or 0) if shape.fixed else b""
         return [example(shape.element)] * (shape.size or 0) if shape.fixed else []
     if isinstance(shape, Choice):
-        variant = next(each for each in shape.variants if each.labels)
+        variant = next(item for item in shape.variants if item.labels)
         return {"switch": variant.labels[0], variant.name: example(variant.shape)}
     if isinstance(shape, Enumeration):
         return shape.labels[0]

@@ -14,7 +14,7 @@ __all__ = ["messages"]
 def messages(shape: Shape) -> st.SearchStrategy[Any]:
     """Return messages of a shape: numbers from the whole range, arrays short."""
     if isinstance(shape, Record):
-        return st.fixed_dictionaries({each.name: messages(each.shape) for each in shape.fields})
+        return st.fixed_dictionaries({field.name: messages(field.shape) for field in shape.fields})
     if isinstance(shape, Listing):
         most = shape.size if shape.size is not None and (shape.fixed or shape.size < 4) else 4
         least = shape.size if shape.fixed and shape.size else 0
@@ -52,6 +52,6 @@ def _variant(choice: Choice, index: int) -> st.SearchStrategy[Any]:
     if variant.labels:
         labels = st.sampled_from(variant.labels)
     else:
-        named = {label for each in choice.variants for label in each.labels}
+        named = {label for item in choice.variants for label in item.labels}
         labels = messages(choice.by).filter(lambda label: label not in named)
     return st.fixed_dictionaries({SWITCH: labels, variant.name: messages(variant.shape)})

@@ -155,7 +155,7 @@ class Process:
         return self._received
 
     def sizes(self) -> list[int]:
-        return [len(each["data"]) for each in self._received]
+        return [len(item["data"]) for item in self._received]
 
     def dropped(self) -> int:
         return self._out.dropped
@@ -219,8 +219,8 @@ class Process:
     def made(self) -> list[dict[str, str]]:
         """The properties of all connectors."""
         ports = (self._in, self._out)
-        found = [each for port in ports for each in port.get_connector_profiles()]
-        return [properties_of(each.properties) for each in found]
+        found = [profile for port in ports for profile in port.get_connector_profiles()]
+        return [properties_of(item.properties) for item in found]
 
     def speak(self, language: str) -> None:
         """Say in the profile which language it is written in."""
@@ -253,8 +253,8 @@ class Process:
         publish = getattr(self._in, "_publish")  # noqa: B009 - private
 
         def compare(profile: Any) -> None:
-            for each in profile.ports[0].get_connector_profiles():
-                if each.connector_id == profile.connector_id:
+            for connector_profile in profile.ports[0].get_connector_profiles():
+                if connector_profile.connector_id == profile.connector_id:
                     raise Refusal("it is there already", RTC.PRECONDITION_NOT_MET)
             publish(profile)
 
@@ -312,8 +312,8 @@ class Process:
         def tell(state: Any) -> None:
             enter(state)
             hint = f"{str(state).removesuffix('_STATE')}:0"
-            for each in list(self._observers.values()):
-                service = each.service._narrow(OpenRTM.ComponentObserver)
+            for observer in list(self._observers.values()):
+                service = observer.service._narrow(OpenRTM.ComponentObserver)
                 service.update_status(OpenRTM.RTC_STATUS, hint)
 
         setattr(lifecycle, "_enter", tell)  # noqa: B010 - of this instance alone
@@ -321,7 +321,7 @@ class Process:
         servant.remove_service_profile = lambda name: self._observers.pop(name, None) is not None
 
     def observers(self) -> list[dict[str, str]]:
-        return [properties_of(each.properties) for each in self._observers.values()]
+        return [properties_of(observer.properties) for observer in self._observers.values()]
 
     def asked_to_observe(self) -> int:
         return self._asked_to_observe
@@ -407,8 +407,8 @@ class Process:
     def forget(self) -> None:
         """Drop all connections on our side alone, as a component does whose write fails."""
         for port in (self._in, self._out):
-            for each in port.get_connector_profiles():
-                port.drop(each.connector_id)
+            for profile in port.get_connector_profiles():
+                port.drop(profile.connector_id)
 
     def close(self) -> None:
         self.wake()

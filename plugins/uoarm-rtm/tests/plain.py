@@ -12,11 +12,11 @@ __all__ = ["plain"]
 def plain(value: Any) -> Any:
     """Return a message with lists for buffers and texts for NaN, so that == compares it."""
     if isinstance(value, dict):
-        return {name: plain(each) for name, each in value.items()}
+        return {name: plain(item) for name, item in value.items()}
     if isinstance(value, np.ndarray):
         return plain(value.tolist())
     if isinstance(value, bytes | list):
-        return [plain(each) for each in value]
+        return [plain(item) for item in value]
     if isinstance(value, float):
         return repr(value)
     return value

@@ -150,7 +150,7 @@ MISTAKES: list[tuple[dict[str, Any], str]] = [
 ]
 
 
-@pytest.mark.parametrize(("options", "words"), MISTAKES, ids=lambda each: str(each)[:40])
+@pytest.mark.parametrize(("options", "words"), MISTAKES, ids=lambda item: str(item)[:40])
 def test_a_mistake_in_an_option_is_named(options: dict[str, Any], words: str) -> None:
     assert words in _settings.mistake(("Talker.rtc", "out"), options)
 
@@ -257,7 +257,7 @@ def test_our_buffer_before_an_in_port_overflows_as_asked(
             into.send(stamped(number))
         assert caught.value.reason is FailureReason.REFUSED
     component.let_go()
-    wait(lambda: [each["data"] for each in component.received()] == expected)
+    wait(lambda: [item["data"] for item in component.received()] == expected)
     assert into.facts()["dropped"] == 6
     wait(lambda: into.facts()["count"] == len(expected))
 
@@ -271,7 +271,7 @@ def test_our_buffer_before_an_in_port_may_wait_for_room(bridge: Bridge, peer: St
     for number in range(20):
         into.send(stamped(number))
     assert into.drain(20)
-    assert [each["data"] for each in component.received()] == list(range(20))
+    assert [item["data"] for item in component.received()] == list(range(20))
     assert into.facts()["dropped"] == 0
 
 
@@ -285,7 +285,7 @@ def test_an_in_port_that_pulls_finds_what_our_policy_leaves(bridge: Bridge, peer
     with pytest.raises(BridgeError, match="our buffer of 2 for it is full"):
         into.send(stamped(3))
     assert [component.fetch() for _ in range(4)] == [1, 1, 1, 1]
-    assert [each["data"] for each in component.received()] == [1, 2, 2, 2]
+    assert [item["data"] for item in component.received()] == [1, 2, 2, 2]
     assert into.drain(0)
 
 
@@ -316,7 +316,7 @@ def test_a_death_behind_our_buffer_is_told_and_ends_the_sending(
         return False
 
     wait(told)
-    assert any(each.channel is into for each in events.messages)
+    assert any(message.channel is into for message in events.messages)
 
 
 def test_a_wrong_policy_is_refused_by_our_own_port(

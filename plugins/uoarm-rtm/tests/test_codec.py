@@ -64,7 +64,7 @@ def codec(name: str) -> Codec:
     return types().codec(name)
 
 
-@pytest.mark.parametrize("vector", VECTORS, ids=lambda each: f"{each['type']}-{each['endian']}")
+@pytest.mark.parametrize("vector", VECTORS, ids=lambda item: f"{item['type']}-{item['endian']}")
 def test_known_bytes_are_written_and_read(vector: dict[str, Any]) -> None:
     known = codec(vector["type"])
     data = bytes.fromhex(vector["hex"])

@@ -69,15 +69,15 @@ def test_one_component_is_shown_whole(names: str, peer: Start, run: Callable[...
     peer("Other", at=names)
     worker.connect(names, "Other.rtc", "in", PUSH)
     _, row, _ = run("cat", "Worker.rtc", "--json")
-    [out] = [each for each in row["ports"] if each["port"] == "out"]
+    [out] = [port for port in row["ports"] if port["port"] == "out"]
     assert out["properties"]["dataport.dataflow_type"] == "push, pull"
-    assert [each["name"] for each in out["connections"]] == ["tool"]
+    assert [connection["name"] for connection in out["connections"]] == ["tool"]
     assert row["configuration"]["active"] == "default"
     text = run("cat", "Worker.rtc")[1]
     assert "  gain                 1  [0<=x<=150; slider.10]" in text.splitlines()
-    status, _, told = run("cat", "Wroker.rtc")
+    status, _, report = run("cat", "Wroker.rtc")
     assert status == 4
-    assert "did you mean 'Worker.rtc'?" in told
+    assert "did you mean 'Worker.rtc'?" in report
 
 
 def test_states_are_changed(names: str, peer: Start, run: Callable[..., Any]) -> None:
@@ -86,8 +86,8 @@ def test_states_are_changed(names: str, peer: Start, run: Callable[..., Any]) ->
     assert run("activate", *both)[1] == "Worker.rtc  active\nOther.rtc  active\n"
     assert run("activate", "Worker.rtc")[0] == 0  # it is active
     worker.abort()
-    status, _, told = run("deactivate", "Worker.rtc")
-    assert (status, "PRECONDITION_NOT_MET, being error" in told) == (4, True)
+    status, _, report = run("deactivate", "Worker.rtc")
+    assert (status, "PRECONDITION_NOT_MET, being error" in report) == (4, True)
     assert run("reset", "Worker.rtc", "--json")[1] == [
         {"component": "Worker.rtc", "state": "inactive"}
     ]
@@ -102,14 +102,14 @@ def test_parameters_are_written_and_checked(
     status, found, _ = run("configure", "Worker.rtc", "gain=7", "--json")
     assert (status, found["sets"]["default"]["gain"]) == (0, "7")
     assert worker.configuration()["gain"] == "7"
-    for words, expected, told in (
+    for words, expected, text in (
         (("gain=700",), 1, "error: $.values.gain: expected 0<=x<=150, got 700"),
         (("gian=7",), 1, "there is no parameter 'gian'"),
         (("gain",), 2, "expected NAME=VALUE, got 'gain'"),
         (("gain=7", "--set", "x"), 1, "there is no configuration set 'x'"),
     ):
         status, _, error = run("configure", "Worker.rtc", *words)
-        assert (status, told in error) == (expected, True), error
+        assert (status, text in error) == (expected, True), error
     assert worker.configuration()["gain"] == "7"
     run("configure", "Worker.rtc", "--set", "fast", "gain=8", "--activate")
     assert worker.configuration() == {"gain": "8"}
@@ -133,8 +133,8 @@ def test_connections_of_killed_processes_are_ended_and_no_others(
     [native] = [row for row in rows if len(row["ports"]) == 2]
     assert sorted(native["ports"]) == ["From.rtc:out", "Into.rtc:in"]
     assert "runs no more" in run("connections", "--mine")[1]
-    status, _, told = run("connections", "--remove")
-    assert (status, "say --mine, too" in told) == (2, True)
+    status, _, report = run("connections", "--remove")
+    assert (status, "say --mine, too" in report) == (2, True)
     _, removed, _ = run("connections", "--mine", "--remove", "--json")
     assert len(removed) == 3
     assert (first.connectors(), second.connectors()) == ([0, 2], [1, 0])
@@ -142,10 +142,10 @@ def test_connections_of_killed_processes_are_ended_and_no_others(
 
 
 def test_a_naming_service_that_is_not_there_is_said(run: Callable[..., Any]) -> None:
-    status, _, told = run("list", "--nameserver", "127.0.0.1:1")
-    assert (status, told.startswith("error: naming service 127.0.0.1:1")) == (4, True)
-    status, _, told = run("list", "--nameserver", "no such thing")
-    assert (status, "--nameserver: expected corbaloc" in told) == (2, True)
+    status, _, report = run("list", "--nameserver", "127.0.0.1:1")
+    assert (status, report.startswith("error: naming service 127.0.0.1:1")) == (4, True)
+    status, _, report = run("list", "--nameserver", "no such thing")
+    assert (status, "--nameserver: expected corbaloc" in report) == (2, True)
 
 
 def test_the_commands_are_those_of_uoarm(names: str, peer: Start, tmp_path: Path) -> None:

@@ -41,7 +41,7 @@ def test_components_are_discovered_with_ports_types_and_state(
     odd = peer(
         "some.host_cxt/Odd", "IDL:Odd/Mixed:1.0", str(Path(__file__).parent / "types.idl"), at=names
     )
-    found = {each.name: each for each in bridge.discover()}
+    found = {component.name: component for component in bridge.discover()}
     assert set(found) == {"Worker.rtc", "some.host_cxt/Odd.rtc"}
     worker = found["Worker.rtc"]
     parameters = "gain 0<=x<=150, mode (slow,quick), count, name"
@@ -57,7 +57,7 @@ def test_components_are_discovered_with_ports_types_and_state(
     for at, what in worker.endpoints:
         assert bridge.describe(at) == what
     odd.kill()
-    found = {each.name: each for each in bridge.discover()}
+    found = {component.name: component for component in bridge.discover()}
     assert found["some.host_cxt/Odd.rtc"].detail == "dead"
     assert not found["some.host_cxt/Odd.rtc"].endpoints
 
@@ -69,7 +69,7 @@ def test_names_outside_ascii_are_readable(
     sent = name if name.startswith("Latin") else name.encode().decode("latin-1")  # as C++ does
     peer(sent, at=names)
     bridge = make_bridge(nameserver=names)
-    assert [each.name for each in bridge.discover()] == [name]
+    assert [component.name for component in bridge.discover()] == [name]
     assert bridge.describe(endpoint(Role.OUTPUT, name, "out")).message is not None
 
 
@@ -100,7 +100,7 @@ def test_contexts_that_contain_each_other_end(names: str) -> None:
         import CosNaming
 
         inner.rebind_context([CosNaming.NameComponent("again", "cxt")], root)
-        assert [each.path for each in service.names()] == ["a.cxt/b.cxt/Deep.rtc"]
+        assert [name.path for name in service.names()] == ["a.cxt/b.cxt/Deep.rtc"]
     finally:
         orb.close()
 

@@ -44,8 +44,8 @@ def test_a_killed_component_is_told_to_its_channels(bridge: Bridge, peer: Start)
     with pytest.raises(BridgeError, match="is gone") as caught:
         into_it.send(stamped(1))
     assert caught.value.reason is FailureReason.UNAVAILABLE
-    assert any(each.channel is into_it for each in events.messages)
-    wait(lambda: any(each.channel is from_it for each in events.messages))
+    assert any(message.channel is into_it for message in events.messages)
+    wait(lambda: any(message.channel is from_it for message in events.messages))
     assert events.event(Health.LOST, "only its name is left").component == "Mortal.rtc"
     from_it.close()
     into_it.close()
@@ -89,7 +89,9 @@ def test_a_hung_component_never_hangs_us(make_bridge: Make, peer: Start) -> None
         into.send(stamped(1))
     with pytest.raises(BridgeTimeoutError):
         bridge.describe(OUT)
-    found = {each.name: each.detail for each in bridge.discover(timeout=patience())}
+    found = {
+        discovered.name: discovered.detail for discovered in bridge.discover(timeout=patience())
+    }
     assert found["Mortal.rtc"] == "hung"
     events.event(Health.LOST, "component Mortal.rtc does not answer: it hangs")  # not its port
     component.thaw()
@@ -111,7 +113,7 @@ def test_a_connection_that_a_hung_component_makes_later_is_undone(
     with pytest.raises(BridgeTimeoutError):
         OutPortSource(place, Collector())
     component.thaw()
-    wait(lambda: all(each.name != "uoarm-rtm-undo" for each in threading.enumerate()))
+    wait(lambda: all(thread.name != "uoarm-rtm-undo" for thread in threading.enumerate()))
     wait(lambda: component.made_in_all() == 1)
     assert component.connectors() == [0, 0]
 
@@ -214,10 +216,10 @@ def test_a_naming_service_may_die_and_come_back_empty(make_bridge: Make, peer: S
     with NameServer(port) as second:
         events.event(Health.OK, "had forgotten us; bound again")
         assert second.address == first.address
-        wait(lambda: [each.name for each in bridge.discover()] == ["Manager.rtc"])
+        wait(lambda: [discovered.name for discovered in bridge.discover()] == ["Manager.rtc"])
         component.count(3, 5)
         inbox.wait_for(5)
-    assert not [each for each in events.messages if each.channel is not None]
+    assert not [message for message in events.messages if message.channel is not None]
 
 
 def test_a_naming_service_takes_another_port_where_one_is_taken_meanwhile(
@@ -238,7 +240,9 @@ def test_a_naming_service_takes_another_port_where_one_is_taken_meanwhile(
 
 
 ASKED: dict[str, Callable[[Bridge], object]] = {
-    "discover": lambda bridge: [each.name for each in bridge.discover()] == ["Mortal.rtc"],
+    "discover": lambda bridge: (
+        [discovered.name for discovered in bridge.discover()] == ["Mortal.rtc"]
+    ),
     "describe": lambda bridge: bridge.describe(OUT).message,
     "a port of our own": lambda bridge: sink(
         bridge, endpoint(Role.INPUT, "self", "o", "TimedLong")
@@ -268,7 +272,7 @@ def test_one_naming_service_of_two_is_enough(make_bridge: Make, peer: Start) -> 
         one.process.kill()
         one.process.wait()
         assert bridge.describe(OUT).message is not None
-        assert [each.name for each in bridge.discover()] == ["Mortal.rtc"]
+        assert [component.name for component in bridge.discover()] == ["Mortal.rtc"]
 
 
 SHUTDOWN = """

@@ -100,8 +100,8 @@ def test_what_a_killed_process_left_is_ended_by_the_next_and_nothing_else(
         killed.wait()
         source(make_bridge(), endpoint(Role.OUTPUT, "From.rtc", "out"), Inbox())
         assert (first.connectors(), second.connectors()) == ([0, 4], [3, 0])
-        kept = {each.get("uoarm.process", "").split("/")[-1] for each in first.made()}
-        names = {each.name for each in state.iterdir()}
+        kept = {item.get("uoarm.process", "").split("/")[-1] for item in first.made()}
+        names = {path.name for path in state.iterdir()}
         assert kept - {""} <= names
         living.kill()
         living.wait()

@@ -60,17 +60,21 @@ def test_the_end_at_fault_is_blamed_and_the_other_let_go(
     bridge, events = make_bridge(**limit), Inbox()
     bridge.watch(events)
     ends = {"From": peer("From"), "Into": peer("Into")}
-    for each in ends.values():
-        each.activate()
+    for item in ends.values():
+        item.activate()
     link = linked(bridge, {}, {})
     assert link is not None
     happen(*ends.values())
     if fault == "the sink dies":
         ends["From"].count(0, 1)  # at which the source drops the connection
     # That the component is lost may be told before that the link is.
-    wait(lambda: any(words in one.cause and concerned(one) == blamed for one in events.messages))
-    lost = [each for each in events.messages if each.health is Health.LOST]
-    assert {concerned(each) for each in lost} <= {blamed, f"{blamed}.rtc"}
+    wait(
+        lambda: any(
+            words in message.cause and concerned(message) == blamed for message in events.messages
+        )
+    )
+    lost = [message for message in events.messages if message.health is Health.LOST]
+    assert {concerned(item) for item in lost} <= {blamed, f"{blamed}.rtc"}
     if "hangs" not in fault:
         link.close()
         other = ends["Into" if blamed == "From" else "From"]
@@ -79,8 +83,8 @@ def test_the_end_at_fault_is_blamed_and_the_other_let_go(
 
 def test_a_second_sink_takes_over(nameserver: str, peer: Start, tmp_path: Path) -> None:
     numbers, first, second = peer("Numbers"), peer("First"), peer("Second")
-    for each in (numbers, first, second):
-        each.activate()
+    for item in (numbers, first, second):
+        item.activate()
     takes = "input: {from: numbers, endpoint:"
     file = tmp_path / "robot.yaml"
     file.write_text(f"""
@@ -97,7 +101,7 @@ functions:
       - {{name: second, bridge: rtm, priority: 1, {takes} [Second.rtc, in]}}}}
 """)
     with RobotManager.from_file(file) as robot, robot.request("taker") as connection:
-        assert [each.native for each in robot.status().routes] == [True]
+        assert [route.native for route in robot.status().routes] == [True]
         first.kill()
         numbers.count(0, 1)
         wait(lambda: connection.plan.provider.component.name == "second")
@@ -105,7 +109,7 @@ functions:
         wait(lambda: numbers.connectors() == [0, 1])
         numbers.count(7, 8)
         wait(lambda: stamped(7, 7) in second.received() or second.received()[-1]["data"] == 7)
-        healths = {each.name: each.health for each in robot.status().components}
+        healths = {component.name: component.health for component in robot.status().components}
         assert healths == {"numbers": Health.OK, "second": Health.OK}
     assert (numbers.connectors(), second.connectors()) == ([0, 0], [0, 0])
 

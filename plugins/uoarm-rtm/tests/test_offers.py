@@ -139,7 +139,7 @@ def test_ports_of_an_offer_are_found_and_used_by_other_components(
 ) -> None:
     world.offer()
     theirs = make_bridge("other", idl=IDL)
-    (found,) = [one for one in theirs.discover() if one.name == "Robot.rtc"]
+    (found,) = [component for component in theirs.discover() if component.name == "Robot.rtc"]
     assert {at.address[1] for at, _ in found.endpoints} >= {"count", "goal", "helper"}
 
     talker = peer("Talker")
@@ -149,7 +149,9 @@ def test_ports_of_an_offer_are_found_and_used_by_other_components(
     assert talker.connectors() == [0, 1]
 
     helper = vars(theirs)["_directory"].peer("Robot.rtc").port("helper")
-    assert [(each.name, each.type) for each in helper.interfaces] == [("mover0", "Arm::Mover")]
+    assert [(interface.name, interface.type) for interface in helper.interfaces] == [
+        ("mover0", "Arm::Mover")
+    ]
     asked = endpoint(Role.SERVICE, "Robot.rtc", "helper", "Mover::echo", timeout=patience())
     assert theirs.call(asked, {"words": "hi"}, timeout=patience()) == {"return": "HI"}
 
@@ -177,7 +179,9 @@ def test_types_are_derived_from_structures_and_their_idl_is_at_the_port(
     pose, goal = one.emitter("pose", POSE), one.taker("goal", GOAL)
     one.emitter("loose", {"type": "object", "properties": {"n": {"type": "integer"}}})
     with RobotManager(loads(UNTYPED), bridges={"rtm": rtm, "one": one}) as robot:
-        states = {one.function: one for one in robot.offer(timeout=patience())}
+        states = {
+            offer_status.function: offer_status for offer_status in robot.offer(timeout=patience())
+        }
         assert states["pose"].state is OfferState.OPEN, states["pose"].cause
         assert states["goal"].state is OfferState.OPEN, states["goal"].cause
         assert "field 'n': a struct has all its members" in states["loose"].cause
@@ -185,7 +189,7 @@ def test_types_are_derived_from_structures_and_their_idl_is_at_the_port(
         ports: Any = {
             name: vars(rtm)["_directory"].peer("Robot.rtc").port(name) for name in ("pose", "goal")
         }
-        theirs = make_bridge("other", idl=[one.properties["uoarm.idl"] for one in ports.values()])
+        theirs = make_bridge("other", idl=[port.properties["uoarm.idl"] for port in ports.values()])
         inbox = Inbox()
         source(theirs, endpoint(Role.OUTPUT, "Robot.rtc", "pose"), inbox)
         pose.emit(POSED)
@@ -221,7 +225,9 @@ offer:
     loose: {service: {endpoint: [self, loose]}}
 """
     with RobotManager(loads(text), bridges={"rtm": rtm, "one": one}) as robot:
-        states = {one.function: one for one in robot.offer(timeout=patience())}
+        states = {
+            offer_status.function: offer_status for offer_status in robot.offer(timeout=patience())
+        }
         assert "no IDL can be derived" in states["loose"].cause
 
         def ask(name: str, arguments: Any) -> Any:

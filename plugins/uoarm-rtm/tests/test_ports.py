@@ -178,7 +178,7 @@ def test_a_port_that_does_not_speak_as_we_do_is_refused_by_name(
 def test_an_event_of_a_state_machine_is_an_input(bridge: Bridge, peer: Start) -> None:
     component = peer("Machine")
     component.port_says("in", "dataport.data_type", "any")
-    (found,) = [each for each in bridge.discover() if each.name == "Machine.rtc"]
+    (found,) = [discovered for discovered in bridge.discover() if discovered.name == "Machine.rtc"]
     assert "port 'in' takes the events of a state machine" in found.detail
     for address, options in ((["TimedLong"], {}), ([], {"event": "start"})):
         with pytest.raises(

@@ -86,7 +86,7 @@ def test_a_whole_interface_is_one_service_with_operations(make_bridge: Make, rob
 def test_services_are_discovered_with_their_structures(make_bridge: Make, robot: Peer) -> None:
     served = [("Robot.rtc", "served", "Mover")]
     for bridge, known in ((make_bridge(idl=IDL), True), (make_bridge("bare"), False)):
-        found = {each.name: each for each in bridge.discover()}["Robot.rtc"]
+        found = {component.name: component for component in bridge.discover()}["Robot.rtc"]
         services = {at.address: what for at, what in found.endpoints if at.port == "served"}
         assert list(services) == served
         assert (services[served[0]].request is not None) is known
@@ -240,7 +240,7 @@ def test_a_component_of_ours_that_is_made_while_its_bridge_closes_is_put_away(
     finally:
         go.set()
         thread.join(patience())
-    assert [each.reason for each in refused] == [FailureReason.CLOSED]
+    assert [bridge_error.reason for bridge_error in refused] == [FailureReason.CLOSED]
     assert not is_bound(other, "Manager.rtc")
 
 
@@ -419,7 +419,7 @@ def test_another_manager_uses_our_ports_as_those_of_any_component(make_bridge: M
     inbox.wait_for(1)
     at = endpoint(Role.SERVICE, "Manager.rtc", "helper", "Mover::echo")
     assert theirs.call(at, {"words": "hi"}) == {"return": "HI"}
-    names = [each.name for each in theirs.discover()]
+    names = [component.name for component in theirs.discover()]
     assert "Manager.rtc" in names
     ours.close()
-    wait(lambda: "Manager.rtc" not in [each.name for each in theirs.discover()])
+    wait(lambda: "Manager.rtc" not in [component.name for component in theirs.discover()])

@@ -32,7 +32,7 @@ def usual(peer: Start, monkeypatch: pytest.MonkeyPatch) -> Peer:
 
 
 def lost(events: Inbox) -> list[object]:
-    return [each for each in events.messages if each.health is Health.LOST]
+    return [message for message in events.messages if message.health is Health.LOST]
 
 
 def test_a_message_too_large_for_a_component_fails_alone(bridge: Bridge, usual: Peer) -> None:

@@ -49,7 +49,7 @@ def test_a_component_that_others_deactivate_is_degraded(
     bridge.watch(events)
     channel = opened(bridge, of("Worker", role, PORTS[role], activate=True))
     wait(lambda: channel.facts()["state"] == "active")
-    assert not [each for each in events.messages if each.channel is channel]
+    assert not [message for message in events.messages if message.channel is channel]
     component.deactivate()
     event = events.event(Health.DEGRADED, "is inactive: it does nothing now")
     assert event.channel is channel
@@ -57,7 +57,7 @@ def test_a_component_that_others_deactivate_is_degraded(
         channel.send(stamped(1))
     component.activate()
     assert events.event(Health.OK, "works again").channel is channel
-    healths = [each.health for each in events.messages if each.channel is channel]
+    healths = [message.health for message in events.messages if message.channel is channel]
     assert healths == [Health.DEGRADED, Health.OK]
 
 
@@ -91,8 +91,8 @@ def test_the_next_candidate_takes_over_from_one_that_fails(
     nameserver: str, peer: Start, tmp_path: Path, options: str
 ) -> None:
     first, second = peer("First"), peer("Second")
-    for each in (first, second):
-        each.activate()
+    for item in (first, second):
+        item.activate()
     file = tmp_path / "robot.yaml"
     file.write_text(f"""
 version: 1

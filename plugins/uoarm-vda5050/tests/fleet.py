@@ -44,13 +44,13 @@ def heard(bridge: Bridge) -> list[HealthEvent]:
 
 
 def until(events: list[HealthEvent], health: Health) -> HealthEvent:
-    wait(lambda: any(one.health is health for one in events), f"{health}: {events}", patience())
-    return next(one for one in events if one.health is health)
+    wait(lambda: any(event.health is health for event in events), f"{health}: {events}", patience())
+    return next(event for event in events if event.health is health)
 
 
 def goal(*nodes: str, order: str = "", **actions: str) -> dict[str, Any]:
     """A transport order over nodes; actions by node."""
-    made: dict[str, Any] = {"nodes": [{"nodeId": one} for one in nodes]}
+    made: dict[str, Any] = {"nodes": [{"nodeId": name} for name in nodes]}
     for node in made["nodes"]:
         if node["nodeId"] in actions:
             node["actions"] = [{"actionType": actions[node["nodeId"]]}]

@@ -33,23 +33,23 @@ def test_a_transport_order_is_a_call(broker: Broker, release: str) -> None:
         assert driver.done == ["b", "pick", "c", "drop"]
         assert isinstance(result, dict)
         assert result["lastNodeId"] == "c"
-        assert [one["actionStatus"] for one in result["actions"]] == ["FINISHED", "FINISHED"]
+        assert [action["actionStatus"] for action in result["actions"]] == ["FINISHED", "FINISHED"]
 
 
 def test_streams_tell_what_becomes_of_a_goal(broker: Broker) -> None:
     with driven(broker, "streams", "b") as driver, bridge_to(broker) as bridge:
-        told = {part: Collector() for part in ("status", "feedback", "result")}
-        for part, collector in told.items():
+        reports = {part: Collector() for part in ("status", "feedback", "result")}
+        for part, collector in reports.items():
             place = endpoint("streams", "transport", part)
             bridge.open_source(place, ANYTHING, collector.deliver)
         sink = bridge.open_sink(endpoint("streams", "transport", "goal"), ANYTHING)
         sink.send(goal("a", "b", order="one"))
-        assert told["status"].wait(1, patience()) == [{"goal_id": "one", "status": "accepted"}]
+        assert reports["status"].wait(1, patience()) == [{"goal_id": "one", "status": "accepted"}]
         driver.let("b")
-        (ended,) = told["result"].wait(1, patience())
+        (ended,) = reports["result"].wait(1, patience())
         assert ended["status"] == "succeeded"
-        assert told["status"].wait(2, patience())[1] == {"goal_id": "one", "status": "succeeded"}
-        assert told["feedback"].wait(1, patience())[0]["feedback"]["lastNodeId"] == "a"
+        assert reports["status"].wait(2, patience())[1] == {"goal_id": "one", "status": "succeeded"}
+        assert reports["feedback"].wait(1, patience())[0]["feedback"]["lastNodeId"] == "a"
 
 
 def test_a_goal_is_cancelled(broker: Broker) -> None:
@@ -117,11 +117,11 @@ def test_vehicles_are_discovered_with_what_they_are(broker: Broker) -> None:
 def _die(vehicle: Vehicle) -> None:
     """End its connection without a word, so that the broker publishes its last will."""
     client: Any = vehicle._broker._client
-    told = client.on_disconnect
+    report = client.on_disconnect
 
     def stay_away(client: Any, *more: Any) -> None:
         client.disconnect()
-        told(client, *more)  # its link is down: closing waits for no goodbye
+        report(client, *more)  # its link is down: closing waits for no goodbye
 
     client.on_disconnect = stay_away
     client.socket().shutdown(socket.SHUT_RDWR)

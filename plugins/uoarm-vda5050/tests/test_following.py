@@ -32,13 +32,17 @@ def state(vehicle: VehicleState, **more: Any) -> dict[str, Any]:
 
 
 def error(vehicle: VehicleState, **references: str) -> dict[str, Any]:
-    named = [{"referenceKey": key, "referenceValue": one} for key, one in references.items()]
+    named = [
+        {"referenceKey": key, "referenceValue": reference} for key, reference in references.items()
+    ]
     kind = vehicle.release.errors.action
     return {"errorType": kind, "errorLevel": "WARNING", "errorReferences": named}
 
 
 def ends(actions: list[Action]) -> list[tuple[str, Any]]:
-    return [(one.status, one.result["reason"]) for one in actions if isinstance(one, Ended)]
+    return [
+        (action.status, action.result["reason"]) for action in actions if isinstance(action, Ended)
+    ]
 
 
 @BOTH
@@ -62,8 +66,8 @@ def test_an_error_refuses_the_order_that_it_names(
     fleet.goal(goal("a", "b", order="one"), 0.0)
     fleet.state(state(vehicle), 0.0)
     assert fleet.phase is Phase.SENT
-    told = fleet.state(state(vehicle, errors=[error(vehicle, **references)]), 0.0)
-    assert [status for status, _ in ends(told)] == ["rejected"] * is_refused
+    reports = fleet.state(state(vehicle, errors=[error(vehicle, **references)]), 0.0)
+    assert [status for status, _ in ends(reports)] == ["rejected"] * is_refused
 
 
 @BOTH
@@ -82,12 +86,12 @@ def test_an_error_from_before_the_order_does_not_refuse_it(release: str) -> None
 def test_a_vehicle_with_another_order_is_busy(release: str, is_known: bool) -> None:
     vehicle, fleet = VehicleState(RELEASES[release], frozenset()), TransportState(RELEASES[release])
     vehicle.order(Order.of(goal("a", "b"), "another", RELEASES[release], 10).body)
-    told: list[Action] = []
+    reports: list[Action] = []
     if is_known:
         fleet.state(state(vehicle), 0.0)
-    told += fleet.goal(goal("a", "b", order="one"), 0.0)[1]
-    told += fleet.state(state(vehicle), 0.0)
-    assert ends(told) == [("rejected", "order 'another' is under way")]
+    reports += fleet.goal(goal("a", "b", order="one"), 0.0)[1]
+    reports += fleet.state(state(vehicle), 0.0)
+    assert ends(reports) == [("rejected", "order 'another' is under way")]
 
 
 def test_a_cancellation_is_finished_however_many_actions_follow_it() -> None:
@@ -129,21 +133,21 @@ def test_a_state_that_lacks_what_the_rules_need_is_unreadable_and_the_next_is_ta
     whole = state(VehicleState(release, frozenset()))
     codec: Any = SimpleNamespace(split=lambda payload: ({}, json.loads(payload)))
     link: Any = SimpleNamespace(subscribe=lambda _: None, unsubscribe=lambda _: None)
-    told: list[tuple[Health, str]] = []
+    reports: list[tuple[Health, str]] = []
     health = VehicleHealth(patience())
     follower = Follower(
         link, "v2/m/s", TransportState(release), health, {"state": codec},
-        lambda *one: told.append(one),
+        lambda *one: reports.append(one),
     )  # fmt: skip
     try:
         for body in ({key: whole[key] for key in whole if key != lacking}, whole):
             event: Any = SimpleNamespace(payload=json.dumps(body))
             follower._inbox.put(event)
-        wait(lambda: told and told[-1][0] is Health.OK, str(told))
+        wait(lambda: reports and reports[-1][0] is Health.OK, str(reports))
     finally:
         follower.close()
-    assert told[0][0] is Health.DEGRADED
-    assert lacking in told[0][1]
+    assert reports[0][0] is Health.DEGRADED
+    assert lacking in reports[0][1]
     assert follower.facts()["states_unreadable"] == 1
 
 
@@ -194,13 +198,16 @@ def test_an_order_that_the_client_fails_to_send_is_rejected_and_the_next_state_i
     follower = Follower(
         link, "v2/m/s", TransportState(release), VehicleHealth(patience()), codecs, lambda *_: None
     )
-    heard: list[Any] = []
-    follower.join(heard.append)
+    received: list[Any] = []
+    follower.join(received.append)
     came: Any = SimpleNamespace(payload=b"")
     try:
         follower.goal(goal("a", "b", order="one"))
         follower._inbox.put(came)  # from which on the order can be sent
-        wait(lambda: ends(heard) == [("rejected", "RuntimeError('no v2/m/s/order')")], str(heard))
+        wait(
+            lambda: ends(received) == [("rejected", "RuntimeError('no v2/m/s/order')")],
+            str(received),
+        )
         follower._inbox.put(came)
         wait(lambda: len(taken) == 2)
     finally:
@@ -219,8 +226,8 @@ def test_a_vehicle_that_goes_before_it_is_followed_is_told() -> None:
         pass
 
     link: Any = SimpleNamespace(require_up=nothing, subscribe=nothing, barrier=nothing)
-    release, told = RELEASES["2.1"], list[tuple[str, Health, str]]()
-    watch = Presence(link, "uagv/v2", release, 0.0, 1, lambda *one: told.append(one))
+    release, reports = RELEASES["2.1"], list[tuple[str, Health, str]]()
+    watch = Presence(link, "uagv/v2", release, 0.0, 1, lambda *one: reports.append(one))
 
     def say(serial: str, state: str) -> None:
         payload = b'{"connectionState": "%s"}' % state.encode()
@@ -230,10 +237,10 @@ def test_a_vehicle_that_goes_before_it_is_followed_is_told() -> None:
     say("agv", "ONLINE")
     watch.require((MAKER, "agv"), "carrier")
     say("agv", "OFFLINE")
-    heard: list[tuple[bool, str]] = []
-    watch.follow((MAKER, "agv"), lambda online, why: heard.append((online, why)))
-    assert heard == [(False, "its connection state is OFFLINE")]
-    assert ("carrier", Health.FINISHED, f"vehicle {MAKER}/agv: {heard[0][1]}") in told
+    received: list[tuple[bool, str]] = []
+    watch.follow((MAKER, "agv"), lambda online, why: received.append((online, why)))
+    assert received == [(False, "its connection state is OFFLINE")]
+    assert ("carrier", Health.FINISHED, f"vehicle {MAKER}/agv: {received[0][1]}") in reports
     with pytest.raises(BridgeError, match="too many"):
         watch.require((MAKER, "second"), "other")
 

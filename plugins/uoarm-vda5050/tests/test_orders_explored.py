@@ -46,17 +46,17 @@ class Lane:
         due = self.fleet.wake_at()
         for name in ("_repeat_at", "_give_up_at", "_cancel_at", "_abandoned_at", "_made"):
             setattr(fleet, name, 0)
-        told = [(type(one).__name__, getattr(one, "status", "")) for one in self.told]
+        reports = [(type(item).__name__, getattr(item, "status", "")) for item in self.told]
         due = None if due is None else due - self.now
-        return repr((fleet, due, self.vehicle, self.way, told[-4:], self.online, self.left))
+        return repr((fleet, due, self.vehicle, self.way, reports[-4:], self.online, self.left))
 
     def do(self, actions: Iterable[Action]) -> None:
-        for one in actions:
-            if isinstance(one, Send):
+        for action in actions:
+            if isinstance(action, Send):
                 if self.online:
-                    self.way.append((one.topic, one.body))
+                    self.way.append((action.topic, action.body))
             else:
-                self.told.append(one)
+                self.told.append(action)
 
     def events(self) -> Iterator[Callable[[Lane], object]]:
         if self.left["give"]:
@@ -91,8 +91,8 @@ class Lane:
         if topic == "order":
             self.vehicle.order(copy.deepcopy(body))
         else:
-            for one in body["actions"]:
-                self.vehicle.instant(one)
+            for action in body["actions"]:
+                self.vehicle.instant(action)
 
     def lose(self) -> None:
         self.left["lose"] -= 1
@@ -142,9 +142,11 @@ class Lane:
     def hold(self) -> None:
         """What holds in every world."""
         assert max(self.acts.values(), default=0) <= 1, "an action was performed twice"
-        ends = [one.status for one in self.told if isinstance(one, Ended)]
-        statuses = [one.status for one in self.told if isinstance(one, Status)]
-        assert [one for one in statuses if one != "accepted"] == ends, "each end is told once"
+        ends = [item.status for item in self.told if isinstance(item, Ended)]
+        statuses = [item.status for item in self.told if isinstance(item, Status)]
+        assert [status for status in statuses if status != "accepted"] == ends, (
+            "each end is told once"
+        )
         if "succeeded" in ends:
             assert self.acts, "it is said to have succeeded, and was not done"
 
@@ -213,5 +215,5 @@ def test_many_orders_of_many_events(release: str) -> None:
             chance.choice(events)(world)
             world.hold()
         world.settle()
-        ends.update(one.status for one in world.told if isinstance(one, Ended))
+        ends.update(item.status for item in world.told if isinstance(item, Ended))
     assert ends.keys() >= {"succeeded", "canceled", "aborted", "lost"}, "so much was seen"

@@ -41,7 +41,7 @@ def test_the_example_runs_as_printed(broker: Broker, tmp_path: Path) -> None:
         wait(answered, "the vehicle of the page did not come up", patience())
         result = json.loads(said[0])
         assert result["lastNodeId"] == "shelf"
-        assert [one["actionStatus"] for one in result["actions"]] == ["FINISHED"]
+        assert [action["actionStatus"] for action in result["actions"]] == ["FINISHED"]
     finally:
         driving.kill()
         driving.wait()

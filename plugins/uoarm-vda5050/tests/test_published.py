@@ -123,16 +123,16 @@ def test_what_a_vehicle_says_is_as_published(
         driver.vehicle.raise_error("tired", "of driving")
 
         def came(topic: str) -> list[Any]:
-            return [json.loads(one.payload) for one in said if one.topic.endswith(topic)]
+            return [json.loads(item.payload) for item in said if item.topic.endswith(topic)]
 
         wait(lambda: all(came(topic) for topic in topics), "not all was said", patience())
-        wait(lambda: any(one["errors"] for one in came("state")), "no error", patience())
+        wait(lambda: any(item["errors"] for item in came("state")), "no error", patience())
     peer.close()
     for topic in topics:
         (file,) = (Path(GIVEN) / f"{release}.0").glob(f"{topic}.*")
         validator = Draft202012Validator(json.loads(file.read_text()))
-        for one in came(topic):
-            validator.validate(one)
+        for item in came(topic):
+            validator.validate(item)
 
 
 @NEEDS_THEM

@@ -27,7 +27,7 @@ def order(release: str, *nodes: str, name: str = "one", **actions: str) -> Order
 
 
 def errors(made: VehicleState) -> list[str]:
-    return [one["errorType"] for one in made.errors.values()]
+    return [error["errorType"] for error in made.errors.values()]
 
 
 def drive(made: VehicleState) -> list[str]:
@@ -109,13 +109,13 @@ def test_what_is_refused_has_the_error_of_the_release(
     for name, error in expected.items():
         made = vehicle(release)
         *before, last = cases[name]
-        for one in before:
-            if one == "cancel":
+        for item in before:
+            if item == "cancel":
                 made.instant({"actionId": "c", "actionType": "cancelOrder"})
-            elif one == "manual":
+            elif item == "manual":
                 made.set_mode("MANUAL")
             else:
-                assert made.order(one), name
+                assert made.order(item), name
         assert not made.order(last), name
         assert errors(made) == [error], name
         references = next(iter(made.errors.values()))["errorReferences"]
@@ -161,12 +161,12 @@ def test_a_vehicle_that_moves_is_cancelled_once_it_stands(release: str) -> None:
     made.instant({"actionId": "c", "actionType": "cancelOrder"})
     assert made.task is None
     states = made.body()[made.release.instant_states]
-    assert [one["actionStatus"] for one in states if one["actionId"] == "c"] == ["RUNNING"]
+    assert [state["actionStatus"] for state in states if state["actionId"] == "c"] == ["RUNNING"]
     assert made.body()["nodeStates"]
     made.driving = False
     assert made.stands()
     assert made.is_idle
-    states = {one["actionId"]: one["actionStatus"] for one in made.body()["actionStates"]}
+    states = {state["actionId"]: state["actionStatus"] for state in made.body()["actionStates"]}
     assert states["one-2-0"] == "FAILED"
     made.instant({"actionId": "again", "actionType": "cancelOrder"})
     assert errors(made) == [made.release.errors.nothing]
@@ -194,7 +194,7 @@ def test_a_failed_action_ends_the_order() -> None:
     assert made.failed(task, "nothing there")
     assert made.is_idle
     states = made.body()["actionStates"]
-    assert [one["actionStatus"] for one in states] == ["FAILED", "FAILED"]
+    assert [state["actionStatus"] for state in states] == ["FAILED", "FAILED"]
     assert states[0]["resultDescription"] == "nothing there"
 
 

@@ -206,7 +206,9 @@ class AsyncConnection(_Twin[Connection[T]], Generic[T]):
             self._reading = self._loop.create_task(self._read())
 
         def end() -> None:
-            self._callbacks = tuple(one for one in self._callbacks if one is not callback)
+            self._callbacks = tuple(
+                function for function in self._callbacks if function is not callback
+            )
             if not self._callbacks and self._reading is not None:
                 self._reading.cancel()
                 self._reading = None
@@ -405,7 +407,9 @@ class AsyncRobotManager(_Twin[RobotManager]):
 
         Each is a handle of its own: one that is read here is no longer read elsewhere.
         """
-        return tuple(AsyncConnection(one, self._handling) for one in self.robot.connections())
+        return tuple(
+            AsyncConnection(connection, self._handling) for connection in self.robot.connections()
+        )
 
     async def stop_all(self, *, timeout: float = 2.0) -> StopReport:
         """Stop every input that moves something, as `RobotManager.stop_all` does."""

@@ -85,18 +85,18 @@ class ConfigurationChanges:
             )
             gone = self._offers.connections_without(robot)
             ending = [
-                one
-                for one in staged.change.connections
-                if one.effect is Effect.ENDS and one.connection not in gone
+                connection
+                for connection in staged.change.connections
+                if connection.effect is Effect.ENDS and connection.connection not in gone
             ]
             with ExitStack() as refused:
                 refused.callback(staged.bridges.close)
                 if is_dry_run:
                     return staged.change
                 if ending and not is_forced:
-                    told = "\n".join(f"  {one}" for one in ending)
+                    text = "\n".join(f"  {effect}" for effect in ending)
                     raise ConfigurationError(
-                        f"the change would end connections; force it, or kill them first:\n{told}"
+                        f"the change would end connections; force it, or kill them first:\n{text}"
                     )
                 self._before(robot)
                 with self._file.written(robot.text) if keeps else nullcontext():

@@ -89,8 +89,8 @@ class Requests:
         wanted_type = self._typed(as_type, name, left)
         revision = self._revisions.current
         identity = f"c{next(self._numbers)}"
-        tell = partial(self._events.post, f"connection {identity}", Health.DEGRADED.value)
-        runtime = ConnectionRuntime(identity, queue, tell)
+        report = partial(self._events.post, f"connection {identity}", Health.DEGRADED.value)
+        runtime = ConnectionRuntime(identity, queue, report)
         if on_message is not None:
             take = on_message if wanted_type is None else wanted_type.callback(on_message)
             runtime.receiver.inbox.subscribe(take)
@@ -135,7 +135,7 @@ def _given(plan: Plan, output: str | None, name: str) -> MessageStructure:
     component = plan.provider.component
     given = component.output(output)
     if given is None:
-        names = ", ".join(one.name for one in component.outputs)
+        names = ", ".join(item.name for item in component.outputs)
         has = (
             f"has the outputs {names}" if names else "has no output, so that `as_type` says nothing"
         )

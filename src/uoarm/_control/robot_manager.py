@@ -117,7 +117,10 @@ class RobotManager:
             lambda place, told: self._events.post(f"lock {place}", "differs", told),
         )
         self._executor = Executor(
-            State(robot.failover, {one.name: one.bridge for one in robot.components()}),
+            State(
+                robot.failover,
+                {component.name: component.bridge for component in robot.components()},
+            ),
             bridges=self._bridges,
             events=self._events,
             revisions=self._revisions,
@@ -314,7 +317,7 @@ class RobotManager:
     def connections(self) -> tuple[Connection, ...]:
         """Return the connections that have not ended, oldest first, whoever requested them."""
         runtimes = self._executor.connections()
-        return tuple(one.handle for one in runtimes if one.handle is not None)
+        return tuple(runtime.handle for runtime in runtimes if runtime.handle is not None)
 
     def status(self) -> StatusMap:
         """Return the whole system as it is at this moment."""
@@ -355,12 +358,12 @@ class RobotManager:
         """
         self._require_open()
         revision = self._revisions.current
-        offer = next((one for one in revision.robot.offers if one.name == component), None)
+        offer = next((item for item in revision.robot.offers if item.name == component), None)
         if offer is not None:
             what = f"asking for the structures of the offer {component!r}"
             get = self._bridges.get
             return _bounded.run(what, timeout, lambda: offered_structures(offer, get(offer.bridge)))
-        found = next((one for one in revision.robot.components() if one.name == component), None)
+        found = next((item for item in revision.robot.components() if item.name == component), None)
         if found is None:
             raise ResolutionError(f"there is no component {component!r} in the configuration")
         what = f"asking for the structures of {component!r}"
@@ -562,7 +565,7 @@ class RobotManager:
             UsageError: there is no such revision, or it was too long ago; or as `apply`.
             ConfigurationError: as `apply`.
         """
-        kept = {one.revision: one.robot for one in self.history()}
+        kept = {change.revision: change.robot for change in self.history()}
         robot = kept.get(to)
         if robot is None:
             raise UsageError(f"revision {to} is not kept: {min(kept)} to {max(kept)} are")
@@ -628,13 +631,17 @@ class RobotManager:
             self._events.close()
 
     def _with_rates(self, findings: tuple[BridgeFindings, ...]) -> tuple[BridgeFindings, ...]:
-        shared = [route for one in self._executor.edges() if (route := one.status()) is not None]
+        shared = [route for edge in self._executor.edges() if (route := edge.status()) is not None]
         own = [route for connection in self.connections() for route in connection.routes()]
-        rates = {one.producer: one.rate for one in (*shared, *own) if one.rate is not None}
+        rates = {
+            route_status.producer: route_status.rate
+            for route_status in (*shared, *own)
+            if route_status.rate is not None
+        }
         return with_rates(findings, rates, self.config)
 
     def _watch_rates(self, robot: Robot) -> None:
-        if any(one.expect for each in robot.components() for one in each.outputs):
+        if any(output.expect for component in robot.components() for output in component.outputs):
             self._staleness.start()
 
     def _noticed(self, event: HealthEvent) -> None:

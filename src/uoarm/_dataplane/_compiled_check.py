@@ -69,7 +69,7 @@ class _Compiler:
     def root(self) -> Accepts:
         if isinstance(self.whole, Mapping) and "$id" not in self.whole:
             return self.part(
-                {name: one for name, one in self.whole.items() if name != "$schema"}, 0
+                {name: value for name, value in self.whole.items() if name != "$schema"}, 0
             )
         return self.part(self.whole, 0)
 
@@ -92,14 +92,14 @@ class _Compiler:
             return self._reference(schema["$ref"], depth)
         for union in ("anyOf", "allOf"):
             if names == {union}:
-                return self._several(union, [self.part(one, depth + 1) for one in schema[union]])
+                return self._several(union, [self.part(item, depth + 1) for item in schema[union]])
         if names <= {"enum", "type"} and "enum" in names:
             return self._one_of(schema["enum"], schema.get("type"))
         if names <= {"const", "type"} and "const" in names:
             return self._one_of([schema["const"]], schema.get("type"))
         kind = schema.get("type")
         if isinstance(kind, list | tuple):
-            kinds = [self.part(_of_kind(schema, one), depth + 1) for one in kind]
+            kinds = [self.part(_of_kind(schema, item), depth + 1) for item in kind]
             return self._several("anyOf", kinds)
         if kind == "object":
             return self._object(schema, depth)
@@ -150,7 +150,7 @@ class _Compiler:
             raise _UnknownError
         # 1 and True are equal to Python, and not to JSON Schema: the class belongs to the value.
         allowed = _LITERALS if kind is None else _CLASSES.get(kind, frozenset())
-        known = frozenset((one.__class__, one) for one in values if one.__class__ in allowed)
+        known = frozenset((item.__class__, item) for item in values if item.__class__ in allowed)
 
         def accepts(value: Any) -> bool:
             kind: Any = value.__class__
@@ -193,9 +193,9 @@ class _Compiler:
         properties = schema.get("properties", {})
         required = schema.get("required", ())
         more = schema.get("additionalProperties", True)
-        parts = {name: self.part(one, depth + 1) for name, one in properties.items()}
+        parts = {name: self.part(property_, depth + 1) for name, property_ in properties.items()}
         always = tuple((name, parts.get(name, _anything)) for name in dict.fromkeys(required))
-        perhaps = tuple((name, one) for name, one in parts.items() if name not in required)
+        perhaps = tuple((name, part) for name, part in parts.items() if name not in required)
         if more is False:
             return _closed(always, perhaps)
         rest = None if more is True else self.part(more, depth + 1)
@@ -245,7 +245,7 @@ def _anything(_: Message) -> bool:
 def _of_kind(schema: Mapping[str, Any], kind: str) -> dict[str, Any]:
     """Return what a schema of several types says of one of them."""
     group = "number" if kind == "integer" else kind
-    kept = {name: one for name, one in schema.items() if _SPEAKS_OF.get(name, group) == group}
+    kept = {name: value for name, value in schema.items() if _SPEAKS_OF.get(name, group) == group}
     return {**kept, "type": kind}
 
 
@@ -306,7 +306,7 @@ def _open(
             one = value.get(name, _MISSING)
             if one is not _MISSING and not part(one):
                 return False
-        return rest is None or all(rest(one) for name, one in value.items() if name not in named)
+        return rest is None or all(rest(item) for name, item in value.items() if name not in named)
 
     return accepts
 
@@ -353,5 +353,5 @@ def _is_grid(value: Any, lengths: Sequence[_Limits], numbers: NumberRange) -> bo
     shape = getattr(value, "shape", None)
     if not hasattr(value, "dtype") or not isinstance(shape, tuple) or len(shape) != len(lengths):
         return False
-    fits = all(least <= one <= most for one, (least, most) in zip(shape, lengths, strict=True))
+    fits = all(least <= item <= most for item, (least, most) in zip(shape, lengths, strict=True))
     return fits and numbers.accepts_buffer(value)

@@ -37,7 +37,9 @@ class NumberRange:
             return True
         low, high = self.low, self.high
         if self.any_nonfinite:
-            return not any(map(math.isfinite, [one for one in values if not low <= one <= high]))
+            return not any(
+                map(math.isfinite, [value for value in values if not low <= value <= high])
+            )
         if not (low <= min(values) and max(values) <= high):
             return False
         try:

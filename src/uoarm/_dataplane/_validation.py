@@ -136,13 +136,15 @@ class _Judgement:
     def told(self, message: Message) -> str:
         """Return all that is wrong with a message, and where; nothing where it matches."""
         speller = Speller()
-        told: dict[tuple[Path, str], str] = {}
+        reports: dict[tuple[Path, str], str] = {}
         for error in islice(self._whole().iter_errors(message), _LOOKED_AT):
             path, sentence = _sentence(error, speller)
             alike = tuple("*" if isinstance(part, int) else part for part in path), sentence
             place = ".".join(map(str, path)) or "the message"
-            told.setdefault(alike, f"{place}: {_shorten(sentence)}")
-        return "; ".join([*list(told.values())[:_SHOWN], *(["..."] if len(told) > _SHOWN else [])])
+            reports.setdefault(alike, f"{place}: {_shorten(sentence)}")
+        return "; ".join(
+            [*list(reports.values())[:_SHOWN], *(["..."] if len(reports) > _SHOWN else [])]
+        )
 
     def _judge(self, part: Schema) -> Accepts:
         validator: Validator | None = None
@@ -181,12 +183,12 @@ def _sentence(error: ValidationError, speller: Speller) -> tuple[Path, str]:
     if error.validator == "required" and isinstance(value, Mapping):
         missing = [name for name in rules["required"] if name not in value]
         names = list(map(repr, missing))
-        told = f"the field {names[0]} is missing"
+        text = f"the field {names[0]} is missing"
         if len(missing) > 1:
-            told = f"the fields {', '.join(names[:-1])} and {names[-1]} are missing"
+            text = f"the fields {', '.join(names[:-1])} and {names[-1]} are missing"
         are_known = "additionalProperties" in rules or "patternProperties" in rules
         others = () if are_known else value.keys() - rules.get("properties", {})
-        return path, "; ".join([told, *_unknown(others, missing, speller)])
+        return path, "; ".join([text, *_unknown(others, missing, speller)])
     if error.validator == "additionalProperties":
         known = rules.get("properties", {})
         hint = speller.guess_or_list(str(path[-1]), known, "known fields")

@@ -67,7 +67,7 @@ def _kind() -> type[Validator]:
         "x-nul": _nul,
     }
     ranges = {name: _bounded(holds) for name, holds in _BOUNDS.items()}
-    sizes = {name: _sized(*one) for name, one in _SIZES.items()}
+    sizes = {name: _sized(*size) for name, size in _SIZES.items()}
     kind: type[Validator] = validators.extend(  # type: ignore[no-untyped-call]
         Draft202012Validator,
         {"type": _type, "items": _items, **ranges, **sizes, **units, **PATTERN_KEYWORDS},
@@ -82,7 +82,7 @@ def _kind() -> type[Validator]:
 
 def _type(validator: Validator, types: Any, instance: Any, _: object) -> Errors:
     names = [types] if isinstance(types, str) else types
-    if not any(validator.is_type(instance, one) for one in names):
+    if not any(validator.is_type(instance, item) for item in names):
         yield ValidationError("of another type")
 
 
@@ -175,16 +175,16 @@ def _are_in_range(
     except OverflowError:
         return False
     extremes = _extremes(items, {})
-    return not any(True for one in extremes for _ in validator.descend(one, schema))
+    return not any(True for extreme in extremes for _ in validator.descend(extreme, schema))
 
 
 def _extremes(buffer: Any, schema: Mapping[str, Any]) -> tuple[object, ...]:
     """Return the least and the greatest item: a range that holds both holds all between."""
     if schema.get("x-nonfinite") is True and getattr(buffer, "typecode", "") in {"f", "d"}:
-        buffer = [one for one in buffer if math.isfinite(one)]
+        buffer = [item for item in buffer if math.isfinite(item)]
     elif schema.get("x-nonfinite") is True and hasattr(buffer, "dtype"):
         buffer = buffer[(buffer > -math.inf) & (buffer < math.inf)]
-    elif hasattr(buffer, "typecode") and any(one != one for one in buffer):  # noqa: PLR0124 - NaN
+    elif hasattr(buffer, "typecode") and any(item != item for item in buffer):  # noqa: PLR0124 - NaN
         return (math.nan,)
     if not len(buffer):
         return ()

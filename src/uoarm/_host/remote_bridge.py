@@ -126,7 +126,7 @@ class RemoteBridge(Bridge):
         return from_json(self._ask("describe", endpoint=to_json(endpoint)), Description)
 
     def _discover(self) -> tuple[Discovered, ...]:
-        return tuple(from_json(one, Discovered) for one in self._ask("discover"))
+        return tuple(from_json(item, Discovered) for item in self._ask("discover"))
 
     def _open_source(
         self, endpoint: Endpoint, structure: MessageStructure, deliver: Delivery

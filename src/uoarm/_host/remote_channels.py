@@ -154,8 +154,8 @@ class RemoteSink(RemoteChannel, Sink):
 
     def command_status(self) -> CommandStatus | None:
         """Return what the host said of it with its last heartbeat."""
-        told = self.host_facts.get(COMMAND)
-        return None if told is None else from_json(told, CommandStatus)
+        report = self.host_facts.get(COMMAND)
+        return None if report is None else from_json(report, CommandStatus)
 
     def drain(self, timeout: float) -> bool:
         """Wait until the component has taken every message that was sent by now."""

@@ -80,7 +80,7 @@ class _Database:
 
     def __init__(self, bridge: Bridge, endpoints: Iterable[Endpoint]) -> None:
         self._bridge = bridge
-        self._endpoints = {(one.component, one.port): one for one in endpoints}
+        self._endpoints = {(endpoint.component, endpoint.port): endpoint for endpoint in endpoints}
 
     def components(self) -> list[str]:
         """Return the components of the configuration that this bridge reaches."""

@@ -183,7 +183,7 @@ def _near(name: str) -> str:
     known = _NAMES | _IN_PINT.keys() | _EXPRESSIONS.keys()
     if "_" in name or len(name) < _SHORTEST or _is_in(name, known):
         return ""
-    words = sorted(one for one in known if len(one) >= _SHORTEST - 1)
+    words = sorted(text for text in known if len(text) >= _SHORTEST - 1)
     close = difflib.get_close_matches(name, words, n=1, cutoff=_NEAR)
     return f"; did you mean {close[0]!r}?" if close else ""
 
@@ -242,8 +242,8 @@ def _atom(name: str, text: str) -> _Unit:
         values = [Fraction(item.magnitude) for item in (zero, unity, two)]
     except Exception as error:  # pint raises whatever its parts do
         if type(error).__name__ == "UndefinedUnitError":
-            told = f"the unit {text!r} is not known: nothing is named {name!r}{_near(name)}"
-            raise UnitError(told) from None
+            message = f"the unit {text!r} is not known: nothing is named {name!r}{_near(name)}"
+            raise UnitError(message) from None
         raise UnitError(f"the unit {text!r} is not proportional to others") from error
     if values[2] - values[1] != values[1] - values[0]:
         raise UnitError(f"the unit {text!r} is not proportional to others")

@@ -64,18 +64,20 @@ def check_asked(fields: Mapping[str, Any]) -> ControlMessage:
         if len(envelope) > _MAX_FIELDS or message_octets(envelope, most=_MAX_OCTETS) > _MAX_OCTETS:
             allowed = f"{_MAX_FIELDS} fields and {_MAX_OCTETS:,} octets are allowed"
             raise ControlMessageError(f"{op}: too much beside a message: {allowed}")
-        told = [
-            ": ".join(filter(None, (".".join(map(str, one.absolute_path)), one.message[:_SHOWN])))
-            for one in islice(_validator(op).iter_errors(envelope), _MOST_TOLD)
+        reports = [
+            ": ".join(
+                filter(None, (".".join(map(str, error.absolute_path)), error.message[:_SHOWN]))
+            )
+            for error in islice(_validator(op).iter_errors(envelope), _MOST_TOLD)
         ]
-        if told:
-            raise ControlMessageError(f"{op}: {'; '.join(told)}")
+        if reports:
+            raise ControlMessageError(f"{op}: {'; '.join(reports)}")
     return ControlMessage(
         op=Op(op),
         type=fields.get("type", ""),
         jsonMessage=fields.get("jsonMessage"),
         id=fields["id"],
-        extensions={name: one for name, one in fields.items() if name.startswith("x-")},
+        extensions={name: field for name, field in fields.items() if name.startswith("x-")},
     )
 
 

@@ -272,14 +272,14 @@ def _examine(value: Any, spending: Spending) -> None:
         if not kinds.isdisjoint(_CONTAINERS):
             depth += 1
             spending.depth(depth)
-        for one in level if dict in kinds or list in kinds else ():
-            if type(one) is list:
-                inner += one
-            elif type(one) is dict:
-                if not set(map(type, one)) <= {str}:
+        for item in level if dict in kinds or list in kinds else ():
+            if type(item) is list:
+                inner += item
+            elif type(item) is dict:
+                if not set(map(type, item)) <= {str}:
                     raise ControlMessageError("expected names to be strings, got octets")
-                spending.add(len(one))
-                inner += one.values()
+                spending.add(len(item))
+                inner += item.values()
         level = inner
 
 

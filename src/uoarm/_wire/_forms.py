@@ -152,8 +152,8 @@ def write_or_tell(form: Form, reply: Mapping[str, Any]) -> bytes:
     try:
         return form.write(reply)
     except MessageError as error:
-        told = {"code": "message", "text": str(error)}
-        return form.write({**reply, "op": "Error", "jsonMessage": told})
+        reports = {"code": "message", "text": str(error)}
+        return form.write({**reply, "op": "Error", "jsonMessage": reports})
 
 
 TEXT_FORM: Form = _TextForm()

@@ -41,10 +41,10 @@ def text_schema(schema: Schema, depth: int = 0) -> Schema:
     copied: dict[str, Any] = dict(schema)
     for key in _MAPS:
         if isinstance(found := copied.get(key), Mapping):
-            copied[key] = {name: text_schema(one, depth + 1) for name, one in found.items()}
+            copied[key] = {name: text_schema(value, depth + 1) for name, value in found.items()}
     for key in _LISTS:
         if isinstance(found := copied.get(key), list | tuple):
-            copied[key] = [text_schema(one, depth + 1) for one in found]
+            copied[key] = [text_schema(item, depth + 1) for item in found]
     for key in _ONES:
         if isinstance(found := copied.get(key), Mapping):
             copied[key] = text_schema(found, depth + 1)
@@ -86,7 +86,7 @@ class _MisfitError(Exception):
         self.path: list[str] = []
 
     def told(self) -> str:
-        path = "".join(one[:_SHOWN] for one in reversed(self.path))
+        path = "".join(name[:_SHOWN] for name in reversed(self.path))
         return f"${path}: {self}"
 
 
@@ -116,13 +116,13 @@ class _Compiler:
     def _inside(self, schema: Mapping[str, object], depth: int) -> Reader | None:
         fields = {
             name: reader
-            for name, one in _mapping(schema.get("properties")).items()
-            if (reader := self.reader(one, depth + 1)) is not None
+            for name, item in _mapping(schema.get("properties")).items()
+            if (reader := self.reader(item, depth + 1)) is not None
         }
         rest = self.reader(schema.get("additionalProperties"), depth + 1)
         if fields or rest is not None:
             return lambda value: _object(value, fields, rest)
-        heads = [self.reader(one, depth + 1) for one in _sequence(schema.get("prefixItems"))]
+        heads = [self.reader(item, depth + 1) for item in _sequence(schema.get("prefixItems"))]
         items = self.reader(schema.get("items"), depth + 1)
         if any(heads) or items is not None:
             return lambda value: _array(value, heads, items)
@@ -130,10 +130,12 @@ class _Compiler:
 
     def _first(self, branches: Sequence[object], depth: int) -> Reader | None:
         """Use the branch that converts, unless a branch takes strings as they are."""
-        if any(isinstance(one, Mapping) and one.get("type") == "string" for one in branches):
+        if any(
+            isinstance(branch, Mapping) and branch.get("type") == "string" for branch in branches
+        ):
             return None
-        readers = (self.reader(one, depth + 1) for one in branches)
-        return next((one for one in readers if one is not None), None)
+        readers = (self.reader(branch, depth + 1) for branch in branches)
+        return next((reader for reader in readers if reader is not None), None)
 
     def _referred(self, reference: str, depth: int) -> Reader | None:
         known = self._references
@@ -152,11 +154,11 @@ def _object(value: Any, fields: Mapping[str, Reader], rest: Reader | None) -> An
     if not isinstance(value, dict):
         return value
     read = dict(value)
-    for name, one in value.items():
+    for name, item in value.items():
         reader = fields.get(name, rest)
         if reader is not None:
             try:
-                read[name] = reader(one)
+                read[name] = reader(item)
             except _MisfitError as error:
                 error.path.append(f".{name}")
                 raise
@@ -167,10 +169,10 @@ def _array(value: Any, heads: list[Reader | None], items: Reader | None) -> Any:
     if not isinstance(value, list):
         return value
     read = []
-    for place, one in enumerate(value):
+    for place, item in enumerate(value):
         reader = heads[place] if place < len(heads) else items
         try:
-            read.append(one if reader is None else reader(one))
+            read.append(item if reader is None else reader(item))
         except _MisfitError as error:
             error.path.append(f"[{place}]")
             raise

@@ -83,7 +83,14 @@ class CallsUnderWay:
     def cancel_number(self, number: int) -> bool:
         """Cancel the call of this number, as `cancel` does; one that has not begun never does."""
         with self._lock:
-            call = next((one for one in self._calls if one.number == number), None)
+            call = next(
+                (
+                    call_under_way
+                    for call_under_way in self._calls
+                    if call_under_way.number == number
+                ),
+                None,
+            )
             if call is None:
                 # It begins later, or it has ended, which nobody here can tell.
                 self._early[number] = None

@@ -52,7 +52,7 @@ class CommandState:
         self._lifetime = math.inf if policy.lifetime is None else policy.lifetime
         self._can_stop = policy.stop is not None
         rest = None if policy.stop is None else policy.stop.message
-        self._limits = [(one, _at(rest, one.path)) for one in policy.limits]
+        self._limits = [(limit, _at(rest, limit.path)) for limit in policy.limits]
         self._values: list[tuple[float | None, float]] = [(at, -math.inf) for _, at in self._limits]
         self._since = now
         self._until = math.inf
@@ -82,7 +82,7 @@ class CommandState:
             return refusal
         self._is_sending = True
         self._until = now - max(0.0, age) + self._lifetime
-        self._values = [(_at(message, one.path), now) for one, _ in self._limits]
+        self._values = [(_at(message, field_limit.path), now) for field_limit, _ in self._limits]
         if self.phase is not CommandPhase.MOVING:
             self._turn(CommandPhase.MOVING, now)
         return None
@@ -181,9 +181,9 @@ class CommandState:
             return Refusal("late", f"the command is {age:.3f} s old, {lifetime}")
         for (limit, _), (before, when) in zip(self._limits, self._values, strict=True):
             elapsed = min(now - when, self._lifetime)  # a pause gives no leave for a jump
-            told = _beyond(limit, _at(message, limit.path), before, elapsed)
-            if told:
-                return Refusal("beyond-limits", told)
+            text = _beyond(limit, _at(message, limit.path), before, elapsed)
+            if text:
+                return Refusal("beyond-limits", text)
         return None
 
     def _stop(self, now: float) -> None:

@@ -61,7 +61,7 @@ def apply(
             )
         except errors.ConfigurationError as error:
             # The server took the text for that of its own file: the places in it are of this one.
-            told = _PLACE.sub(lambda one: f"{file}:{one[1]}", str(error))
+            told = _PLACE.sub(lambda item: f"{file}:{item[1]}", str(error))
             raise errors.ConfigurationError(told) from error
         return change
 
@@ -86,10 +86,10 @@ def history(*, server: Remote, as_json: bool) -> None:
     if as_json:
         click.echo(write_json(revisions, indent=2))
         return
-    for one in revisions:
-        when = datetime.fromtimestamp(one["time"], timezone.utc).isoformat(timespec="seconds")
-        click.secho(f"revision {one['revision']}  {when}", bold=True)
-        for line in (*one["differences"], *one["connections"]):
+    for revision in revisions:
+        when = datetime.fromtimestamp(revision["time"], timezone.utc).isoformat(timespec="seconds")
+        click.secho(f"revision {revision['revision']}  {when}", bold=True)
+        for line in (*revision["differences"], *revision["connections"]):
             click.echo(f"  {line}")
 
 

@@ -62,9 +62,9 @@ def _asked(interpreter: Path, variables: dict[str, str], plugin: str) -> dict[st
         done = subprocess.run(  # noqa: S603 - the interpreter that the configuration names
             command, capture_output=True, env=variables, text=True, timeout=_SECONDS, check=False
         )
-        told: Any = json.loads(done.stdout)
-        found = told.get(plugin, {"usable": f"no: the plugin {plugin} is not installed there"})
-        return {"uoarm": told["uoarm"]["version"], **found}
+        report: Any = json.loads(done.stdout)
+        found = report.get(plugin, {"usable": f"no: the plugin {plugin} is not installed there"})
+        return {"uoarm": report["uoarm"]["version"], **found}
     except subprocess.TimeoutExpired:
         return {"usable": f"no: it did not answer within {_SECONDS:g} s"}
     except OSError as error:

@@ -44,7 +44,11 @@ def create(
         made = environments.create(
             name, wanted, python=python, progress=click.echo, uv="" if no_uv else None
         )
-        [found] = (environments.examine(one) for one in environments.listed() if one.name == name)
+        [found] = (
+            environments.examine(environment)
+            for environment in environments.listed()
+            if environment.name == name
+        )
     click.echo(f"environment {name} is ready: {made}")
     if plugin in found.unusable:
         hint = "--distribution names the middleware to install with it"
@@ -59,13 +63,18 @@ def list_environments(*, as_json: bool) -> None:
     """List the environments."""
     found = environments.listed()
     if as_json:
-        print_json([{"name": one.name, "requirements": one.requirements} for one in found])
+        print_json(
+            [
+                {"name": environment.name, "requirements": environment.requirements}
+                for environment in found
+            ]
+        )
         return
     if not found:
         click.echo(_NONE, err=True)
-    for one in found:
-        state = ", ".join(one.requirements) if one.is_whole else "incomplete"
-        click.echo(f"{one.name}: {state}")
+    for environment in found:
+        state = ", ".join(environment.requirements) if environment.is_whole else "incomplete"
+        click.echo(f"{environment.name}: {state}")
 
 
 @env.command()
@@ -84,16 +93,16 @@ def doctor(*, as_json: bool) -> None:
 
     Exit code 4 where one would not.
     """
-    found = [environments.examine(one) for one in environments.listed()]
+    found = [environments.examine(environment) for environment in environments.listed()]
     if as_json:
         print_json(found)
     elif not found:
         click.echo(_NONE, err=True)
     else:
-        for one in found:
-            facts = ", ".join(f"{key} {value}" for key, value in one.facts.items())
-            click.echo(f"{one.name}: {one.problem or facts}")
-            for plugin, cause in one.unusable.items():
-                tell_warning(f"{one.name}: the plugin {plugin} cannot be used in it: {cause}")
-    if any(one.problem for one in found):
+        for finding in found:
+            facts = ", ".join(f"{key} {value}" for key, value in finding.facts.items())
+            click.echo(f"{finding.name}: {finding.problem or facts}")
+            for plugin, cause in finding.unusable.items():
+                tell_warning(f"{finding.name}: the plugin {plugin} cannot be used in it: {cause}")
+    if any(finding.problem for finding in found):
         sys.exit(BRIDGE)

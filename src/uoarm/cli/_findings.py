@@ -24,11 +24,11 @@ _RULES: Mapping[Outcome, tuple[str, str, str]] = {
 
 def _text(findings: list[Finding], _: Path) -> str:
     lines = []
-    for one in findings:
-        if one.changed:
-            lines.append(_told(one))
-            lines += (f"    {line}" for line in one.suggestion.splitlines())
-    counts = Counter(one.outcome for one in findings)
+    for finding in findings:
+        if finding.changed:
+            lines.append(_told(finding))
+            lines += (f"    {line}" for line in finding.suggestion.splitlines())
+    counts = Counter(finding.outcome for finding in findings)
     lines.append(", ".join(f"{kind.value}: {counts[kind]}" for kind in Outcome))
     return "\n".join(lines)
 
@@ -40,8 +40,8 @@ def _json(findings: list[Finding], _: Path) -> str:
 def _github(findings: list[Finding], lock: Path) -> str:
     """Return annotations of a pull request, one for each line that does not fit as it is."""
     return "\n".join(
-        f"::error file={lock}::" + "%0A".join([_told(one), *one.suggestion.splitlines()])
-        for one in _unfit(findings)
+        f"::error file={lock}::" + "%0A".join([_told(finding), *finding.suggestion.splitlines()])
+        for finding in _unfit(findings)
     )
 
 
@@ -51,18 +51,18 @@ def _junit(findings: list[Finding], _: Path) -> str:
     root = ET.Element(
         "testsuites", name="uoarm lock", tests=str(len(findings)), failures=str(unfit), errors="0"
     )
-    for function in dict.fromkeys(one.function for one in findings):
-        own = [one for one in findings if one.function == function]
+    for function in dict.fromkeys(finding.function for finding in findings):
+        own = [finding for finding in findings if finding.function == function]
         failures = str(len(list(_unfit(own))))
         suite = ET.SubElement(
             root, "testsuite", name=function, tests=str(len(own)), failures=failures, errors="0"
         )
-        for one in own:
-            case = ET.SubElement(suite, "testcase", classname=function, name=one.subject)
-            if one.outcome is not Outcome.FITS:
-                kind = _RULES[one.outcome][0]
-                told = ET.SubElement(case, "failure", type=kind, message=_told(one))
-                told.text = "\n".join([_told(one), one.suggestion]).rstrip()
+        for finding in own:
+            case = ET.SubElement(suite, "testcase", classname=function, name=finding.subject)
+            if finding.outcome is not Outcome.FITS:
+                kind = _RULES[finding.outcome][0]
+                report = ET.SubElement(case, "failure", type=kind, message=_told(finding))
+                report.text = "\n".join([_told(finding), finding.suggestion]).rstrip()
     ET.indent(root)
     return '<?xml version="1.0" encoding="utf-8"?>\n' + ET.tostring(root, encoding="unicode")
 
@@ -78,7 +78,7 @@ def _sarif(findings: list[Finding], lock: Path) -> str:
     run = {
         "tool": {"driver": driver},
         "columnKind": "unicodeCodePoints",
-        "results": [_result(one, place) for one in _unfit(findings)],
+        "results": [_result(finding, place) for finding in _unfit(findings)],
     }
     log = {
         "$schema": "https://json.schemastore.org/sarif-2.1.0.json",
@@ -104,14 +104,14 @@ def _result(one: Finding, place: str) -> dict[str, Any]:
 
 
 def _unfit(findings: Iterable[Finding]) -> Iterable[Finding]:
-    return (one for one in findings if one.outcome is not Outcome.FITS)
+    return (finding for finding in findings if finding.outcome is not Outcome.FITS)
 
 
 def _told(one: Finding) -> str:
-    told = f"{one.function}: {one.subject}: {one.outcome.value}"
+    text = f"{one.function}: {one.subject}: {one.outcome.value}"
     if not one.sentence:
-        return told
-    return f"{told}: {f'{one.path}: ' if one.path else ''}{one.sentence}"
+        return text
+    return f"{text}: {f'{one.path}: ' if one.path else ''}{one.sentence}"
 
 
 FORMS: Mapping[str, Callable[[list[Finding], Path], str]] = {

@@ -64,19 +64,24 @@ def show_frameworks(file: str, *, as_json: bool) -> None:
     with looking(file if file != STANDARD or Path(file).exists() else None) as (robot, given):
         findings = robot.discover(timeout=_SECONDS)
         provided: dict[str, dict[str, None]] = {}
-        for one in robot.config.components():
-            provided.setdefault(one.bridge, {})[one.function] = None
+        for component in robot.config.components():
+            provided.setdefault(component.bridge, {})[component.function] = None
         facts = plugin_facts(robot.registry)
         found = [
-            _framework(one, facts, one.bridge in given.bridges, tuple(provided.get(one.bridge, ())))
-            for one in findings
+            _framework(
+                finding,
+                facts,
+                finding.bridge in given.bridges,
+                tuple(provided.get(finding.bridge, ())),
+            )
+            for finding in findings
         ]
         found += _broken(robot.registry, facts)
     if as_json:
         print_json(found)
     else:
         click.echo(fitted("\n".join(map(str, found))) or "no bridge plugin is installed")
-    sys.exit(0 if any(one.is_reachable for one in found) else BRIDGE)
+    sys.exit(0 if any(framework.is_reachable for framework in found) else BRIDGE)
 
 
 def _framework(
@@ -92,8 +97,8 @@ def _framework(
         not one.cause,
         one.cause,
         facts.get(one.plugin, {}),
-        tuple(each.name for each in one.components),
-        sum(len(each.ports) for each in one.components),
+        tuple(component.name for component in one.components),
+        sum(len(component.ports) for component in one.components),
         functions,
     )
 

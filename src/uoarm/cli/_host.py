@@ -135,8 +135,10 @@ def _answer(bridge: str, port: int, file: str) -> None:
         raise UsageError(f"there is no bridge {bridge!r}: {', '.join(robot.bridges)}")
     made = registry.create(spec) if spec.host is None else RemoteBridge(spec)
     try:
-        mine = (one for one in robot.components() if one.bridge == bridge)
-        face = XmlRpcServer(made, (end for one in mine for end in _endpoints(one)), port)
+        mine = (component for component in robot.components() if component.bridge == bridge)
+        face = XmlRpcServer(
+            made, (end for component in mine for end in _endpoints(component)), port
+        )
         click.echo(f"bridge {bridge} answers at http://127.0.0.1:{face.port}/RPC2")
         try:
             threading.Event().wait()

@@ -46,10 +46,10 @@ class _Shown:
         return self._lines <= _LINES
 
     def __str__(self) -> str:
-        told = f"{self.messages:,} message{'s' if self.messages != 1 else ''}"
+        text = f"{self.messages:,} message{'s' if self.messages != 1 else ''}"
         if self.hidden:
-            told += f", {self.hidden:,} of them not shown; --json writes all"
-        return told
+            text += f", {self.hidden:,} of them not shown; --json writes all"
+        return text
 
 
 def show_live(robot: RobotManager, connection: Connection, messages: Iterable[Message]) -> None:
@@ -98,10 +98,10 @@ def _lines(routes: Iterable[RouteStatus], caption: str) -> Text:
     """Return what the table has for a terminal that is too narrow for it: lines for each flow."""
     lines: list[str] = []
     for route in routes:
-        told = [f"received {route.received}", f"delivered {route.delivered}"]
-        told += [rate] if (rate := _rate(route)) else []
-        told += [f"dropped {dropped}"] if (dropped := _dropped(route)) else []
-        lines += [f"{route.producer} -> {route.consumer}", f"  {', '.join(told)}"]
+        reports = [f"received {route.received}", f"delivered {route.delivered}"]
+        reports += [rate] if (rate := _rate(route)) else []
+        reports += [f"dropped {dropped}"] if (dropped := _dropped(route)) else []
+        lines += [f"{route.producer} -> {route.consumer}", f"  {', '.join(reports)}"]
     return Text(fitted("\n".join([*lines, caption])))
 
 

@@ -83,10 +83,10 @@ def lock(
         else:
             with open_unlocked(file) as robot:
                 findings = _compared(before, lock_of(robot))
-    told = FORMS[form](findings, place)
-    if told:
-        click.echo(told)
-    sys.exit(0 if all(one.outcome is Outcome.FITS for one in findings) else REFUSED)
+    text = FORMS[form](findings, place)
+    if text:
+        click.echo(text)
+    sys.exit(0 if all(finding.outcome is Outcome.FITS for finding in findings) else REFUSED)
 
 
 def _against(before: Lock, other: Path, *, is_installed: bool = False) -> list[Finding]:
@@ -120,7 +120,9 @@ def _write(file: str, path: Path) -> int:
     with open_unlocked(file) as robot:
         made = lock_of(robot)
     write_whole(path, write_lock(made).encode())
-    refused = {name: one.refused for name, one in made.functions.items() if one.refused}
+    refused = {
+        name: function.refused for name, function in made.functions.items() if function.refused
+    }
     for name, why in refused.items():
         tell_warning(f"{name} has no plan: {why}")
     functions, structures = len(made.functions), len(made.structures)
@@ -137,8 +139,8 @@ def lock_of(robot: RobotManager) -> Lock:
         except ResolutionError as error:
             plans[name] = str(error)
     described = {}
-    names = [one.name for one in robot.config.components()]
-    names += [one.name for one in robot.config.offers]
+    names = [component.name for component in robot.config.components()]
+    names += [offer.name for offer in robot.config.offers]
     for name in names:
         with suppress(ResolutionError):  # what is not there is no candidate now
             described[name] = robot.structures(name)

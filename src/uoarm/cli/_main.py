@@ -124,8 +124,8 @@ def list_functions(file: str, *, as_json: bool) -> None:
         return
     for function in robot.functions.values():
         click.echo(click.style(function.name, bold=True) + f"  {function.description}".rstrip())
-        for one in function.components:
-            click.echo(f"  {one.priority:>4}  {one.name}  ({one.bridge})")
+        for component in function.components:
+            click.echo(f"  {component.priority:>4}  {component.name}  ({component.bridge})")
 
 
 @contextmanager
@@ -164,21 +164,21 @@ def resolve(name: str, file: str, *, explain: bool, timeout: float, as_json: boo
                 plan = robot.resolve(name, timeout=timeout)
         except NoPlanError as error:
             if as_json:
-                told = {"function": error.function, "error": str(error)}
-                print_json({**told, "rejected": error.rejections})
+                reports = {"function": error.function, "error": str(error)}
+                print_json({**reports, "rejected": error.rejections})
             raise
-        offers = [one for one in robot.config.offers if one.function == plan.function]
+        offers = [item for item in robot.config.offers if item.function == plan.function]
     if as_json:
         places = [
-            {"bridge": one.bridge, "endpoints": [each.address for each in one.endpoints]}
-            for one in offers
+            {"bridge": item.bridge, "endpoints": [endpoint.address for endpoint in item.endpoints]}
+            for item in offers
         ]
         print_json({**to_json(plan), "offers": to_json(places)})
     elif explain:
         click.echo(plan)
-        for one in offers:
-            where = ", ".join(" ".join(each.address) for each in one.endpoints)
-            click.echo(f"offered in {one.bridge} at {where}")
+        for item in offers:
+            where = ", ".join(" ".join(endpoint.address) for endpoint in item.endpoints)
+            click.echo(f"offered in {item.bridge} at {where}")
     else:
         click.echo(" -> ".join(step.component.name for step in plan.steps))
 
@@ -194,11 +194,13 @@ def bridges(*, file: str | None, as_json: bool) -> None:
     registry = Registry()
     assigned = dict(assigned_options(file, registry))
     if as_json:
-        types = [{"name": one.name, "summary": one.summary} for one in registry.types.values()]
+        types = [
+            {"name": type_.name, "summary": type_.summary} for type_ in registry.types.values()
+        ]
         print_json({"bridges": types, "problems": registry.problems, "assigned": assigned})
         return
-    for one in registry.types.values():
-        click.echo(f"{one.name:<10} {one.summary}")
+    for type_ in registry.types.values():
+        click.echo(f"{type_.name:<10} {type_.summary}")
     for problem in registry.problems:
         click.echo(f"{problem.name:<10} {click.style('broken:', fg='red')} {problem.cause}")
     for option, value in assigned.items():

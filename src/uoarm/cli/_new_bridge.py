@@ -54,7 +54,7 @@ def new_bridge(name: str, into: Path) -> None:
 
 
 def _files(folder: Traversable, prefix: str) -> Iterator[tuple[str, str]]:
-    for entry in sorted(folder.iterdir(), key=lambda one: one.name):
+    for entry in sorted(folder.iterdir(), key=lambda path: path.name):
         if entry.name in _SKIPPED:
             continue
         if entry.is_dir():

@@ -60,11 +60,11 @@ def offer(file: str, *, as_json: bool, once: bool) -> None:
 def _follow(robot: RobotManager, statuses: tuple[OfferStatus, ...], *, as_json: bool) -> None:
     """Tell each change since these were told, until the sources of all have finished."""
     over = threading.Event()
-    told = {f"offer {one.name}": (one.state.value, one.cause) for one in statuses}
+    reports = {f"offer {status.name}": (status.state.value, status.cause) for status in statuses}
 
     def heard(event: StatusEvent) -> None:
         # What was told may come as an event only now.
-        if event.subject.startswith("offer ") and told.pop(event.subject, None) != (
+        if event.subject.startswith("offer ") and reports.pop(event.subject, None) != (
             event.change,
             event.cause,
         ):
@@ -94,7 +94,7 @@ def _without_record_of_offers() -> Iterator[None]:
 
 def _line(status: OfferStatus) -> str:
     state = click.style(status.state.value, fg=_COLOURS.get(status.state))
-    where = ", ".join(" ".join(one) for one in status.endpoints)
+    where = ", ".join(" ".join(endpoint) for endpoint in status.endpoints)
     return f"{status.name} {state} at {where}" + (f": {status.cause}" if status.cause else "")
 
 

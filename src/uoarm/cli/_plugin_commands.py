@@ -57,7 +57,9 @@ class PluginGroup(click.Group):
         own = super().get_command(ctx, cmd_name)
         if own is not None:
             return own
-        point = next((one for one in entry_points(group=_GROUP) if one.name == cmd_name), None)
+        point = next(
+            (entry for entry in entry_points(group=_GROUP) if entry.name == cmd_name), None
+        )
         return None if point is None else _command(point)
 
 
@@ -84,7 +86,7 @@ def _command(point: EntryPoint) -> click.Command:
 
 def _load(point: EntryPoint) -> Command:
     commands = values_of(point, CommandHooks, "uoarm_commands", Command)
-    found = next((one for one in commands if one.name == point.name), None)
+    found = next((command for command in commands if command.name == point.name), None)
     if found is None:
         raise PluginError(f"it has no command {point.name!r}")
     if found.contract != CONTRACT_VERSION:

@@ -106,7 +106,7 @@ def remote_options(*, always: bool) -> Callable[[_Command], _Command]:
 def _checked(server: Remote) -> Remote:
     """Refuse options that do nothing together, before anything is tried."""
     named = [
-        f"--{one}" for one in ("authority", "fingerprint", "certificate") if getattr(server, one)
+        f"--{name}" for name in ("authority", "fingerprint", "certificate") if getattr(server, name)
     ]
     if named and not server.url.startswith("wss://"):
         raise click.UsageError(f"{named[0]} is for TLS: expected wss://, got {server.url}")

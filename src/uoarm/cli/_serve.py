@@ -82,7 +82,7 @@ def listening_options(command: Callable[..., Any]) -> Callable[..., Any]:
     "front_end_ports",
     multiple=True,
     metavar="NAME=PORT",
-    callback=lambda _context, _option, given: [_name_and_port(one) for one in given],
+    callback=lambda _context, _option, given: [_name_and_port(item) for item in given],
     help="A further port for the clients of one front end, such as rosbridge=9090.",
 )
 @click.option(
@@ -297,7 +297,7 @@ def say(server: Server, settings: Settings, *, err: bool = False) -> None:
 
     s = "s" if settings.secured else ""
     main, *more = (settings.place_from_here(port) for port in server.ports)
-    paths = ("/", *(one.path for one in server.front_ends))
+    paths = ("/", *(front_end.path for front_end in server.front_ends))
     click.echo(f"serving {' and '.join(f'ws{s}://{main}{path}' for path in paths)}", err=err)
     for name, place in zip(settings.front_end_ports, more, strict=True):
         click.echo(f"serving ws{s}://{place}/ for {name} clients", err=err)
@@ -307,8 +307,8 @@ def say(server: Server, settings: Settings, *, err: bool = False) -> None:
     elif not settings.local:
         tell_warning("without TLS, tokens and data can be read on the network")
     if settings.everywhere:
-        told = f"listening on every address of this machine: elsewhere it is {socket.gethostname()}"
-        click.echo(f"{told}, or an address of it, in place of {main.rpartition(':')[0]}", err=err)
+        text = f"listening on every address of this machine: elsewhere it is {socket.gethostname()}"
+        click.echo(f"{text}, or an address of it, in place of {main.rpartition(':')[0]}", err=err)
     if settings.access is not None:
         proof = f"a token of {settings.access} (uoarm token makes one)"
         if settings.client_authority is not None:

@@ -64,7 +64,7 @@ def status(
                 functions = _show(robot, as_json=as_json)
         except KeyboardInterrupt:
             sys.exit(0)  # it is how watching ends
-    sys.exit(REFUSED if any(one.provider is None for one in functions) else 0)
+    sys.exit(REFUSED if any(function.provider is None for function in functions) else 0)
 
 
 def _show(robot: RobotManager, *, as_json: bool) -> tuple[FunctionStatus, ...]:

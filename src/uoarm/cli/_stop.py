@@ -30,9 +30,9 @@ def stop(*, server: Remote, release: bool, as_json: bool) -> None:
     async def act(robot: Any) -> Any:
         return await (robot.release() if release else robot.stop_all())
 
-    told = asked(server, act)
+    report = asked(server, act)
     if release:
         click.echo("{}" if as_json else "commands are let through again")
         return
-    click.echo(write_json(told, indent=2) if as_json else told["text"])
-    sys.exit(0 if told["stopped"] and not told.get("unkept") else 1)
+    click.echo(write_json(report, indent=2) if as_json else report["text"])
+    sys.exit(0 if report["stopped"] and not report.get("unkept") else 1)

@@ -47,7 +47,7 @@ def types(file: str, form: str | None, path: str | None, output: str | None) -> 
             click.echo(text, nl=False)
         else:
             _write(Path(output), text)
-    refused = [name for name, one in robot.functions.items() if one.refused]
+    refused = [name for name, function in robot.functions.items() if function.refused]
     for name in refused:
         tell_warning(f"{name} has no plan: no types")
     sys.exit(REFUSED if refused else 0)

@@ -315,8 +315,8 @@ class Client:
 
     async def revisions(self) -> list[Mapping[str, Any]]:
         """Return the revisions of the configuration, the one in force last; needs `configure`."""
-        told: Mapping[str, Any] = await self._ask("Configure")
-        return list(told["revisions"])
+        report: Mapping[str, Any] = await self._ask("Configure")
+        return list(report["revisions"])
 
     async def discover(self) -> list[Mapping[str, Any]]:
         """Return what each bridge sees now; needs the right `see` for `*`.
@@ -325,8 +325,8 @@ class Client:
             `bridge`, `plugin`, `configured`, `cause` where it sees nothing, `facts` of the plugin,
             `components` with their `ports`, `more` and `left_out`; also plugins without a bridge.
         """
-        told: Mapping[str, Any] = await self._ask("Discover")
-        return list(told["bridges"])
+        report: Mapping[str, Any] = await self._ask("Discover")
+        return list(report["bridges"])
 
     async def stop_all(self) -> Mapping[str, Any]:
         """Stop everything of the robot that moves, until `release`; needs the right `stop`.
@@ -443,7 +443,7 @@ class Client:
         wanted: MessageType[Any] = MessageType(hint, place, self._form)
         structures = (await self.resolve(name))["plan"]["steps"][-1]["structures"]
         output = name.partition(".")[2]
-        names = [one for one in structures if one.startswith(port)]
+        names = [structure for structure in structures if structure.startswith(port)]
         only = names[0] if len(names) == 1 and not output else f"{port}{output or 'default'}"
         if only not in structures:
             raise errors.UsageError(f"{place} gives no messages, so that `as_type` says nothing")

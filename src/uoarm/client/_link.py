@@ -233,12 +233,12 @@ class Link:
         await socket.recv()  # the greeting of a new session
         options = {"key": self._key, "waiting": waiting}
         await self._write(socket, {"op": "Resume", "id": _RESUME, "jsonMessage": options})
-        while (told := self._form.read(await socket.recv(), Spending(LARGEST))).get(
+        while (report := self._form.read(await socket.recv(), Spending(LARGEST))).get(
             "id"
         ) != _RESUME:
-            self._hear(told)
-        if told["op"] != "Reply":
-            return str(told["jsonMessage"]["text"])
+            self._hear(report)
+        if report["op"] != "Reply":
+            return str(report["jsonMessage"]["text"])
         for identity in beyond:
             lost = {"code": "closed", "text": "too much waited when the connection dropped"}
             self._hear({"op": "Error", "id": identity, "jsonMessage": lost})

@@ -44,7 +44,10 @@ class Assignable:
     def free(self, taken: set[object]) -> int | None:
         """Return the first number that nobody has."""
         theirs = os.environ.get(self.variable, "") if self.variable else ""
-        return next((one for one in self.numbers if one not in taken and str(one) != theirs), None)
+        return next(
+            (number for number in self.numbers if number not in taken and str(number) != theirs),
+            None,
+        )
 
 
 def assignables(kind: BridgeType) -> Iterator[Assignable]:
@@ -75,8 +78,8 @@ def assign(robot: Robot, types: Mapping[str, BridgeType]) -> Robot:
     for plugin, kind in types.items():
         specs = [spec for spec in robot.bridges.values() if spec.plugin == plugin]
         if len({installation(spec.host) for spec in specs}) > 1:
-            for one in assignables(kind):
-                bridges |= {spec.name: spec for spec in _assigned(one, specs, bridges)}
+            for assignable in assignables(kind):
+                bridges |= {spec.name: spec for spec in _assigned(assignable, specs, bridges)}
     return evolve(robot, bridges=bridges)
 
 

@@ -46,15 +46,15 @@ def build(value: Mapping[str, Any], origin: str, warnings: tuple[str, ...]) -> R
     """Return the robot that a checked configuration describes."""
     bridges = {name: _bridge(name, bridge, origin) for name, bridge in value["bridges"].items()}
     meaning = _meaning(value)
-    functions = {name: _function(name, one, meaning) for name, one in value["functions"].items()}
+    functions = {name: _function(name, item, meaning) for name, item in value["functions"].items()}
     asked = value.get("applications", {})
     applications = {name: tuple(names) for name, names in asked.items()}
     failover = _failover(value.get("failover", {}))
     hosts = _listening(value["hosts"], origin) if "hosts" in value else None
     offers = tuple(
-        _offer(bridge, function, one, _at_level(value["functions"][function], meaning))
+        _offer(bridge, function, item, _at_level(value["functions"][function], meaning))
         for bridge, offered in value.get("offer", {}).items()
-        for function, one in offered.items()
+        for function, item in offered.items()
     )
     lock = LockMode(value["lock"]) if "lock" in value else None
     return Robot(bridges, functions, warnings, origin, applications, failover, hosts, offers, lock)
@@ -65,7 +65,7 @@ def _failover(value: Mapping[str, Any]) -> FailoverPolicy:
 
 
 def _listening(value: Mapping[str, Any], origin: str) -> Listening:
-    settings = {key: one for key, one in value.items() if key != "listen"}
+    settings = {key: item for key, item in value.items() if key != "listen"}
     if "certificates" in settings and origin:
         settings["certificates"] = _located(settings["certificates"], origin)
     return Listening(value["listen"], **settings)
@@ -123,8 +123,8 @@ def _at_level(value: Mapping[str, Any], meaning: Meaning) -> Meaning:
 
 def _function(name: str, value: Mapping[str, Any], meaning: Meaning) -> Function:
     meaning = _at_level(value, meaning)
-    components = [_component(name, one, meaning) for one in value.get("components", ())]
-    components.sort(key=lambda one: -one.priority)
+    components = [_component(name, component, meaning) for component in value.get("components", ())]
+    components.sort(key=lambda component: -component.priority)
     needs = _need(value["needs"]) if "needs" in value else None
     return Function(name, tuple(components), value.get("description", ""), needs)
 
@@ -173,17 +173,17 @@ def _component(function: str, value: Mapping[str, Any], meaning: Meaning) -> Com
         bridge=value["bridge"],
         priority=int(value.get("priority", 0)),
         inputs=tuple(
-            _input(port, one, endpoint(port, one, Role.INPUT), meaning)
-            for port, one in _ports(value, "input", "inputs").items()
+            _input(port, item, endpoint(port, item, Role.INPUT), meaning)
+            for port, item in _ports(value, "input", "inputs").items()
         ),
         outputs=tuple(
             Output(
                 port,
-                endpoint(port, one, Role.OUTPUT),
-                _structure(one, "structure"),
-                Expectation(**one["expect"]) if "expect" in one else None,
+                endpoint(port, item, Role.OUTPUT),
+                _structure(item, "structure"),
+                Expectation(**item["expect"]) if "expect" in item else None,
             )
-            for port, one in _ports(value, "output", "outputs").items()
+            for port, item in _ports(value, "output", "outputs").items()
         ),
         service=None
         if service is None
@@ -218,7 +218,7 @@ def _command(value: Mapping[str, Any]) -> CommandPolicy | None:
     return CommandPolicy(
         lifetime=value.get("lifetime"),
         stop=StopMessage(value["stop"]["message"]) if "stop" in value else None,
-        limits=tuple(FieldLimit(path, **one) for path, one in value.get("limits", {}).items()),
+        limits=tuple(FieldLimit(path, **limit) for path, limit in value.get("limits", {}).items()),
         lease=_lease(value["lease"]) if "lease" in value else None,
     )
 

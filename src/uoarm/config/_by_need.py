@@ -32,16 +32,16 @@ def add_functions(
         findings: what its bridges see. Beyond five hundred functions nothing is added.
         unfed: patterns of inputs that may stay without a feed.
     """
-    known = {one.needs for one in robot.functions.values() if one.needs is not None}
-    taken = {*robot.functions, *(one.name for one in robot.components())}
+    known = {function.needs for function in robot.functions.values() if function.needs is not None}
+    taken = {*robot.functions, *(component.name for component in robot.components())}
     more: dict[str, Function] = {}
-    for each in findings:
-        for found in each.components if each.bridge in robot.bridges else ():
-            for wanted, need in _needs(each.bridge, found, unfed):
+    for finding in findings:
+        for found in finding.components if finding.bridge in robot.bridges else ():
+            for wanted, need in _needs(finding.bridge, found, unfed):
                 if need in known or len(robot.functions) + len(more) >= _MOST_FUNCTIONS:
                     continue
                 name = new_name(wanted, taken)
-                more[name] = Function(name, (), f"{found.name} of {each.bridge}", needs=need)
+                more[name] = Function(name, (), f"{found.name} of {finding.bridge}", needs=need)
     return evolve(robot, functions={**robot.functions, **more}) if more else robot
 
 
@@ -50,12 +50,12 @@ def _needs(
 ) -> Iterator[tuple[str, Need]]:
     """Yield what would be needed of a component, and a name for it."""
     for role in (Role.OUTPUT, Role.SERVICE):
-        ports = [one for one in found.ports if one.endpoint.role is role]
-        for one in ports:
-            port = one.endpoint.port
-            if one.used_by or port.startswith(_ABOUT_ITSELF):
+        ports = [found_port for found_port in found.ports if found_port.endpoint.role is role]
+        for found_port in ports:
+            port = found_port.endpoint.port
+            if found_port.used_by or port.startswith(_ABOUT_ITSELF):
                 continue
-            if one.message is None and one.request is None:
+            if found_port.message is None and found_port.request is None:
                 continue
             need = Need(
                 role=role,

@@ -16,8 +16,8 @@ def without_code(spec: BridgeSpec) -> BridgeSpec:
     """Return a bridge as its configuration has it, whichever version of the code it runs."""
     if _CODE not in spec.assigned:
         return spec
-    options = {name: one for name, one in spec.options.items() if name != _CODE}
-    assigned = {name: one for name, one in spec.assigned.items() if name != _CODE}
+    options = {name: option for name, option in spec.options.items() if name != _CODE}
+    assigned = {name: value for name, value in spec.assigned.items() if name != _CODE}
     return evolve(spec, options=options, assigned=assigned)
 
 
@@ -30,7 +30,7 @@ def with_code(robot: Robot, running: Robot | None, version: str = "") -> Robot:
             none is in force, and none has a version.
         version: hexadecimal digits, for all bridges; "": as they run.
     """
-    bridges = {name: without_code(one) for name, one in robot.bridges.items()}
+    bridges = {name: without_code(bridge) for name, bridge in robot.bridges.items()}
     for name, spec in bridges.items():
         old = None if running is None else running.bridges.get(name)
         chosen = version or ("" if old is None else old.assigned.get(_CODE, ""))

@@ -26,7 +26,7 @@ def unavoidable_cycles(needs: Needs) -> list[Cycle]:
     stuck = needs.keys() - _groundable(needs)
     found: list[Cycle] = []
     for knot in _knots(_graph(needs, stuck)):
-        inside = {one: [wanted & knot for wanted in needs[one]] for one in needs if one in knot}
+        inside = {need: [wanted & knot for wanted in needs[need]] for need in needs if need in knot}
         lost = inside.keys() - _groundable(inside)
         if lost:
             graph = _graph(inside, lost)
@@ -69,9 +69,9 @@ def _graph(needs: Needs, among: AbstractSet[str]) -> dict[str, list[str]]:
     """What each function needs by any of its components, in the order of the file."""
     order = {name: number for number, name in enumerate(needs)}
     return {
-        one: sorted(set().union(*needs[one]) & among, key=order.__getitem__)
-        for one in needs
-        if one in among
+        need: sorted(set().union(*needs[need]) & among, key=order.__getitem__)
+        for need in needs
+        if need in among
     }
 
 
@@ -118,7 +118,7 @@ def _close(open_: dict[str, None], root: str) -> frozenset[str]:
 
 def _shortest_cycle(graph: Mapping[str, Sequence[str]], knot: frozenset[str]) -> Cycle:
     """Return a shortest cycle through the knot's first function."""
-    start = next(one for one in graph if one in knot)
+    start = next(name for name in graph if name in knot)
     came_from: dict[str, str] = {}
     waiting = deque([start])
     while waiting:

@@ -35,17 +35,17 @@ class Difference:
 def compare(before: Robot, after: Robot) -> Difference:
     """Return what is different; nothing of the origin, the warnings or the descriptions is."""
     bridges = _differing(before.bridges, after.bridges)
-    old = {one.name: _unranked(one) for one in before.components()}
-    new = {one.name: _unranked(one) for one in after.components()}
-    of_bridges = {one.name for one in old.values() if one.bridge in bridges}
+    old = {component.name: _unranked(component) for component in before.components()}
+    new = {component.name: _unranked(component) for component in after.components()}
+    of_bridges = {component.name for component in old.values() if component.bridge in bridges}
     superseded = frozenset((_differing(old, new) & set(old)) | of_bridges)
     own = {
         name
         for name in {*before.functions, *after.functions}
         if _candidates(before, name) != _candidates(after, name)
-        or any(one.name in superseded for one in _candidates(before, name))
+        or any(candidate.name in superseded for candidate in _candidates(before, name))
     }
-    told = (
+    reports = (
         *_told("hosts", _listening(before), _listening(after)),
         *(
             f"{line}: its code" if _is_code(line, before, after) else line
@@ -59,7 +59,7 @@ def compare(before: Robot, after: Robot) -> Difference:
         *(() if before.applications == after.applications else ("~ applications",)),
     )
     functions = fed_by(own, (*before.components(), *after.components()))
-    return Difference(bridges, superseded, functions, told)
+    return Difference(bridges, superseded, functions, reports)
 
 
 def _is_code(line: str, before: Robot, after: Robot) -> bool:
@@ -79,7 +79,7 @@ def _unranked(component: Component) -> Component:
 
 
 def _offers(robot: Robot) -> Mapping[str, Offer]:
-    return {one.name: one for one in robot.offers}
+    return {offer.name: offer for offer in robot.offers}
 
 
 def _listening(robot: Robot) -> Mapping[str, Listening]:
@@ -89,7 +89,10 @@ def _listening(robot: Robot) -> Mapping[str, Listening]:
 def _named(robot: Robot) -> Mapping[str, object]:
     """Return each function's candidates by name, and its needs; what they are tell themselves."""
     return {
-        name: (function.needs, [(one.name, one.priority) for one in function.components])
+        name: (
+            function.needs,
+            [(component.name, component.priority) for component in function.components],
+        )
         for name, function in robot.functions.items()
     }
 
@@ -114,10 +117,10 @@ def _told(kind: str, before: Mapping[str, object], after: Mapping[str, object]) 
 def fed_by(functions: Iterable[str], components: Iterable[Component]) -> frozenset[str]:
     """Return the functions, and those whose plans may have one of them."""
     consumers: dict[str, set[str]] = {}
-    for one in components:
-        for port in one.inputs:
+    for component in components:
+        for port in component.inputs:
             if port.source is not None:
-                consumers.setdefault(port.source.function, set()).add(one.function)
+                consumers.setdefault(port.source.function, set()).add(component.function)
     found, waiting = set(functions), list(functions)
     while waiting:
         more = consumers.get(waiting.pop(), set()) - found

@@ -79,8 +79,10 @@ class _Text:
         head = f"{' ' * column}{lines[0][entry.column :]}"
         shift = column - entry.column
         rest = (
-            f"{' ' * (len(one) - len(one.lstrip(' ')) + shift)}{one.lstrip(' ')}" if one else one
-            for one in lines[1:]
+            f"{' ' * (len(line) - len(line.lstrip(' ')) + shift)}{line.lstrip(' ')}"
+            if line
+            else line
+            for line in lines[1:]
         )
         return head, *rest
 
@@ -124,7 +126,7 @@ def rewrite(text: str, wanted: str) -> str:
     old, new = _Text(text), _Text(wanted)
     lines = list(old.lines)
     edits = list(_edits(old, old.root, new, new.root))
-    for edit in sorted(edits, key=lambda one: (one.first, one.end), reverse=True):
+    for edit in sorted(edits, key=lambda item: (item.first, item.end), reverse=True):
         lines[edit.first : edit.end] = edit.lines
     made = "\n".join(lines) + "\n"
     try:
@@ -160,18 +162,18 @@ def _comments(lines: Iterable[str]) -> set[str]:
 
 def _edits(old: _Text, entry: _Entry, new: _Text, other: _Entry) -> Iterator[_Edit]:
     """Yield what makes one mapping or list the other; both stand in lines of their own."""
-    mine = {_name(old, one): one for one in old.entries(entry)}
-    theirs = {_name(new, one): one for one in new.entries(other)}
+    mine = {_name(old, item): item for item in old.entries(entry)}
+    theirs = {_name(new, item): item for item in new.entries(other)}
     last = None
-    for name, one in mine.items():
+    for name, value in mine.items():
         if name not in theirs:
-            yield _Edit(one.first, one.end, ())
-        elif old.value(one.path) != new.value(theirs[name].path):
-            yield from _changed(old, one, new, theirs[name])
-        last = one
+            yield _Edit(value.first, value.end, ())
+        elif old.value(value.path) != new.value(theirs[name].path):
+            yield from _changed(old, value, new, theirs[name])
+        last = value
     assert last is not None, "the caller looked"
-    more = [line for name, one in theirs.items() if name not in mine
-            for line in new.moved(one, last.column)]  # fmt: skip
+    more = [line for name, value in theirs.items() if name not in mine
+            for line in new.moved(value, last.column)]  # fmt: skip
     if more:
         yield _Edit(last.end, last.end, tuple(more))
 
@@ -197,12 +199,12 @@ def _can_be_matched(
     """Say whether items of lists have names of their own, and those of both the same order."""
     if not isinstance(mine[0].path[-1], int):
         return True
-    names = [_name(old, one) for one in mine]
-    others = [_name(new, one) for one in theirs]
+    names = [_name(old, entry) for entry in mine]
+    others = [_name(new, entry) for entry in theirs]
     if None in {*names, *others}:
         return False
-    common = [one for one in names if one in others]
-    shared = [one for one in others if one in names]
+    common = [name for name in names if name in others]
+    shared = [item for item in others if item in names]
     return common == shared == others[: len(set(common))]
 
 

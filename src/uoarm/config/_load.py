@@ -156,8 +156,8 @@ def _judge(
         found.extend(plugins.parameter_problems())
     for path, structure in meaning.structures():
         found.extend(shape.structure_problems(structure, path))
-    told = {problem.place for problem in document.problems}
-    problems = [*document.problems, *(one for one in found if one.place not in told)]
+    reported = {problem.place for problem in document.problems}
+    problems = [*document.problems, *(item for item in found if item.place not in reported)]
     absent = () if missing is None else plugins.absences(missing)
     warnings = _sorted([*meaning.warnings, *plugins.warnings(), *absent])
     unchecked = () if missing is None else tuple(plugins.unchecked())
@@ -174,6 +174,11 @@ def _sorted(problems: tuple[Problem, ...] | list[Problem]) -> tuple[Problem, ...
     return tuple(
         sorted(
             set(problems),
-            key=lambda one: (one.place.line, one.place.column, one.path, one.sentence),
+            key=lambda problem: (
+                problem.place.line,
+                problem.place.column,
+                problem.path,
+                problem.sentence,
+            ),
         )
     )

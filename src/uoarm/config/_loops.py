@@ -58,17 +58,17 @@ def feedback_loops(
             loop: list[Node] = error.args[1]
         else:
             return
-        topics = [one for one in loop if isinstance(one, Topic)]
-        numbers = [one for one in loop if not isinstance(one, Topic)]
+        topics = [item for item in loop if isinstance(item, Topic)]
+        numbers = [item for item in loop if not isinstance(item, Topic)]
         if topics:
-            start = min(topics, key=lambda one: one.name)
+            start = min(topics, key=lambda topic: topic.name)
             first = loop.index(start)
-            names = [_name(components, one) for one in (*loop[first:-1], *loop[:first], start)]
+            names = [_name(components, item) for item in (*loop[first:-1], *loop[:first], start)]
             steps = (feeds.get(step) for step in pairwise(loop))
-            fed = (one for one in steps if one is not None)
+            fed = (number for number in steps if number is not None)
             yield components[numbers[0] if numbers else next(fed)].path, names
         gone = topics[0] if topics else loop[0]
-        before = {one: left - {gone} for one, left in before.items() if one != gone}
+        before = {name: left - {gone} for name, left in before.items() if name != gone}
 
 
 def _predecessors(

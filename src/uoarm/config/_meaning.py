@@ -86,10 +86,10 @@ class MeaningChecker:
     def structures(self) -> list[tuple[Path, object]]:
         """Return every declared structure with its path."""
         needed: list[tuple[Path, object]] = [
-            (("functions", name, "needs", key), one[key])
-            for name, one in needs(self._document.value).items()
+            (("functions", name, "needs", key), need[key])
+            for name, need in needs(self._document.value).items()
             for key in ("structure", "request", "reply")
-            if isinstance(one.get(key), dict)
+            if isinstance(need.get(key), dict)
         ]
         return needed + [
             ((*port.path, key), port.value[key])
@@ -117,7 +117,7 @@ class MeaningChecker:
             first.setdefault(name, path)
 
     def _check_bridges(self) -> None:
-        used: set[str] = {one.bridge for one in self._offers}
+        used: set[str] = {offer.bridge for offer in self._offers}
         for component in self._components:
             bridge = component.text("bridge")
             if bridge is None:
@@ -142,10 +142,12 @@ class MeaningChecker:
 
     def _check_ports(self, component: ComponentPart, noun: str = "component") -> None:
         streams = component.streams
-        for one, several in (("input", "inputs"), ("output", "outputs")):
-            if one in streams and several in streams:
+        for name, several in (("input", "inputs"), ("output", "outputs")):
+            if name in streams and several in streams:
                 self._refuse(
-                    (*component.path, one), f"give either {one} or {several}, not both", at_key=True
+                    (*component.path, name),
+                    f"give either {name} or {several}, not both",
+                    at_key=True,
                 )
         if "service" in component.value and streams:
             article = "an" if noun[0] in "aeiou" else "a"
@@ -160,7 +162,7 @@ class MeaningChecker:
 
     def _check_offers(self) -> None:
         """Hold offers against what the functions' components have, as far as the file says it."""
-        for bridge in dict.fromkeys(one.bridge for one in self._offers):
+        for bridge in dict.fromkeys(offer_part.bridge for offer_part in self._offers):
             if bridge not in self._bridges:
                 hint = self._speller.guess_or_list(bridge, self._bridges, "bridges")
                 sentence = f"there is no bridge {clip(bridge)}"
@@ -172,9 +174,11 @@ class MeaningChecker:
                 self._refuse(offer.path, sentence, hint, at_key=True)
                 continue
             self._check_ports(offer, "offer")
-            providers = [one for one in self._components if one.function == offer.function]
+            providers = [
+                component for component in self._components if component.function == offer.function
+            ]
             is_open = offer.function in needs(self._document.value)
-            if not providers or is_open or not all(one.is_clear for one in providers):
+            if not providers or is_open or not all(provider.is_clear for provider in providers):
                 continue
             for port, kind, names in (
                 *((port, "output", _emitted(providers)) for port in offer.outputs()),
@@ -186,7 +190,7 @@ class MeaningChecker:
                     hint = self._speller.guess_or_list(port.name, names, f"{kind}s")
                     sentence = f"{offer.function} has no {kind} {clip(port.name)}"
                     self._refuse(port.path, sentence, hint)
-            if offer.services() and not any(one.services() for one in providers):
+            if offer.services() and not any(provider.services() for provider in providers):
                 sentence = f"no component of {offer.function} is a service"
                 self._refuse(offer.services()[0].path, sentence)
 
@@ -239,7 +243,7 @@ class MeaningChecker:
         if not asked:
             return
         used = {str(function) for functions in asked.values() for function in functions}
-        used.update(one.function for one in self._offers)
+        used.update(offer.function for offer in self._offers)
         for component in self._components:
             used.update(port.source.partition(".")[0] for port in component.inputs() if port.source)
         for name in self._functions:
@@ -254,7 +258,9 @@ class MeaningChecker:
                 same.setdefault((component.function, component.priority), []).append(component)
         for (function, priority), equal in same.items():
             if len(equal) > 1:
-                names = ", ".join(one.text("name") or "?" for one in equal[:_CYCLE_SHOWN])
+                names = ", ".join(
+                    component_part.text("name") or "?" for component_part in equal[:_CYCLE_SHOWN]
+                )
                 self._warn(
                     equal[1].path,
                     f"{len(equal)} components of {function} have priority {priority}; "
@@ -296,11 +302,16 @@ class MeaningChecker:
 
 
 def _emitted(providers: list[ComponentPart]) -> dict[str, None]:
-    return {port.name: None for one in providers for port in one.outputs()}
+    return {port.name: None for provider in providers for port in provider.outputs()}
 
 
 def _taken(providers: list[ComponentPart]) -> dict[str, None]:
-    return {port.name: None for one in providers for port in one.inputs() if port.source is None}
+    return {
+        port.name: None
+        for provider in providers
+        for port in provider.inputs()
+        if port.source is None
+    }
 
 
 def _choices(function: str, outputs: Collection[str]) -> str:

@@ -35,8 +35,10 @@ def merge(text: str, suggestion: str) -> str:
         if added:
             text = _with_lines(text, section, added)
     merged = loads(text)
-    kept = (merged.bridges.get(name) == one for name, one in before.bridges.items())
-    kept_too = (merged.functions.get(name) == one for name, one in before.functions.items())
+    kept = (merged.bridges.get(name) == bridge for name, bridge in before.bridges.items())
+    kept_too = (
+        merged.functions.get(name) == function for name, function in before.functions.items()
+    )
     if not all(kept) or not all(kept_too):
         raise ConfigurationError("the lines cannot be added by themselves: paste them by hand")
     return text
@@ -93,7 +95,7 @@ def _lines_of(text: str, document: Document, section: str) -> tuple[int, int]:
     lines = text.splitlines()
     start = document.key_place((section,)).line - 1
     firsts = (document.key_place((name,)).line - 1 for name in document.value)
-    end = min((one for one in firsts if one > start), default=len(lines))
+    end = min((number for number in firsts if number > start), default=len(lines))
     while end - 1 > start and (not lines[end - 1].strip() or lines[end - 1].startswith("#")):
         end -= 1
     return start, end

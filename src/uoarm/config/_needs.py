@@ -19,20 +19,20 @@ def need_mistakes(value: object) -> Iterator[tuple[Path, str, str, bool]]:
         if isinstance(function, dict) and not {"components", "needs"} & function.keys():
             hint = "it has no candidates"
             yield ("functions", name), "components or needs is missing", hint, True
-    for name, one in needs(value).items():
+    for name, need in needs(value).items():
         path: Path = ("functions", name, "needs")
-        if not any(key in one for key in _TELLING):
+        if not any(key in need for key in _TELLING):
             yield path, "it does not say what is needed", f"one of {', '.join(_TELLING)}", True
-        if "like" in one and "structure" in one:
+        if "like" in need and "structure" in need:
             yield (*path, "like"), "give either structure or like, not both", "", True
-        if one.get("like") == name:
+        if need.get("like") == name:
             hint = "name another function, or a type of messages"
             yield (*path, "like"), "the function is like itself", hint, False
-        is_service = one.get("role") == "service"
+        is_service = need.get("role") == "service"
         for key in ("request", "reply"):
-            if key in one and not is_service:
+            if key in need and not is_service:
                 yield (*path, key), f"only a service has a {key}", "add role: service", True
-        if is_service and "structure" in one:
+        if is_service and "structure" in need:
             hint = "give request, reply or both"
             yield (*path, "structure"), "a service has no structure of its own", hint, True
 
@@ -40,10 +40,10 @@ def need_mistakes(value: object) -> Iterator[tuple[Path, str, str, bool]]:
 def unknown_frameworks(value: object) -> Iterator[tuple[Path, str]]:
     """Yield what `prefer` and `exclude` name and the file does not have."""
     bridges = bridge_names(value)
-    plugins = {one.get("plugin") for one in bridges.values() if isinstance(one, dict)}
-    for name, one in needs(value).items():
+    plugins = {bridge.get("plugin") for bridge in bridges.values() if isinstance(bridge, dict)}
+    for name, need in needs(value).items():
         for key in ("prefer", "exclude"):
-            for word in _several(one.get(key)):
+            for word in _several(need.get(key)):
                 if word not in bridges and word not in plugins:
                     sentence = f"no bridge is named {clip(word)}, and none has such a plugin"
                     yield ("functions", name, "needs", key), sentence
@@ -51,4 +51,4 @@ def unknown_frameworks(value: object) -> Iterator[tuple[Path, str]]:
 
 def _several(value: Any) -> list[str]:
     written = [value] if isinstance(value, str) else value
-    return [one for one in written if isinstance(one, str)] if isinstance(written, list) else []
+    return [item for item in written if isinstance(item, str)] if isinstance(written, list) else []

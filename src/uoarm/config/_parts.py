@@ -106,9 +106,9 @@ class OfferPart(ComponentPart):
 def offers(value: object) -> Iterator[OfferPart]:
     """Yield every offer, in the order of the file."""
     for bridge, offered in _mapping(_mapping(value).get("offer")).items():
-        for function, one in _mapping(offered).items():
-            if isinstance(one, dict):
-                yield OfferPart(function, ("offer", bridge, function), one, bridge)
+        for function, item in _mapping(offered).items():
+            if isinstance(item, dict):
+                yield OfferPart(function, ("offer", bridge, function), item, bridge)
 
 
 def bridge_names(value: object) -> dict[str, Any]:
@@ -123,8 +123,11 @@ def function_names(value: object) -> dict[str, Any]:
 
 def needs(value: object) -> dict[str, dict[str, Any]]:
     """Return what functions need of discovered components, by function, where it can be told."""
-    told = {name: _mapping(one).get("needs") for name, one in function_names(value).items()}
-    return {name: one for name, one in told.items() if isinstance(one, dict)}
+    reports = {
+        name: _mapping(function_name).get("needs")
+        for name, function_name in function_names(value).items()
+    }
+    return {name: report for name, report in reports.items() if isinstance(report, dict)}
 
 
 def applications(value: object) -> dict[str, list[Any]]:
@@ -140,8 +143,8 @@ def listening(value: object) -> dict[str, Any]:
 
 def components(value: object) -> Iterator[ComponentPart]:
     """Yield every component, in the order of the file."""
-    for function, one in function_names(value).items():
-        listed = _mapping(one).get("components")
+    for function, name in function_names(value).items():
+        listed = _mapping(name).get("components")
         for number, component in enumerate(listed if isinstance(listed, list) else ()):
             if isinstance(component, dict):
                 yield ComponentPart(

@@ -75,8 +75,8 @@ class ShapeChecker:
             yield from map(self._problem, units)
         for error in found:
             for where, sentence, hint, at_key in _mistakes(error, self._speller):
-                told = f"not a JSON Schema: {sentence}"
-                yield self._problem(((*path, *where), told, hint, at_key))
+                message = f"not a JSON Schema: {sentence}"
+                yield self._problem(((*path, *where), message, hint, at_key))
 
     def _problem(self, mistake: Mistake) -> Problem:
         path, sentence, hint, at_key = mistake
@@ -92,12 +92,12 @@ def _unit_mistakes(structure: Any, path: Path) -> Iterator[Mistake]:
     for value, where in waiting:
         if isinstance(value, dict):
             unit = value.get("x-unit")
-            told = unit_mistake(unit) if isinstance(unit, str) else ""
-            if told:
-                yield (*where, "x-unit"), told, "", False
-            waiting.extend((one, (*where, name)) for name, one in value.items())
+            text = unit_mistake(unit) if isinstance(unit, str) else ""
+            if text:
+                yield (*where, "x-unit"), text, "", False
+            waiting.extend((item, (*where, name)) for name, item in value.items())
         elif isinstance(value, list):
-            waiting.extend((one, (*where, number)) for number, one in enumerate(value))
+            waiting.extend((item, (*where, number)) for number, item in enumerate(value))
 
 
 def _validator(
@@ -152,7 +152,7 @@ def _twice(validator: Validator, unique: Any, value: Any, schema: Any) -> Iterat
 def _key(value: object) -> Hashable:
     """Return what is equal where JSON values are; to Python, true is 1."""
     if isinstance(value, dict):
-        return "mapping", frozenset((name, _key(one)) for name, one in value.items())
+        return "mapping", frozenset((name, _key(item)) for name, item in value.items())
     if isinstance(value, list):
         return "list", tuple(map(_key, value))
     return isinstance(value, bool), value
@@ -201,7 +201,7 @@ def _simple_choice(path: Path, value: Any, speller: Speller) -> Mistake:
     """The metaschema's one choice: the name of a type, or a list of such names."""
     wrong = value
     if isinstance(value, list):
-        wrong = next((one for one in value if one not in [*TYPES]), value)
+        wrong = next((item for item in value if item not in [*TYPES]), value)
     sentence = f"expected {any_of(TYPES)}, got {clip(wrong)}"
     return path, sentence, near(wrong, TYPES, speller), False
 

@@ -67,7 +67,9 @@ class Instance:
 
     def remove_receiver(self, port: str, key: Hashable) -> None:
         """Send a receiver nothing more but what is under way, which its channel counts."""
-        self._receive(port, tuple(one for one in self._receivers[port] if one[0] is not key))
+        self._receive(
+            port, tuple(receiver for receiver in self._receivers[port] if receiver[0] is not key)
+        )
 
     def feed(self, endpoint: Endpoint) -> Callable[[Message], None]:
         """Return a function that hands a message to an input and emits what comes back.
@@ -84,8 +86,8 @@ class Instance:
             before = self._receivers
             result = call(message)
             if isinstance(result, Iterator):
-                for one in result:
-                    self._emit(before, write, one)
+                for item in result:
+                    self._emit(before, write, item)
                     before = self._receivers
             elif result is not None:
                 self._emit(before, write, result)
@@ -132,7 +134,9 @@ class Instance:
             function: Callable[[Any], Any] = self._object
             return function
         before = self._target.before_message(endpoint)  # by place, as the message is handed over
-        after = {name: one for name, one in self._parameters.items() if name not in before}
+        after = {
+            name: parameter for name, parameter in self._parameters.items() if name not in before
+        }
         return partial(self._object, *(self._parameters[name] for name in before), **after)
 
     def _awaiting(self, port: Port, handler: Callable[[Any], Any]) -> Callable[[Any], Any]:

@@ -45,10 +45,10 @@ def listed(
         find: imports what an address names; raises BridgeError.
     """
     for entry in entries:
-        told: Mapping[str, Any] = entry if isinstance(entry, Mapping) else {"component": entry}
-        address = (str(told["component"]),)
-        name = str(told.get("name") or address[0].partition(":")[2] or address[0])
-        parameters: Options = told.get("parameters", {})
+        report: Mapping[str, Any] = entry if isinstance(entry, Mapping) else {"component": entry}
+        address = (str(report["component"]),)
+        name = str(report.get("name") or address[0].partition(":")[2] or address[0])
+        parameters: Options = report.get("parameters", {})
         try:
             target = find(address)
             ends = [

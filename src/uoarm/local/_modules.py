@@ -52,7 +52,7 @@ class Modules:
     """
 
     def __init__(self, folders: Sequence[str], code: str = "") -> None:
-        self._folders = tuple(os.path.abspath(one) for one in folders)  # noqa: PTH100 - not resolved
+        self._folders = tuple(os.path.abspath(folder) for folder in folders)  # noqa: PTH100 - not resolved
         version = f"_g{code}_" if code else ""
         self._package = _PREFIX + version + _name_of(self._folders)
         self._is_version = bool(code)
@@ -67,8 +67,8 @@ class Modules:
         plain = cls(folders)
         name = plain._package[len(_PREFIX) :]
         with _lock:
-            living = [one[len(_PREFIX) :] for one in _users]
-        found = [_VERSION.match(one) for one in living if _VERSION.sub("", one, count=1) == name]
+            living = [user[len(_PREFIX) :] for user in _users]
+        found = [_VERSION.match(text) for text in living if _VERSION.sub("", text, count=1) == name]
         return cls(folders, found[-1][1]) if found and found[-1] is not None else plain
 
     def __str__(self) -> str:
@@ -91,7 +91,7 @@ class Modules:
         place = ""
         for frame, line in traceback.walk_tb(error.__traceback__):
             file = PurePath(frame.f_code.co_filename)
-            if any(file.is_relative_to(one) for one in self._folders):
+            if any(file.is_relative_to(folder) for folder in self._folders):
                 place = f" ({file.name}, line {line})"
         return place
 
@@ -105,7 +105,7 @@ class Modules:
                 return
             del _users[self._package]
             within = f"{self._package}."
-            for name in [one for one in sys.modules if one.startswith(within)]:
+            for name in [module for module in sys.modules if module.startswith(within)]:
                 del sys.modules[name]
             sys.modules.pop(self._package, None)
             vars(sys.modules[__name__]).pop(self._package[len(_PREFIX) :], None)
@@ -136,10 +136,10 @@ def _is_own(top: str, folders: Sequence[str], *, is_version: bool) -> bool:
     if is_version:
         return not _INSTALLED & set(PurePath(here).parts)
     # Imported by the program, it imports as the program does: that must reach its folders, too.
-    reached = {os.path.realpath(one) for one in sys.path}
+    reached = {os.path.realpath(name) for name in sys.path}
     return not (
         _INSTALLED & set(PurePath(here).parts)
-        or all(os.path.realpath(one) in reached for one in folders)
+        or all(os.path.realpath(folder) in reached for folder in folders)
     )
 
 
@@ -158,13 +158,13 @@ def _file_of(spec: ModuleSpec | None) -> str | None:
 def _name_of(folders: Sequence[str]) -> str:
     """Write folders as an identifier that can be read back."""
     octets = os.fsencode("\0".join(folders))
-    return re.sub(rb"[^A-Za-z0-9]", lambda one: b"_%02x" % ord(one[0]), octets).decode()
+    return re.sub(rb"[^A-Za-z0-9]", lambda item: b"_%02x" % ord(item[0]), octets).decode()
 
 
 def _folders_of(name: str) -> list[str]:
     written = _VERSION.sub("", name, count=1) if _VERSION.match(name) else name
     octets = re.sub(
-        rb"_([0-9a-f]{2})", lambda one: bytes.fromhex(one[1].decode()), written.encode()
+        rb"_([0-9a-f]{2})", lambda item: bytes.fromhex(item[1].decode()), written.encode()
     )
     return os.fsdecode(octets).split("\0")
 

@@ -32,8 +32,8 @@ def parameter_mistakes(
         given: the values in the configuration.
     """
     found: dict[str, str] = {}
-    takes_all = any(one.kind is one.VAR_KEYWORD for one in accepted.values())
-    named = {one.name for one in accepted.values() if one.kind in _NAMED}
+    takes_all = any(parameter.kind is parameter.VAR_KEYWORD for parameter in accepted.values())
+    named = {parameter.name for parameter in accepted.values() if parameter.kind in _NAMED}
     for name, value in given.items():
         if name in named:
             wrong = _misfit(value, hints.get(name, inspect.Parameter.empty))
@@ -76,9 +76,9 @@ def _misfit(value: object, hint: Any) -> str:
     except HintError:
         return ""
     speller = Speller()
-    told = [
+    reports = [
         f"{'.'.join(map(str, path))}: {sentence}" if path else sentence
         for error in Draft202012Validator(schema).iter_errors(value)
         for path, sentence, _, _ in mistakes(error, speller)
     ]
-    return "; ".join(told)
+    return "; ".join(reports)

@@ -51,7 +51,9 @@ def structure(
     given = {"input": input, "output": output, "request": request, "reply": reply}
 
     def mark(target: F) -> F:
-        setattr(target, _DECLARED, {key: one for key, one in given.items() if one is not None})
+        setattr(
+            target, _DECLARED, {key: value for key, value in given.items() if value is not None}
+        )
         return target
 
     return mark
@@ -93,7 +95,7 @@ class Target:
     def source_name(self) -> str | None:
         """Return the name of the method with which a class is a source; None where it is none."""
         names = ("__iter__", "__aiter__")
-        return next((one for one in names if self.own(one) is not None), None)
+        return next((name for name in names if self.own(name) is not None), None)
 
     def method(self, endpoint: Endpoint) -> Any:
         """Return the callable behind a port, unbound; None for outputs that other methods feed.
@@ -106,8 +108,8 @@ class Target:
         if endpoint.role is Role.OUTPUT:
             found = self.own(self.source_name() or "__call__")
             if found is not None or any(
-                inspect.isfunction(one) and not name.startswith("_")
-                for name, one in inspect.getmembers(self.value)
+                inspect.isfunction(item) and not name.startswith("_")
+                for name, item in inspect.getmembers(self.value)
             ):
                 return found
             text = f"{self.name} has no method that gives messages: __iter__, __call__ or others"
@@ -173,7 +175,7 @@ class Target:
 
     def before_message(self, endpoint: Endpoint) -> tuple[str, ...]:
         """Return the names of the parameters of a function that come before the message's."""
-        names = [one.name for one in self._parameters(self.method(endpoint))]
+        names = [parameter.name for parameter in self._parameters(self.method(endpoint))]
         return tuple(names[: names.index(self.message_parameter(endpoint))])
 
     def parameter_mistakes(self, given: Options) -> dict[str, str]:
@@ -190,8 +192,8 @@ class Target:
             return
         wrong = self.parameter_mistakes(given)
         if wrong:
-            told = "; ".join(f"parameter {name!r}: {what}" for name, what in wrong.items())
-            raise BridgeError(f"{self.name}: {told}", FailureReason.BAD_ENDPOINT)
+            text = "; ".join(f"parameter {name!r}: {what}" for name, what in wrong.items())
+            raise BridgeError(f"{self.name}: {text}", FailureReason.BAD_ENDPOINT)
         if not given:
             self._checked.append(given)
 
@@ -209,7 +211,7 @@ class Target:
     ) -> tuple[dict[str, inspect.Parameter], dict[str, Any], str | None]:
         """Return the parameters of a component, their hints, and which takes messages, if one."""
         try:
-            accepted = {one.name: one for one in self._parameters(self.value)}
+            accepted = {parameter.name: parameter for parameter in self._parameters(self.value)}
         except ValueError:  # what is written in C may have no signature
             return {"_": inspect.Parameter("_", inspect.Parameter.VAR_KEYWORD)}, {}, None
         if self.is_class:
@@ -220,7 +222,7 @@ class Target:
 
     def own(self, name: str) -> Any:
         """Return an attribute of the class, not of its metaclass, where `__call__` always is."""
-        if any(name in vars(one) for one in self.value.__mro__):
+        if any(name in vars(item) for item in self.value.__mro__):
             return getattr(self.value, name, None)
         return None
 
@@ -252,11 +254,14 @@ class Target:
 
     def first_unfilled(self, method: Any, given: Options) -> str | None:
         """Return the name of the parameter that takes the message: the first that nothing fills."""
-        for one in self._parameters(method)[1 if self.is_class else 0 :]:
-            positional = one.kind in {one.POSITIONAL_ONLY, one.POSITIONAL_OR_KEYWORD}
-            is_free = self.is_class or one.name not in given
-            if positional and one.default is one.empty and is_free:
-                return one.name
+        for parameter in self._parameters(method)[1 if self.is_class else 0 :]:
+            positional = parameter.kind in {
+                parameter.POSITIONAL_ONLY,
+                parameter.POSITIONAL_OR_KEYWORD,
+            }
+            is_free = self.is_class or parameter.name not in given
+            if positional and parameter.default is parameter.empty and is_free:
+                return parameter.name
         return None
 
     def _parameters(self, method: Any) -> list[inspect.Parameter]:
@@ -270,12 +275,12 @@ class Target:
     def _type_hints(self, method: Any) -> dict[str, Any]:
         """Return the hints of a callable, also of one whose class says how it is called."""
         has_own = inspect.isroutine(method) or inspect.isclass(method)
-        told = method if has_own else type(method).__call__
-        if not inspect.isfunction(told):
-            return get_type_hints(told, include_extras=True)
-        found = self._hints_of.get(told)
+        report = method if has_own else type(method).__call__
+        if not inspect.isfunction(report):
+            return get_type_hints(report, include_extras=True)
+        found = self._hints_of.get(report)
         if found is None:
-            found = self._hints_of[told] = get_type_hints(told, include_extras=True)
+            found = self._hints_of[report] = get_type_hints(report, include_extras=True)
         return found
 
     def hints(self, method: Any) -> dict[str, Any]:
@@ -385,9 +390,9 @@ def address_mistake(address: Sequence[str]) -> str:
     module, colon, attribute = name.partition(":")
     if colon and module.strip() and attribute.strip():
         return ""
-    told = f"expected one string 'module:attribute', got {list(address)}"
+    text = f"expected one string 'module:attribute', got {list(address)}"
     module, dot, attribute = name.rpartition(".")
-    return f"{told}; did you mean '{module}:{attribute}'?" if dot and not colon else told
+    return f"{text}; did you mean '{module}:{attribute}'?" if dot and not colon else text
 
 
 def find(address: Sequence[str], modules: Modules) -> Target:
@@ -440,10 +445,10 @@ def _return_hint(hints: Mapping[str, Any], role: Role) -> Any:
         hint = get_args(hint)[0]
     others = {Emit} if role is Role.SERVICE else {Emit, type(None)}
     if get_origin(hint) in {Union, UnionType}:
-        messages = tuple(one for one in get_args(hint) if one not in others)
+        messages = tuple(argument for argument in get_args(hint) if argument not in others)
         return Union[messages] if messages else _NOTHING  # noqa: UP007 - of as many as there are
     # Not `in`: one annotated with a dict has no hash.
-    return _NOTHING if any(hint is one for one in others) else hint
+    return _NOTHING if any(hint is item for item in others) else hint
 
 
 def _import(name: str, modules: Modules) -> Any:
@@ -462,6 +467,6 @@ def _import(name: str, modules: Modules) -> Any:
     except UoarmError:
         raise
     except Exception as error:
-        told = written_name(text_of(error))
-        text = f"importing module {name!r} failed: {told}{modules.place_of(error)}"
+        message = written_name(text_of(error))
+        text = f"importing module {name!r} failed: {message}{modules.place_of(error)}"
         raise BridgeError(text, FailureReason.RAISED) from error

@@ -38,10 +38,13 @@ class FunctionStatus:
     def __str__(self) -> str:
         state = "cannot be had" if self.provider is None else f"from {self.provider}"
         lines = [f"{self.name}  {state}"]
-        for one in self.candidates:
-            mark = "*" if one.component == self.provider else " "
-            told = one.cause or "available"
-            lines.append(f"  {mark} {one.priority:>4}  {one.component}  ({one.bridge})  {told}")
-        if self.provider is None and not any(one.cause for one in self.candidates):
+        for candidate in self.candidates:
+            mark = "*" if candidate.component == self.provider else " "
+            text = candidate.cause or "available"
+            lines.append(
+                f"  {mark} {candidate.priority:>4}  {candidate.component}"
+                f"  ({candidate.bridge})  {text}"
+            )
+        if self.provider is None and not any(candidate.cause for candidate in self.candidates):
             lines.append(f"  {self.cause}")
         return "\n".join(lines)

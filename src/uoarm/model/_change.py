@@ -75,5 +75,5 @@ class ConfigurationChange:
         state += " and kept" if self.is_kept else ""
         lines = [f"revision {self.revision}, {state}"]
         lines += [f"  {line}" for line in self.differences] or ["  nothing is different"]
-        lines += [f"  connection {one}" for one in self.connections]
+        lines += [f"  connection {connection}" for connection in self.connections]
         return "\n".join(lines)

@@ -186,11 +186,11 @@ class StopReport:
     @property
     def stopped(self) -> bool:
         """Whether every one of them has stopped."""
-        return all(one.stopped for one in self.inputs)
+        return all(input_.stopped for input_ in self.inputs)
 
     def __str__(self) -> str:
         held = f"commands have been refused for {self.since:.3f} s"
-        lines = [held, *(str(one) for one in self.inputs or ("nothing open moves",))]
+        lines = [held, *(str(input_) for input_ in self.inputs or ("nothing open moves",))]
         if self.unkept:
             lines.append(f"NOT STOPPED AFTER A RESTART  {self.unkept}")
         return "\n".join(lines)

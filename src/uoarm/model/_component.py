@@ -213,9 +213,9 @@ class Component:
         Raises:
             KeyError: there is none.
         """
-        for one in self.inputs:
-            if one.name == port:
-                return one
+        for input_ in self.inputs:
+            if input_.name == port:
+                return input_
         raise KeyError(port)
 
     @property

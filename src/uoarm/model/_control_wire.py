@@ -51,7 +51,7 @@ def read_control(
         type=_type(parsed),
         jsonMessage=parsed.get("jsonMessage"),
         id=_id(parsed),
-        extensions={name: one for name, one in parsed.items() if name.startswith(_EXTENSION)},
+        extensions={name: value for name, value in parsed.items() if name.startswith(_EXTENSION)},
     )
 
 
@@ -132,9 +132,9 @@ def _check_values(parsed: Mapping[str, Any]) -> None:
                 if not isinstance(name, str):
                     raise ControlMessageError(f"expected names to be strings, got {_show(name)}")
                 waiting.append((name, depth))
-            waiting.extend((one, depth + 1) for one in value.values())
+            waiting.extend((item, depth + 1) for item in value.values())
         else:
-            waiting.extend((one, depth + 1) for one in value)
+            waiting.extend((item, depth + 1) for item in value)
 
 
 def _op(data: Mapping[str, Any]) -> Op:
@@ -151,7 +151,7 @@ def _op(data: Mapping[str, Any]) -> Op:
 
 def _type(data: Mapping[str, Any]) -> str | tuple[str, ...]:
     kind = data.get("type", "")
-    if isinstance(kind, list | tuple) and all(isinstance(one, str) for one in kind):
+    if isinstance(kind, list | tuple) and all(isinstance(item, str) for item in kind):
         return tuple(kind)
     if not isinstance(kind, str):
         raise ControlMessageError(

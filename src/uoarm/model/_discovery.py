@@ -42,14 +42,14 @@ class FoundPort:
 
     def __str__(self) -> str:
         one = self.endpoint
-        told = f"{one.role.value:<7} {', '.join(one.address)}"
+        text = f"{one.role.value:<7} {', '.join(one.address)}"
         if one.parameters:
-            told += f"  {json.dumps(to_json(one.parameters))}"
+            text += f"  {json.dumps(to_json(one.parameters))}"
         if self.message is None and self.request is None:
-            told += "  (structure unknown)"
+            text += "  (structure unknown)"
         if self.rate is not None:
-            told += f"  {self.rate:.3g} a second" + ("" if self.is_measured else ", as stated")
-        return told + (f"  used by {', '.join(self.used_by)}" if self.used_by else "")
+            text += f"  {self.rate:.3g} a second" + ("" if self.is_measured else ", as stated")
+        return text + (f"  used by {', '.join(self.used_by)}" if self.used_by else "")
 
 
 @frozen
@@ -92,12 +92,12 @@ class BridgeFindings:
         s = "" if len(self.components) == 1 else "s"
         lines = [f"{self.bridge}  {len(self.components)} component{s}"]
         said: dict[str, str] = {}
-        for one in self.components:
-            detail = one.detail
-            if len(detail) > _ONCE and said.setdefault(detail, one.name) != one.name:
+        for component in self.components:
+            detail = component.detail
+            if len(detail) > _ONCE and said.setdefault(detail, component.name) != component.name:
                 detail = f"the same as {said[detail]}"
-            lines.append(f"  {one.name}" + (f"  ({detail})" if detail else ""))
-            lines += [f"    {port}" for port in one.ports]
+            lines.append(f"  {component.name}" + (f"  ({detail})" if detail else ""))
+            lines += [f"    {port}" for port in component.ports]
         if self.left_out:
             lines.append(f"  and {self.left_out:,} ports more, beyond the limit")
         return "\n".join(lines)

@@ -17,7 +17,7 @@ __all__ = ["scan_json"]
 
 _STRING = re.compile(r'"[^"]*(?:"|\Z)')
 _BRACKETS = bytes.maketrans(b"[{]}", b"\x01\x01\xff\xff")
-_OTHERS = bytes(one for one in range(256) if one not in b"[{]}")
+_OTHERS = bytes(index for index in range(256) if index not in b"[{]}")
 
 
 def scan_json(text: str, spending: Spending) -> None:

@@ -86,7 +86,7 @@ class Offer:
     @property
     def endpoints(self) -> tuple[Endpoint, ...]:
         """Where the bridge opens it."""
-        ports = (one.endpoint for one in (*self.outputs, *self.inputs))
+        ports = (output.endpoint for output in (*self.outputs, *self.inputs))
         return (*ports, *(() if self.service is None else (self.service.endpoint,)))
 
 

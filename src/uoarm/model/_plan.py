@@ -126,7 +126,7 @@ class Plan:
             if edge.strict:
                 lines.append("      strict: both sides state what every number means")
             if edge.unstated:
-                shown = [one or "the whole message" for one in edge.unstated[:_MAX_PATHS]]
+                shown = [name or "the whole message" for name in edge.unstated[:_MAX_PATHS]]
                 more = len(edge.unstated) - len(shown)
                 rest = f" and {more} more" if more else ""
                 lines.append(f"      rests on shape alone: {', '.join(shown)}{rest}")
@@ -137,7 +137,7 @@ class Plan:
         return "\n".join(lines)
 
     def __repr__(self) -> str:
-        return f"<Plan {self.function}: {' -> '.join(one.component.name for one in self.steps)}>"
+        return f"<Plan {self.function}: {' -> '.join(step.component.name for step in self.steps)}>"
 
 
 def tell_rejections(rejections: tuple[Rejection, ...]) -> str:
@@ -152,7 +152,7 @@ def tell_rejections(rejections: tuple[Rejection, ...]) -> str:
         lines.append(f"{indent}{rejection.function}: {rejection.component} ({how})")
         for reason in rejection.reasons:
             lines.extend(f"{indent}  {line}" for line in tell_reason(reason))
-        stack.extend((one, depth + 2) for one in reversed(rejection.because_of))
+        stack.extend((item, depth + 2) for item in reversed(rejection.because_of))
     if stack:
         lines.append(f"  ... and {len(stack)} more")
     return "\n".join(lines) or "  it has no candidates"

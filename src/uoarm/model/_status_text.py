@@ -48,7 +48,7 @@ def tell_status(status: Mapping[str, Any], width: int | None = None) -> str:
     )
     for name, columns in _COLUMNS.items():
         found = _OF_CHANNELS[name](status) if name in _OF_CHANNELS else status.get(name, ())
-        rows = [[_shown(one.get(column), column) for column in columns] for one in found]
+        rows = [[_shown(item.get(column), column) for column in columns] for item in found]
         if name in _OFTEN_NONE and not rows:
             continue
         lines.append(f"{name}: {len(rows) or 'none'}")
@@ -62,18 +62,18 @@ def _commands(status: Mapping[str, Any]) -> list[Mapping[str, Any]]:
     return [
         {
             "component": f"{component['name']}.{channel['port'].partition('.')[2]}",
-            "phase": told["phase"],
-            "for": _seconds(told["since"]),
-            "left": _seconds(told["left"]),
+            "phase": report["phase"],
+            "for": _seconds(report["since"]),
+            "left": _seconds(report["left"]),
             "lifetime": _seconds(channel.get("lifetime")),
             "lease": _lease(channel.get("lease")),
             "limits": "; ".join(map(_limit, channel.get("limits", ()))),
-            "refused": told["dropped"],
-            "cause": told["cause"],
+            "refused": report["dropped"],
+            "cause": report["cause"],
         }
         for component in status.get("components", ())
         for channel in component.get("channels", ())
-        if (told := channel.get("command"))
+        if (report := channel.get("command"))
     ]
 
 
@@ -95,8 +95,8 @@ def _seconds(value: float | None) -> str:
 def _limit(limit: Mapping[str, Any]) -> str:
     """Return the limits of one number, as `linear.x at least -0.5, at most 0.5, 1 in a second`."""
     words = {"minimum": "at least {:g}", "maximum": "at most {:g}", "rate": "{:g} in a second"}
-    told = (text.format(limit[key]) for key, text in words.items() if limit[key] is not None)
-    return f"{limit['path']} {', '.join(told)}"
+    report = (text.format(limit[key]) for key, text in words.items() if limit[key] is not None)
+    return f"{limit['path']} {', '.join(report)}"
 
 
 def _channels(status: Mapping[str, Any]) -> list[Mapping[str, Any]]:
@@ -126,10 +126,10 @@ def _table(columns: Sequence[str], rows: Sequence[Sequence[str]], width: int | N
 
 def _record(columns: Sequence[str], row: Sequence[str], width: int) -> Iterator[str]:
     """Yield a row as lines: its first cell, and what else it has with the names of the columns."""
-    told = ", ".join(
+    message = ", ".join(
         f"{name} {cell}" for name, cell in zip(columns[1:], row[1:], strict=True) if cell
     )
-    for text, indent in ((row[0], "  "), (told, "    ")):
+    for text, indent in ((row[0], "  "), (message, "    ")):
         wrap = partial(textwrap.wrap, initial_indent=indent, break_on_hyphens=False)
         yield from wrap(text, width, subsequent_indent=f"{indent}  ")
 
@@ -142,7 +142,7 @@ def _shown(value: object, column: str) -> str:
     if isinstance(value, float):
         return f"{1000 * value:.3f} ms" if column.startswith("clock_") else f"{value:.1f}"
     if isinstance(value, list | tuple):
-        return ", ".join(f"{one} {_fact(other)}" for one, other in value)
+        return ", ".join(f"{item} {_fact(other)}" for item, other in value)
     return "" if value is None else str(value)
 
 

@@ -48,9 +48,9 @@ def from_json(data: Any, kind: type[T]) -> T:
     try:
         return _converter().structure(data, kind)
     except cattrs.BaseValidationError as error:
-        told = cattrs.transform_error(error, format_exception=_say)
-        more = f"; and {len(told) - _SHOWN} more" if len(told) > _SHOWN else ""
-        raise ValueError(f"{kind.__name__}: {'; '.join(told[:_SHOWN])}{more}") from error
+        reports = cattrs.transform_error(error, format_exception=_say)
+        more = f"; and {len(reports) - _SHOWN} more" if len(reports) > _SHOWN else ""
+        raise ValueError(f"{kind.__name__}: {'; '.join(reports[:_SHOWN])}{more}") from error
     except (AttributeError, TypeError, ValueError) as error:
         raise ValueError(f"{kind.__name__}: {_say(error, kind)}") from error
 
@@ -61,7 +61,7 @@ def _plain(value: Any, causes: int) -> Any:
     if kind in _LEAVES:
         return value
     if kind is dict:
-        return {str(key): _plain(one, causes) for key, one in value.items()}
+        return {str(key): _plain(item, causes) for key, item in value.items()}
     if isinstance(value, Enum):
         return value.value
     if isinstance(value, MessageStructure):
@@ -74,16 +74,16 @@ def _plain(value: Any, causes: int) -> Any:
     if names is not None:
         return {name: _plain(getattr(value, name), causes) for name in names}
     if isinstance(value, Mapping):
-        return {str(key): _plain(one, causes) for key, one in value.items()}
+        return {str(key): _plain(item, causes) for key, item in value.items()}
     if isinstance(value, list | tuple | set | frozenset):
-        return [_plain(one, causes) for one in value]
+        return [_plain(item, causes) for item in value]
     return value
 
 
 @lru_cache(maxsize=256)
 def _field_names(kind: type) -> tuple[str, ...] | None:
     """Return the names of an attrs class' fields, None for any other class."""
-    return tuple(one.name for one in attrs.fields(kind)) if attrs.has(kind) else None
+    return tuple(field.name for field in attrs.fields(kind)) if attrs.has(kind) else None
 
 
 @cache
@@ -123,7 +123,7 @@ def _number(data: Any) -> int | float:
 
 
 def _texts(data: Any) -> list[str]:
-    if not isinstance(data, list) or not all(isinstance(one, str) for one in data):
+    if not isinstance(data, list) or not all(isinstance(item, str) for item in data):
         raise TypeError("expected a string or a list of strings")
     return data
 
@@ -149,7 +149,7 @@ def _is_deeper(data: Any, limit: int) -> bool:
             if depth > limit:
                 return True
             inner = value.values() if isinstance(value, Mapping) else value
-            waiting.extend((one, depth + 1) for one in inner)
+            waiting.extend((item, depth + 1) for item in inner)
     return False
 
 

@@ -154,8 +154,8 @@ def _short_collections() -> Iterator[None]:
 async def _until_signal(server: Server, ready: Callable[[Server], None] | None) -> None:
     loop = asyncio.get_running_loop()
     stop = asyncio.Event()
-    for one in _SIGNALS:
-        loop.add_signal_handler(one, stop.set)
+    for signals in _SIGNALS:
+        loop.add_signal_handler(signals, stop.set)
     default_in_children(_SIGNALS)
     await server.start()
     try:

@@ -29,7 +29,7 @@ def default_limits(seconds: float, *, closing: bool = True) -> Iterator[None]:
         for name, method in inspect.getmembers(owner, inspect.isfunction)
         if closing or name != "close"
     )
-    found = [(one, one["timeout"]) for one in methods if isinstance(one.get("timeout"), float)]
+    found = [(item, item["timeout"]) for item in methods if isinstance(item.get("timeout"), float)]
     for defaults, _ in found:
         defaults["timeout"] = seconds
     try:

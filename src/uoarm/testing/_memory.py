@@ -189,7 +189,10 @@ class MemoryBridge(Bridge):
 
     def _discover(self) -> tuple[Discovered, ...]:
         return tuple(
-            Discovered(name, tuple((one, self._describe(one)) for one in self._endpoints(name)))
+            Discovered(
+                name,
+                tuple((endpoint, self._describe(endpoint)) for endpoint in self._endpoints(name)),
+            )
             for name in self._components
         )
 
@@ -197,7 +200,11 @@ class MemoryBridge(Bridge):
         self._components.clear()
 
     def _channels(self) -> tuple[Channel, ...]:
-        ports = (one for one in self._components.values() if not isinstance(one, Service))
+        ports = (
+            component
+            for component in self._components.values()
+            if not isinstance(component, Service)
+        )
         return tuple(channel for port in ports for channel in port.channels())
 
     def _require_link(self) -> None:

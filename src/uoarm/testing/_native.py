@@ -64,7 +64,7 @@ def _to_row(fields: Mapping[str, object], names: Sequence[str]) -> tuple[object,
 def _from_row(row: Any, names: Sequence[str]) -> dict[str, Any]:
     if len(row) != len(names):
         raise ValueError(f"a row of {len(row)} values for {len(names)} fields")
-    return {name: one for name, one in zip(names, row, strict=True) if one is not _ABSENT}
+    return {name: item for name, item in zip(names, row, strict=True) if item is not _ABSENT}
 
 
 def _to_pairs(fields: Mapping[str, object], names: Sequence[str]) -> tuple[object, ...]:
@@ -72,7 +72,7 @@ def _to_pairs(fields: Mapping[str, object], names: Sequence[str]) -> tuple[objec
 
 
 def _from_pairs(pairs: Any, names: Sequence[str]) -> dict[str, Any]:
-    found = {str(name): one for name, one in pairs}
+    found = {str(name): item for name, item in pairs}
     unknown = found.keys() - set(names)
     if unknown:
         raise ValueError(f"unknown fields {sorted(unknown)}")
@@ -139,7 +139,7 @@ def _scalar(kind: str) -> Codec:
 
 
 def _array(schema: Mapping[str, Any], dialect: Dialect) -> Codec:
-    first = [_codec(one, dialect) for one in schema.get("prefixItems", ())]
+    first = [_codec(prefix_item, dialect) for prefix_item in schema.get("prefixItems", ())]
     rest = _codec(schema.get("items", True), dialect)
     closed = schema.get("items") is False
 
@@ -147,8 +147,8 @@ def _array(schema: Mapping[str, Any], dialect: Dialect) -> Codec:
         if isinstance(items, (str, bytes, Mapping)):
             raise TypeError(f"{items!r:.40} is no array")
         found = [
-            convert(first[index] if index < len(first) else rest, one)
-            for index, one in enumerate(items)
+            convert(first[index] if index < len(first) else rest, element)
+            for index, element in enumerate(items)
         ]
         if len(found) < len(first) or (closed and len(found) > len(first)):
             raise ValueError(f"{len(found)} items instead of {len(first)}")
@@ -162,7 +162,7 @@ def _array(schema: Mapping[str, Any], dialect: Dialect) -> Codec:
 
 def _record(schema: Mapping[str, Any], dialect: Dialect) -> Codec:
     fields = {
-        name: _codec(one, dialect) for name, one in sorted(schema.get("properties", {}).items())
+        name: _codec(item, dialect) for name, item in sorted(schema.get("properties", {}).items())
     }
     names, required = tuple(fields), frozenset(schema.get("required", ()))
 
@@ -173,12 +173,12 @@ def _record(schema: Mapping[str, Any], dialect: Dialect) -> Codec:
         return message
 
     def write(message: Mapping[str, Any]) -> tuple[object, ...]:
-        native = {name: fields[name].write(one) for name, one in known(message).items()}
+        native = {name: fields[name].write(value) for name, value in known(message).items()}
         return dialect.write_record(native, names)
 
     def read(native: Any) -> dict[str, Any]:
         found = known(dialect.read_record(native, names))
-        return {name: fields[name].read(one) for name, one in found.items()}
+        return {name: fields[name].read(value) for name, value in found.items()}
 
     return Codec(write, read)
 
@@ -190,21 +190,21 @@ def _tagged(dialect: Dialect) -> Codec:
         if depth > _MAX_DEPTH:
             raise ValueError(f"nested deeper than {_MAX_DEPTH}")
         if isinstance(value, Mapping):
-            return "map", tuple((str(key), write(one, depth + 1)) for key, one in value.items())
+            return "map", tuple((str(key), write(item, depth + 1)) for key, item in value.items())
         if isinstance(value, int) and not isinstance(value, bool):
             return "integer", dialect.write_integer(value)
         if isinstance(value, (bytes, bytearray, memoryview)):
             return "octets", bytes(value)
         if value is None or isinstance(value, (bool, float, str)):
             return "plain", value
-        return "array", tuple(write(one, depth + 1) for one in value)
+        return "array", tuple(write(item, depth + 1) for item in value)
 
     def read(native: Any) -> Any:
         tag, value = native
         if tag == "map":
-            return {key: read(one) for key, one in value}
+            return {key: read(item) for key, item in value}
         if tag == "array":
-            return [read(one) for one in value]
+            return [read(item) for item in value]
         return dialect.read_integer(value) if tag == "integer" else value
 
     return Codec(write, read)

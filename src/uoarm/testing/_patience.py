@@ -64,7 +64,7 @@ def _sample() -> float:
     for _ in range(3):
         begin = time.perf_counter()
         sum(range(_SAMPLE_COUNT))
-        sum(one & 1 for one in range(_SAMPLE_COUNT))
+        sum(index & 1 for index in range(_SAMPLE_COUNT))
         times.append(time.perf_counter() - begin)
     return min(times) / _SAMPLE_SECONDS
 

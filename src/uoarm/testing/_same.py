@@ -13,13 +13,13 @@ __all__ = ["plain", "same"]
 def plain(value: Any) -> Any:
     """Return the same message with lists in the place of buffers and arrays."""
     if isinstance(value, Mapping):
-        return {key: plain(each) for key, each in value.items()}
+        return {key: plain(item) for key, item in value.items()}
     if isinstance(value, (bytes, bytearray)):
         return list(value)
     if isinstance(value, (memoryview, array)) or hasattr(value, "__array__"):
         return value.tolist()
     if isinstance(value, (list, tuple)):
-        return [plain(each) for each in value]
+        return [plain(item) for item in value]
     return value
 
 

@@ -111,8 +111,8 @@ def read_schema(topic: str, payload: bytes, budget: Budget) -> Any:
         for schema in found.values() if is_service else [found]:
             Draft202012Validator.check_schema(schema)
     except (MessageError, SchemaError) as error:
-        told = error.message if isinstance(error, SchemaError) else error
-        text = f"what is retained on {topic} is no JSON Schema: {told}"
+        report = error.message if isinstance(error, SchemaError) else error
+        text = f"what is retained on {topic} is no JSON Schema: {report}"
         raise BridgeError(text, FailureReason.BAD_MESSAGE) from error
     return found
 

@@ -67,19 +67,21 @@ class Subscriptions:
         self._filters: dict[int, str] = {}
 
     def __iter__(self) -> Iterator[Receiver]:
-        return iter([one for several in self._receivers.values() for one in several])
+        return iter([receiver for several in self._receivers.values() for receiver in several])
 
     def add(self, receiver: Receiver) -> int:
         """Add a receiver, or give it a new identifier; return the QoS to be subscribed with."""
         receiver.id = next(self._ids)
         self._filters[receiver.id] = receiver.topic
-        known = [one for one, topic in self._filters.items() if topic == receiver.topic]
+        known = [
+            filter__name for filter__name, topic in self._filters.items() if topic == receiver.topic
+        ]
         for old in known[:-_KEPT_IDS]:
             del self._filters[old]
         several = self._receivers.setdefault(receiver.topic, [])
         if receiver not in several:
             several.append(receiver)
-        return max(one.qos for one in several)
+        return max(item.qos for item in several)
 
     def remove(self, receiver: Receiver) -> bool:
         """Remove a receiver; return whether its filter is to be unsubscribed from."""
@@ -97,12 +99,16 @@ class Subscriptions:
         """Return who gets a message."""
         ids = set(getattr(message.properties, "SubscriptionIdentifier", ()))
         if ids:
-            topics = {self._filters[one] for one in ids if one in self._filters}
+            topics = {self._filters[id_] for id_ in ids if id_ in self._filters}
         else:  # the broker has no identifiers
-            topics = {one for one in self._receivers if _matches(one, message.topic)}
-        found = [one for topic in topics for one in self._receivers.get(topic, ())]
+            topics = {receiver for receiver in self._receivers if _matches(receiver, message.topic)}
+        found = [receiver for topic in topics for receiver in self._receivers.get(topic, ())]
         if message.retain:
-            return [one for one in found if one.retained and (one.id in ids or not ids)]
+            return [
+                receiver
+                for receiver in found
+                if receiver.retained and (receiver.id in ids or not ids)
+            ]
         return found
 
 

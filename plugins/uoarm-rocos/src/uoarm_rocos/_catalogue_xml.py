@@ -95,13 +95,13 @@ def _write_api(api: Api) -> str:
     if not NAME.fullmatch(api.name):
         raise WireError(f"{api.name[:40]!r} is no name of the profile")
     period = "" if api.period is None else f' period="{real(api.period)}"'
-    told = f"<text>{text(api.text)}</text>" if api.text else ""
+    message = f"<text>{text(api.text)}</text>" if api.text else ""
     sides = "".join(
         f"<{side}>{write_fields(fields)}</{side}>"
         for side, fields in (("input", api.input), ("output", api.output))
         if fields
     )
-    return f'<api name="{api.name}" kind="{api.kind.value}"{period}>{told}{sides}</api>'
+    return f'<api name="{api.name}" kind="{api.kind.value}"{period}>{message}{sides}</api>'
 
 
 def _read_api(element: ET.Element) -> Api:

@@ -91,8 +91,8 @@ def _record(title: str, fields: Fields) -> type[Record]:
         if struct is not None:
             inner[name] = _record(f"{title}.{spelt[0].upper()}{spelt[1:]}", struct.members)
     attributes: dict[str, Any] = {
-        spelling[name]: attrs.field(kw_only=True, default=attrs.NOTHING if one.required else None)
-        for name, one in fields.items()
+        spelling[name]: attrs.field(kw_only=True, default=attrs.NOTHING if field.required else None)
+        for name, field in fields.items()
     }
     body: dict[str, Any] = {part.__name__: part for part in inner.values()}
     body.update(

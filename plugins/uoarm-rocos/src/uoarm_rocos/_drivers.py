@@ -59,6 +59,6 @@ def make_device(settings: DeviceSettings, wire: MakeWire, changed: Changed) -> D
     transport = transport_for(settings.url, settings.line)
     if settings.driver == "and-ua767pbt":
         return Monitor(settings.name, transport, settings.timing, changed)
-    told, period, decoder = _OXIMETERS[settings.driver]
-    catalogue = oximeter_catalogue(told, period)
+    text, period, decoder = _OXIMETERS[settings.driver]
+    catalogue = oximeter_catalogue(text, period)
     return StreamDevice(settings.name, catalogue, decoder, transport, settings.timing)

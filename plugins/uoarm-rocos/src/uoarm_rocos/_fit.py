@@ -92,7 +92,7 @@ def _number(kind: NumberField, value: Any, where: str) -> float:
     low = kind.minimum is not None and number < kind.minimum
     high = kind.maximum is not None and number > kind.maximum
     if low or high:
-        bounds = ("any" if one is None else f"{one:g}" for one in (kind.minimum, kind.maximum))
+        bounds = ("any" if item is None else f"{item:g}" for item in (kind.minimum, kind.maximum))
         raise _wrong(where, " to ".join(bounds), value)
     return number
 

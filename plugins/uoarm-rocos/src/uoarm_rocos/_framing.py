@@ -99,7 +99,7 @@ class StuffedFramer:
     def frame(self, message: bytes) -> bytes:
         """Return the octets to send for a message."""
         plain = message + zlib.crc32(message).to_bytes(_CRC, "big")
-        stuffed = _STUFFED.sub(lambda one: bytes([_ESCAPE, one[0][0] ^ 0x20]), plain)
+        stuffed = _STUFFED.sub(lambda item: bytes([_ESCAPE, item[0][0] ^ 0x20]), plain)
         return _FLAG + stuffed + _FLAG
 
     def feed(self, data: bytes) -> list[bytes]:

@@ -229,7 +229,7 @@ class ProfileDevice(Device):
         now = self._known.apis.get(api.name) if self._known else None
         if now is api or now == api:
             return
-        both = [Catalogue("", {api.name: one} if one else {}) for one in (api, now)]
+        both = [Catalogue("", {api.name: item} if item else {}) for item in (api, now)]
         found = differences(*both).get(api.name)
         if found:
             text = f"{self.name} has another catalogue than the one that was checked: {found}"

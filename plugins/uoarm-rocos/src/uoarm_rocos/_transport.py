@@ -136,11 +136,11 @@ class TcpTransport(Transport):
 
     def close(self) -> None:
         """Close the connection; a `write` under way ends."""
-        for one in (self._reader, self._writer):
-            if one is not None:
+        for item in (self._reader, self._writer):
+            if item is not None:
                 with suppress(OSError):  # the other side was quicker
-                    one.shutdown(socket.SHUT_RDWR)
-                one.close()
+                    item.shutdown(socket.SHUT_RDWR)
+                item.close()
 
 
 class SerialTransport(Transport):

@@ -192,10 +192,12 @@ def _write(name: str, value: Any, path: str, depth: int) -> str:
     if isinstance(value, bytes | bytearray | memoryview):
         return f"<octets{name}>{base64.b64encode(value).decode()}</octets>"
     if isinstance(value, Mapping):
-        inner = "".join([_named(key, one, path, depth + 1) for key, one in value.items()])
+        inner = "".join([_named(key, item, path, depth + 1) for key, item in value.items()])
         return f"<struct{name}>{inner}</struct>"
     if isinstance(value, list | tuple):
-        inner = "".join([_write("", one, f"{path}[{n}]", depth + 1) for n, one in enumerate(value)])
+        inner = "".join(
+            [_write("", item, f"{path}[{n}]", depth + 1) for n, item in enumerate(value)]
+        )
         return f"<list{name}>{inner}</list>"
     raise WireError(f"{path}: a {type(value).__name__} cannot be sent: {str(value)[:_SHOWN]}")
 
@@ -255,6 +257,6 @@ def _attributes(element: ET.Element, names: set[str]) -> None:
 
 def _no_text(parent: ET.Element) -> None:
     stray = [parent.text, *(element.tail for element in parent)]
-    for one in stray:
-        if one and one.strip(" \t\r\n"):
-            raise WireError(f"<{parent.tag[:_SHOWN]}>: text between elements: {one[:_SHOWN]!r}")
+    for name in stray:
+        if name and name.strip(" \t\r\n"):
+            raise WireError(f"<{parent.tag[:_SHOWN]}>: text between elements: {name[:_SHOWN]!r}")

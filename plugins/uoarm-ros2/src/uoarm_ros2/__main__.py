@@ -87,7 +87,7 @@ def _build(given: argparse.Namespace) -> int:
         sys.stderr.flush()
 
     built = build_wheels(given.folder, given.output, tell)
-    return _print(given, [str(each) for each in built], lambda paths: paths)
+    return _print(given, [str(path) for path in built], lambda paths: paths)
 
 
 def _show(given: argparse.Namespace) -> int:
@@ -101,7 +101,7 @@ def _show(given: argparse.Namespace) -> int:
         if given.command == "types":
             return _print(given, commands.types(bridge), _type_lines)
         found = commands.structure(bridge, given.name, given.type)
-        return _print(given, found, lambda each: [json.dumps(each, indent=2)])
+        return _print(given, found, lambda item: [json.dumps(item, indent=2)])
 
 
 def _print(given: argparse.Namespace, found: Any, lines: Any) -> int:
@@ -112,14 +112,14 @@ def _print(given: argparse.Namespace, found: Any, lines: Any) -> int:
 
 
 def _node_lines(rows: list[Any]) -> Iterable[str]:
-    told: dict[str, str] = {}
+    reports: dict[str, str] = {}
     for row in rows:
         yield row["node"]
-        for each in row["endpoints"]:
-            unknown = "" if each["known"] else "  (structure unknown)"
-            yield f"  {each['role']:8}{each['name']}  {each['type']}{unknown}"
+        for endpoint in row["endpoints"]:
+            unknown = "" if endpoint["known"] else "  (structure unknown)"
+            yield f"  {endpoint['role']:8}{endpoint['name']}  {endpoint['type']}{unknown}"
         if "missing" in row:
-            first = told.setdefault(row["missing"], row["node"])
+            first = reports.setdefault(row["missing"], row["node"])
             yield f"  {row['missing'] if first == row['node'] else f'the same as {first}'}"
 
 

@@ -76,7 +76,7 @@ class Action:
         self._station = station
         self._client = station.action_client(import_type(type_name), name)
         self._was_ready = False
-        services = (f"{name}/_action/{each}" for each in ("send_goal", "get_result"))
+        services = (f"{name}/_action/{text}" for text in ("send_goal", "get_result"))
         self.agreement = Agreement(station, f"action {name}", services)
         self._disagreement = ""
 
@@ -186,7 +186,9 @@ class Action:
     def leave(self, listener: ActionSource) -> None:
         """Deliver no more to a listener."""
         with self._lock:
-            self._listeners = tuple(each for each in self._listeners if each is not listener)
+            self._listeners = tuple(
+                action_source for action_source in self._listeners if action_source is not listener
+            )
 
     def tick(self) -> None:
         """Notice a server that went away or came back."""

@@ -58,21 +58,23 @@ class Agreement:
         return self._seen
 
     def _compare(self) -> Disagreement:
-        told: dict[str, str] = {}
+        reports: dict[str, str] = {}
         agreeing: set[str] = set()
         for service in self._services:
             servers, clients = self._station.service_ends(service)
-            own = {each.type: each for each in clients if each.node == self._station.full_name}
+            own = {
+                client.type: client for client in clients if client.node == self._station.full_name
+            }
             for server in servers if own else ():
                 otherwise = _otherwise(server, own.get(server.type))
                 if otherwise:
-                    told.setdefault(server.node, f"{server.node} {otherwise}")
+                    reports.setdefault(server.node, f"{server.node} {otherwise}")
                 else:
                     agreeing.add(server.node)
-        if not told:
+        if not reports:
             return Disagreement()
-        text = f"{self._what} is not the same everywhere: {'; '.join(told.values())}"
-        return Disagreement(text, is_everybody=agreeing <= told.keys())
+        text = f"{self._what} is not the same everywhere: {'; '.join(reports.values())}"
+        return Disagreement(text, is_everybody=agreeing <= reports.keys())
 
 
 def _otherwise(server: Peer, own: Peer | None) -> str:

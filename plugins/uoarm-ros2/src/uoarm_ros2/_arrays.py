@@ -38,7 +38,7 @@ def taker(listing: Listing) -> Callable[[Message], object]:
         return _buffers(listing.element.name, counted, fixed=listing.fixed)
     if isinstance(listing.element, Scalar) and listing.element.name == "byte":
         octets = _buffers("uint8", counted, fixed=False)
-        return lambda value: [bytes((each,)) for each in memoryview(octets(value))]  # type: ignore[arg-type]  # a buffer
+        return lambda value: [bytes((number,)) for number in memoryview(octets(value))]  # type: ignore[arg-type]  # a buffer
     assert isinstance(listing.element, Scalar | Text)
     return _items(listing.element, counted)
 

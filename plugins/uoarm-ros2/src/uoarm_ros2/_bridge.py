@@ -240,7 +240,9 @@ class Ros2Bridge(Bridge):
         return kind(station, endpoint, name, address.type, handler, at_once, self._told)
 
     def _link(self, source: Endpoint, sink: Endpoint) -> Channel | None:
-        wanted = [(each, address_of(each), settings_of(each)) for each in (source, sink)]
+        wanted = [
+            (endpoint, address_of(endpoint), settings_of(endpoint)) for endpoint in (source, sink)
+        ]
         if any(address.kind == ACTION for _, address, _ in wanted):
             return None
         with ExitStack() as stack:

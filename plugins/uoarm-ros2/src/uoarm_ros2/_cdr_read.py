@@ -81,7 +81,7 @@ class _Reading:
         if not record.fields:
             self._number("x", 1)  # C has no empty structures: one octet stands for it
             return "{}"
-        members = [f"{each.name!r}: {self._value(each.shape)}" for each in record.fields]
+        members = [f"{field.name!r}: {self._value(field.shape)}" for field in record.fields]
         return "{" + ", ".join(members) + "}"
 
     def _value(self, shape: Shape) -> str:

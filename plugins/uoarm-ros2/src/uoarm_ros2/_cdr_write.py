@@ -64,8 +64,8 @@ class _Writing:
 
     def _value(self, shape: Shape, place: str) -> None:
         if isinstance(shape, Record):
-            for each in shape.fields:
-                self._value(each.shape, f"{place}.{each.attribute}")
+            for field in shape.fields:
+                self._value(field.shape, f"{place}.{field.attribute}")
             if not shape.fields:
                 self._number("x", 1, "")  # C has no empty structures: one octet stands for it
         elif isinstance(shape, Scalar):

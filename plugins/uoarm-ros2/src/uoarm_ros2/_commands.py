@@ -34,19 +34,19 @@ def graph(bridge: Bridge) -> list[Row]:
     """Return every node with its topics, services and actions."""
     return [
         {
-            "node": each.name,
+            "node": component.name,
             "endpoints": [
                 {
                     "role": at.role.value,
                     "name": at.address[0],
                     "type": at.address[1],
-                    "known": told != Description(),
+                    "known": report != Description(),
                 }
-                for at, told in each.endpoints
+                for at, report in component.endpoints
             ],
-            **({"missing": each.detail} if each.detail else {}),
+            **({"missing": component.detail} if component.detail else {}),
         }
-        for each in bridge.discover()
+        for component in bridge.discover()
     ]
 
 
@@ -54,12 +54,12 @@ def types(bridge: Bridge) -> list[Row]:
     """Return every type on the graph: whether it is installed, or known from a node."""
     found: dict[str, Row] = {}
     for component in bridge.discover():
-        for at, told in component.endpoints:
+        for at, report in component.endpoints:
             name = at.address[1]
             row = found.setdefault(name, {"type": name, "known": "", "nodes": []})
             if component.name not in row["nodes"]:
                 row["nodes"].append(component.name)
-            if not row["known"] and told != Description():
+            if not row["known"] and report != Description():
                 row["known"] = "installed" if _is_installed(name) else "described by its node"
     return [found[name] for name in sorted(found)]
 
@@ -83,17 +83,17 @@ def structure(bridge: Bridge, name: str, type_name: str) -> Row:
     options: Options = {"peer": "optional"} if type_name else {}
     role = Role.OUTPUT if is_message else Role.SERVICE
     at = Endpoint(bridge.name, name, role, address, options=options)
-    told = bridge.describe(at)
-    parts = {"message": told.message, "request": told.request, "reply": told.reply}
+    report = bridge.describe(at)
+    parts = {"message": report.message, "request": report.request, "reply": report.reply}
     return {
-        part: {"type": each.native_type, "structure": each.schema}
-        for part, each in parts.items()
-        if each is not None
+        part: {"type": value.native_type, "structure": value.schema}
+        for part, value in parts.items()
+        if value is not None
     }
 
 
 def _is_topic(bridge: Bridge, name: str) -> bool:
     """Whether a name is a topic's, as far as the graph tells; what is nothing counts as one."""
-    everything = [at for each in bridge.discover() for at, _ in each.endpoints]
+    everything = [at for component in bridge.discover() for at, _ in component.endpoints]
     kinds = {at.role for at in everything if at.address[0].strip("/") == name.strip("/")}
     return kinds != {Role.SERVICE}

@@ -88,8 +88,8 @@ def _native(record: Record, definition: str, made: dict[str, Record]) -> Record:
     """Return a record with classes of its own throughout; only the outermost needs its hash."""
     if record.name in made:
         return made[record.name]
-    fields = tuple(_field(each, made) for each in record.fields)
-    slots = tuple(each.attribute for each in fields)
+    fields = tuple(_field(field, made) for field in record.fields)
+    slots = tuple(field.attribute for field in fields)
     native: Any = untyped_class(record.name, definition, {"__slots__": slots})
     native.described = Record(record.name, native, fields, record.constants, slots)
     made[record.name] = native.described

@@ -22,12 +22,12 @@ def uoarm_definition_formats() -> list[DefinitionFormat]:
 def _read(folder: Path) -> Definitions:
     found = read_definitions(folder)
     schemas = {
-        name: one.schema
-        for name, one in found.structures.items()
-        if isinstance(one.schema, Mapping)  # of a type that was read it is, always
+        name: structure.schema
+        for name, structure in found.structures.items()
+        if isinstance(structure.schema, Mapping)  # of a type that was read it is, always
     }
     problems = dict(found.problems)
-    for file in [each for each in problems if Path(each).suffix in _SUFFIXES]:
+    for file in [problem for problem in problems if Path(problem).suffix in _SUFFIXES]:
         text = f"{file}: {problems.pop(file)}"
         problems |= dict.fromkeys(types_of(Path(file)), text)
     return Definitions(schemas, problems)

@@ -50,7 +50,7 @@ class _Reading:
         if len(referenced) > _MOST_TYPES:
             raise self._refused(f"it refers to {len(referenced)} types, more than {_MOST_TYPES}")
         own = description["type_description"]
-        self._types = {each["type_name"]: each["fields"] for each in (*referenced, own)}
+        self._types = {item["type_name"]: item["fields"] for item in (*referenced, own)}
         self._left = _MOST_FIELDS
 
     def record(self, name: str, definition: str, depth: int) -> Record:
@@ -65,8 +65,8 @@ class _Reading:
         self._left -= len(fields)
         if self._left < 0:
             raise self._refused(f"more than {_MOST_FIELDS} fields")
-        read = tuple(self._field(each, depth) for each in fields if each["name"] != EMPTY)
-        slots = tuple(each.attribute for each in read)
+        read = tuple(self._field(field, depth) for field in fields if field["name"] != EMPTY)
+        slots = tuple(field.attribute for field in read)
         if len(set(slots)) != len(slots):
             raise self._refused(f"{name} has two fields of one name")
         native: Any = untyped_class(name, definition, {"__slots__": slots})

@@ -71,7 +71,7 @@ class FrameLookups:
         topics = self._topics(address)
 
         def there() -> bool:
-            return any(self._station.publishers(each) for each in topics)
+            return any(self._station.publishers(topic) for topic in topics)
 
         what = f"a publisher of {' or '.join(topics)}"
         if settings.peer_required and not self._graph.settled(what, there, settings):
@@ -110,12 +110,12 @@ class FrameLookups:
         with self._lock:
             idle = [
                 name
-                for name, each in self._listeners.items()
-                if not each.users and now - each.used > _IDLE_SECONDS
+                for name, listener in self._listeners.items()
+                if not listener.users and now - listener.used > _IDLE_SECONDS
             ]
             gone = [self._listeners.pop(name) for name in idle]
-        for each in gone:
-            each.close()
+        for listener in gone:
+            listener.close()
 
     def close(self) -> None:
         """End all look-ups; those that wait fail."""
@@ -123,8 +123,8 @@ class FrameLookups:
             self._closed = True
             gone = list(self._listeners.values())
             self._listeners.clear()
-        for each in gone:
-            each.close()
+        for listener in gone:
+            listener.close()
 
     def _topics(self, address: Address) -> tuple[str, str]:
         name = self._station.topic_name(address.name)
@@ -174,24 +174,26 @@ class _Listener:
                 return _reply(target, source, stamp, found)
 
     def _failed(self, error: TransformError, seconds: float) -> BridgeError:
-        told = [f"{error}, after {seconds:g} s"]
+        reports = [f"{error}, after {seconds:g} s"]
         for topic, policies in self._topics.items():
             for peer in self._station.publishers(topic):
                 wrong = clashes(peer.policies, policies)
                 if wrong:
-                    told.append(f"{peer.node} is not heard on {topic}: {', '.join(wrong)}")
+                    reports.append(f"{peer.node} is not heard on {topic}: {', '.join(wrong)}")
         if self._buffer.refused:
-            told.append(f"{self._buffer.refused} transforms were refused, last: {self._buffer.why}")
+            reports.append(
+                f"{self._buffer.refused} transforms were refused, last: {self._buffer.why}"
+            )
         if self._unread:
-            told.append(self._unread)
-        return BridgeError("; ".join(told), FailureReason.NOT_FOUND)
+            reports.append(self._unread)
+        return BridgeError("; ".join(reports), FailureReason.NOT_FOUND)
 
     def close(self) -> None:
         with self._changed:
             self._closed = True
             self._changed.notify_all()
-        for each in self._subscriptions:
-            self._station.discard(each)
+        for subscription in self._subscriptions:
+            self._station.discard(subscription)
 
     def _take(self, octets: bytes, *, is_static: bool = False) -> None:
         try:
@@ -200,13 +202,13 @@ class _Listener:
             self._unread = f"a message could not be read: {error}"
             return
         with self._changed:
-            for each in message["transforms"]:
-                stamp = each["header"]["stamp"]
-                told = each["transform"]
-                move, turn = told["translation"], told["rotation"]
+            for transform in message["transforms"]:
+                stamp = transform["header"]["stamp"]
+                report = transform["transform"]
+                move, turn = report["translation"], report["rotation"]
                 self._buffer.take(
-                    each["header"]["frame_id"],
-                    each["child_frame_id"],
+                    transform["header"]["frame_id"],
+                    transform["child_frame_id"],
                     stamp["sec"] * _NANO + stamp["nanosec"],
                     Transformation(
                         (move["x"], move["y"], move["z"]),
@@ -249,7 +251,7 @@ def _asked(message: Any) -> tuple[str, str, int, float]:
     if unknown:
         raise MessageError(f"a look-up has no field {unknown[0]!r:.60}")
     frames = [message.get(name) for name in ("target_frame", "source_frame")]
-    if not all(isinstance(each, str) and each for each in frames):
+    if not all(isinstance(frame, str) and frame for frame in frames):
         raise MessageError("target_frame and source_frame must be names of frames")
     at, wait = message.get("time", {}), message.get("timeout", _WAIT_SECONDS)
     try:

@@ -85,7 +85,7 @@ class GoalTable:
     def ask(self, request: GoalRequest, message: Message) -> None:
         """Have a goal wait for its turn, if there is room and somebody to take it."""
         with self._lock:
-            known = any(each.request.id == request.id for each in self._unanswered())
+            known = any(asked.request.id == request.id for asked in self._unanswered())
             has_room = len(self._waiting) < _MOST_WAITING and len(self._running) < _MOST_RUNNING
             if known or not has_room or not self.takes_goals:
                 self._reject(request)
@@ -146,15 +146,15 @@ class GoalTable:
             if self._asked is not None and now >= self._asked.due:
                 self._reject(self._asked.request)
                 self._asked = None
-            late = [each for each in self._running.items() if each[1].ended and now >= each[1].due]
+            late = [item for item in self._running.items() if item[1].ended and now >= item[1].due]
             for name, goal in late:
                 self._end(name, goal.ended)
 
     def end_all(self) -> None:
         """Reject what is unanswered and abort what runs."""
         with self._lock:
-            for each in self._unanswered():
-                self._reject(each.request)
+            for asked in self._unanswered():
+                self._reject(asked.request)
             self._waiting.clear()
             self._asked = None
             for name in list(self._running):
@@ -183,15 +183,15 @@ class GoalTable:
             self._running[name] = _Running(asked.request.id)
             self._names[asked.request.id] = name
             self._server.accept(asked.request)
-            early = [each for each in self._early if each[1]["goal_id"] == name]
+            early = [pair for pair in self._early if pair[1]["goal_id"] == name]
             self._early.clear()
-            for part, each in early:
+            for part, item in early:
                 if part == "feedback":
-                    self.hear_feedback(each, each["native"])
+                    self.hear_feedback(item, item["native"])
                 elif part == "result":
-                    self.hear_result(each, each["native"])
+                    self.hear_result(item, item["native"])
                 else:
-                    self.hear_status(each)
+                    self.hear_status(item)
         else:
             self._early.append(("status", message))
 

@@ -201,7 +201,7 @@ class Graph:
             name: the full name that is asked for.
             known: names of the same kind that are there.
         """
-        near = get_close_matches(name, [each for each in known if each != name], n=1)
+        near = get_close_matches(name, [text for text in known if text != name], n=1)
         meant = f"; did you mean {near[0]}?" if near else ""
         domain = self._station.domain_id
         return f"{what} on the graph of domain {domain}{meant}; `uoarm discover` lists what is"

@@ -40,10 +40,13 @@ class Installation:
 
 def wheels() -> tuple[Wheel, ...]:
     """Return the rclpy wheels on the path, as their metadata tells; takes some milliseconds."""
-    named = ((str(each.metadata["Name"]).split("-"), each) for each in distributions())
+    named = (
+        (str(distribution.metadata["Name"]).split("-"), distribution)
+        for distribution in distributions()
+    )
     found = {
-        Wheel(parts[1], Path(str(each.locate_file(""))).resolve())
-        for parts, each in named
+        Wheel(parts[1], Path(str(distribution.locate_file(""))).resolve())
+        for parts, distribution in named
         if len(parts) == _NAME_PARTS and (parts[0], parts[2]) == ("ros", "rclpy")
     }
     return tuple(sorted(found, key=lambda wheel: (wheel.distribution, str(wheel.folder))))
@@ -54,11 +57,11 @@ def installation(
 ) -> Installation:
     """Return what is in use, given rclpy's folder, the environment and the wheels on the path."""
     here, beside = list[str](), list[Wheel]()
-    for each in installed:
-        if each.folder == rclpy.resolve().parent:
-            here.append(each.distribution)
-        elif _on_library_path(each, environment):
-            beside.append(each)
+    for wheel in installed:
+        if wheel.folder == rclpy.resolve().parent:
+            here.append(wheel.distribution)
+        elif _on_library_path(wheel, environment):
+            beside.append(wheel)
     if not here:
         sourced = environment.get("ROS_DISTRO", "unknown")
         return Installation(sourced, "a ROS 2 installation that was sourced", _mixed(rclpy, beside))
@@ -73,13 +76,13 @@ def absent_middleware(environment: Mapping[str, str]) -> str:
     """
     wanted = environment.get("RMW_IMPLEMENTATION", "")
     path = environment.get("LD_LIBRARY_PATH", "").split(os.pathsep)
-    folders = [Path(each) for each in (*path, f"{sys.prefix}/lib") if each]
+    folders = [Path(name) for name in (*path, f"{sys.prefix}/lib") if name]
     has_ros = any((folder / "librcl.so").is_file() for folder in folders)
     there = any((folder / f"lib{wanted}.so").is_file() for folder in folders)
     if not wanted or there or not has_ros:
         return ""
-    found = {each.name[3:-3] for folder in folders for each in folder.glob("librmw_*_cpp.so")}
-    known = ", ".join(sorted(each for each in found if "__" not in each and "shared" not in each))
+    found = {file.name[3:-3] for folder in folders for file in folder.glob("librmw_*_cpp.so")}
+    known = ", ".join(sorted(name for name in found if "__" not in name and "shared" not in name))
     return (
         f"the environment says RMW_IMPLEMENTATION={wanted}, and there is no such middleware, only "
         f"{known or 'none'}: unset the variable, or install the other"
@@ -94,8 +97,8 @@ def _on_library_path(wheel: Wheel, environment: Mapping[str, str]) -> bool:
 def _mixed(rclpy: Path, beside: Iterable[Wheel]) -> str:
     """Say that start-up code of the wheels puts their libraries in among those of the other."""
     return "; ".join(
-        f"rclpy is that of {rclpy.parent}, and wheels of {each.distribution} in {each.folder} put "
-        f"their libraries beside its own, in any order: uninstall the wheels, or start with "
+        f"rclpy is that of {rclpy.parent}, and wheels of {wheel.distribution} in {wheel.folder} "
+        f"put their libraries beside its own, in any order: uninstall the wheels, or start with "
         f"_ROS_WHEELS_BOOTSTRAP_COMPLETE=1"
-        for each in beside
+        for wheel in beside
     )

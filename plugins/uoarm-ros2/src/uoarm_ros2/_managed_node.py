@@ -116,9 +116,9 @@ class ManagedNode:
         with self._turn:
             if self._closing:
                 raise BridgeError(f"node {self._name}: the bridge is closed", FailureReason.CLOSED)
-            others = [each for each in self._holds if not each.is_over]
+            others = [item for item in self._holds if not item.is_over]
             self._check_agreement(held, others)
-            if component not in {each.component for each in others}:
+            if component not in {item.component for item in others}:
                 self._told.pop(component, None)
             is_as_wished = self._is_as_wished(held, is_in_use=bool(others))
             with self._changed:

@@ -138,7 +138,7 @@ class ManagedNodes:
         missing: list[str] = []
 
         def there() -> bool:
-            missing[:] = [each for each in needed if not node.serves(each)]
+            missing[:] = [word for word in needed if not node.serves(word)]
             return not missing
 
         if not self._graph.settled(f"node {wish.node}", there, settings):

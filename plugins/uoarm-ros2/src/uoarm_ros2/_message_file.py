@@ -179,7 +179,7 @@ def _member(text: str, name: str, default: str, package: str, line: int) -> Memb
     ):
         wanted = "" if kind.fixed else "at most "
         raise ValueError(f"expected {wanted}{kind.size} elements, got {len(texts)}")
-    return Member(name, kind, [_value(plain, one.strip(), bound) for one in texts], line)
+    return Member(name, kind, [_value(plain, word.strip(), bound) for word in texts], line)
 
 
 def _kind(text: str, package: str) -> tuple[Kind, str]:

@@ -75,7 +75,7 @@ def installed() -> list[str]:
         folder = Path(prefix) / _INDEX
         for package in folder.iterdir() if folder.is_dir() else ():
             lines = package.read_text().splitlines()
-            found |= {f"{package.name}/{each.rpartition('.')[0]}" for each in lines}
+            found |= {f"{package.name}/{line.rpartition('.')[0]}" for line in lines}
     return sorted(name for name in found if not type_mistake(name))
 
 

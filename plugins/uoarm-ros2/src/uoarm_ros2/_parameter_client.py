@@ -44,10 +44,10 @@ class ParameterClient:
         changes = self._changes({n: value for n, value in parameters.items() if n in known})
         if changes:
             asked = {"parameters": changes}
-            told = self._call("set_parameters_atomically", "SetParametersAtomically", asked)
-            if not told["result"]["successful"]:
+            report = self._call("set_parameters_atomically", "SetParametersAtomically", asked)
+            if not report["result"]["successful"]:
                 names = _some(str(change["name"]) for change in changes)
-                raise self._refused(names, f"the node says {told['result']['reason']!r:.300}")
+                raise self._refused(names, f"the node says {report['result']['reason']!r:.300}")
         return unknown
 
     def _changes(self, parameters: Mapping[str, object]) -> list[dict[str, object]]:

@@ -106,11 +106,11 @@ def holds(current: Mapping[str, Any], wanted: Mapping[str, Any]) -> bool:
 def _leaves(value: Mapping[str, object], prefix: str, depth: int) -> Iterator[tuple[str, object]]:
     if depth >= _DEEPEST:
         raise ValueError(f"parameter {prefix.rstrip('.')}: names are nested too deeply")
-    for name, one in value.items():
-        if isinstance(one, Mapping):
-            yield from _leaves(one, f"{prefix}{name}.", depth + 1)
+    for name, item in value.items():
+        if isinstance(item, Mapping):
+            yield from _leaves(item, f"{prefix}{name}.", depth + 1)
         else:
-            yield f"{prefix}{name}", _listed(one)
+            yield f"{prefix}{name}", _listed(item)
 
 
 def _listed(value: object) -> object:
@@ -151,23 +151,23 @@ _SINGLE: dict[int, Callable[[object], bool]] = {
 _TAKES = {
     **_SINGLE,
     _BYTES: _each(_is_octet),
-    **{several: _each(_SINGLE[one]) for several, one in _OF_ONE.items()},
+    **{several: _each(_SINGLE[item]) for several, item in _OF_ONE.items()},
 }
 
 
 def _as_sent(kind: int, value: Any) -> object:
     if kind == _DOUBLE:
         return float(value)
-    return [float(each) for each in value] if kind == _DOUBLES else value
+    return [float(item) for item in value] if kind == _DOUBLES else value
 
 
 def _in_range(value: Any, descriptor: Mapping[str, Any]) -> None:
     """Raise ValueError for a number outside its range; steps of floats are left to the node."""
     for stated in (*descriptor["integer_range"], *descriptor["floating_point_range"]):
         low, high, step = stated["from_value"], stated["to_value"], stated["step"]
-        for each in value if isinstance(value, list) else [value]:
-            if not low <= each <= high:
-                raise ValueError(f"expected {low:g} to {high:g}, got {each:g}")
-            whole = isinstance(step, int) and step > 1 and each != high
-            if whole and (each - low) % step:
-                raise ValueError(f"expected {low} to {high} in steps of {step}, got {each}")
+        for item in value if isinstance(value, list) else [value]:
+            if not low <= item <= high:
+                raise ValueError(f"expected {low:g} to {high:g}, got {item:g}")
+            whole = isinstance(step, int) and step > 1 and item != high
+            if whole and (item - low) % step:
+                raise ValueError(f"expected {low} to {high} in steps of {step}, got {item}")

@@ -142,8 +142,8 @@ def for_writing(wish: QosWish, requests: Iterable[Policies]) -> Policies:
         offered = evolve(offered, durability="transient_local")
     if any(request.liveliness == "manual_by_topic" for request in seen):
         offered = evolve(offered, liveliness="manual_by_topic")
-    deadlines = [each.deadline for each in seen if each.deadline is not None]
-    leases = [each.lease_duration for each in seen if each.lease_duration is not None]
+    deadlines = [policies.deadline for policies in seen if policies.deadline is not None]
+    leases = [policies.lease_duration for policies in seen if policies.lease_duration is not None]
     return _settled(
         offered, wish, deadline=min(deadlines, default=None), lease=min(leases, default=None)
     )

@@ -28,8 +28,8 @@ def reader(record: Record) -> Callable[[object], Message]:
 
 def _record(record: Record, holder: str, source: Source, fresh: count[int]) -> str:
     members = (
-        f"{each.name!r}: {_value(each.shape, f'{holder}.{each.attribute}', source, fresh)}"
-        for each in record.fields
+        f"{field.name!r}: {_value(field.shape, f'{holder}.{field.attribute}', source, fresh)}"
+        for field in record.fields
     )
     return "{" + ", ".join(members) + "}"
 

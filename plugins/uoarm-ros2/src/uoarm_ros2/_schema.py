@@ -46,8 +46,8 @@ def schema_of(shape: Shape, unit: str | None = None) -> dict[str, Any]:
 def _object(record: Record, unit: str | None) -> dict[str, Any]:
     schema: dict[str, Any] = {
         "type": "object",
-        "properties": {each.name: _member(record, each, unit) for each in record.fields},
-        "required": [each.name for each in record.fields],
+        "properties": {field.name: _member(record, field, unit) for field in record.fields},
+        "required": [field.name for field in record.fields],
         "additionalProperties": False,
         "x-native-type": record.name,
         "x-type": record.name,

@@ -263,7 +263,7 @@ class Server(Workers):
         read = reader(request)
         self._native = native
         self._write = writer(reply)
-        self._refusable = {"success", "message"} <= {each.name for each in reply.fields}
+        self._refusable = {"success", "message"} <= {field.name for field in reply.fields}
         self._station = station
         self._service = station.server(
             native, name, lambda asked, answer: self._take(answer, read(asked))

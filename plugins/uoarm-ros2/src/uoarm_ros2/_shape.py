@@ -113,7 +113,7 @@ def is_described(native: type) -> bool:
 def is_large(shape: Shape) -> bool:
     """Whether a type holds any number of octets, as pictures, point clouds and grids do."""
     if isinstance(shape, Record):
-        return any(is_large(each.shape) for each in shape.fields)
+        return any(is_large(item.shape) for item in shape.fields)
     if not isinstance(shape, Listing):
         return False
     element = shape.element

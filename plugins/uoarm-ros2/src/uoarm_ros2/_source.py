@@ -45,14 +45,14 @@ class _Subscription(End):
     def shadowed(self, peers: Sequence[Peer]) -> str:
         """Return whose latched messages of the past do not come since others latch none."""
         place = self._place
-        latched = [each for each in peers if each.policies.durability == "transient_local"]
+        latched = [peer for peer in peers if peer.policies.durability == "transient_local"]
         if not latched or self.policies.durability == "transient_local":
             return ""
         if place.settings.qos.durability != "auto":
             return ""
-        volatile = [each.node for each in peers if each not in latched]
+        volatile = [peer.node for peer in peers if peer not in latched]
         return (
-            f"topic {place.topic.name}: {', '.join(each.node for each in latched)} latched what "
+            f"topic {place.topic.name}: {', '.join(peer.node for peer in latched)} latched what "
             f"they published, which does not come since {', '.join(volatile)} latch nothing; with "
             "qos: {durability: transient_local} it comes, and nothing of those that latch nothing"
         )

@@ -52,7 +52,7 @@ class Transformation:
     def towards(self, other: Transformation, share: float) -> Transformation:
         """Return what lies between: on the line, and on the shorter arc (slerp)."""
         pairs = zip(self.translation, other.translation, strict=True)
-        a, b, c = (one + (two - one) * share for one, two in pairs)
+        a, b, c = (value + (two - value) * share for value, two in pairs)
         return Transformation((a, b, c), _slerp(self.rotation, other.rotation, share))
 
 
@@ -135,7 +135,7 @@ class TransformBuffer:
         self._samples += 1
         self._forget(edge, bisect_left(edge.stamps, edge.stamps[-1] - HISTORY))
         if self._samples > _MOST_SAMPLES:
-            longest = max(self._edges.values(), key=lambda each: len(each.stamps))
+            longest = max(self._edges.values(), key=lambda item: len(item.stamps))
             self._forget(longest, len(longest.stamps) // 2)
 
     def _mistake(self, parent: str, child: str, transformation: Transformation) -> str:
@@ -145,7 +145,7 @@ class TransformBuffer:
             return f"frame {child!r} is told in itself"
         if not all(map(math.isfinite, transformation.translation + transformation.rotation)):
             return f"{child!r} in {parent!r} is not finite"
-        if abs(sum(each * each for each in transformation.rotation) - 1) > _NORM_ERROR:
+        if abs(sum(value * value for value in transformation.rotation) - 1) > _NORM_ERROR:
             return f"{child!r} in {parent!r} is turned by {transformation.rotation}, no rotation"
         if child not in self._edges and len(self._edges) >= _MOST_FRAMES:
             return f"there are more than {_MOST_FRAMES:,} frames"
@@ -176,26 +176,26 @@ class TransformBuffer:
                 f"{to_target[-1]!r}, {source!r} in that of {to_source[-1]!r}"
             )
         above = set(to_target)
-        common = next(each for each in to_source if each in above)
+        common = next(name for name in to_source if name in above)
         up = to_source[: to_source.index(common)]
         down = to_target[: to_target.index(common)]
-        moving = [self._edges[each] for each in (*up, *down) if not self._edges[each].is_static]
-        at = time or min((each.stamps[-1] for each in moving), default=0)
+        moving = [self._edges[name] for name in (*up, *down) if not self._edges[name].is_static]
+        at = time or min((edge.stamps[-1] for edge in moving), default=0)
         return at, self._chained(down, at).inverse().after(self._chained(up, at))
 
     def _chained(self, frames: Iterable[str], time: int) -> Transformation:
         found = Transformation()
-        for each in frames:
-            found = self._edges[each].at(each, time).after(found)
+        for frame in frames:
+            found = self._edges[frame].at(frame, time).after(found)
         return found
 
     def _ancestors(self, frame: str) -> list[str]:
         """Return a frame and all above it, up to the root of its tree."""
-        if frame not in self._edges and all(each.parent != frame for each in self._edges.values()):
-            known = sorted({*self._edges, *(each.parent for each in self._edges.values())})
+        if frame not in self._edges and all(edge.parent != frame for edge in self._edges.values()):
+            known = sorted({*self._edges, *(edge.parent for edge in self._edges.values())})
             more = f" and {len(known) - _MOST_NAMED} more" if len(known) > _MOST_NAMED else ""
-            told = f"known are {', '.join(known[:_MOST_NAMED])}{more}" if known else "none is"
-            raise TransformError(f"frame {frame!r:.100} is not known; {told}")
+            text = f"known are {', '.join(known[:_MOST_NAMED])}{more}" if known else "none is"
+            raise TransformError(f"frame {frame!r:.100} is not known; {text}")
         found = [frame]
         seen = {frame}
         while found[-1] in self._edges:

@@ -56,8 +56,8 @@ def type_hash(record: Record) -> str:
 
 
 def _collect(record: Record, within: dict[str, Record]) -> None:
-    for each in record.fields:
-        shape = each.shape.element if isinstance(each.shape, Listing) else each.shape
+    for field in record.fields:
+        shape = field.shape.element if isinstance(field.shape, Listing) else field.shape
         if isinstance(shape, Record) and shape.name not in within:
             within[shape.name] = shape
             _collect(shape, within)
@@ -67,7 +67,7 @@ def _described(record: Record) -> dict[str, Any]:
     fields = record.fields or (Field(EMPTY, EMPTY, Scalar("uint8")),)
     return {
         "type_name": record.name,
-        "fields": [{"name": each.name, "type": _kind(each.shape)} for each in fields],
+        "fields": [{"name": field.name, "type": _kind(field.shape)} for field in fields],
     }
 
 

@@ -55,7 +55,7 @@ def import_type(name: str) -> type:
         raise BridgeError(text, FailureReason.NOT_FOUND) from error
     found = getattr(module, type_name, None)
     if not isinstance(found, type):
-        known = sorted(each for each in vars(module) if each[:1].isupper())
+        known = sorted(variable for variable in vars(module) if variable[:1].isupper())
         near = get_close_matches(type_name, known, n=1)
         meant = f"; did you mean {near[0]!r}?" if near else f", only {known}"
         text = f"{of_type(name)}package {package!r} has no {kind} {type_name!r}{meant}"

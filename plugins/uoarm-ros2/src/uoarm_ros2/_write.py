@@ -55,17 +55,17 @@ def _record(record: Record, place: str, source: Source, fresh: count[int]) -> st
     source.line(f"{native} = {make}({source.constant(record.native)})")
     if "_check_fields" in record.slots:
         source.line(f"{native}._check_fields = False")
-    for each in record.fields:
-        target = f"{native}.{each.attribute}"
-        item = f"{given}[{each.name!r}]"
-        if isinstance(each.shape, Record):
-            source.line(f"{target} = {_record(each.shape, item, source, fresh)}")
-        elif isinstance(each.shape, Listing):
-            source.line(f"{target} = {source.constant(_listing(each.shape))}({item})")
+    for field in record.fields:
+        target = f"{native}.{field.attribute}"
+        item = f"{given}[{field.name!r}]"
+        if isinstance(field.shape, Record):
+            source.line(f"{target} = {_record(field.shape, item, source, fresh)}")
+        elif isinstance(field.shape, Listing):
+            source.line(f"{target} = {source.constant(_listing(field.shape))}({item})")
         else:
             source.line(f"{value} = {item}")
-            source.line(f"if {_doubt(each.shape, value)}:")
-            source.line(f"{value} = {source.constant(checker(each.shape))}({value})", depth=2)
+            source.line(f"if {_doubt(field.shape, value)}:")
+            source.line(f"{value} = {source.constant(checker(field.shape))}({value})", depth=2)
             source.line(f"{target} = {value}")
     return native
 
@@ -134,16 +134,16 @@ def _fault(shape: Shape, value: Message, path: str) -> tuple[str, str] | None:
 def _record_fault(record: Record, value: Message, path: str) -> tuple[str, str] | None:
     if not isinstance(value, Mapping):
         return path, f"expected an object ({record.name}), got {shown(value)}"
-    names = [each.name for each in record.fields]
+    names = [field.name for field in record.fields]
     unknown = sorted(str(name) for name in value if name not in names)
     if unknown:
         place = f"{path}.{unknown[0]}".lstrip(".")
         return place, f"{record.name} has no such field, only {', '.join(names) or 'none'}"
-    for each in record.fields:
-        place = f"{path}.{each.name}".lstrip(".")
-        if each.name not in value:
+    for field in record.fields:
+        place = f"{path}.{field.name}".lstrip(".")
+        if field.name not in value:
             return place, "missing; ROS 2 messages carry every field"
-        found = _fault(each.shape, value[each.name], place)
+        found = _fault(field.shape, value[field.name], place)
         if found is not None:
             return found
     return None

@@ -241,7 +241,7 @@ def _count(shape: Shape) -> int:
     """Return how many fields a shape has, those within counted."""
     if isinstance(shape, Listing):
         return _count(shape.element)
-    return 1 + sum(_count(each.shape) for each in shape.fields) if isinstance(shape, Record) else 1
+    return 1 + sum(_count(item.shape) for item in shape.fields) if isinstance(shape, Record) else 1
 
 
 def _idl_parser() -> Any:
@@ -272,7 +272,7 @@ def _converted(message: Message) -> Parsed:
         constant.name: _checked(constant.typ.value, constant.name, constant.value)
         for constant in message.constants
     }
-    return Parsed(tuple(Member(each.name, _kind(each)) for each in message.fields), constants)
+    return Parsed(tuple(Member(item.name, _kind(item)) for item in message.fields), constants)
 
 
 def _kind(field: Any) -> Kind:

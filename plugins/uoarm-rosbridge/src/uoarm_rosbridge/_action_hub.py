@@ -124,13 +124,13 @@ class ActionHub:
         offer = self._offers.get(name)
         if offer is not None and offer.provider is provider:
             del self._offers[name]
-            self._fail(lambda one: one.name == name, f"{name} was unadvertised")
+            self._fail(lambda item: item.name == name, f"{name} was unadvertised")
 
     def forget(self, provider: ActionProvider) -> None:
         """Take back all offers of a client that has gone."""
-        for name in [name for name, one in self._offers.items() if one.provider is provider]:
+        for name in [name for name, offer in self._offers.items() if offer.provider is provider]:
             del self._offers[name]
-        self._fail(lambda one: one.provider is provider, "the client that provides it has gone")
+        self._fail(lambda item: item.provider is provider, "the client that provides it has gone")
 
     def note(self, offer: _Offer, goal: Goal) -> str:
         """Remember a goal until its result; returns its id."""
@@ -140,7 +140,7 @@ class ActionHub:
 
     def identity_of(self, goal: Goal) -> str | None:
         """Return the id of a goal that is not finished."""
-        return next((name for name, (_, one) in self._goals.items() if one is goal), None)
+        return next((name for name, (_, item) in self._goals.items() if item is goal), None)
 
     def goal(self, identity: str, provider: ActionProvider) -> Goal:
         """Return a goal that a client works on.

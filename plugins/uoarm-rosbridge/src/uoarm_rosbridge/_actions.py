@@ -170,7 +170,7 @@ class Actions:
         function = self._backend.robot.config.functions.get(place.function)
         if function is None or place.port:
             raise UnknownError(f"there is no function {place.wanted!r:.200}")
-        if any(is_action(one) for one in function.components):
+        if any(is_action(component) for component in function.components):
             self._joined.add(place.function)
             return self._hub.join(place.function, self._backend, self)
         return CallRunner(place, self._backend)
@@ -225,11 +225,13 @@ def _status(given: Any) -> GoalStatus:
     try:
         return GoalStatus(given)
     except ValueError:
-        known = ", ".join(f"{one.value} ({one.name.lower()})" for one in GoalStatus)
+        known = ", ".join(
+            f"{goal_status.value} ({goal_status.name.lower()})" for goal_status in GoalStatus
+        )
         text = f"action_result: status: expected one of {known}, got {show_value(given)}"
         raise ControlMessageError(text) from None
 
 
 def _result(named: Fields, values: Message, status: GoalStatus, *, result: bool) -> bytes:
-    told = {"op": "action_result", "values": values, "status": int(status), "result": result}
-    return write_ros({**told, **named})
+    reports = {"op": "action_result", "values": values, "status": int(status), "result": result}
+    return write_ros({**reports, **named})

@@ -39,7 +39,7 @@ class Addresses:
         robot = self._manager.config
         if robot is not self._robot:
             self._robot = robot
-            every = (one for function in robot.functions.values() for one in _places(function))
+            every = (place for function in robot.functions.values() for place in _places(function))
             self._known = dict(reversed(tuple(every)))  # of several the first, as for a request
         function, topic = self._known.get((role, name), ("", ""))
         if not function or not client.role.allows(Operation.SEE, function):
@@ -49,12 +49,12 @@ class Addresses:
 
 def _places(function: Function) -> Iterator[tuple[tuple[Role, str], tuple[str, str]]]:
     """Yield each part of an address that could be a name here, with the function and its topic."""
-    for one in function.components:
-        open_inputs = [port for port in one.inputs if port.source is None]
+    for component in function.components:
+        open_inputs = [port for port in component.inputs if port.source is None]
         ports: list[tuple[Role, Sequence[Input | Output | Service]]] = [
-            (Role.OUTPUT, one.outputs),
+            (Role.OUTPUT, component.outputs),
             (Role.INPUT, open_inputs),
-            (Role.SERVICE, () if one.service is None else (one.service,)),
+            (Role.SERVICE, () if component.service is None else (component.service,)),
         ]
         for role, several in ports:
             for port in several:

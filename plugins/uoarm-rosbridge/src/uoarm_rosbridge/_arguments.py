@@ -80,10 +80,10 @@ class _Filling:
                 name: self.filled(member, value[name]) if name in value else self._initial(member)
                 for name, member in schema["properties"].items()
             }
-            return {**known, **{name: each for name, each in value.items() if name not in known}}
+            return {**known, **{name: item for name, item in value.items() if name not in known}}
         items = schema.get("items")
         if isinstance(value, list) and isinstance(items, Mapping) and _is_ros_record(items):
-            return [self.filled(items, each) for each in value]
+            return [self.filled(items, item) for item in value]
         return value
 
     def _initial(self, schema: Any) -> Message:
@@ -112,5 +112,5 @@ def _spelt_as_ros_2(schema: Mapping[str, Any], value: Mapping[str, Message]) -> 
     """Return a record with the names of ROS 2, without the `seq` of a header, which it has not."""
     names = _OF_ROS_1.get(schema["x-native-type"], {})
     return {
-        known: each for name, each in value.items() if (known := names.get(name, name)) is not None
+        known: item for name, item in value.items() if (known := names.get(name, name)) is not None
     }

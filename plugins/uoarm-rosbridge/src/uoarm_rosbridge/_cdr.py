@@ -131,8 +131,8 @@ class _Writing:
             raise _loose(where, "fields may be absent or added")
         holder = f"r{next(self._fresh)}"
         self._lines.append(f"{holder} = {place}")
-        for name, one in fields.items():
-            self.value(one, f"{holder}[{name!r}]", f"{where}.{name}", depth + 1)
+        for name, field in fields.items():
+            self.value(field, f"{holder}[{name!r}]", f"{where}.{name}", depth + 1)
         if not fields:
             self._number("B", "0")
 

@@ -216,10 +216,10 @@ class Hub:
 
     def forget(self, provider: Provider) -> None:
         """Take back every service of a client that has gone, and fail what waits for it."""
-        for name in [name for name, (_, one) in self._services.items() if one is provider]:
+        for name in [name for name, (_, item) in self._services.items() if item is provider]:
             del self._services[name]
-        for one, future in list(self._waiting.values()):
-            if one is provider and not future.done():
+        for item, future in list(self._waiting.values()):
+            if item is provider and not future.done():
                 gone = BridgeError("the client that provides it has gone", FailureReason.CLOSED)
                 future.set_exception(gone)
 

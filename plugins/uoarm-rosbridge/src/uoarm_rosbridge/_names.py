@@ -43,7 +43,7 @@ def find_place(given: str) -> Place:
         ControlMessageError: it is no name.
     """
     name = given if given.startswith("/") else f"/{given}"
-    if name == "/" or name.endswith("/") or any(one.isspace() for one in name):
+    if name == "/" or name.endswith("/") or any(text.isspace() for text in name):
         raise ControlMessageError(f"{given!r:.100} is no name of a topic or service")
     if not name.startswith(PREFIX):
         return Place(name)

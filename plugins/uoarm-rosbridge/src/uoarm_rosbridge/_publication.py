@@ -127,7 +127,7 @@ class Publication:
     def _check_type(self, feed: Feed) -> None:
         assert feed.connection is not None, "join returns feeds that are open"
         provider = feed.connection.plan.provider
-        inputs = [one.name for one in provider.component.inputs if one.source is None]
+        inputs = [input_.name for input_ in provider.component.inputs if input_.source is None]
         port = self._place.port or (inputs[0] if len(inputs) == 1 else "")
         structure = provider.structures.get(f"input.{port}")
         if structure is not None:

@@ -163,8 +163,8 @@ class Answers:
         self._role = role
         self._hub = hub
         self._types = types
-        self._listed = [one for one in listed if role.allows(Operation.SEE, one.function.name)]
-        self._structures = [(one.function, one.structures) for one in self._listed]
+        self._listed = [item for item in listed if role.allows(Operation.SEE, item.function.name)]
+        self._structures = [(item.function, item.structures) for item in self._listed]
         self._parts = [
             (function, component)
             for function, _ in self._structures
@@ -200,7 +200,7 @@ class Answers:
 
     def _topics_for_type(self, arguments: Arguments) -> dict[str, Any]:
         kind, found = _text(arguments, "type"), self._all_topics
-        return {"topics": [name for name, each in found.items() if is_same_type(each, kind)]}
+        return {"topics": [name for name, value in found.items() if is_same_type(value, kind)]}
 
     def _topic_type(self, arguments: Arguments) -> dict[str, Any]:
         topic = _name(arguments, "topic")
@@ -216,12 +216,20 @@ class Answers:
 
     def _publishers(self, arguments: Arguments) -> dict[str, Any]:
         topic = _name(arguments, "topic")
-        found = [f"/{one.name}" for f, one in self._parts if _means(topic, f, _given(one))]
+        found = [
+            f"/{component.name}"
+            for f, component in self._parts
+            if _means(topic, f, _given(component))
+        ]
         return {"publishers": found + self._by_clients(topic, self._hub.published)}
 
     def _subscribers(self, arguments: Arguments) -> dict[str, Any]:
         topic = _name(arguments, "topic")
-        found = [f"/{one.name}" for f, one in self._parts if _means(topic, f, _fed(one))]
+        found = [
+            f"/{component.name}"
+            for f, component in self._parts
+            if _means(topic, f, _fed(component))
+        ]
         return {"subscribers": found + self._by_clients(topic, self._hub.subscribed)}
 
     def _services(self, arguments: Arguments) -> dict[str, Any]:
@@ -230,7 +238,7 @@ class Answers:
 
     def _services_for_type(self, arguments: Arguments) -> dict[str, Any]:
         kind, found = _text(arguments, "type"), self._all_services
-        return {"services": [name for name, each in found.items() if is_same_type(each, kind)]}
+        return {"services": [name for name, value in found.items() if is_same_type(value, kind)]}
 
     def _service_type(self, arguments: Arguments) -> dict[str, Any]:
         return {"type": (self._all_services).get(_name(arguments, "service"), "")}
@@ -245,18 +253,18 @@ class Answers:
         names = (
             [name] if name in services else [n for n in services if is_same_type(services[n], kind)]
         )
-        found = dict.fromkeys(node for each in names for node in self._nodes_of(each))
+        found = dict.fromkeys(node for text in names for node in self._nodes_of(text))
         return {"providers": list(found)}
 
     def _nodes(self, arguments: Arguments) -> dict[str, Any]:
         del arguments
-        own = [f"/{one.name}" for _, one in self._parts]
+        own = [f"/{component.name}" for _, component in self._parts]
         return {"nodes": list(dict.fromkeys((*own, _NODE, _CLIENTS)))}
 
     def _node_details(self, arguments: Arguments) -> dict[str, Any]:
         node = _name(arguments, "node")
         subscribing, publishing, services = list[str](), list[str](), list[str]()
-        parts = [(f, one) for f, one in self._parts if f"/{one.name}" == node]
+        parts = [(f, item) for f, item in self._parts if f"/{item.name}" == node]
         for function, component in parts:
             subscribing += _named(function, _fed(component))
             publishing += _named(function, _given(component))
@@ -282,7 +290,11 @@ class Answers:
         kind = _text(arguments, "type")
         if kind in BASIC:
             return {"typedefs": []}
-        known = [(f, each) for f, several in self._structures for each in several.values()]
+        known = [
+            (f, message_structure)
+            for f, several in self._structures
+            for message_structure in several.values()
+        ]
         for function, structure in known:
             if is_same_type(type_name(structure, function.name), kind):
                 return {"typedefs": typedefs(structure, function.name)}
@@ -329,7 +341,7 @@ class Answers:
     def _all_services(self) -> dict[str, str]:
         found = {f"{PREFIX}{name}": _own_type(name) for name in _TYPES}
         for function, structures in self._structures:
-            if any(one.service is not None for one in function.components):
+            if any(component.service is not None for component in function.components):
                 request = structures.get("request")
                 kind = "" if request is None else service_type(request, function.name)
                 found[topic_of(function.name)] = kind

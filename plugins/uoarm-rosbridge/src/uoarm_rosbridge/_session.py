@@ -45,7 +45,7 @@ _REFUSED = {
     "auth": "auth is not served: show a token in the handshake, as Authorization: Bearer TOKEN, as "
     "the subprotocol uoarm.token.TOKEN or as ?token=TOKEN",
 }
-_OF_NATIVE = {one.value for one in Op}
+_OF_NATIVE = {item.value for item in Op}
 _NAMED = ("topic", "service", "action", "type", "node", "name")
 _LONGEST_NAME = 200
 _ANSWERED = {
@@ -263,8 +263,8 @@ class RosbridgeSession:
         """Return a text with no name that the client may not see, but for those it used."""
         given = fields.get("args")
         named = [fields, given] if isinstance(given, dict) else [fields]
-        used = [one.get(kind) for one in named for kind in _NAMED]
-        words = " ".join(one[:_LONGEST_NAME] for one in used if isinstance(one, str))
+        used = [mapping.get(kind) for mapping in named for kind in _NAMED]
+        words = " ".join(item[:_LONGEST_NAME] for item in used if isinstance(item, str))
         return self._backend.role_views.of(self._client.role).text(text, words)
 
     def _tell_status(self, level: int, fields: Mapping[str, Any], text: str) -> None:

@@ -110,21 +110,23 @@ class SharedPublication:
         """Share what waits, a batch at a time, until nothing does."""
         while self._waiting:
             batch = self._next_batch()
-            for one, outcome in zip(batch, await self._outcomes(batch), strict=True):
-                octets = one.charge.octets
-                one.charge.release()
-                self._conclude(one, outcome, octets)
+            for waiting, outcome in zip(batch, await self._outcomes(batch), strict=True):
+                octets = waiting.charge.octets
+                waiting.charge.release()
+                self._conclude(waiting, outcome, octets)
         self._working = None
         if self._closing:
             self._hub.unadvertise(self._name, self)
 
     async def _outcomes(self, batch: list[_Waiting]) -> list[Message | Exception]:
         """Return each message as it is shared, or the error that says why it is not."""
-        messages = [one.message for one in batch]
+        messages = [waiting.message for waiting in batch]
         if self._structure is None:
             return messages
         try:
-            return await self._backend.in_worker(lambda: [self._outcome(one) for one in messages])
+            return await self._backend.in_worker(
+                lambda: [self._outcome(message) for message in messages]
+            )
         except BusyError as error:  # the server is closing
             return [error] * len(batch)
 

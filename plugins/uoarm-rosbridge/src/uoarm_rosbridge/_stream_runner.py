@@ -42,8 +42,10 @@ _CANCEL_OCTETS = 500
 
 def is_action(component: Component) -> bool:
     """Say whether a component takes goals."""
-    inputs = {one.name for one in component.inputs if one.source is None}
-    return "goal" in inputs and {"status", "result"} <= {one.name for one in component.outputs}
+    inputs = {input_.name for input_ in component.inputs if input_.source is None}
+    return "goal" in inputs and {"status", "result"} <= {
+        output.name for output in component.outputs
+    }
 
 
 def _taking(component: Component) -> Component:
@@ -100,7 +102,7 @@ class StreamRunner:
         elif goal is self._asked:
             self._unwanted = True
         else:
-            identity = next((name for name, one in self._running.items() if one is goal), None)
+            identity = next((name for name, value in self._running.items() if value is goal), None)
             if identity is not None and self._sending is not None:
                 self._sending.send({"goal_id": identity}, "cancel", done, _CANCEL_OCTETS)
 
@@ -122,7 +124,9 @@ class StreamRunner:
     async def _open(self) -> None:
         try:
             connection = await self._join("status")
-            outputs = {one.name for one in _taking(connection.plan.provider.component).outputs}
+            outputs = {
+                output.name for output in _taking(connection.plan.provider.component).outputs
+            }
             for part in outputs & {"feedback", "result"}:
                 await self._join(part)
         except Exception as error:  # noqa: BLE001 - told to those who sent goals
@@ -202,7 +206,7 @@ class StreamRunner:
             goal.fail(BridgeError(text, FailureReason.REFUSED))
         else:
             self._running[identity] = goal
-            early = [one for one in self._early if one[1].get("goal_id") == identity]
+            early = [pair for pair in self._early if pair[1].get("goal_id") == identity]
             self._early.clear()
             for part, message in early:
                 self._heard(part, message)

@@ -174,8 +174,8 @@ class Subscription:
 
     def _settle(self) -> None:
         wishes = self.wishes.values()
-        self._every = min((one.every for one in wishes), default=0.0)
-        self._length = max((one.length for one in wishes), default=0)
+        self._every = min((wish.every for wish in wishes), default=0.0)
+        self._length = max((wish.length for wish in wishes), default=0)
 
     def _set_timer(self, now: float) -> None:
         if self._timer is None:

@@ -142,7 +142,10 @@ class Topics:
     def _admit_wish(self) -> None:
         """Refuse one more subscription where the client has as many as it may, on all topics."""
         most = _WISHES_PER_STREAM * self._client.limits.streams
-        if sum(len(one.subscription.wishes) for one in self._listening.values()) >= most:
+        if (
+            sum(len(listening.subscription.wishes) for listening in self._listening.values())
+            >= most
+        ):
             raise LimitError(f"{most} subscriptions are held already; end one first")
 
     def _open(self, place: Place, fields: Fields) -> None:
@@ -272,7 +275,7 @@ def _structure_of(place: Place, feed: Feed | None) -> MessageStructure:
             "ask for cbor instead of cbor-raw"
         )
     provider = feed.connection.plan.provider
-    port = place.port or next((one.name for one in provider.component.outputs), "")
+    port = place.port or next((output.name for output in provider.component.outputs), "")
     structure = provider.structures.get(f"output.{port}")
     if structure is None:
         raise MessageError(f"{place.name}: the function has no output {port!r}")

@@ -157,7 +157,7 @@ def _records(structure: MessageStructure, function: str) -> Iterator[_Record]:
         )
         constants = schema.get("x-constants", {}) if isinstance(schema, Mapping) else {}
         yield _Record(name, _ROS_TYPE.fullmatch(name) is not None, members, constants)
-        inner = [(one.kind, one.schema) for one in members if _is_record(one.schema)]
+        inner = [(member.kind, member.schema) for member in members if _is_record(member.schema)]
         waiting += reversed(inner)
 
 

@@ -73,11 +73,11 @@ def receive(ros: Any) -> None:
 
 
 def publish(ros: Any) -> None:
-    heard: list[int] = []
+    received: list[int] = []
     all_heard = threading.Event()
 
     def take(message: Any) -> None:
-        heard.append(message["value"])
+        received.append(message["value"])
         if message["value"] == 20:
             all_heard.set()
 
@@ -87,7 +87,7 @@ def publish(ros: Any) -> None:
     talker = roslibpy.Topic(ros, "/uoarm/echo", "any/Type")
     for value in range(21):
         talker.publish(roslibpy.Message({"value": value}))
-    assert all_heard.wait(SECONDS), heard
+    assert all_heard.wait(SECONDS), received
     talker.unadvertise()
     listener.unsubscribe()
 
@@ -125,27 +125,27 @@ def fail(ros: Any) -> None:
 
 
 def send_goals(ros: Any) -> None:
-    told: SimpleQueue[tuple[str, Any]] = SimpleQueue()
+    reports: SimpleQueue[tuple[str, Any]] = SimpleQueue()
 
     def send(value: int) -> Any:
         return client.send_goal(
             roslibpy.Goal({"value": value}),
-            lambda result: told.put(("result", result)),
-            lambda feedback: told.put(("feedback", feedback)),
-            lambda error: told.put(("error", error)),
+            lambda result: reports.put(("result", result)),
+            lambda feedback: reports.put(("feedback", feedback)),
+            lambda error: reports.put(("error", error)),
         )
 
     client = roslibpy.ActionClient(ros, "/uoarm/navigate", "any/Walk")
     client.wait_goal(send(2), timeout=SECONDS)
-    came = [told.get(timeout=SECONDS) for _ in range(3)]
+    came = [reports.get(timeout=SECONDS) for _ in range(3)]
     assert [kind for kind, _ in came] == ["feedback", "feedback", "result"], came
     assert came[1][1]["step"] == 1, came
     assert came[2][1] == {"status": roslibpy.GoalStatus.SUCCEEDED, "values": {"walked": 2}}, came
     client.cancel_goal(send(0))
-    kind, result = told.get(timeout=SECONDS)
+    kind, result = reports.get(timeout=SECONDS)
     assert (kind, result["status"]) == ("result", roslibpy.GoalStatus.CANCELED), result
     send(-1)
-    kind, error = told.get(timeout=SECONDS)
+    kind, error = reports.get(timeout=SECONDS)
     assert kind == "error", error
     assert "rejected" in error["values"], error
 

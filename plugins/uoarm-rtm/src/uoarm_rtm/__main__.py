@@ -26,7 +26,7 @@ def main(arguments: list[str] | None = None) -> int:
     """Run a command; returns the exit status."""
     parser = _parser()
     given, rest = parser.parse_known_args(arguments)
-    if rest and (given.command != "configure" or any(each[0] == "-" for each in rest)):
+    if rest and (given.command != "configure" or any(name[0] == "-" for name in rest)):
         parser.error(f"unrecognized arguments: {' '.join(rest)}")
     if rest:  # values after an option: argparse leaves them
         given.values += rest
@@ -116,10 +116,10 @@ def _ask(given: argparse.Namespace) -> int:
 
 def _request(given: argparse.Namespace) -> dict[str, object]:
     values = {}
-    for each in given.values:
-        name, sign, value = each.partition("=")
+    for item in given.values:
+        name, sign, value = item.partition("=")
         if not name or not sign:
-            raise UsageError(f"expected NAME=VALUE, got {each!r}")
+            raise UsageError(f"expected NAME=VALUE, got {item!r}")
         values[name] = value
     request: dict[str, object] = {"activate": given.activate, "create": given.create}
     return {
@@ -147,8 +147,8 @@ def _whole_component_lines(row: Any) -> Iterable[str]:
     yield from _component_lines([{**row, "ports": ()}])
     for port in row["ports"]:
         yield from list(_component_lines([{"component": "", "state": "", "ports": [port]}]))[1:]
-        for each in _connection_lines(port["connections"]):
-            yield f"    {each}"
+        for line in _connection_lines(port["connections"]):
+            yield f"    {line}"
     yield from _set_lines(row["configuration"])
 
 
@@ -163,9 +163,9 @@ def _set_lines(found: Any) -> Iterable[str]:
     for name, values in found["sets"].items():
         yield f"set {name}{' (active)' if name == found['active'] else ''}"
         for parameter, value in values.items():
-            told = (found.get(about, {}).get(parameter) for about in ("types", "constraints"))
+            report = (found.get(about, {}).get(parameter) for about in ("types", "constraints"))
             widget = found.get("widgets", {}).get(parameter, "")
-            said = "; ".join(each for each in (*told, widget) if each)
+            said = "; ".join(item for item in (*report, widget) if item)
             yield f"  {parameter:<20} {value}" + (f"  [{said}]" if said else "")
 
 

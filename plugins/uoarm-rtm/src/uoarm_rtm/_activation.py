@@ -55,7 +55,7 @@ class Activations:
         """Deactivate what we activated and no open channel needs."""
         with self._lock:
             for path, users in list(self._users.items()):
-                users -= {each for each in users if each.closed}
+                users -= {user for user in users if user.closed}
                 if users:
                     continue
                 del self._users[path]

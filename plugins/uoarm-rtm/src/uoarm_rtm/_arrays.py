@@ -72,9 +72,9 @@ def blocks(listing: Listing, order: Order) -> Callable[[Message], tuple[int, Any
 def _checked(value: Message, name: str) -> list[Any]:
     check = checker(name)
     checked = []
-    for index, each in enumerate(value):
+    for index, element in enumerate(value):
         with item(index):
-            checked.append(check(each))
+            checked.append(check(element))
     return checked
 
 

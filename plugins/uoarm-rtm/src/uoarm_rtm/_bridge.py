@@ -83,7 +83,8 @@ class RtmBridge(Bridge):
         self._orb = Orb(self._settings.address, seconds, self._settings.most_octets)
         try:
             self._services = [
-                NamingService(self._orb, each, seconds) for each in self._settings.nameservers
+                NamingService(self._orb, nameserver, seconds)
+                for nameserver in self._settings.nameservers
             ]
         except ValueError:
             self._orb.close()  # nobody will close a bridge that was never made
@@ -217,7 +218,7 @@ class RtmBridge(Bridge):
 
     def _link(self, source: Endpoint, sink: Endpoint) -> Channel | None:
         addresses = address_of(source), address_of(sink)
-        if any(each.component == SELF for each in addresses):
+        if any(address.component == SELF for address in addresses):
             return None
         settings = linked(source, sink)
         if settings is None:
@@ -350,7 +351,7 @@ class RtmBridge(Bridge):
 
     def _ticks(self) -> list[Callable[[], None]]:
         with self._guard:
-            for channel in [each for each in self._ticking if each.closed]:
+            for channel in [item for item in self._ticking if item.closed]:
                 del self._ticking[channel]
             ticks = [*self._ticking.values()]
         ticks += [self._active.tick, self._observers.tick, self._attendance.tick]
@@ -383,6 +384,6 @@ def _only_type(peer: Peer, port: Port) -> str:
     """
     if len(port.interfaces) == 1:
         return port.interfaces[0].type
-    names = ", ".join(each.type for each in port.interfaces) or "none"
+    names = ", ".join(interface.type for interface in port.interfaces) or "none"
     text = f"port {port.name!r} of {peer.path!r} has interfaces {names}: say which, as third part"
     raise BridgeError(text, FailureReason.BAD_ENDPOINT)

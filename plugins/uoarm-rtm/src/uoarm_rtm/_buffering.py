@@ -158,7 +158,7 @@ def _buffer_texts(option: str, table: object) -> dict[str, str]:
         if timeout in table and table.get(policy) != "block":
             raise ValueError(f"{option}.{timeout} means nothing without {policy}: block")
     texts = {_MEMBERS[member]: _text(value) for member, value in table.items()}
-    _policy({_MEMBERS[each]: (f"{option}.{each}", texts[_MEMBERS[each]]) for each in table})
+    _policy({_MEMBERS[item]: (f"{option}.{item}", texts[_MEMBERS[item]]) for item in table})
     return texts
 
 

@@ -35,7 +35,7 @@ class Session:
 
     def __init__(self, orb: Orb, addresses: Sequence[str], seconds: float) -> None:
         try:
-            services = [NamingService(orb, each, seconds) for each in addresses]
+            services = [NamingService(orb, address, seconds) for address in addresses]
         except ValueError as error:
             raise UsageError(f"--nameserver: {error}") from error
         self._orb = orb
@@ -45,7 +45,7 @@ class Session:
     def components(self) -> list[Row]:
         """Return every component that has a name; of those that do not answer, why."""
         peers, silent = self._directory.peers()
-        rows = [self._component(each) for each in peers]
+        rows = [self._component(peer) for peer in peers]
         rows += [{"component": path, "state": why, "ports": []} for path, why in silent]
         return sorted(rows, key=lambda row: str(row["component"]))
 
@@ -55,7 +55,7 @@ class Session:
         row = self._component(peer)
         for shown, port in zip(row["ports"], peer.ports, strict=True):
             shown["properties"] = dict(port.properties)
-            shown["connections"] = [self._connection(peer, port, each) for each in self._all(port)]
+            shown["connections"] = [self._connection(peer, port, item) for item in self._all(port)]
         return {**row, "configuration": configure(peer, {}, self._seconds)}
 
     def connections(self, *, mine: bool, remove: bool) -> list[Row]:
@@ -84,7 +84,7 @@ class Session:
         left = [row for row in found if row["runs"] == "no"]
         for row in left:
             with corba_errors(f"ending connector {row['id']}"):
-                end_connector(row["id"], [each for each in ends[row["id"]] if each is not None])
+                end_connector(row["id"], [item for item in ends[row["id"]] if item is not None])
         Leftovers(self._orb, self._seconds).end()  # of components that have no name any more
         return left
 
@@ -113,12 +113,13 @@ class Session:
             "state": state,
             "type": peer.type_name,
             "language": peer.language,
-            "ports": [self._port(each) for each in peer.ports],
+            "ports": [self._port(port) for port in peer.ports],
         }
 
     def _port(self, port: Port) -> Row:
         interfaces = [
-            f"{'provides' if each.provided else 'requires'} {each.type}" for each in port.interfaces
+            f"{'provides' if interface.provided else 'requires'} {interface.type}"
+            for interface in port.interfaces
         ]
         kind = port.data_type or ", ".join(interfaces)
         return {"port": port.name, "kind": port.kind, "type": kind}

@@ -51,8 +51,8 @@ def configure(peer: Peer, message: Message, seconds: float) -> Message:
             raise BridgeError(text, FailureReason.REFUSED) from error
     _kept(what, _name(before, message), written, now)
     doubts = _doubts(before, written)
-    for each in doubts:
-        _log.warning("%s: %s", what, each)
+    for name in doubts:
+        _log.warning("%s: %s", what, name)
     return {**now.reply(), **({"warnings": doubts} if doubts else {})}
 
 
@@ -65,7 +65,7 @@ def limits(peer: Peer, seconds: float) -> str:
     what, target = _target(peer, seconds)
     with corba_errors(what):
         sets = _read(target)
-    names = dict.fromkeys(name for each in sets.usual.values() for name in each)
+    names = dict.fromkeys(name for mapping in sets.usual.values() for name in mapping)
     return ", ".join(f"{name} {sets.told(CONSTRAINTS, name)}".strip() for name in names)
 
 
@@ -87,7 +87,7 @@ class _Sets:
     @property
     def usual(self) -> dict[str, Mapping[str, str]]:
         """Without those that only say something of parameters."""
-        return {name: each for name, each in self.every.items() if not name.startswith("__")}
+        return {name: value for name, value in self.every.items() if not name.startswith("__")}
 
     def told(self, about: str, name: str) -> str:
         """Return what one of those says of a parameter."""
@@ -96,14 +96,16 @@ class _Sets:
     def reply(self) -> dict[str, Any]:
         """Return what the service answers."""
         about = {"constraints": CONSTRAINTS, "widgets": WIDGETS, "types": TYPES}
-        told = {word: dict(self.every[each]) for word, each in about.items() if each in self.every}
-        sets = {name: dict(each) for name, each in self.usual.items()}
-        return {"active": self.active, "sets": sets, **told}
+        reports = {
+            word: dict(self.every[value]) for word, value in about.items() if value in self.every
+        }
+        sets = {name: dict(value) for name, value in self.usual.items()}
+        return {"active": self.active, "sets": sets, **reports}
 
 
 def _read(target: Any) -> _Sets:
     listing = target.get_configuration_sets()
-    sets = {str(each.id): properties_of(each.configuration_data) for each in listing}
+    sets = {str(item.id): properties_of(item.configuration_data) for item in listing}
     try:
         active = str(target.get_active_configuration_set().id)
     except SDOPackage.NotAvailable:
@@ -125,7 +127,7 @@ def _checked(sets: _Sets, message: Mapping[str, Any]) -> dict[str, str]:
         there = ", ".join(sets.usual) or "none"
         text = f"$.set: there is no configuration set {name!r}; there are {there}"
         raise MessageError(f"{text}. `create: true` makes it")
-    known = {each for one in sets.usual.values() for each in one}
+    known = {word for mapping in sets.usual.values() for word in mapping}
     written = {}
     for parameter, value in values.items():
         if parameter not in known:
@@ -145,7 +147,7 @@ def _doubts(before: _Sets, written: Mapping[str, str]) -> list[str]:
     doubts = []
     for parameter, value in written.items():
         if not any(before.told(about, parameter) for about in (CONSTRAINTS, TYPES)):
-            held = [each[parameter] for each in before.usual.values() if parameter in each]
+            held = [mapping[parameter] for mapping in before.usual.values() if parameter in mapping]
             doubts.append((parameter, doubt(value, held)))
     return [f"values.{parameter}: {text}" for parameter, text in doubts if text]
 

@@ -99,8 +99,8 @@ class Connections:
             if not self._cleared:
                 self._cleared = True
                 Leftovers(self._orb, self._seconds).end()
-        references = [limit(each.reference, self._seconds) for each in (port, *others)]
-        iors = tuple(self._orb.text(each) for each in references)
+        references = [limit(item.reference, self._seconds) for item in (port, *others)]
+        iors = tuple(self._orb.text(reference) for reference in references)
         undoing = Undoing(self._seconds, self._closed)
         return Connector(where, {**properties, **self._properties}, references, iors, undoing)
 

@@ -44,14 +44,14 @@ def problem(value: str, constraint: str, kind: str, widget: str) -> str:
     kind = one.group(1).strip() if one else kind.strip().lower()
     constraint = constraint.strip()
     if constraint.startswith("(") and constraint.endswith(")"):
-        words = [each.strip() for each in constraint[1:-1].split(",")]
-        given = [each.strip() for each in value.split(",")] if widget == "checkbox" else [value]
-        return "" if all(each in words for each in given) else f"expected one of {constraint}"
-    tests = [_test(each.strip()) for each in constraint.split(",")] if constraint else []
+        words = [word.strip() for word in constraint[1:-1].split(",")]
+        given = [word.strip() for word in value.split(",")] if widget == "checkbox" else [value]
+        return "" if all(name in words for name in given) else f"expected one of {constraint}"
+    tests = [_test(word.strip()) for word in constraint.split(",")] if constraint else []
     numeric = (
         any(tests) or widget.split(".", maxsplit=1)[0] in {"slider", "spin"} or kind in _NUMBERS
     )
-    for index, element in enumerate(each.strip() for each in value.split(",")):
+    for index, element in enumerate(word.strip() for word in value.split(",")):
         if kind in _WHOLES and not _WHOLE.fullmatch(element):
             return f"expected {kind}, got {element!r}"
         if not numeric:
@@ -84,7 +84,7 @@ def doubt(value: str, before: Iterable[str]) -> str:
 
 
 def _is_numeric(value: str) -> bool:
-    return all(re.fullmatch(_NUMBER, each.strip()) for each in value.split(","))
+    return all(re.fullmatch(_NUMBER, word.strip()) for word in value.split(","))
 
 
 def _test(constraint: str) -> Callable[[float], bool] | None:

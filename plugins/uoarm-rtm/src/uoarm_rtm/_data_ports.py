@@ -202,8 +202,8 @@ class _Outlet:
     @property
     def dropped(self) -> int:
         """Messages that a buffer gave up or did not take, or that were too large."""
-        writers = {id(each): each for each in (self.writer, self.pusher) if each is not None}
-        return sum(each.dropped for each in writers.values())
+        writers = {id(item): item for item in (self.writer, self.pusher) if item is not None}
+        return sum(writer.dropped for writer in writers.values())
 
 
 class OutPort(_DataPort):
@@ -226,7 +226,7 @@ class OutPort(_DataPort):
     def dropped(self) -> int:
         """Messages that buffers gave up or did not take, of all connectors there were."""
         outlets = list(self._outlets.values())
-        return self._dropped_before + sum(each.dropped for each in outlets)
+        return self._dropped_before + sum(outlet.dropped for outlet in outlets)
 
     def write(self, message: Message) -> None:
         """Send a message to all connectors.

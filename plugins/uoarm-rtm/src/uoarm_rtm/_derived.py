@@ -64,8 +64,8 @@ def derive_interface(port: str, structures: ServiceStructures) -> tuple[str, str
         BridgeError: UNSUPPORTED, as of `derive`.
     """
     request, reply = (
-        None if each.schema == _NULL else _exact(each, is_read=is_read)
-        for each, is_read in ((structures.request, True), (structures.reply, False))
+        None if structure.schema == _NULL else _exact(structure, is_read=is_read)
+        for structure, is_read in ((structures.request, True), (structures.reply, False))
     )
     name, lines = _name(port, (request, reply)), list[str]()
     takes = "" if request is None else f"in {_define(request, f'{name}_request', lines)} {REQUEST}"
@@ -129,7 +129,7 @@ def _fields(schema: Mapping[str, Any], path: str, depth: int) -> Iterator[Field]
     if not properties:
         raise _none(path, "a struct has at least one member")
     seen: dict[str, str] = {}
-    for name, each in properties.items():
+    for name, property_ in properties.items():
         within = f"{path}.{name}" if path else str(name)
         if not _NAME.fullmatch(name):
             raise _none(within, "IDL has no member of this name")
@@ -138,7 +138,7 @@ def _fields(schema: Mapping[str, Any], path: str, depth: int) -> Iterator[Field]
             raise _none(within, f"IDL does not tell it from {other!r}")
         if name not in schema.get("required", ()):
             raise _none(within, "a struct has all its members, and this may be left out")
-        yield Field(name, _shape(each, within, depth + 1))
+        yield Field(name, _shape(property_, within, depth + 1))
 
 
 def _listing(schema: Mapping[str, Any], path: str, depth: int) -> Listing:
@@ -167,8 +167,8 @@ def _define(shape: Shape, name: str, lines: list[str]) -> str:
     """Write what a type rests on, then the type, and return how it is called."""
     if isinstance(shape, Record):
         members = [
-            f"{_define(each.shape, f'{name}_{each.name}', lines)} _{each.name};"
-            for each in shape.fields
+            f"{_define(field.shape, f'{name}_{field.name}', lines)} _{field.name};"
+            for field in shape.fields
         ]
         lines.append(f"struct {name} {{ {' '.join(members)} }};")
         return name

@@ -102,8 +102,8 @@ def shape_of(descriptor: Any, where: str, depth: int = 0) -> Shape:
     if kind in {tcInternal.tv_struct, tcInternal.tv_except}:
         members = zip(parts[4::2], parts[5::2], strict=True)
         fields = [
-            Field(_plain(name), shape_of(each, f"{where}.{name}", depth + 1))
-            for name, each in members
+            Field(_plain(name), shape_of(item, f"{where}.{name}", depth + 1))
+            for name, item in members
         ]
         return Record(parts[2], tuple(fields))
     if kind == tcInternal.tv_union:

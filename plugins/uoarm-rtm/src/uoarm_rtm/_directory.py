@@ -77,9 +77,9 @@ class Directory:
         failures = []
         for service in self._services:
             try:
-                for each in service.names():
-                    if each.path.endswith(_SUFFIX):
-                        names.setdefault(each.path, each)
+                for name in service.names():
+                    if name.path.endswith(_SUFFIX):
+                        names.setdefault(name.path, name)
             except BridgeError as error:
                 failures.append(error)
         if len(failures) == len(self._services):
@@ -96,14 +96,14 @@ class Directory:
         """Return the components that answer, and (path, what is wrong) of those that do not."""
         found: list[Peer] = []
         silent = []
-        for each in self.sightings():
-            if each.condition != "alive":
-                silent.append((each.path, each.condition))
+        for sighting in self.sightings():
+            if sighting.condition != "alive":
+                silent.append((sighting.path, sighting.condition))
                 continue
             try:
-                found.append(peer_at(each.path, each.reference, self._seconds))
+                found.append(peer_at(sighting.path, sighting.reference, self._seconds))
             except BridgeError as error:
-                silent.append((each.path, str(error)))
+                silent.append((sighting.path, str(error)))
         return tuple(found), tuple(silent)
 
     def _look(self, name: Name) -> Sighting:
@@ -124,28 +124,28 @@ class Directory:
         plain = path.replace("\\", "")
         every = self.sightings()
         seen = [
-            each
-            for each in every
-            if each.path.split("/")[-1] == path or each.path.replace("\\", "") == plain
+            sighting
+            for sighting in every
+            if sighting.path.split("/")[-1] == path or sighting.path.replace("\\", "") == plain
         ]
-        alive = [each for each in seen if each.condition == "alive"]
+        alive = [sighting for sighting in seen if sighting.condition == "alive"]
         if len(alive) == 1:
             return peer_at(alive[0].path, alive[0].reference, self._seconds)
         where = ", ".join(service.address for service in self._services)
         if alive:
-            paths = ", ".join(each.path for each in alive)
+            paths = ", ".join(sighting.path for sighting in alive)
             text = f"component {path!r} is there several times: {paths}; give one whole path"
             raise BridgeError(text, FailureReason.NOT_FOUND)
-        for each in seen:
-            if each.condition == "hung":
-                raise BridgeTimeoutError(f"component {each.path!r} does not answer")
+        for sighting in seen:
+            if sighting.condition == "hung":
+                raise BridgeTimeoutError(f"component {sighting.path!r} does not answer")
         if seen:
             text = f"component {seen[0].path!r} is dead: only its name is left"
             raise BridgeError(text, FailureReason.UNAVAILABLE)
         if unreadable is not None:
             raise unreadable
         text = f"there is no component {path!r} in {where}"
-        close = difflib.get_close_matches(path, [each.path for each in every], n=1)
+        close = difflib.get_close_matches(path, [sighting.path for sighting in every], n=1)
         if close:
             text = f"{text}; did you mean {close[0]!r}?"
         raise BridgeError(text, FailureReason.NOT_FOUND)

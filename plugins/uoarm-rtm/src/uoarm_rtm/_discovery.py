@@ -29,7 +29,7 @@ def discovered(
     found = [_component(bridge, peer, types, seconds) for peer in peers]
     for path, condition in silent:
         found.append(Discovered(path, (), condition))
-    return tuple(sorted(found, key=lambda each: each.name))
+    return tuple(sorted(found, key=lambda item: item.name))
 
 
 def _component(bridge: str, peer: Peer, types: Types, seconds: float) -> Discovered:
@@ -45,10 +45,10 @@ def _component(bridge: str, peer: Peer, types: Types, seconds: float) -> Discove
         remarks += [remark] if remark else []
         endpoints.append((Endpoint(bridge, peer.path, role, address, port=port.name), description))
     for port in peer.ports:
-        for each in port.interfaces:
-            if each.provided:
-                address = (peer.path, port.name, each.type)
-                description, remark = _service(each.type, types)
+        for interface in port.interfaces:
+            if interface.provided:
+                address = (peer.path, port.name, interface.type)
+                description, remark = _service(interface.type, types)
                 remarks += [remark] if remark else []
                 endpoint = Endpoint(bridge, peer.path, Role.SERVICE, address, port=port.name)
                 endpoints.append((endpoint, description))
@@ -61,7 +61,7 @@ def _component(bridge: str, peer: Peer, types: Types, seconds: float) -> Discove
     ):
         endpoint = Endpoint(bridge, peer.path, Role.SERVICE, (peer.path, name), port=name)
         endpoints.append((endpoint, Description(request=request, reply=reply)))
-    given = [one.name for one in peer.ports if _ROLES.get(one.kind) is Role.OUTPUT]
+    given = [item.name for item in peer.ports if _ROLES.get(item.kind) is Role.OUTPUT]
     rates = {} if rate is None else dict.fromkeys(given, rate)
     return Discovered(peer.path, tuple(endpoints), "; ".join(remarks), rates)
 
@@ -86,10 +86,10 @@ def _state(peer: Peer, seconds: float) -> tuple[str, float | None]:
     """Return the state in words, and how often a second its execution context runs it."""
     try:
         contexts = contexts_of(peer, seconds)
-        told = f"{state_of(peer, seconds)}, {len(contexts)} execution context"
+        text = f"{state_of(peer, seconds)}, {len(contexts)} execution context"
     except BridgeError as error:
         return str(error), None
     rate: float | None = None
     with contextlib.suppress(BridgeError), corba_errors(f"component {peer.path!r}: its rate"):
         rate = float(contexts[0].get_rate()) if contexts else None
-    return told + "s"[: len(contexts) != 1], rate or None  # 0: when something happens
+    return text + "s"[: len(contexts) != 1], rate or None  # 0: when something happens

@@ -32,14 +32,14 @@ def fit(shape: Shape, value: Message, encoding: str, path: str = "$") -> None:
     """Raise Misfit that begins with the path of the first field that does not fit."""
     try:
         if isinstance(shape, Record):
-            fields = {each.name: each.shape for each in shape.fields}
+            fields = {field.name: field.shape for field in shape.fields}
             _members(value, fields)
         elif isinstance(shape, Choice):
             fields = _variant(shape, value, encoding)
         elif isinstance(shape, Listing) and not is_block(shape):
             counted(shape)(value)
-            for index, each in enumerate(value):
-                fit(shape.element, each, encoding, f"{path}[{index}]")
+            for index, item in enumerate(value):
+                fit(shape.element, item, encoding, f"{path}[{index}]")
             return
         else:
             _leaf(shape, value, encoding)
@@ -71,7 +71,7 @@ def _variant(choice: Choice, value: Message, encoding: str) -> dict[str, Shape]:
     label = value[SWITCH]
     fit(choice.by, label, encoding, SWITCH)
     ordered = sorted(choice.variants, key=lambda variant: not variant.labels)
-    chosen = next((each for each in ordered if not each.labels or label in each.labels), None)
+    chosen = next((item for item in ordered if not item.labels or label in item.labels), None)
     fields: dict[str, Shape] = {SWITCH: choice.by}
     if chosen is not None:
         fields[chosen.name] = chosen.shape
@@ -120,8 +120,8 @@ def read_slowly(shape: Shape, cursor: Cursor, path: str = "$") -> Message:
     """Return the value at the cursor; raises Misfit that begins with a path."""
     if isinstance(shape, Record):
         return {
-            each.name: read_slowly(each.shape, cursor, f"{path}.{each.name}")
-            for each in shape.fields
+            field.name: read_slowly(field.shape, cursor, f"{path}.{field.name}")
+            for field in shape.fields
         }
     if isinstance(shape, Listing):
         return _read_list(shape, cursor, path)
@@ -160,11 +160,11 @@ def _read_list(listing: Listing, cursor: Cursor, path: str) -> Message:
 def _read_choice(choice: Choice, cursor: Cursor, path: str) -> Message:
     label = read_slowly(choice.by, cursor, f"{path}.{SWITCH}")
     ordered = sorted(choice.variants, key=lambda variant: not variant.labels)
-    for each in ordered:
-        if not each.labels or label in each.labels:
-            member = Field(each.name, each.shape)
+    for item in ordered:
+        if not item.labels or label in item.labels:
+            member = Field(item.name, item.shape)
             inner = read_slowly(member.shape, cursor, f"{path}.{member.name}")
-            return {SWITCH: label, each.name: inner}
+            return {SWITCH: label, item.name: inner}
     return {SWITCH: label}
 
 

@@ -111,7 +111,7 @@ class Journal:
         again another time.
         """
         try:
-            tokens = sorted(each.name for each in self._base.iterdir() if each.name[0] != ".")
+            tokens = sorted(path.name for path in self._base.iterdir() if path.name[0] != ".")
         except OSError:
             return
         for token in tokens:
@@ -174,7 +174,7 @@ class Journal:
                     found = json.loads(opened.read(_MOST_OCTETS))
                 is_observer = "observer" in found
                 references = found["observer" if is_observer else "ports"]
-                texts = tuple(str(each) for each in references)
+                texts = tuple(str(reference) for reference in references)
                 entries.append(Entry(file.stem, texts, str(found["where"]), is_observer))
             except (OSError, ValueError, KeyError, TypeError):
                 _log.warning("%s is no entry of a connection: removed", file)

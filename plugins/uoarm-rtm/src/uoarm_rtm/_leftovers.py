@@ -43,8 +43,8 @@ def end_connector(identifier: str, ports: Sequence[Any]) -> bool:
     is_over = False
     for index, port in enumerate(ports):
         try:
-            tell = port.disconnect if index == 0 else port.notify_disconnect
-            is_over = tell(identifier) == RTC.RTC_OK or is_over
+            report = port.disconnect if index == 0 else port.notify_disconnect
+            is_over = report(identifier) == RTC.RTC_OK or is_over
         except CORBA.TIMEOUT as error:
             silent = error
         except CORBA.Exception as error:
@@ -119,8 +119,8 @@ class Leftovers:
             with calls:
                 if not entry.is_observer:
                     end_connector(entry.id, references)
-                for each in references if entry.is_observer else ():
-                    end_observer(entry.id, each)
+                for item in references if entry.is_observer else ():
+                    end_observer(entry.id, item)
         except CORBA.Exception as error:
             _log.warning("%s at %s is left: %r", entry.id, entry.where, error)
             return False

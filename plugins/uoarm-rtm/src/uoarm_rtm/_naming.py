@@ -182,7 +182,7 @@ class NamingService:
     def _walk(
         self, context: Any, path: tuple[Any, ...], found: list[Name], seen: list[Any]
     ) -> None:
-        if len(path) >= _DEEPEST or any(each._is_equivalent(context) for each in seen):
+        if len(path) >= _DEEPEST or any(item._is_equivalent(context) for item in seen):
             return
         seen.append(context)
         for binding in self._bindings(context):

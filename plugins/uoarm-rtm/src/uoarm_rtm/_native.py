@@ -57,12 +57,12 @@ class Native(Channel):
         if self._lost or self.closed:
             return
         looks = [place.look(self._connector, end) for end, place in enumerate(self._ends)]
-        self._states = [each.state for each in looks]
+        self._states = [look.state for look in looks]
         worst = max(range(2), key=lambda end: looks[end].trouble)
         if looks[worst].trouble > Trouble.INACTIVE:
             self._lost = True
             text = f"{looks[worst].cause}; it was connected from {self._where}"
-            if all(each.trouble is Trouble.ENDED for each in looks):
+            if all(look.trouble is Trouble.ENDED for look in looks):
                 text = f"{self._where}: the components have ended the connection"
             self._tell(worst, Health.LOST, text)
             return

@@ -106,19 +106,19 @@ class Observers:
     def tick(self) -> None:
         """Ask components that are new to take an observer, and remove those of closed channels."""
         with self._changing:
-            for key, each in self._all():
+            for key, observed in self._all():
                 if self._closed:
                     return
                 with self._guard:
-                    for channel in [channel for channel in each.ticks if channel.closed]:
-                        del each.ticks[channel]
-                    is_over = not each.ticks
+                    for channel in [channel for channel in observed.ticks if channel.closed]:
+                        del observed.ticks[channel]
+                    is_over = not observed.ticks
                     if is_over:
                         del self._observed[key]
                 if is_over:
-                    self._remove(each)
-                elif not each.is_asked:
-                    self._register(each)
+                    self._remove(observed)
+                elif not observed.is_asked:
+                    self._register(observed)
 
     def close(self, seconds: float | None = None) -> None:
         """Remove all; idempotent.
@@ -129,14 +129,14 @@ class Observers:
         """
         self._closed = True
         with self._changing:
-            left = [each for _, each in self._all()]
+            left = [observed for _, observed in self._all()]
             with self._guard:
                 self._observed.clear()
             if seconds is not None:
                 deadline = time.monotonic() + seconds
-                for each in left:
+                for observed in left:
                     if time.monotonic() < deadline:
-                        self._remove(each)
+                        self._remove(observed)
             elif left:
                 with ThreadPoolExecutor(_AT_ONCE, "uoarm-rtm-observers") as pool:
                     list(pool.map(self._remove, left))

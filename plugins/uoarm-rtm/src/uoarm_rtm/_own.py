@@ -182,6 +182,6 @@ class Own:
 
     def _free(self, name: str) -> None:
         full = f"{self.component.sheet.name}.{name}"
-        if any(each.name == full for each in self.component.ports):
+        if any(port.name == full for port in self.component.ports):
             text = f"our own component has a port {name!r} already: give one of them another name"
             raise BridgeError(text, FailureReason.BAD_ENDPOINT)

@@ -84,10 +84,10 @@ class Peer:
         Raises:
             BridgeError: NOT_FOUND, with the ports that there are.
         """
-        for each in self.ports:
-            if name in {each.name, f"{self.instance}.{each.name}"}:
-                return each
-        names = ", ".join(each.name for each in self.ports) or "none"
+        for item in self.ports:
+            if name in {item.name, f"{self.instance}.{item.name}"}:
+                return item
+        names = ", ".join(item.name for item in self.ports) or "none"
         text = f"component {self.path!r} has no port {name!r}; it has {names}"
         raise BridgeError(text, FailureReason.NOT_FOUND)
 
@@ -102,7 +102,10 @@ def peer_at(path: str, reference: Any, seconds: float) -> Peer:
     component = narrowed(reference, RTC.RTObject, seconds, what)
     with corba_errors(f"{what}: reading its profile"):
         profile = component.get_component_profile()
-    ports = tuple(_port(each, profile.instance_name, seconds) for each in profile.port_profiles)
+    ports = tuple(
+        _port(port_profile, profile.instance_name, seconds)
+        for port_profile in profile.port_profiles
+    )
     language = properties_of(profile.properties).get("language", "")
     return Peer(path, component, profile.instance_name, profile.type_name, ports, language)
 
@@ -110,8 +113,10 @@ def peer_at(path: str, reference: Any, seconds: float) -> Peer:
 def _port(profile: Any, instance: str, seconds: float) -> Port:
     properties = properties_of(profile.properties)
     interfaces = tuple(
-        PortInterface(each.instance_name, each.type_name, each.polarity == RTC.PROVIDED)
-        for each in profile.interfaces
+        PortInterface(
+            interface.instance_name, interface.type_name, interface.polarity == RTC.PROVIDED
+        )
+        for interface in profile.interfaces
     )
     return Port(
         name=profile.name.removeprefix(f"{instance}."),
@@ -126,13 +131,13 @@ def _port(profile: Any, instance: str, seconds: float) -> Port:
 def properties_of(listing: Any) -> dict[str, str]:
     """Return the values of a property list that are strings; others say nothing to us."""
     found = {}
-    for each in listing:
+    for item in listing:
         try:
-            value = each.value.value()
+            value = item.value.value()
         except (CORBA.Exception, AttributeError):
             continue
         if isinstance(value, str):
-            found[each.name] = value
+            found[item.name] = value
     return found
 
 
@@ -149,7 +154,7 @@ def contexts_of(peer: Peer, seconds: float) -> list[Any]:
     with corba_errors(what):
         owned = peer.reference.get_owned_contexts()
         found = owned or peer.reference.get_participating_contexts()
-    return [narrowed(each, RTC.ExecutionContext, seconds, what) for each in found]
+    return [narrowed(item, RTC.ExecutionContext, seconds, what) for item in found]
 
 
 def state_of(peer: Peer, seconds: float) -> str:

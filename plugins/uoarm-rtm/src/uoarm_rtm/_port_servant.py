@@ -135,7 +135,7 @@ class PortServant(RTC__POA.PortService):  # type: ignore[misc]  # generated, wit
 
     def disconnect_all(self) -> Any:
         """End all connections (CORBA operation)."""
-        codes = [self.disconnect(each) for each in list(self._profiles)]
+        codes = [self.disconnect(profile) for profile in list(self._profiles)]
         return next((code for code in codes if code != RTC.RTC_OK), RTC.RTC_OK)
 
     def notify_disconnect(self, connector_id: str) -> Any:
@@ -176,7 +176,7 @@ class PortServant(RTC__POA.PortService):  # type: ignore[misc]  # generated, wit
         raise NotImplementedError
 
     def _offer(self, profile: Any, properties: Mapping[str, str]) -> None:
-        kept = [each for each in profile.properties if each.name not in properties]
+        kept = [property_ for property_ in profile.properties if property_.name not in properties]
         profile.properties = [*kept, *pairs(properties)]
 
     def _next_connect(self, profile: Any) -> tuple[Any, Any]:

@@ -69,7 +69,7 @@ class _Walk:
 
     def value(self, shape: Shape) -> str:
         if isinstance(shape, Record):
-            items = [f"{each.name!r}: {self.value(each.shape)}" for each in shape.fields]
+            items = [f"{field.name!r}: {self.value(field.shape)}" for field in shape.fields]
             return f"{{{', '.join(items)}}}"
         if isinstance(shape, Listing):
             return (self._block if is_block(shape) else self._list)(shape)

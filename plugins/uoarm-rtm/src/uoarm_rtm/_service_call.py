@@ -33,9 +33,9 @@ def described(interface: Interface, operation: str) -> Description:
         return Description(request=request, reply=reply)
     several = []
     replies = []
-    for each in interface.operations.values():
-        request, reply = each.structures
-        properties = {"operation": {"const": each.name}, "arguments": request.schema}
+    for item in interface.operations.values():
+        request, reply = item.structures
+        properties = {"operation": {"const": item.name}, "arguments": request.schema}
         several.append(
             {
                 "type": "object",
@@ -72,15 +72,15 @@ def offered(peer: Peer, port: Port, wanted: str, *, provided: bool) -> PortInter
     Raises:
         BridgeError: BAD_ENDPOINT, with what there is.
     """
-    there = [each for each in port.interfaces if each.provided is provided]
+    there = [interface for interface in port.interfaces if interface.provided is provided]
     if len(there) == 1:
         return there[0]
     last = plain_name(wanted).split("/")[-1]
-    for each in there:
-        if plain_name(each.type).split("/")[-1] == last:
-            return each
+    for port_interface in there:
+        if plain_name(port_interface.type).split("/")[-1] == last:
+            return port_interface
     side = "provided" if provided else "required"
-    names = ", ".join(each.type for each in there) or "none"
+    names = ", ".join(port_interface.type for port_interface in there) or "none"
     text = f"port {port.name!r} of {peer.path!r}: no {side} interface {wanted!r}; it has {names}"
     raise BridgeError(text, FailureReason.BAD_ENDPOINT)
 

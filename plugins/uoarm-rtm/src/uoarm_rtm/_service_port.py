@@ -36,11 +36,11 @@ def servant_of(interface: Interface, operation: str, handler: Handler) -> Any:
         handler: called in threads of the ORB, several at a time.
     """
     methods = {}
-    for each in interface.operations.values():
+    for item in interface.operations.values():
         if not operation:
-            methods[each.name] = _method(each, _named(each.name, handler))
-        elif each.name == operation:
-            methods[each.name] = _method(each, handler)
+            methods[item.name] = _method(item, _named(item.name, handler))
+        elif item.name == operation:
+            methods[item.name] = _method(item, handler)
     return type("Served", (interface.skeleton,), methods)()
 
 

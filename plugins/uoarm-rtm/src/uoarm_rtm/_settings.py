@@ -239,7 +239,7 @@ def _fits(address: Address, role: Role, *, is_offered: bool) -> None:
 
 
 def _settings(options: Options) -> Settings:
-    known = [*(each.name for each in Settings.__attrs_attrs__), *POLICY_OPTIONS]
+    known = [*(attr.name for attr in Settings.__attrs_attrs__), *POLICY_OPTIONS]
     unknown = sorted(set(options) - set(known))
     if unknown:
         raise ValueError(f"there is no option {unknown[0]!r}; there are {', '.join(known)}")
@@ -317,7 +317,7 @@ def _texts(value: object) -> tuple[str, ...]:
 
 
 def _properties(value: object) -> Mapping[str, str]:
-    if not isinstance(value, Mapping) or not all(isinstance(each, str) for each in value.values()):
+    if not isinstance(value, Mapping) or not all(isinstance(item, str) for item in value.values()):
         raise ValueError(f"properties must be a table of strings, got {value!r}")
     for name, option in _OF_OPTIONS.items():
         if name in value:

@@ -112,7 +112,7 @@ def least_size(shape: Shape) -> int:
     Never 0 but for an array of nothing: what a length in received data is checked against.
     """
     if isinstance(shape, Record):
-        return sum(least_size(each.shape) for each in shape.fields)
+        return sum(least_size(field.shape) for field in shape.fields)
     if isinstance(shape, Listing):
         return least_size(shape.element) * (shape.size or 0) if shape.fixed else 4
     if isinstance(shape, Choice):

@@ -53,7 +53,11 @@ class Attendance:
         if self._deaf:
             self._deaf = False
             self._report(Health.OK, "a naming service answers again", "")
-        now = {each.path: each.condition for each in sightings if each.path != self._own}
+        now = {
+            sighting.path: sighting.condition
+            for sighting in sightings
+            if sighting.path != self._own
+        }
         before, self._conditions = self._conditions, now
         if before is None:
             return

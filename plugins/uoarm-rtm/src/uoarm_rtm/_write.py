@@ -119,8 +119,8 @@ class _Walk:
         name = self._source.name()
         self._source.line(f"{name} = {given}")
         self._source.line(f"if len({name}) != {len(record.fields)}: raise KeyError")
-        for each in record.fields:
-            self.value(each.shape, f"{name}[{each.name!r}]")
+        for field in record.fields:
+            self.value(field.shape, f"{name}[{field.name!r}]")
 
     def _block(self, listing: Listing, given: str) -> None:
         assert isinstance(listing.element, Scalar)

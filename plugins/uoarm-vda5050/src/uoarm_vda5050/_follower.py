@@ -119,7 +119,9 @@ class Follower:
     def leave(self, listener: Callable[[News], object]) -> None:
         """Tell a listener nothing more."""
         with self._lock:
-            self._listeners = tuple(one for one in self._listeners if one != listener)
+            self._listeners = tuple(
+                callback for callback in self._listeners if callback != listener
+            )
 
     def _take(self, event: _Event) -> None:
         now = time.monotonic()
@@ -150,7 +152,7 @@ class Follower:
         header, body = self._codecs["state"].split(event.payload)
         self._count_gap(header.get("headerId"))
         state: Any = body
-        fatal = [words_of(one) for one in state["errors"] if one["errorLevel"] == "FATAL"]
+        fatal = [words_of(error) for error in state["errors"] if error["errorLevel"] == "FATAL"]
         with self._lock:
             self._do(self._transport.state(state, now))
             self._announce(StateRead())
@@ -171,7 +173,7 @@ class Follower:
         with self._lock:
             self._do(self._transport.tick(now))
             times = [self._transport.wake_at(), self._health.wake_at()]
-        return min((one for one in times if one is not None), default=None)
+        return min((value for value in times if value is not None), default=None)
 
     def _tell(self, news: tuple[Health, str] | None) -> None:
         if news is not None:

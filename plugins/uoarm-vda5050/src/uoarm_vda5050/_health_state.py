@@ -62,8 +62,8 @@ class VehicleHealth:
         return self._heard + self.timeout
 
     def _news(self) -> tuple[Health, str] | None:
-        told = "; ".join(self._ails.values())
-        if told == self._told:
+        text = "; ".join(self._ails.values())
+        if text == self._told:
             return None
-        self._told = told
-        return (Health.DEGRADED, told) if told else (Health.OK, "nothing ails it any more")
+        self._told = text
+        return (Health.DEGRADED, text) if text else (Health.OK, "nothing ails it any more")

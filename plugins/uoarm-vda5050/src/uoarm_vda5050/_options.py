@@ -98,7 +98,7 @@ class Place:
         """
         if role not in self.roles:
             what = f"{self.topic} {self.part}".strip()
-            allowed = " or ".join(one.value for one in self.roles)
+            allowed = " or ".join(item.value for item in self.roles)
             raise ValueError(f"{what} is an {allowed}, not a {role.value}")
         if self.header and (role is not Role.OUTPUT or self.topic == TRANSPORT):
             raise ValueError("`header` is for outputs of topics: the bridge makes headers itself")
@@ -128,9 +128,9 @@ def place_of(address: tuple[str, ...], options: Options, port: str = "") -> Plac
     topics = f"{', '.join(TOPICS)}, or {TRANSPORT}"
     if not 3 <= len(parts) <= 4:  # noqa: PLR2004
         raise ValueError(f"{expected} with a topic of {topics}, got {list(address)}")
-    for one in parts[:2]:
-        if not _ID.match(one):
-            text = f"{one[:80]!r}: a manufacturer or serial number is no level of a topic with"
+    for name in parts[:2]:
+        if not _ID.match(name):
+            text = f"{name[:80]!r}: a manufacturer or serial number is no level of a topic with"
             raise ValueError(f"{text} / + # or $, and not empty")
     if parts[2] not in {*TOPICS, TRANSPORT}:
         raise ValueError(f"there is no topic {parts[2]!r}: {topics}")

@@ -112,7 +112,7 @@ def _make(
         text = f"{len(given)} nodes have {len(given) - 1} edges between them, got {len(ways)}"
         raise MessageError(text)
     released = [bool(node.get("released", True)) for node in given]
-    if not released[0] or any(later and not one for one, later in pairwise(released)):
+    if not released[0] or any(later and not flag for flag, later in pairwise(released)):
         raise MessageError("the first node is released, and none after one that is not")
     nodes = [
         _node(node, first + 2 * n, release, order_id, yes)
@@ -134,8 +134,8 @@ def _make(
         if "maxSpeed" in edge:
             made[release.speed] = edge["maxSpeed"]
         edges.append(made)
-    actions = [one["actionId"] for part in (*nodes, *edges) for one in part["actions"]]
-    more = [one for one in actions if one not in before]
+    actions = [action["actionId"] for part in (*nodes, *edges) for action in part["actions"]]
+    more = [action for action in actions if action not in before]
     if len(set(actions)) < len(actions):
         raise MessageError("two actions of the order have the same actionId")
     body: Body = {
@@ -144,7 +144,7 @@ def _make(
         "nodes": nodes,
         "edges": edges,
     }
-    steps = tuple((one["nodeId"], one["sequenceId"], one["released"]) for one in nodes)
+    steps = tuple((item["nodeId"], item["sequenceId"], item["released"]) for item in nodes)
     return Order(order_id, update_id, body, steps, (*before, *more), goal)
 
 
@@ -169,12 +169,12 @@ def _node(node: Body, sequence: int, release: Release, order_id: str, released: 
 def _actions(part: Body, prefix: str) -> list[Body]:
     return [
         {
-            **one,
-            "actionId": one.get("actionId") or f"{prefix}-{n}",
-            "blockingType": one.get("blockingType", "HARD"),
-            "actionParameters": one.get("actionParameters", []),
+            **action,
+            "actionId": action.get("actionId") or f"{prefix}-{n}",
+            "blockingType": action.get("blockingType", "HARD"),
+            "actionParameters": action.get("actionParameters", []),
         }
-        for n, one in enumerate(part.get("actions", ()))
+        for n, action in enumerate(part.get("actions", ()))
     ]
 
 
@@ -232,8 +232,8 @@ class Report:
     @classmethod
     def of(cls, body: Mapping[str, Any], release: Release) -> Report:
         """Read the body of a state that has the structure of one."""
-        own = {one["actionId"]: one for one in body["actionStates"]}
-        instants = {one["actionId"]: one["actionStatus"] for one in body[release.instant_states]}
+        own = {state["actionId"]: state for state in body["actionStates"]}
+        instants = {item["actionId"]: item["actionStatus"] for item in body[release.instant_states]}
         second, charge = release.battery
         where = body.get(release.position)
         is_left = bool(body["nodeStates"] or body["edgeStates"])
@@ -252,7 +252,7 @@ class Report:
             position=None if where is None else _position(where, release),
             battery=body[second][charge],
             is_active=is_left,
-            is_busy=is_left or any(_is_left(one) for one in own.values()),
+            is_busy=is_left or any(_is_left(item) for item in own.values()),
         )
 
     def status_of(self, action_id: str) -> str:
@@ -274,9 +274,9 @@ class Report:
             "driving": self.driving,
             "paused": self.paused,
             "remaining": self.nodes_left,
-            "loads": [dict(one) for one in self.loads],
+            "loads": [dict(load) for load in self.loads],
             "actions": self.actions_of(order),
-            "errors": [dict(one) for one in self.errors],
+            "errors": [dict(error) for error in self.errors],
             "batteryCharge": self.battery,
         }
         if self.position is not None:
@@ -285,7 +285,7 @@ class Report:
 
     def actions_of(self, order: Order) -> list[Body]:
         """Return the states of the actions of an order, in its order."""
-        return [dict(self.actions[one]) for one in order.actions if one in self.actions]
+        return [dict(self.actions[action]) for action in order.actions if action in self.actions]
 
 
 def words_of(error: Mapping[str, Any]) -> str:

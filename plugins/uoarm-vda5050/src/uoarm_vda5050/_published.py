@@ -31,7 +31,7 @@ class Published:
         if schema is None:
             return body_of(topic, self.release.name)
         properties = {k: v for k, v in schema["properties"].items() if k not in HEADER}
-        required = [one for one in schema.get("required", ()) if one not in HEADER]
+        required = [item for item in schema.get("required", ()) if item not in HEADER]
         body = {**schema, "properties": properties, "required": required}
         return MessageStructure(body, native_type=f"vda5050/{topic}/{self.release.name}")
 
@@ -71,8 +71,8 @@ def _read(file: Path, release: Release) -> Any:
     except json.JSONDecodeError as error:
         raise ConfigurationError(_no_json(file, error, release)) from None
     except (OSError, ValueError, RecursionError, SchemaError) as error:
-        told = error.message if isinstance(error, SchemaError) else error
-        raise ConfigurationError(f"schemas: {file}: no JSON Schema: {told}") from None
+        report = error.message if isinstance(error, SchemaError) else error
+        raise ConfigurationError(f"schemas: {file}: no JSON Schema: {report}") from None
     schema.pop("$schema", None)
     return schema
 
@@ -100,10 +100,10 @@ def _no_json(file: Path, error: json.JSONDecodeError, release: Release) -> str:
     if comma >= 0 and error.pos <= len(error.doc) - len(behind) and behind[:1] in {"}", "]"}:
         line = error.doc.count("\n", 0, comma) + 1
         what = f"the comma before {behind[0]!r} must go"
-    told = f"schemas: {file}, line {line}: no JSON: {what}."
+    text = f"schemas: {file}, line {line}: no JSON: {what}."
     if release.name == "3.0":
-        told += (
+        text += (
             " Three schemas of release 3.0.0 were published like this (order, factsheet,"
             " visualization)."
         )
-    return f"{told} Correct the file; or remove it, and the plugin's own structure is used instead."
+    return f"{text} Correct the file; or remove it, and the plugin's own structure is used instead."

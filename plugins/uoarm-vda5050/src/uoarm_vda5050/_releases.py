@@ -167,4 +167,4 @@ _THIRD = Release(
 # The document of 2.0.0 has instant actions as `actions` with an `actionType`; its published schema
 # says `actionName`, and there are vehicles that read `instantActions`: they are sent all of it.
 _NAMES = ("instantActions", "actionName")
-RELEASES = {one.name: one for one in (_second(0, *_NAMES), _second(1), _THIRD)}
+RELEASES = {release.name: release for release in (_second(0, *_NAMES), _second(1), _THIRD)}

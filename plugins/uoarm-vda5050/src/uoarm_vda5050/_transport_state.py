@@ -230,7 +230,9 @@ class TransportState:
             return self._end("aborted", text + self._unread_states())
         if self._settle_at is not None and now >= self._settle_at:
             known = self._known
-            silent = [one for one in order.actions if known is None or not known.status_of(one)]
+            silent = [
+                action for action in order.actions if known is None or not known.status_of(action)
+            ]
             text = f"the vehicle does not say what became of {', '.join(silent)}"
             return self._end("aborted", text + self._unread_states())
         actions: list[Action] = []
@@ -302,8 +304,8 @@ class TransportState:
                 self._update = None
             elif self._refusals(known, self._update):
                 self._update = None  # the order goes on as it was: the errors are in the feedback
-        told: list[Action] = [Feedback(order.order_id, known.feedback(order))]
-        return [*told, *self._ended_by(known, order, now)]
+        reports: list[Action] = [Feedback(order.order_id, known.feedback(order))]
+        return [*reports, *self._ended_by(known, order, now)]
 
     def _ended_by(self, known: Report, order: Order, now: float) -> list[Action]:
         cancelled = known.instants.get(self._cancel_id, "") if self._cancel_id else ""
@@ -320,13 +322,13 @@ class TransportState:
         if cancelled not in {"", "FINISHED", "FAILED"}:
             return []
         is_cancelled = cancelled == "FINISHED"
-        if any(known.is_under_way(one) for one in order.actions) and not is_cancelled:
+        if any(known.is_under_way(action) for action in order.actions) and not is_cancelled:
             return []
-        unsaid = [one for one in order.actions if not known.status_of(one)]
+        unsaid = [action for action in order.actions if not known.status_of(action)]
         if unsaid and not is_cancelled:
             self._settle_at = now + self.times.settle if waiting is None else waiting
             return []
-        failed = [one for one in order.actions if known.status_of(one) == "FAILED"]
+        failed = [action for action in order.actions if known.status_of(action) == "FAILED"]
         is_there = known.last_sequence == order.steps[-1][1]
         if is_there and not failed and not unsaid:
             return self._end("succeeded", "")
@@ -339,8 +341,8 @@ class TransportState:
     def _refusals(self, known: Report, order: Order) -> list[Body]:
         """Return errors that refuse this message of the order, and no other one."""
         types = self.release.errors.refusals
-        found = [one for one in known.errors if one["errorType"] in types]
-        return [one for one in found if _is_about(one, order, self._old_errors)]
+        found = [error for error in known.errors if error["errorType"] in types]
+        return [item for item in found if _is_about(item, order, self._old_errors)]
 
     def _end(self, status: str, reason: str) -> list[Action]:
         order, known = self._order, self._known
@@ -408,14 +410,17 @@ def _ended(
         "lastNodeId": last_node,
         "reason": reason,
         "actions": list(actions),
-        "errors": [dict(one) for one in errors],
+        "errors": [dict(error) for error in errors],
     }
     return [Ended(order_id, status, result), Status(order_id, status)]
 
 
 def _is_about(error: Body, order: Order, old: tuple[Body, ...]) -> bool:
     """Say whether an error is about an order; what names none is, where it is new."""
-    said = {one["referenceKey"]: one["referenceValue"] for one in error.get("errorReferences", ())}
+    said = {
+        reference["referenceKey"]: reference["referenceValue"]
+        for reference in error.get("errorReferences", ())
+    }
     if "orderId" not in said:
         return error not in old and said.get("topic", "order") == "order"
     update = str(said.get("orderUpdateId", order.update_id))

@@ -120,7 +120,10 @@ class VehicleState:
             return None
         if self._waiting:
             one = self._waiting[0]
-            given = {each["key"]: each["value"] for each in one.get("actionParameters", ())}
+            given = {
+                parameter["key"]: parameter["value"]
+                for parameter in one.get("actionParameters", ())
+            }
             return Act(one["actionId"], one["actionType"], given, self.last_node, self.order_id)
         if not self._nodes or not self._nodes[0]["released"]:
             return None
@@ -129,7 +132,7 @@ class VehicleState:
     @property
     def is_idle(self) -> bool:
         """Whether no order is under way: nothing left to drive, no action that has not ended."""
-        left = [one for one in self._states.values() if one["actionStatus"] not in _ENDED]
+        left = [state for state in self._states.values() if state["actionStatus"] not in _ENDED]
         return not (self._nodes or self._edges or left)
 
     def order(self, body: Body) -> bool:
@@ -154,7 +157,7 @@ class VehicleState:
             wrong, kind = self._no_order(body)
         if not wrong:
             kind = errors.action
-            unknown = sorted({one["actionType"] for one in _actions(body)} - self.known)
+            unknown = sorted({action["actionType"] for action in _actions(body)} - self.known)
             wrong = f"no such actions: {', '.join(unknown)}" if unknown else ""
         if wrong:
             return self._refuse(kind, wrong, body)
@@ -226,8 +229,8 @@ class VehicleState:
         was = bool(self._cancelling)
         if was:
             self._clear()
-        for one in self._cancelling:
-            one["actionStatus"] = "FINISHED"
+        for item in self._cancelling:
+            item["actionStatus"] = "FINISHED"
         self._cancelling.clear()
         return was
 
@@ -243,20 +246,20 @@ class VehicleState:
 
     def body(self) -> Body:
         """Return the members of a state that say what becomes of orders."""
-        own = [dict(one) for one in self._states.values()]
-        instants = [dict(one) for one in self._instants.values()]
+        own = [dict(state) for state in self._states.values()]
+        instants = [dict(instant) for instant in self._instants.values()]
         made: Body = {
             "orderId": self.order_id,
             "orderUpdateId": self.update_id,
             "lastNodeId": self.last_node,
             "lastNodeSequenceId": self.last_sequence,
-            "nodeStates": [_left(one, "nodeId") for one in self._nodes],
-            "edgeStates": [_left(one, "edgeId") for one in self._edges],
+            "nodeStates": [_left(node, "nodeId") for node in self._nodes],
+            "edgeStates": [_left(edge, "edgeId") for edge in self._edges],
             "driving": self.driving,
             "paused": self.paused,
             "newBaseRequest": bool(self._nodes) and not self._nodes[0]["released"],
             "operatingMode": self.mode,
-            "errors": [dict(one) for one in self.errors.values()],
+            "errors": [dict(error) for error in self.errors.values()],
         }
         if self.release.instant_states == "actionStates":
             made["actionStates"] = [*own, *instants]
@@ -288,27 +291,27 @@ class VehicleState:
         return "", ""
 
     def _take(self, body: Body, *, is_new: bool) -> None:
-        for one in self._refused:
-            self.errors.pop(one, None)
+        for name in self._refused:
+            self.errors.pop(name, None)
         self._refused.clear()
         self.order_id, self.update_id = body["orderId"], body["orderUpdateId"]
         self._content, self._is_cancelled = body, False
-        nodes = [dict(one) for one in body["nodes"]]
-        edges = [dict(one) for one in body["edges"]]
+        nodes = [dict(node) for node in body["nodes"]]
+        edges = [dict(edge) for edge in body["edges"]]
         if is_new:
             self._states.clear()
             self._nodes, self._edges = deque(nodes), deque(edges)
         else:
             for part in (*self._nodes, *self._edges):
-                for one in part["actions"] if not part["released"] else ():
-                    self._states.pop(one["actionId"], None)  # the horizon of before
-            base = [one for one in self._nodes if one["released"]]
-            ways = [one for one in self._edges if one["released"]]
+                for action in part["actions"] if not part["released"] else ():
+                    self._states.pop(action["actionId"], None)  # the horizon of before
+            base = [node for node in self._nodes if node["released"]]
+            ways = [edge for edge in self._edges if edge["released"]]
             self._nodes, self._edges = deque([*base, *nodes[1:]]), deque([*ways, *edges])
         for part in (*self._nodes, *self._edges):
-            for one in part["actions"]:
-                self._states.setdefault(one["actionId"], _waiting(one))
-        released = [one for one in nodes if one["released"]]
+            for action in part["actions"]:
+                self._states.setdefault(action["actionId"], _waiting(action))
+        released = [node for node in nodes if node["released"]]
         self._last = released[-1]
         if is_new:
             self._traverse(self._nodes.popleft())
@@ -323,7 +326,7 @@ class VehicleState:
     def _advance(self) -> None:
         """Have the actions of the next edge performed, once those of the node have been."""
         if not self._waiting and self._edges and self._edges[0]["released"]:
-            todo = [one for one in self._edges[0]["actions"] if self._is_waiting(one)]
+            todo = [action for action in self._edges[0]["actions"] if self._is_waiting(action)]
             self._waiting.extend(todo)
 
     def _is_waiting(self, action: Body) -> bool:
@@ -331,7 +334,10 @@ class VehicleState:
 
     def _cancel(self, action: Body) -> str:
         """Cancel the order; return the status of the action that asks for it."""
-        given = {one["key"]: one["value"] for one in action.get("actionParameters") or ()}
+        given = {
+            parameter["key"]: parameter["value"]
+            for parameter in action.get("actionParameters") or ()
+        }
         other = given.get("orderId", self.order_id) != self.order_id
         if self.is_idle or other:
             text = "there is no order to cancel"
@@ -348,9 +354,9 @@ class VehicleState:
         self._edges.clear()
         self._waiting.clear()
         self._last = None
-        for one in self._states.values():
-            if one["actionStatus"] not in _ENDED:
-                one["actionStatus"] = "FAILED"
+        for state in self._states.values():
+            if state["actionStatus"] not in _ENDED:
+                state["actionStatus"] = "FAILED"
 
     def _set_status(self, action_id: str, status: str, said: str) -> None:
         state = self._states[action_id]
@@ -366,7 +372,10 @@ class VehicleState:
         return False
 
     def _note(self, kind: str, why: str, references: Mapping[str, str]) -> None:
-        named = [{"referenceKey": key, "referenceValue": one} for key, one in references.items()]
+        named = [
+            {"referenceKey": key, "referenceValue": reference}
+            for key, reference in references.items()
+        ]
         self.errors[kind] = {
             "errorType": kind,
             "errorLevel": "WARNING",
@@ -421,7 +430,7 @@ def _waiting(action: Body) -> Body:
 
 
 def _actions(body: Body) -> list[Body]:
-    return [one for part in (*body["nodes"], *body["edges"]) for one in part["actions"]]
+    return [action for part in (*body["nodes"], *body["edges"]) for action in part["actions"]]
 
 
 def _malformed(body: Body) -> str:
@@ -434,10 +443,10 @@ def _malformed(body: Body) -> str:
     first = nodes[0]["sequenceId"]
     parts: list[Body] = [{}] * (len(nodes) + len(edges))
     parts[::2], parts[1::2] = nodes, edges
-    if [one["sequenceId"] for one in parts] != [*range(first, first + len(parts))]:
+    if [part["sequenceId"] for part in parts] != [*range(first, first + len(parts))]:
         return "sequenceId does not count nodes and edges in turn"
-    released = [one["released"] for one in parts]
+    released = [part["released"] for part in parts]
     if not released[0] or released != sorted(released, reverse=True):
         return "something is released behind what is not"
-    ids = [one["actionId"] for one in _actions(body)]
+    ids = [action["actionId"] for action in _actions(body)]
     return "" if len(set(ids)) == len(ids) else "two actions have the same actionId"

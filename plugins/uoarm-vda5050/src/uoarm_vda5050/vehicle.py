@@ -177,7 +177,7 @@ class Vehicle:
                 self._facts["velocity"] = dict(zip(("vx", "vy", "omega"), velocity, strict=True))
             changed = self._change(driving, charging, localized, mode)
             if loads is not None and list(loads) != self._facts["loads"]:
-                self._facts["loads"], changed = [dict(one) for one in loads], True
+                self._facts["loads"], changed = [dict(load) for load in loads], True
             self._battery = self._battery if battery is None else battery
             if not state.driving:
                 changed = state.stands() or changed
@@ -257,7 +257,7 @@ class Vehicle:
     def _instants(self, body: dict[str, Any]) -> None:
         whole = next(iter(self._release.also_named), "actions")
         actions = body.get("actions") or body.get(whole) or []
-        kinds = [self._state.instant(one) for one in actions]
+        kinds = [self._state.instant(action) for action in actions]
         if "factsheetRequest" in kinds:
             self._publish_factsheet()
 
@@ -327,8 +327,8 @@ def _factsheet(
     """Return a factsheet that has what the standard requires, of a small carrier."""
     old = major == "2"
     performed = [
-        {"actionType": one, "actionScopes": ["NODE", "EDGE"], "actionParameters": []}
-        for one in actions
+        {"actionType": action, "actionScopes": ["NODE", "EDGE"], "actionParameters": []}
+        for action in actions
     ]
     kind = {
         "seriesName": name,
@@ -378,8 +378,8 @@ def _factsheet(
         "agvGeometry" if old else "mobileRobotGeometry": {},
         "loadSpecification": {},
     }
-    for key, one in given.items():
-        made[key] = {**made[key], **one} if isinstance(made.get(key), dict) else one
+    for key, value in given.items():
+        made[key] = {**made[key], **value} if isinstance(made.get(key), dict) else value
     return made
 
 

@@ -147,7 +147,7 @@ class BridgeSet:
         with self._lock:
             before, self._specs = self._specs, staged.specs
             names = {*before, *staged.specs}
-            changed = {one for one in names if before.get(one) != staged.specs.get(one)}
+            changed = {text for text in names if before.get(text) != staged.specs.get(text)}
             for name in changed:
                 self._health.pop(name, None)
                 replaced = self._bridges.pop(name, None)
@@ -165,11 +165,11 @@ class BridgeSet:
         if not self._replaced:
             return
         with self._lock:
-            unused = [one for one in self._replaced if not in_use(one)]
-            self._replaced = [one for one in self._replaced if one not in unused]
-            for one in unused:
-                self._dead.setdefault(one.name, []).append(one)
-        for name in {one.name for one in unused}:
+            unused = [bridge for bridge in self._replaced if not in_use(bridge)]
+            self._replaced = [bridge for bridge in self._replaced if bridge not in unused]
+            for bridge in unused:
+                self._dead.setdefault(bridge.name, []).append(bridge)
+        for name in {bridge.name for bridge in unused}:
             self.retire(name)
 
     def statuses(self) -> tuple[BridgeStatus, ...]:

@@ -111,7 +111,7 @@ class Machines:
             self._told.pop(name, None)
         lost = staged.cut_bridges() - changed
         if after is not before:
-            self._retired = [one for one in self._retired if one.is_open]
+            self._retired = [listener for listener in self._retired if listener.is_open]
             self._retired.append(before)
 
         def begin() -> None:
@@ -134,8 +134,8 @@ class Machines:
     def close(self) -> None:
         """Let every machine go. Once is enough."""
         self._closed = True
-        for one in (self._listener, *self._retired):
-            one.close()
+        for listener in (self._listener, *self._retired):
+            listener.close()
         for thread in tuple(self._beginning):
             thread.join(_LET_GO_SECONDS)
 
@@ -147,7 +147,7 @@ class Machines:
             staged.listener.close()
 
     def _status(self, machine: str, bridges: tuple[str, ...]) -> MachineStatus:
-        missing = [one for one in bridges if not self._here(machine, one)]
+        missing = [bridge for bridge in bridges if not self._here(machine, bridge)]
         registry = self._listener.opened
         offset = None if registry is None else registry.offset(machine)
         known = offset is not None and offset.known
@@ -161,8 +161,8 @@ class Machines:
         )
 
     def _here(self, machine: str, bridge: str) -> bool:
-        opened = [one.opened for one in (self._listener, *self._retired)]
-        return any(one is not None and one.here(machine, bridge) for one in opened)
+        opened = [listener.opened for listener in (self._listener, *self._retired)]
+        return any(registry is not None and registry.here(machine, bridge) for registry in opened)
 
     def _changed(self, machine: str, bridge: str | None) -> None:
         """Tell what is new of each bridge of a machine."""

@@ -28,9 +28,12 @@ def check_availability(
         return Availability(component.name, component.bridge, component.priority, cause)
 
     with ThreadPoolExecutor(_AT_ONCE, thread_name_prefix="uoarm-availability") as pool:
-        found = {one.component: one for one in pool.map(ask, robot.components())}
+        found = {
+            availability.component: availability
+            for availability in pool.map(ask, robot.components())
+        }
     return tuple(
-        _judge(name, tuple(found[one.name] for one in function.components), resolve)
+        _judge(name, tuple(found[item.name] for item in function.components), resolve)
         for name, function in robot.functions.items()
     )
 

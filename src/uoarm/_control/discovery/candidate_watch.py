@@ -87,7 +87,7 @@ class Untold:
 
     def note(self, name: str, found: Unavailable, begun: float, now: float) -> None:
         """Note why a component could not tell; it was asked at `begun`."""
-        self._found = {one: kept for one, kept in self._found.items() if now < kept[1]}
+        self._found = {key: kept for key, kept in self._found.items() if now < kept[1]}
         self._found[name] = found, now + _REST * (now - begun)
 
 
@@ -199,7 +199,7 @@ class CandidateWatch:
         """Say whether every function with needs has a candidate that was discovered."""
         revision = self._revisions.current
         return revision.base is base and all(
-            any(one.match is not None for one in function.components)
+            any(component.match is not None for component in function.components)
             for function in revision.robot.functions.values()
             if function.needs is not None
         )
@@ -232,9 +232,9 @@ class CandidateWatch:
             asked[name] = found
             return found
 
-        for one in base.components():
-            if one.outputs:
-                structures(one)  # before the time for proofs begins
+        for item in base.components():
+            if item.outputs:
+                structures(item)  # before the time for proofs begins
         self._step = "what bridges see is compared with what functions need"
         self._proofs.begin_round()
         robot = add_candidates(

@@ -101,26 +101,27 @@ class Discovery:
                 name: self._question(name, spec) for name, spec in robot.bridges.items()
             }
             asked = [
-                one
-                for name, one in self._questions.items()
-                if one.is_under_way or self._ask(name, one, timeout, rests=grace is not None)
+                question
+                for name, question in self._questions.items()
+                if question.is_under_way
+                or self._ask(name, question, timeout, rests=grace is not None)
             ]
 
             def has_begun() -> bool:  # whether there is something to tell
                 return len(asked) < len(self._questions) or not all(
-                    one.is_under_way for one in asked
+                    question.is_under_way for question in asked
                 )
 
             if asked:
                 self._changed.wait_for(has_begun, timeout=None if grace is None else timeout)
                 self._changed.wait_for(
-                    lambda: not any(one.is_under_way for one in asked), timeout=grace
+                    lambda: not any(question.is_under_way for question in asked), timeout=grace
                 )
-            answers = {name: one.answer for name, one in self._questions.items()}
+            answers = {name: question.answer for name, question in self._questions.items()}
             now = time.monotonic()
             self.is_whole = all(
-                one.answer is not None or now >= one.begun + timeout
-                for one in self._questions.values()
+                question.answer is not None or now >= question.begun + timeout
+                for question in self._questions.values()
             )
         users = _users(robot)
         return tuple(
@@ -181,10 +182,12 @@ class Discovery:
 
 def _users(robot: Robot) -> _Known[str]:
     users: _Known[str] = {}
-    for one in robot.components():
-        services = () if one.service is None else (one.service,)
-        for port in (*one.inputs, *one.outputs, *services):
-            users.setdefault(_place(port.endpoint), []).append((one.name, one.parameters))
+    for component in robot.components():
+        services = () if component.service is None else (component.service,)
+        for port in (*component.inputs, *component.outputs, *services):
+            users.setdefault(_place(port.endpoint), []).append(
+                (component.name, component.parameters)
+            )
     return users
 
 
@@ -193,9 +196,9 @@ def _listed(
 ) -> dict[_Place, list[Options]]:
     """Return with which parameters frameworks list what is at these places."""
     listed: dict[_Place, list[Options]] = {}
-    for one in endpoints:
-        if _place(one) in places:
-            listed.setdefault(_place(one), []).append(one.parameters)
+    for endpoint in endpoints:
+        if _place(endpoint) in places:
+            listed.setdefault(_place(endpoint), []).append(endpoint.parameters)
     return listed
 
 
@@ -210,9 +213,9 @@ def _those_at(
         known: of the configuration; what has the parameters of another entry is about that one.
     """
     place = _place(endpoint)
-    for one, parameters in known.get(place, ()):
+    for item, parameters in known.get(place, ()):
         if parameters == endpoint.parameters or parameters not in listed[place]:
-            yield one
+            yield item
 
 
 def _seen_by(bridge: Bridge, timeout: float) -> tuple[Discovered, ...] | None:
@@ -231,10 +234,10 @@ def _findings(
         return BridgeFindings(bridge, plugin, cause=found or "has not answered yet")
     components: list[FoundComponent] = []
     left, too_large = _MOST_PORTS, 0
-    listed = _listed((end for one in found for end, _ in one.endpoints), users)
-    for one in sorted(found, key=lambda each: each.name):
-        taken = one.endpoints[: max(0, left)]
-        left -= len(one.endpoints)
+    listed = _listed((end for discovered in found for end, _ in discovered.endpoints), users)
+    for discovered in sorted(found, key=lambda item: item.name):
+        taken = discovered.endpoints[: max(0, left)]
+        left -= len(discovered.endpoints)
         bounded = [(end, said) for end, said in taken if not _is_too_large(said)]
         too_large += len(taken) - len(bounded)
         ports = tuple(
@@ -244,19 +247,19 @@ def _findings(
                 said.request,
                 said.reply,
                 tuple(dict.fromkeys(_those_at(endpoint, listed, users))),
-                _stated(one, endpoint),
+                _stated(discovered, endpoint),
             )
             for endpoint, said in bounded
         )
-        if ports or not one.endpoints:
-            components.append(FoundComponent(one.name, ports, one.detail))
+        if ports or not discovered.endpoints:
+            components.append(FoundComponent(discovered.name, ports, discovered.detail))
     return BridgeFindings(bridge, plugin, tuple(components), left_out=max(0, -left) + too_large)
 
 
 def _is_too_large(said: Description) -> bool:
     """Say whether a port's structures are more than a robot's configuration may be made of."""
-    told = [one.schema for one in (said.message, said.request, said.reply) if one is not None]
-    return message_octets(told, most=_MOST_OCTETS) > _MOST_OCTETS
+    reports = [item.schema for item in (said.message, said.request, said.reply) if item is not None]
+    return message_octets(reports, most=_MOST_OCTETS) > _MOST_OCTETS
 
 
 def _stated(one: Discovered, endpoint: Endpoint) -> float | None:
@@ -277,13 +280,13 @@ def with_rates(
     if not rates:
         return findings
     measured: _Known[float] = {}
-    for one in robot.components():
-        for output in one.outputs:
-            if (rate := rates.get(f"{one.name}.{output.name}")) is not None:
+    for component in robot.components():
+        for output in component.outputs:
+            if (rate := rates.get(f"{component.name}.{output.name}")) is not None:
                 known = measured.setdefault(_place(output.endpoint), [])
-                known.append((rate, one.parameters))
-    seen = (one for each in findings for one in each.components)
-    listed = _listed((port.endpoint for one in seen for port in one.ports), measured)
+                known.append((rate, component.parameters))
+    seen = (component for finding in findings for component in finding.components)
+    listed = _listed((port.endpoint for component in seen for port in component.ports), measured)
 
     def port_with(port: FoundPort) -> FoundPort:
         rate = next(_those_at(port.endpoint, listed, measured), None)
@@ -291,12 +294,13 @@ def with_rates(
 
     return tuple(
         evolve(
-            each,
+            finding,
             components=tuple(
-                evolve(one, ports=tuple(map(port_with, one.ports))) for one in each.components
+                evolve(component, ports=tuple(map(port_with, component.ports)))
+                for component in finding.components
             ),
         )
-        for each in findings
+        for finding in findings
     )
 
 

@@ -286,8 +286,8 @@ class Sender:
         Each failure is told by one flush, the next after it.
         """
         drained = self._route.drain(timeout)
-        told, self._failures = self._failures, self._route.failures
-        return drained and self._failures == told
+        report, self._failures = self._failures, self._route.failures
+        return drained and self._failures == report
 
     def status(self) -> RouteStatus:
         """Return what the status map shows."""

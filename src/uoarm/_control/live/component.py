@@ -80,11 +80,13 @@ class LiveComponent:
         self.structures = step.structures
         self.failures = failures
         self.leases = {
-            one.name: InputLease(policy.lease, f"{step.component.name}.{one.name}", announce)
-            for one in step.component.inputs
-            if (policy := one.endpoint.command) is not None and policy.lease is not None
+            input_.name: InputLease(policy.lease, f"{step.component.name}.{input_.name}", announce)
+            for input_ in step.component.inputs
+            if (policy := input_.endpoint.command) is not None and policy.lease is not None
         }
-        self._watches = {one.name: InputWatch(failures, one.name) for one in step.component.inputs}
+        self._watches = {
+            input_.name: InputWatch(failures, input_.name) for input_ in step.component.inputs
+        }
         self._sources: dict[str, Source] = {}
         self._sinks: dict[str, Sink] = {}
         self._turns: dict[str, threading.Lock] = {}
@@ -111,8 +113,8 @@ class LiveComponent:
         What its closed channels took and did not deliver, what came when they were closed, and
         what it emitted while nobody took it, as it was being let go.
         """
-        unheard = sum(outlet.unheard for outlet in self.outlets.values())
-        return unheard + sum(_lost(channel) for channel in tuple(self._closed))
+        undelivered = sum(outlet.unheard for outlet in self.outlets.values())
+        return undelivered + sum(_lost(channel) for channel in tuple(self._closed))
 
     @property
     def channels(self) -> tuple[Channel, ...]:

@@ -96,7 +96,9 @@ class EmergencyStop:
         if sink.endpoint.command is None:
             return
         with self._lock:
-            self._sinks = {one: of for one, of in self._sinks.items() if not one.closed}
+            self._sinks = {
+                sink_name: of for sink_name, of in self._sinks.items() if not sink_name.closed
+            }
             self._sinks[sink] = function
         if self.is_held:
             sink.hold(_OPENING_SECONDS)
@@ -162,13 +164,13 @@ class EmergencyStop:
         late = f"no answer within {timeout:g} s"
         unkept = keeping(max(0.0, deadline - time.monotonic()))
         outcomes = [
-            _outcome(one, function, results.get(one, late))
-            for one, function in moving.items()
-            if not one.closed
+            _outcome(name, function, results.get(name, late))
+            for name, function in moving.items()
+            if not name.closed
         ]
         return StopReport(
             self._clock() - since,
-            tuple(sorted(outcomes, key=lambda one: (one.component, one.port))),
+            tuple(sorted(outcomes, key=lambda outcome: (outcome.component, outcome.port))),
             unkept,
         )
 
@@ -180,22 +182,22 @@ class EmergencyStop:
         file = self._file
         if file is None:
             return lambda _: ""
-        told = [f"{file.path} is not settled yet"]
+        reports = [f"{file.path} is not settled yet"]
 
         def write() -> None:
             try:
                 file.settle(lambda: self.is_held)
             except OSError as error:
-                told[0] = f"{file.path} cannot be written: {text_of(error)}"
+                reports[0] = f"{file.path} cannot be written: {text_of(error)}"
             else:
-                told[0] = ""
+                reports[0] = ""
 
         thread = threading.Thread(target=write, name="uoarm-stop-file", daemon=True)
         thread.start()
 
         def wait(timeout: float) -> str:
             thread.join(timeout)
-            return told[0]
+            return reports[0]
 
         return wait
 
@@ -227,9 +229,9 @@ class EmergencyStop:
 
         _each(release, sinks, results, timeout)
         held = [
-            f"{sink.endpoint.component}.{sink.endpoint.port}: {told}"
+            f"{sink.endpoint.component}.{sink.endpoint.port}: {report}"
             for sink in sinks
-            if not sink.closed and (told := results.get(sink, f"no answer within {timeout:g} s"))
+            if not sink.closed and (report := results.get(sink, f"no answer within {timeout:g} s"))
         ]
         if held:
             text = f"these inputs go on refusing commands: {'; '.join(held)}"
@@ -260,8 +262,8 @@ def _each(
             results[one] = text_of(error)
 
     threads = [
-        threading.Thread(target=begin, args=(one,), name="uoarm-stop", daemon=True)
-        for one in moving
+        threading.Thread(target=begin, args=(item,), name="uoarm-stop", daemon=True)
+        for item in moving
     ]
     for thread in threads:
         thread.start()

@@ -96,8 +96,8 @@ class FailureWatch:
             self._log(place, text)
 
     def _log(self, place: str, text: str, error: BaseException | None = None) -> None:
-        told = f"component {self._name}: {place} raised {text}"
-        self._records.write(logging.WARNING, told, error)
+        message = f"component {self._name}: {place} raised {text}"
+        self._records.write(logging.WARNING, message, error)
 
     def took(self) -> None:
         """Take in a success; needed only while `is_alert`."""
@@ -128,9 +128,9 @@ class FailureWatch:
             self.is_alert = health is not Health.OK
             # Within the lock, so that verdicts are told in their order; nobody waits there for us.
             if health is not before:
-                told = _cause(health, deed, count, text)
-                self.cause = "" if health is Health.OK else told
-                self._tell(health, told)
+                message = _cause(health, deed, count, text)
+                self.cause = "" if health is Health.OK else message
+                self._tell(health, message)
             return rule.health is not Health.OK
 
 

@@ -94,7 +94,7 @@ class LossAccount:
         counted = evolve(gap, lost=_lost_with(gone), dropped=dropped, counted=True)
         self.settle(gone, ended)
         with self._lock:
-            self.gaps = tuple(counted if one is gap else one for one in self.gaps)
+            self.gaps = tuple(counted if item is gap else item for item in self.gaps)
 
     def settle(self, gone: Gone, routes: Iterable[Counting]) -> None:
         """Take in components that are gone, and routes that ended."""

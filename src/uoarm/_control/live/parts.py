@@ -76,7 +76,10 @@ class Ending:
 
     def gone(self) -> list[LiveComponent]:
         """Return the components that died or were closed."""
-        return [*self.lost, *(one for one in self.placed_components if one.is_closed)]
+        return [
+            *self.lost,
+            *(component for component in self.placed_components if component.is_closed),
+        ]
 
 
 class LiveParts:
@@ -297,8 +300,8 @@ class LiveParts:
         component = record.step.component
         self._refuse_hanging(component.name)
         bridge = self._bridges.get(component.bridge)
-        limits, tell = self._state().policy.failing, partial(self._judged, record.id)
-        failures = FailureWatch(component.name, limits, self._clock, tell)
+        limits, report = self._state().policy.failing, partial(self._judged, record.id)
+        failures = FailureWatch(component.name, limits, self._clock, report)
         subject, function = f"component {component.name}", component.function
         self.components[record.id] = LiveComponent(
             record.step,
@@ -385,8 +388,8 @@ class LiveParts:
 
 
 def _there(objects: Mapping[int, T], ids: Iterable[int]) -> list[T]:
-    return [objects[one] for one in ids if one in objects]
+    return [objects[id_] for id_ in ids if id_ in objects]
 
 
 def _taken(objects: dict[int, T], ids: Iterable[int]) -> list[T]:
-    return [objects.pop(one) for one in ids if one in objects]
+    return [objects.pop(id_) for id_ in ids if id_ in objects]

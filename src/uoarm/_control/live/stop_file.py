@@ -45,10 +45,10 @@ class StopFile:
                 self.path.unlink(missing_ok=True)
             elif not self.is_there():
                 self.path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
-                told = (
+                text = (
                     f"stopped {datetime.now(timezone.utc).isoformat()} by process {os.getpid()}\n"
                 )
-                write_whole(self.path, told.encode(), private=True)
+                write_whole(self.path, text.encode(), private=True)
 
     def remove(self) -> None:
         """Have it there no more.

@@ -75,7 +75,7 @@ class _Keeper:
             function=self.offer.function,
             bridge=self.offer.bridge,
             state=state,
-            endpoints=tuple(one.address for one in self.offer.endpoints),
+            endpoints=tuple(endpoint.address for endpoint in self.offer.endpoints),
             connections=() if opened is None else opened.connections,
             calls=0 if opened is None else opened.calls,
             failed=0 if opened is None else opened.failed,
@@ -267,7 +267,7 @@ class Offers:
                 return
             if self._stop_listening is None:
                 self._stop_listening = self._events.listen(self._heard)
-            gone = [one for one in self._keepers if one.offer not in wanted]
+            gone = [item for item in self._keepers if item.offer not in wanted]
         for keeper in gone:
             keeper.end()
         for keeper in gone:  # its endpoints may be offered for another function next
@@ -275,28 +275,30 @@ class Offers:
         with self._lock:
             if self._closed.is_set():
                 return
-            kept = {one.offer.name: one for one in self._keepers if one not in gone}
-            self._keepers = tuple(kept.get(one.name) or self._keeper(one) for one in wanted)
+            kept = {item.offer.name: item for item in self._keepers if item not in gone}
+            self._keepers = tuple(kept.get(offer.name) or self._keeper(offer) for offer in wanted)
         for keeper in self._keepers:
             keeper.look()
 
     def reported(self, event: HealthEvent) -> bool:
         """Take what a bridge reports; True where it concerns an offer and nothing else."""
-        told = [keeper.reported(event) for keeper in self._keepers]
-        return any(told)
+        reports = [keeper.reported(event) for keeper in self._keepers]
+        return any(reports)
 
     def statuses(self) -> tuple[OfferStatus, ...]:
         """Return what the status map shows of offers."""
-        return tuple(one.status() for one in self._keepers)
+        return tuple(keeper.status() for keeper in self._keepers)
 
     def routes(self) -> tuple[RouteStatus, ...]:
         """Return the counters of what goes out to frameworks and comes in from them."""
-        return tuple(route for one in self._keepers for route in one.routes())
+        return tuple(route for keeper in self._keepers for route in keeper.routes())
 
     def connections_without(self, robot: Robot) -> frozenset[str]:
         """Return the connections behind offers that another configuration has no more."""
-        gone = (one for one in self._keepers if one.offer not in robot.offers)
-        return frozenset(each for one in gone for each in one.status().connections)
+        gone = (keeper for keeper in self._keepers if keeper.offer not in robot.offers)
+        return frozenset(
+            connection for keeper in gone for connection in keeper.status().connections
+        )
 
     def close(self) -> None:
         """Offer nothing more. Waits five seconds at most for what hangs."""

@@ -29,7 +29,7 @@ class ComponentHealth:
     def noted(self, part: Hashable, health: Health, cause: str) -> ComponentHealth:
         """Return the health after a report about a part."""
         reported = {**self._reported, part: (health, cause)}
-        worst = max(reported.values(), key=lambda one: _BETTER_TO_WORSE.index(one[0]))
+        worst = max(reported.values(), key=lambda item: _BETTER_TO_WORSE.index(item[0]))
         if worst[0] is health:
             worst = health, cause
         return evolve(self, health=worst[0], cause=worst[1], reported=reported)

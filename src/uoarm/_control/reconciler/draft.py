@@ -180,14 +180,14 @@ class Draft:
         so_far = record.current
         stays = so_far is not None and so_far.provider == ids[provider]
         ports = so_far.ports if so_far is not None and stays else self.new_id()
-        parts = [Part(Kind.COMPONENT, one) for one in ids.values()]
+        parts = [Part(Kind.COMPONENT, id_) for id_ in ids.values()]
         outputs: dict[str, set[str]] = {}
         if record.output is not None:
             parts.append(Part(Kind.RECEIVE, ports))
             outputs[provider] = {record.output}
         edges: dict[str, list[int]] = {name: [] for name in reversed(ids)}  # producers first
-        for name, one in ids.items():
-            parts += [Part(Kind.OUTPUT, one, port) for port in sorted(outputs.get(name, ()))]
+        for name, id_ in ids.items():
+            parts += [Part(Kind.OUTPUT, id_, port) for port in sorted(outputs.get(name, ()))]
             for edge in into.get(name, ()):
                 outputs.setdefault(edge.producer, set()).add(edge.output)
                 joined = self._join(edge, ids, user, record.validate)
@@ -203,7 +203,7 @@ class Draft:
             placement: the plan.
             ports: whether the application ports end with it.
         """
-        opening = (n for n, one in self.batches.items() if one.user == placement.user)
+        opening = (n for n, batch in self.batches.items() if batch.user == placement.user)
         self.actions += map(CancelBatch, opening)
         edges = self._part_edges(placement)
         closed = self._close_ports(placement) if ports else ()
@@ -221,7 +221,7 @@ class Draft:
         edges = self._part_edges(placement)
         closed = self._close_ports(placement) if ports else ()
         return Parts(
-            tuple(one for one in _producers_first(placement) if self._runs_out(one)),
+            tuple(producer for producer in _producers_first(placement) if self._runs_out(producer)),
             edges,
             closed,
         )
@@ -234,12 +234,12 @@ class Draft:
     def lose(self, lost: Iterable[int]) -> tuple[int, ...]:
         """Share components that died no more; return the edges that end with them."""
         dead = frozenset(lost)
-        for one in dead:
-            record = self.components[one]
-            self.components[one] = record._replace(is_lost=True)
-            if self.serving.get(record.name) == one:
+        for number in dead:
+            record = self.components[number]
+            self.components[number] = record._replace(is_lost=True)
+            if self.serving.get(record.name) == number:
                 del self.serving[record.name]
-        ended = [one for one in self.edges.values() if dead & {one.producer, one.consumer}]
+        ended = [edge for edge in self.edges.values() if dead & {edge.producer, edge.consumer}]
         for joined in ended:
             self._unlist(joined)
         return tuple(joined.id for joined in ended)
@@ -315,7 +315,7 @@ class Draft:
             elif part.kind not in PORTS:  # which are one connection's own
                 component = self.components.get(part.id)
                 users.update(() if component is None else component.users)
-        return sorted(set(map(connection_of, users)), key=lambda one: (len(one), one))
+        return sorted(set(map(connection_of, users)), key=lambda item: (len(item), item))
 
     def rivals(self, plan: Plan) -> set[str]:
         """Return the connections with edges that feed what a plan would feed from elsewhere."""
@@ -332,7 +332,7 @@ class Draft:
         Raises:
             ResolutionError: somebody else uses an edge that would end. Nothing has changed.
         """
-        held = [self.edges[one] for one in dict.fromkeys(edges) if self.edges[one].is_held]
+        held = [self.edges[number] for number in dict.fromkeys(edges) if self.edges[number].is_held]
         pairs = [(joined, self.feeding.get(joined.key)) for joined in held]
         for joined, other in pairs:
             theirs = {} if other is None else self.edges[other].users
@@ -409,8 +409,8 @@ class Draft:
 
     def _part_edges(self, placement: Placement) -> tuple[int, ...]:
         """Use the edges of a plan no more; return those that are open, and nobody uses now."""
-        edges = [one for one in placement.edges if self._part_edge(one, placement.user)]
-        return tuple(one for one in edges if self._close_part(Part(Kind.EDGE, one)))
+        edges = [edge for edge in placement.edges if self._part_edge(edge, placement.user)]
+        return tuple(edge for edge in edges if self._close_part(Part(Kind.EDGE, edge)))
 
     def _close_ports(self, placement: Placement) -> tuple[int, ...]:
         for kind in PORTS:
@@ -420,7 +420,7 @@ class Draft:
     def _leave_all(self, placement: Placement) -> tuple[int, ...]:
         """Use the components of a plan no more; return those that nobody uses now."""
         left = _producers_first(placement)
-        return tuple(one for one in left if self._leave(one, placement.user))
+        return tuple(number for number in left if self._leave(number, placement.user))
 
     def _part_edge(self, edge: int, user: str) -> bool:
         """Take a user of an edge back; True when it was the last."""
@@ -472,7 +472,7 @@ def _producers_first(placement: Placement) -> tuple[int, ...]:
 
 def _is_commanded(component: Component) -> bool:
     """Say whether a component moves something: one that was replaced takes no commands any more."""
-    return any(one.endpoint.command is not None for one in component.inputs)
+    return any(input_.endpoint.command is not None for input_ in component.inputs)
 
 
 def connection_of(user: str) -> str:

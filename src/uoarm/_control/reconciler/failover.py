@@ -61,7 +61,7 @@ _SHARE = 8
 def health_reported(draft: Draft, event: HealthReported) -> None:
     """Note the health of components; end what finished, replace what was lost."""
     # Candidates may be open that were discovered once and are seen no more.
-    there = {one: draft.components[n].step.component.bridge for one, n in draft.serving.items()}
+    there = {key: draft.components[n].step.component.bridge for key, n in draft.serving.items()}
     concerned = [
         name
         for name, bridge in {**draft.bridges, **there}.items()
@@ -126,7 +126,7 @@ def _finish(draft: Draft, component: ComponentRecord) -> None:
 
 
 def _lose(draft: Draft, lost: list[int], concerned: frozenset[str], event: HealthReported) -> None:
-    dead = [draft.components[one].name for one in lost]
+    dead = [draft.components[number].name for number in lost]
     forget_earlier(draft.failed, draft.now)
     forget_earlier(draft.avoided, draft.now)
     for name in dead:
@@ -196,14 +196,14 @@ def seek(draft: Draft, record: ConnectionRecord) -> None:
     """Look for a plan that can take over, unless it changed too often already."""
     failure = record.failure
     assert failure is not None, "only what failed is replaced"
-    recent = [one for one in record.moves if draft.now - one < _MINUTE]
+    recent = [move for move in record.moves if draft.now - move < _MINUTE]
     if len(recent) >= draft.policy.limit:
         text = f"its providers changed {draft.policy.limit} times within a minute"
         end(draft, record, ConnectionState.FAILED, f"{failure.cause}; nothing takes over: {text}")
         return
     record = draft.put(record, attempt=record.attempt + 1, failure=evolve(failure, retry_at=None))
     ids = record.placement.components
-    runs = {name for name, one in ids.items() if one not in failure.lost}  # again, and well
+    runs = {name for name, id_ in ids.items() if id_ not in failure.lost}  # again, and well
     draft.actions.append(
         FindReplacement(
             lane=f"{record.id}#{record.attempt}",
@@ -319,7 +319,7 @@ def hand_over(
         available_since=None,
         look_at=None,
         switchover=0,
-        moves=(*(one for one in record.moves if draft.now - one < _MINUTE), draft.now),
+        moves=(*(move for move in record.moves if draft.now - move < _MINUTE), draft.now),
     )
     lane, is_heard = f"{after.user}>", not is_planned or before.ports == after.ports
     draft.actions += [

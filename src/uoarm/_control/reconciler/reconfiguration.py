@@ -32,8 +32,8 @@ def configured(draft: Draft, event: Configured) -> None:
     for name in event.superseded:
         draft.failed.pop(name, None)
         draft.avoided.pop(name, None)
-    told = Announce("configuration", f"revision {event.revision}")
-    draft.actions += [Adopt(event.revision), told]
+    report = Announce("configuration", f"revision {event.revision}")
+    draft.actions += [Adopt(event.revision), report]
     for identity in tuple(draft.connections):
         record = draft.connections[identity]
         if record.current is None or record.state is ConnectionState.CLOSING:
@@ -73,15 +73,27 @@ def go_on(draft: Draft) -> None:
     """Do what a change of configuration still asks for, after whatever happened."""
     if not draft.configurers:
         return
-    records = [draft.connections[one] for one in sorted(draft.outdated & set(draft.connections))]
-    records = [one for one in records if one.state is not ConnectionState.CLOSING]
-    draft.outdated = frozenset(one.id for one in records)
+    records = [
+        draft.connections[connection]
+        for connection in sorted(draft.outdated & set(draft.connections))
+    ]
+    records = [
+        connection_record
+        for connection_record in records
+        if connection_record.state is not ConnectionState.CLOSING
+    ]
+    draft.outdated = frozenset(connection_record.id for connection_record in records)
     if _moves(draft) or any(
-        one.state is ConnectionState.OPENING or one.switchover for one in records
+        connection_record.state is ConnectionState.OPENING or connection_record.switchover
+        for connection_record in records
     ):
         return
     draft.outdated = frozenset()
-    members = [one for one in records if one.failure is None and not one.finished]
+    members = [
+        connection_record
+        for connection_record in records
+        if connection_record.failure is None and not connection_record.finished
+    ]
     if members:
         begin(draft, members, is_reconfiguration=True)
         return
@@ -101,8 +113,13 @@ def _moves(draft: Draft) -> bool:
 def _superseded(draft: Draft, record: ConnectionRecord) -> tuple[int, ...]:
     """Return what a connection uses that the configuration has no more."""
     placements = (record.current, record.next)
-    ids = {one for each in placements if each is not None for one in each.components.values()}
-    return tuple(sorted(one for one in ids if draft.components[one].is_superseded))
+    ids = {
+        component
+        for placement in placements
+        if placement is not None
+        for component in placement.components.values()
+    }
+    return tuple(sorted(id_ for id_ in ids if draft.components[id_].is_superseded))
 
 
 def _replace_what_is_left(draft: Draft) -> None:
@@ -116,6 +133,6 @@ def _replace_what_is_left(draft: Draft) -> None:
                 draft.actions.append(Release(f"{record.id}#{record.attempt + 1}", rest))
     lost = tuple(sorted(left))
     if lost:
-        dead = frozenset(draft.components[one].name for one in lost)
+        dead = frozenset(draft.components[number].name for number in lost)
         text = f"the configuration has {listed(sorted(dead))} no more, or otherwise"
         replace(draft, ComponentFailure(draft.now, text, lost, dead, frozenset()))

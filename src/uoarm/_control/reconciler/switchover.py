@@ -44,11 +44,11 @@ def begin(
 ) -> None:
     """Have connections change to better plans together, which are sought one after another."""
     number = draft.new_id()
-    plans = {one.id: None for one in records}
+    plans = {record.id: None for record in records}
     draft.switchovers[number] = Switchover(
         number, plans, draft.now, is_reconfiguration=is_reconfiguration
     )
-    first, *_ = [draft.put(one, switchover=number) for one in records]
+    first, *_ = [draft.put(record, switchover=number) for record in records]
     _seek_for(draft, first)
 
 
@@ -157,9 +157,9 @@ def inputs_switched(draft: Draft, event: InputsSwitched) -> None:
         if group.is_reconfiguration:  # what somebody asked for is no sign of trouble
             record = draft.put(record, moves=moves)
         ids = set(record.placement.components.values())
-        if any(draft.components[one].is_lost for one in ids):
-            lost = tuple(one for one in ids if draft.components[one].is_lost)
-            dead = frozenset(draft.components[one].name for one in lost)
+        if any(draft.components[id_].is_lost for id_ in ids):
+            lost = tuple(id_ for id_ in ids if draft.components[id_].is_lost)
+            dead = frozenset(draft.components[number].name for number in lost)
             cause = "its preferred components were lost again"
             failure = ComponentFailure(draft.now, cause, lost, dead, dead)
             seek(draft, draft.put(record, failure=failure))

@@ -27,7 +27,7 @@ FindPlan = Callable[[str, tuple[str, ...]], Plan]
 
 def write(event: events.Event, now: float) -> str:
     """Return an event as one line of JSON."""
-    fields = {one.name: _plain(getattr(event, one.name)) for one in attrs.fields(type(event))}
+    fields = {field.name: _plain(getattr(event, field.name)) for field in attrs.fields(type(event))}
     return json.dumps({"at": now, "event": type(event).__name__, **fields})
 
 
@@ -51,16 +51,16 @@ def _plain(value: object) -> object:
         return [value.function, *(step.component.name for step in value.steps)]
     if isinstance(value, BaseException):
         reason = getattr(value, "reason", None)
-        told = [type(value).__name__, str(value)]
-        return told if reason is None else [*told, _plain(reason)]
+        reports = [type(value).__name__, str(value)]
+        return reports if reason is None else [*reports, _plain(reason)]
     if isinstance(value, PortRef):
         return [value.function, value.port]
     if isinstance(value, Enum):
         return value.value
     if isinstance(value, frozenset):
-        return [_plain(one) for one in sorted(value)]
+        return [_plain(item) for item in sorted(value)]
     if isinstance(value, tuple):
-        return [_plain(one) for one in value]
+        return [_plain(item) for item in value]
     if isinstance(value, FailoverPolicy):
         return attrs.asdict(value)
     return value
@@ -77,8 +77,8 @@ def _error(told: list[str] | str | None) -> BaseException | str | None:
     kind = _error_class(name)
     made = kind.__new__(kind)  # its own __init__ may want what the log does not have
     made.args = (text,)
-    for one in reason:
-        vars(made)["reason"] = FailureReason(one) if isinstance(made, BridgeError) else one
+    for word in reason:
+        vars(made)["reason"] = FailureReason(word) if isinstance(made, BridgeError) else word
     return made
 
 

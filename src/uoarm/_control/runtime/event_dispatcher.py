@@ -54,7 +54,9 @@ class EventDispatcher:
 
         def end() -> None:
             with self._lock:
-                self._listeners = tuple(one for one in self._listeners if one is not listener)
+                self._listeners = tuple(
+                    callback for callback in self._listeners if callback is not listener
+                )
 
         return end
 

@@ -174,7 +174,7 @@ class Executor:
             staged.revision.number,
             f"configuration {staged.revision.number}",
             robot.failover,
-            {one.name: one.bridge for one in robot.components()},
+            {component.name: component.bridge for component in robot.components()},
             staged.difference.superseded,
             staged.difference.functions,
         )
@@ -215,20 +215,26 @@ class Executor:
         difference = compare(before, robot)
         if difference.told:
             both = (*before.components(), *robot.components())
-            every = {one.name: one.bridge for one in both}
+            every = {component.name: component.bridge for component in both}
             number += 1
-            told, superseded = "; ".join(difference.told[:_TOLD]), difference.superseded
+            text, superseded = "; ".join(difference.told[:_TOLD]), difference.superseded
             # A plan with a new candidate can be found only after the state knows its bridge.
-            self._handle(ev.CandidatesChanged(every, told, number, superseded))
+            self._handle(ev.CandidatesChanged(every, text, number, superseded))
         self._revisions.use_candidates(robot, difference.superseded, number)
 
     def _candidates_in_use(self, robot: Robot) -> Iterable[Component]:
         """Return the discovered components that are in use, as they run where they are shared."""
         state = self.state
-        there = {one.name for one in state.components.values()}
-        known = {one.name: one for one in robot.components() if one.match and one.name in there}
-        shared = (state.components[one].step.component for one in state.serving.values())
-        return (known | {one.name: one for one in shared if one.match}).values()
+        there = {component.name for component in state.components.values()}
+        known = {
+            component.name: component
+            for component in robot.components()
+            if component.match and component.name in there
+        }
+        shared = (state.components[number].step.component for number in state.serving.values())
+        return (
+            known | {component.name: component for component in shared if component.match}
+        ).values()
 
     def _ask(self, event: ev.Killed | ev.Stopped) -> None:
         """Post an event and do what follows from it in this thread, until it is done."""
@@ -251,7 +257,9 @@ class Executor:
         spared = frozenset[int]()
         if event.health is Health.LOST and component is None:
             live = self.live.components.copy()
-            spared = frozenset(n for n, one in live.items() if self._bridges.is_in_use(one.bridge))
+            spared = frozenset(
+                n for n, value in live.items() if self._bridges.is_in_use(value.bridge)
+            )
         self.post(
             ev.HealthReported(
                 event.bridge, event.health, event.cause, component, part, spared, is_avoided
@@ -276,23 +284,25 @@ class Executor:
     def connections(self) -> tuple[ConnectionRuntime, ...]:
         """Return the connections that have a plan and have not ended, oldest first."""
         runtimes = self.live.runtimes.copy()
-        found = (runtimes.get(one) for one in self.state.connections)
-        return tuple(one for one in found if one is not None and one.record is not None)
+        found = (runtimes.get(connection) for connection in self.state.connections)
+        return tuple(
+            runtime for runtime in found if runtime is not None and runtime.record is not None
+        )
 
     def components(self) -> tuple[LiveComponent, ...]:
         """Return the components that are in use and well enough to be shared."""
         objects = self.live.components.copy()
-        return tuple(objects[one.id] for one in self.state.shared() if one.id in objects)
+        return tuple(objects[record.id] for record in self.state.shared() if record.id in objects)
 
     def edges(self) -> tuple[LiveEdge, ...]:
         """Return the edges that feed something."""
         objects = self.live.edges.copy()
-        return tuple(objects[one] for one in self.state.feeding.values() if one in objects)
+        return tuple(objects[number] for number in self.state.feeding.values() if number in objects)
 
     def component_statuses(self) -> tuple[ComponentStatus, ...]:
         """Return what the status map shows of components."""
         state, objects = self.state, self.live.components.copy()
-        return tuple(_status(one, objects.get(one.id)) for one in state.shared())
+        return tuple(_status(record, objects.get(record.id)) for record in state.shared())
 
     def deaths(self) -> tuple[tuple[str, int], ...]:
         """Return how often each component was lost."""

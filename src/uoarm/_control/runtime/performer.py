@@ -84,26 +84,26 @@ class Performer:
         self._doers: dict[type[Any], Callable[[Any], None]] = {
             act.Publish: self._publish,
             act.Announce: self._announce,
-            act.Reply: lambda one: lanes.reply(one.waiter, one.error),
+            act.Reply: lambda item: lanes.reply(item.waiter, item.error),
             act.HandOver: self._hand_over,
             act.Listen: self._listen,
             act.Stop: self._stop,
             act.SetCheck: self._set_check,
-            act.CancelBatch: lambda one: self._cancelled.add(one.batch),
+            act.CancelBatch: lambda item: self._cancelled.add(item.batch),
             act.Forget: self._forget_all,
-            act.RetireBridge: lambda one: bridges.retire(one.bridge),
-            act.Adopt: lambda one: self._adopt(one.revision),
-            act.WakeAt: lambda one: timer.wake_at(one.time),
-            act.Warn: lambda one: _log.warning("connection %s: %s", one.connection, one.text),
-            act.Resolve: lambda one: self._call(one, lambda: self._seek_plan(one)),
+            act.RetireBridge: lambda item: bridges.retire(item.bridge),
+            act.Adopt: lambda item: self._adopt(item.revision),
+            act.WakeAt: lambda item: timer.wake_at(item.time),
+            act.Warn: lambda item: _log.warning("connection %s: %s", item.connection, item.text),
+            act.Resolve: lambda item: self._call(item, lambda: self._seek_plan(item)),
             act.Open: self._open,
             act.Close: self._close,
             act.Finish: self._finish,
             act.Drain: self._drain,
             act.FindReplacement: self._find_replacement,
             act.CheckPreferred: self._check_preferred,
-            act.SwitchInputs: lambda one: self._call(one, lambda: self._switch_inputs(one)),
-            act.Release: lambda one: self._call(one, lambda: self._live.release(one.components)),
+            act.SwitchInputs: lambda item: self._call(item, lambda: self._switch_inputs(item)),
+            act.Release: lambda item: self._call(item, lambda: self._live.release(item.components)),
         }
 
     def perform(self, action: act.Action) -> None:
@@ -163,7 +163,10 @@ class Performer:
             runtime.hand_over(action, ports)
         else:
             letting = _LetThrough(action, runtime, ports)
-            self._unheard = (*(one for one in self._unheard if not one.is_over), letting)
+            self._unheard = (
+                *(let_through for let_through in self._unheard if not let_through.is_over),
+                letting,
+            )
             self._lanes.put(action.lane, letting)
         if runtime.context is not None:
             # In a lane, as everything foreign: what takes a finished span may export it at once.
@@ -176,7 +179,9 @@ class Performer:
         itself.
         """
         deadline = time.monotonic() + timeout
-        return all(one.wait(max(0.0, deadline - time.monotonic())) for one in self._unheard)
+        return all(
+            let_through.wait(max(0.0, deadline - time.monotonic())) for let_through in self._unheard
+        )
 
     def _listen(self, action: act.Listen) -> None:
         ports = self._live.ports.get(action.ports)

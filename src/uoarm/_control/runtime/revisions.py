@@ -64,7 +64,7 @@ class Revision:
     needs_candidates: bool = field(init=False)
 
     def __attrs_post_init__(self) -> None:
-        needs = any(one.needs is not None for one in self.base.functions.values())
+        needs = any(function.needs is not None for function in self.base.functions.values())
         object.__setattr__(self, "needs_candidates", needs)
 
     def resolve(
@@ -247,19 +247,19 @@ class Revisions:
 
     def _require_code(self, revision: Revision, difference: Difference) -> None:
         wrong: list[str] = []
-        old = {one.name: one for one in self.current.robot.components()}
-        for one in revision.robot.components():
-            if one.name not in old or one.name not in difference.superseded:
+        old = {component.name: component for component in self.current.robot.components()}
+        for component in revision.robot.components():
+            if component.name not in old or component.name not in difference.superseded:
                 continue
-            if isinstance(self.current.structures.structures(old[one.name]), Unavailable):
+            if isinstance(self.current.structures.structures(old[component.name]), Unavailable):
                 continue
-            now = revision.structures.structures(one)
+            now = revision.structures.structures(component)
             if isinstance(now, Unavailable):
-                wrong.append(f"  component {one.name!r}: {now.sentence}")
+                wrong.append(f"  component {component.name!r}: {now.sentence}")
         if wrong:
-            told = "\n".join(wrong)
+            text = "\n".join(wrong)
             raise ConfigurationError(
-                f"components cannot be had with their new code; the code that runs goes on:\n{told}"
+                f"components cannot be had with their new code; the code that runs goes on:\n{text}"
             )
 
     def _effects(
@@ -331,11 +331,14 @@ def _with_candidates_of(before: Robot, base: Robot) -> Robot:
         if function.needs is None or old is None or old.needs != function.needs:
             continue
         still = tuple(
-            one
-            for one in old.components
-            if one.match is not None
-            and before.bridges.get(one.bridge) == base.bridges.get(one.bridge)
-            and all(each.source is None or each.source.function in functions for each in one.inputs)
+            component
+            for component in old.components
+            if component.match is not None
+            and before.bridges.get(component.bridge) == base.bridges.get(component.bridge)
+            and all(
+                input_.source is None or input_.source.function in functions
+                for input_ in component.inputs
+            )
         )
         functions[name] = evolve(
             function, components=(*function.components, *still), passed_over=old.passed_over
@@ -345,4 +348,6 @@ def _with_candidates_of(before: Robot, base: Robot) -> Robot:
 
 def _cut(robot: Robot, bridges: frozenset[str]) -> frozenset[str]:
     """Return the components of bridges."""
-    return frozenset(one.name for one in robot.components() if one.bridge in bridges)
+    return frozenset(
+        component.name for component in robot.components() if component.bridge in bridges
+    )

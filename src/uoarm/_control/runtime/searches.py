@@ -131,9 +131,9 @@ def _difference(dead: Plan, plan: Plan, output: str | None) -> str:
         found = new.structures.get(f"output.{output}")
         if found is None:
             return f"it has no output {output!r}"
-        told = _refusal(found, old.structures[f"output.{output}"])
-        if told:
-            return f"its output {output!r} is another: {told}"
+        text = _refusal(found, old.structures[f"output.{output}"])
+        if text:
+            return f"its output {output!r} is another: {text}"
     taken = {port.name for port in new.component.inputs if port.source is None}
     for port in old.component.inputs:
         if port.source is not None:
@@ -141,9 +141,9 @@ def _difference(dead: Plan, plan: Plan, output: str | None) -> str:
         if port.name not in taken:
             return f"it has no input {port.name!r} for the application"
         key = f"input.{port.name}"
-        told = _refusal(old.structures[key], new.structures[key])
-        if told:
-            return f"its input {port.name!r} is another: {told}"
+        text = _refusal(old.structures[key], new.structures[key])
+        if text:
+            return f"its input {port.name!r} is another: {text}"
     return ""
 
 
@@ -153,4 +153,6 @@ def _refusal(producer: MessageStructure, consumer: MessageStructure) -> str:
     verdict = check_edge(producer, consumer)
     if verdict.compatible:
         return ""
-    return "; ".join(f"{one.path or 'message'}: {one.sentence}" for one in verdict.reasons[:3])
+    return "; ".join(
+        f"{reason.path or 'message'}: {reason.sentence}" for reason in verdict.reasons[:3]
+    )

@@ -139,7 +139,7 @@ class RequestDispatcher:
 
     def _discover(self, request: Request) -> Any:
         del request
-        return [to_json(one) for one in self._bridge.discover(timeout=ANSWER_SECONDS)]
+        return [to_json(component) for component in self._bridge.discover(timeout=ANSWER_SECONDS)]
 
     def _source(self, request: Request) -> Any:
         endpoint, structure = _port(request)
@@ -217,13 +217,13 @@ class RequestDispatcher:
             if outbound is not None:
                 outbound.finish(Ending(event.health.value, event.cause))
                 return
-        told = {
+        reports = {
             "health": event.health.value,
             "cause": event.cause,
             "flow": None if channel is None else self._flows.number_of(channel),
             "component": event.component if channel is None else channel.endpoint.component,
         }
-        self._teller.submit(self._tell, told)
+        self._teller.submit(self._tell, reports)
 
     def _tell(self, told: Mapping[str, Any]) -> None:
         try:

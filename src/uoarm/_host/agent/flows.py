@@ -209,15 +209,22 @@ class OpenFlows:
     def number_of(self, channel: Channel) -> int | None:
         """Return the number of an open channel, None for one that is not listed."""
         with self._lock:
-            return next((n for n, one in self._open.items() if one.channel is channel), None)
+            return next((n for n, value in self._open.items() if value.channel is channel), None)
 
     def outbound_of(self, channel: Channel) -> OutboundFlow | None:
         """Return the flow of a source, also of one whose opening has not returned yet."""
         with self._lock:
-            for one in self._open.values():
-                if one.channel is channel:
-                    return one.outbound
-            return next((one for one in self._opening if one.endpoint == channel.endpoint), None)
+            for open_ in self._open.values():
+                if open_.channel is channel:
+                    return open_.outbound
+            return next(
+                (
+                    outbound_flow
+                    for outbound_flow in self._opening
+                    if outbound_flow.endpoint == channel.endpoint
+                ),
+                None,
+            )
 
     def heartbeat(
         self,
@@ -226,16 +233,16 @@ class OpenFlows:
         with self._lock:
             found = list(self._open.items())
         return [
-            (n, None if one.inbound is None else astuple(one.inbound.handled()), _told(one))
-            for n, one in found
+            (n, None if open_.inbound is None else astuple(open_.inbound.handled()), _told(open_))
+            for n, open_ in found
         ]
 
     def look_at_facts(self) -> None:
         """Ask every channel for its facts; what one raises stands in their place."""
         with self._lock:
             found = list(self._open.values())
-        for one in found:
-            one.facts = packable_facts(one.channel.facts)
+        for open_ in found:
+            open_.facts = packable_facts(open_.channel.facts)
 
     def close(self, number: int, sent: int, timeout: float) -> int:
         """Close a channel and end its flow; return how many messages a source took. Idempotent.

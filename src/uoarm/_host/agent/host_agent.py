@@ -87,10 +87,10 @@ class HostAgent:
             finally:
                 with self._lock:
                     hosted = list(self._hosted)
-                for one in hosted:
-                    one.let_go()  # all at once, since each may take its time
-                for one in hosted:
-                    one.end()
+                for hosted_bridge in hosted:
+                    hosted_bridge.let_go()  # all at once, since each may take its time
+                for hosted_bridge in hosted:
+                    hosted_bridge.end()
                 if self._closed.is_set():
                     self._workers.close()
                 whole.close()
@@ -121,7 +121,7 @@ class HostAgent:
 
     def _connect(self) -> ZenohTransport | None:
         """Try until the manager is there; what is in the way is told once, not at each try."""
-        told = ""
+        text = ""
         while not self._closed.is_set():
             try:
                 whole = ZenohTransport(
@@ -132,13 +132,13 @@ class HostAgent:
                     more=self._more,
                 )
             except BridgeError as error:
-                if str(error) != told:
-                    told = str(error)
+                if str(error) != text:
+                    text = str(error)
                     _log.warning(
                         "waiting for the manager at %s: it is not there, or the two do not "
                         "believe each other's certificates (%s)",
                         self._address,
-                        told,
+                        text,
                     )
                 self._closed.wait(_AGAIN_SECONDS)
             else:
@@ -163,14 +163,20 @@ class HostAgent:
         if orders["plugin"] == "python":
             options.setdefault("path", [self._modules])
         with self._lock:
-            ending = [one for one in self._hosted if one.name == name and one.is_ending]
-        for one in ending:
-            one.end()
+            ending = [
+                hosted_bridge
+                for hosted_bridge in self._hosted
+                if hosted_bridge.name == name and hosted_bridge.is_ending
+            ]
+        for hosted_bridge in ending:
+            hosted_bridge.end()
         hosted = HostedBridge(
             self._registry, BridgeSpec(name, orders["plugin"], options), self._part(orders)
         )
         with self._lock:
-            self._hosted = [one for one in self._hosted if not one.is_closed]
+            self._hosted = [
+                hosted_bridge for hosted_bridge in self._hosted if not hosted_bridge.is_closed
+            ]
             self._hosted.append(hosted)
         if self._closed.is_set():
             hosted.end()

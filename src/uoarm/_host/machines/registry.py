@@ -217,7 +217,7 @@ class MachineRegistry:
     def _ask_for_times(self) -> None:
         while not self._stopped.wait(_CLOCK_SECONDS):
             with self._news:
-                present = {name: one[-1][1] for name, one in self._hosts.items() if one}
+                present = {name: value[-1][1] for name, value in self._hosts.items() if value}
             for machine, host in present.items():
                 with suppress(UoarmError):  # whoever uses the machine notices that it is silent
                     self.measure_clock(machine, host, _ANSWER_SECONDS)

@@ -98,8 +98,8 @@ def pack(message: Message) -> bytes:
     if not buffers:
         return _LENGTH.pack(len(tree)) + tree
     parts = [_LENGTH.pack(len(tree)), tree, _FILL[: -(len(tree) + _LENGTH.size) % _STEP]]
-    for one in buffers:
-        parts += (one, _FILL[: -memoryview(one).nbytes % _STEP])
+    for buffer in buffers:
+        parts += (buffer, _FILL[: -memoryview(buffer).nbytes % _STEP])
     return b"".join(parts)
 
 
@@ -152,7 +152,7 @@ def _buffer(data: bytes) -> tuple[str, list[int], int]:
         raise MessageError(f"a frame holds a buffer of an unknown type {str(kind)[:40]!r}")
     if not (isinstance(shape, list) and len(shape) <= _MAX_DIMENSIONS):
         raise MessageError(f"a frame holds a buffer of more than {_MAX_DIMENSIONS} dimensions")
-    if not all(type(one) is int and one >= 0 for one in shape):
+    if not all(type(item) is int and item >= 0 for item in shape):
         raise MessageError("a frame holds a buffer of a shape that is no list of sizes")
     if math.prod(shape) * int(known[1]) != size:
         raise MessageError(

@@ -111,9 +111,9 @@ class FrameFlows:
             self._closing.set()
             self._is_watched.set()
             reading = None if self._taking is not None else self._reading
-        for one in (reading, self._watching):
-            if one is not None and one is not threading.current_thread():
-                one.join(_JOIN_SECONDS)
+        for thread in (reading, self._watching):
+            if thread is not None and thread is not threading.current_thread():
+                thread.join(_JOIN_SECONDS)
         for subscription in list(self._subscriptions.values()):
             subscription.end()
         self._writer.close()

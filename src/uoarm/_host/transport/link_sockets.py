@@ -46,7 +46,9 @@ class LinkSockets:
     @classmethod
     def inherited(cls, descriptors: Sequence[int]) -> LinkSockets:
         """Return the end whose `descriptors` a process has inherited."""
-        requests, incoming, outgoing = (socket.socket(fileno=one) for one in descriptors)
+        requests, incoming, outgoing = (
+            socket.socket(fileno=descriptor) for descriptor in descriptors
+        )
         close_in_children(requests, incoming, outgoing)
         return cls(requests, incoming, outgoing)
 
@@ -57,8 +59,8 @@ class LinkSockets:
 
     def close(self) -> None:
         """Close all three. Idempotent."""
-        for one in (self.requests, self.incoming, self.outgoing):
-            one.close()
+        for item in (self.requests, self.incoming, self.outgoing):
+            item.close()
 
 
 def _pair(made: ExitStack) -> tuple[socket.socket, socket.socket]:

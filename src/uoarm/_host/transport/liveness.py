@@ -244,6 +244,6 @@ class Heartbeat:
         return False
 
     def _tell_doubt(self, now: float) -> None:
-        told = self._silence.doubt(now)
-        if told is not None:
-            self._on_doubt(told)
+        is_reported = self._silence.doubt(now)
+        if is_reported is not None:
+            self._on_doubt(is_reported)

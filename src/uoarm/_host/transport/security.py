@@ -82,7 +82,7 @@ class Identity:
 def certified(folder: str | Path) -> frozenset[str]:
     """Return the machines whose certificates are in a folder, a thousand at most."""
     found = sorted(file.stem for file in Path(folder).expanduser().glob("*.pem"))
-    names = [one for one in found if one not in {_AUTHORITY, MANAGER} and _NAME.fullmatch(one)]
+    names = [name for name in found if name not in {_AUTHORITY, MANAGER} and _NAME.fullmatch(name)]
     return frozenset(names[:_MOST_CERTIFIED])
 
 
@@ -106,7 +106,9 @@ def access_list(machines: Iterable[str] | None) -> Mapping[str, object]:
             "default_permission": "deny",
             "rules": rules,
             "subjects": subjects,
-            "policies": [{"rules": [one["id"]], "subjects": [one["id"]]} for one in subjects],
+            "policies": [
+                {"rules": [subject["id"]], "subjects": [subject["id"]]} for subject in subjects
+            ],
         }
     }
 

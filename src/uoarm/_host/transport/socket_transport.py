@@ -98,7 +98,7 @@ class SocketTransport(Transport):
                 take(value)
 
         now = time.monotonic()
-        for old in [one for one, until in self._late.copy().items() if until < now]:
+        for old in [name for name, until in self._late.copy().items() if until < now]:
             self._late.pop(old, None)
             self._asked.pop(old, None)
         number = self._expect(hand)

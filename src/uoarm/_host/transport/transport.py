@@ -153,14 +153,14 @@ def answer_of(value: Any) -> bytes:
 
 def read_answer(frame: Frame, key: str) -> Any:
     """Return what the other end answered at a key, or raise what it answered with."""
-    told = unpack(frame)
-    match told:
+    report = unpack(frame)
+    match report:
         case [bool(failed), value]:
             if not failed:
                 return value
             if isinstance(value, Mapping):
                 raise from_failure(value)
-    text = f"asking {key}: the answer is none of this link: {str(told)[:40]}"
+    text = f"asking {key}: the answer is none of this link: {str(report)[:40]}"
     raise BridgeError(text, FailureReason.CONTRACT)
 
 

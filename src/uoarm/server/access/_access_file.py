@@ -34,7 +34,7 @@ def read_access(path: File) -> AccessPolicy:
     document = read_file(path, BUDGET)
     reader = _Reader(document, str(path))
     book = reader.book() if document.whole else AccessPolicy({})
-    problems = sorted([*document.problems, *reader.problems], key=lambda one: one.place)
+    problems = sorted([*document.problems, *reader.problems], key=lambda item: item.place)
     if problems:
         lines = [str(problem) for problem in problems[:_SHOWN]]
         if len(problems) > _SHOWN:
@@ -64,14 +64,16 @@ class _Reader:
             self._say(("tokens",), f"expected a list, got {_kind(listed)}")
             listed = []
         tokens: dict[str, Grant] = {}
-        for place, one in enumerate(listed):
-            self._token(one, ("tokens", place), roles, tokens)
+        for place, item in enumerate(listed):
+            self._token(item, ("tokens", place), roles, tokens)
         certificates = self._mapping(parts.get("certificates", {}), ("certificates",))
         return AccessPolicy(
             tokens,
             {
-                name: self._grant(name, one, ("certificates", name), roles, ("role", "expires"))
-                for name, one in certificates.items()
+                name: self._grant(
+                    name, certificate, ("certificates", name), roles, ("role", "expires")
+                )
+                for name, certificate in certificates.items()
             },
         )
 
@@ -132,7 +134,9 @@ class _Reader:
         wanted = entry.get("role")
         role = roles.get(wanted) if isinstance(wanted, str) else None
         if role is None:
-            expected = ", ".join(clip(one) for one in roles) or "the roles, of which there are none"
+            expected = (
+                ", ".join(clip(text) for text in roles) or "the roles, of which there are none"
+            )
             self._say((*path, "role"), f"expected one of {expected}, got {clip(wanted)}")
         expires = _time(entry["expires"]) if "expires" in entry else None
         if "expires" in entry and expires is None:

@@ -46,7 +46,9 @@ class Audit:
             role: of the session.
             report: what it came to.
         """
-        left = [f"{one.component}.{one.port}" for one in report.inputs if not one.stopped]
+        left = [
+            f"{input_.component}.{input_.port}" for input_ in report.inputs if not input_.stopped
+        ]
         level = logging.WARNING if left else logging.INFO
         self._write(level, session=asker, role=role, operation="stop", done=not left, left=left)
 

@@ -37,8 +37,8 @@ class FrontEnds:
         self._by_name: dict[str, FrontEnd] = {}
         self._problems: list[PluginProblem] = []
         if given is not None:
-            for one in given:
-                self._admit(one.name, one)
+            for front_end in given:
+                self._admit(front_end.name, front_end)
             return
         found = entry_points(group=_GROUP) if points is None else points
         for point in sorted(found, key=lambda point: point.name):
@@ -47,8 +47,8 @@ class FrontEnds:
             except Exception as error:  # noqa: BLE001 - a broken plugin may raise anything
                 self.drop(point.name, text_of(error))
                 continue
-            for one in answer:
-                self._admit(point.name, one)
+            for front_end in answer:
+                self._admit(point.name, front_end)
 
     @property
     def usable(self) -> tuple[FrontEnd, ...]:
@@ -62,7 +62,9 @@ class FrontEnds:
 
     def at(self, path: str) -> FrontEnd | None:
         """Return the front end whose endpoint a path is."""
-        return next((one for one in self._by_name.values() if one.path == path), None)
+        return next(
+            (front_end for front_end in self._by_name.values() if front_end.path == path), None
+        )
 
     def find(self, name: str) -> FrontEnd | None:
         """Return the front end of a name that can be served."""

@@ -148,12 +148,15 @@ class HandshakeHandler:
         entry = self._entries.get(connection)
         front_end = None if entry is None else entry.front_end
         if front_end is not None:
-            own = next((one for one in offered if one in front_end.subprotocols), None)
+            own = next(
+                (subprotocol for subprotocol in offered if subprotocol in front_end.subprotocols),
+                None,
+            )
             if own is not None:
                 return own
-        chosen = next((one for one in offered if one in FORMS), None)
+        chosen = next((subprotocol for subprotocol in offered if subprotocol in FORMS), None)
         if chosen is None and entry is not None and front_end is None:
-            others = [one for one in offered if one.startswith(_VERSIONS)]
+            others = [subprotocol for subprotocol in offered if subprotocol.startswith(_VERSIONS)]
             if others:
                 raise NegotiationError(f"this server speaks {', '.join(FORMS)}, not {others[0]}")
         return chosen
@@ -174,7 +177,7 @@ class HandshakeHandler:
             return self._others
         front_end = self._others.at(path)
         if front_end is None and path not in _NATIVE_PATHS:
-            there = " or ".join(["/", *(one.path for one in self._others.usable)])
+            there = " or ".join(["/", *(end.path for end in self._others.usable)])
             raise RefusedError(HTTPStatus.NOT_FOUND, f"there is no endpoint here; try {there}")
         return front_end
 
@@ -214,9 +217,9 @@ def _static_files() -> Mapping[str, tuple[str, bytes]]:
     """Return the pages that ship with the server: only these names can ever be asked for."""
     folder = Path(__file__).parents[1] / "static"
     return {
-        one.relative_to(folder).as_posix(): (_TYPES[one.suffix], one.read_bytes())
-        for one in folder.rglob("*")
-        if one.suffix in _TYPES
+        path.relative_to(folder).as_posix(): (_TYPES[path.suffix], path.read_bytes())
+        for path in folder.rglob("*")
+        if path.suffix in _TYPES
     }
 
 

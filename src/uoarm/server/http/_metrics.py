@@ -78,13 +78,13 @@ class Metrics:
         yield _count("arrivals", "clients that connected", totals.clients)
         yield _count("refused", "handshakes that were refused", totals.refused)
         yield _count("cut_off", "clients that were cut off", totals.cut_off)
-        received = totals.received + sum(one.received for one in clients)
+        received = totals.received + sum(client.received for client in clients)
         yield _count("received_messages", "messages from clients", received)
-        sent = totals.sent + sum(one.sent for one in clients)
+        sent = totals.sent + sum(client.sent for client in clients)
         yield _count("sent_messages", "messages to clients", sent)
-        octets = totals.sent_bytes + sum(one.sent_bytes for one in clients)
+        octets = totals.sent_bytes + sum(client.sent_bytes for client in clients)
         yield _count("sent_bytes", "bytes of messages to clients", octets)
-        waiting_bytes = sum(one.outbox.waiting_bytes for one in clients)
+        waiting_bytes = sum(client.outbox.waiting_bytes for client in clients)
         yield _gauge("waiting_bytes", "bytes that wait for clients", waiting_bytes)
         held = GaugeMetricFamily(
             "uoarm_serve_held_bytes", "memory held for clients, by kind", labels=["kind"]
@@ -92,11 +92,11 @@ class Metrics:
         for kind, octets in self._registry.memory.kinds.items():
             held.add_metric([kind.value], octets)
         yield held
-        unread = sum(one.unread_octets for one in clients)
+        unread = sum(client.unread_octets for client in clients)
         yield _gauge("unread_bytes", "bytes that arrived and were not read yet", unread)
         largest = self._registry.memory.largest
         yield _gauge("held_bytes_largest", "memory held for the client that has most", largest)
-        dropped = sum(one.outbox.dropped for one in clients)
+        dropped = sum(client.outbox.dropped for client in clients)
         yield _gauge("dropped_messages", "messages lost to slow clients not yet gone", dropped)
         yield _gauge(
             "workers_busy", "requests that wait for the robot", self._registry.workers.busy
@@ -180,7 +180,9 @@ def _health(status: StatusMap) -> Iterator[Metric]:
     for name, count in status.takeovers:
         takeovers.add_metric([name], count)
     states = GaugeMetricFamily("uoarm_connections", "connections, by state", labels=["state"])
-    for state, count in Counter(one.state.value for one in status.connections).items():
+    for state, count in Counter(
+        connection.state.value for connection in status.connections
+    ).items():
         states.add_metric([state], count)
     yield from (bridges, facts, components, failed, deaths, takeovers, states)
 

@@ -54,19 +54,21 @@ class Discoveries:
     def _told(self) -> Iterator[dict[str, Any]]:
         robot = self._robot
         findings = robot.discover(timeout=_ASK_SECONDS, grace=_GRACE_SECONDS)
-        used = {one.plugin for one in findings}
+        used = {finding.plugin for finding in findings}
         if not used <= self._facts.keys():  # those of others would load what nobody uses
             self._facts = bridge_facts(robot.registry, used)
-        for each in findings:
+        for finding in findings:
             yield {
-                "bridge": each.bridge,
-                "plugin": each.plugin,
+                "bridge": finding.bridge,
+                "plugin": finding.plugin,
                 "configured": True,
-                "cause": each.cause,
-                "facts": self._facts.get(each.plugin, {}),
-                "components": [_component(one) for one in each.components[:_MOST_COMPONENTS]],
-                "more": max(0, len(each.components) - _MOST_COMPONENTS),
-                "left_out": each.left_out,
+                "cause": finding.cause,
+                "facts": self._facts.get(finding.plugin, {}),
+                "components": [
+                    _component(component) for component in finding.components[:_MOST_COMPONENTS]
+                ],
+                "more": max(0, len(finding.components) - _MOST_COMPONENTS),
+                "left_out": finding.left_out,
             }
         for name in sorted({*robot.registry.types} - used):
             yield {

@@ -108,7 +108,7 @@ class SessionStore:
             raise UnknownError("there is no such session, or its time is over; begin anew")
         if kept.session.form != form:
             raise UsageError(f"that session speaks {kept.session.form}, not {form}")
-        if any(one is kept for one, _ in self._successors.values()):
+        if any(kept_session is kept for kept_session, _ in self._successors.values()):
             raise LimitError("another connection takes this session up")
         self._successors[client] = kept, asked
         client.is_leaving = True
@@ -184,8 +184,8 @@ class SessionStore:
 
     def _make_room(self) -> None:
         """End the sessions that hold most while all that wait hold too much: they fill up still."""
-        while sum(one.account.held for one in self.waiting) > self._limits.kept_bytes:
-            largest = max(self.waiting, key=lambda one: one.account.held)
+        while sum(client.account.held for client in self.waiting) > self._limits.kept_bytes:
+            largest = max(self.waiting, key=lambda item: item.account.held)
             text = "the session %s is not kept: those that wait hold more than %d bytes"
             _log.warning(text, largest.identity, self._limits.kept_bytes)
             self._finish(self._kept[self._keys[largest]])

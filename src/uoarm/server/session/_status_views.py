@@ -89,16 +89,19 @@ class StatusViews:
         past = self._past()
         number = past[-1][1].number if past else 0
         status, now = self._status(), self._clock()
-        views = {role: self._views.of(role) for role in {one.role for one in questions}}
+        views = {
+            role: self._views.of(role)
+            for role in {status_question.role for status_question in questions}
+        }
         for role, view in views.items():
             self._board(role).look(visible_status(status, view), now)
         answers = {}
         for question in questions:
-            told = self._boards[question.role].told(question.form, question.since)
+            reports = self._boards[question.role].told(question.form, question.since)
             if question.past:
                 shown = _shown_past(past, views[question.role])
-                told["past"] = question.form.write(shown)
-            answers[question] = StatusAnswer(told, number)
+                reports["past"] = question.form.write(shown)
+            answers[question] = StatusAnswer(reports, number)
         return answers
 
     def _board(self, role: Role) -> _Board:
@@ -214,9 +217,9 @@ class _Board:
             name: entry.told(form) for name, entry in self._small.items() if entry.version > since
         }
         for name, part in self._parts.items():
-            told = part.told_since(form, since)
-            if told is not None:
-                parts[name] = told
+            report = part.told_since(form, since)
+            if report is not None:
+                parts[name] = report
         return parts
 
 
@@ -234,4 +237,4 @@ def _is_same(former: Any, value: Any) -> bool:
 
 def _shown_past(past: list[tuple[float, StatusEvent]], view: RoleView) -> list[dict[str, Any]]:
     shown = ((age, shown_event(event, view)) for age, event in past)
-    return [{**told, "age": age} for age, told in shown if told is not None]
+    return [{**reports, "age": age} for age, reports in shown if reports is not None]

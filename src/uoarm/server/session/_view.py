@@ -133,8 +133,8 @@ def show_plan(plan: Plan, form: Form, view: RoleView) -> dict[str, Any]:
 
 def show_stop(report: StopReport, view: RoleView) -> dict[str, Any]:
     """Return what an emergency stop came to: every input, with the names that the role sees."""
-    told = {**to_json(report), "stopped": report.stopped, "text": str(report)}
-    shown: dict[str, Any] = view.data(told)
+    reports = {**to_json(report), "stopped": report.stopped, "text": str(report)}
+    shown: dict[str, Any] = view.data(reports)
     return shown
 
 
@@ -146,9 +146,17 @@ def visible_status(status: StatusMap, view: RoleView) -> StatusMap:
     """
     if view.sees_all:
         return status
-    components = [one for one in status.components if view.has_function(one.function)]
-    connections = [one for one in status.connections if view.has_function(one.function)]
-    names = {one.name for one in components} | {one.id for one in connections}
+    components = [
+        component_status
+        for component_status in status.components
+        if view.has_function(component_status.function)
+    ]
+    connections = [
+        connection for connection in status.connections if view.has_function(connection.function)
+    ]
+    names = {component_status.name for component_status in components} | {
+        connection.id for connection in connections
+    }
     return evolve(
         status,
         bridges=tuple(
@@ -157,7 +165,7 @@ def visible_status(status: StatusMap, view: RoleView) -> StatusMap:
             if view.has_bridge(bridge.name)
         ),
         components=tuple(_shown_component(component, view) for component in components),
-        connections=tuple(_shown_connection(one, names, view) for one in connections),
+        connections=tuple(_shown_connection(connection, names, view) for connection in connections),
         routes=_shown_routes(status.routes, names, view),
         machines=tuple(
             evolve(machine, bridges=bridges, cause=view.text(machine.cause))

@@ -24,20 +24,20 @@ def takes_long(message: Message) -> bool:
     """Say whether a message takes more than some 2 ms to write in any form; quick to say."""
     left = _QUICK
     waiting: list[Any] = [message]
-    for one in waiting:
-        kind = type(one)
+    for item in waiting:
+        kind = type(item)
         if kind in _SCALARS:
             continue
         if kind is dict or kind is list or kind is tuple:
-            left -= len(one)
+            left -= len(item)
             if left >= 0:
-                waiting += one.values() if kind is dict else one
+                waiting += item.values() if kind is dict else item
         elif kind in _TEXTS:
-            left -= len(one) >> _OCTETS_SHIFT
-        elif is_octets(one):
-            left -= one.nbytes >> _OCTETS_SHIFT
+            left -= len(item) >> _OCTETS_SHIFT
+        elif is_octets(item):
+            left -= item.nbytes >> _OCTETS_SHIFT
         else:  # an array of numbers, of the standard library or of numpy
-            left -= getattr(one, "size", 0) or (len(one) if hasattr(one, "__len__") else 0)
+            left -= getattr(item, "size", 0) or (len(item) if hasattr(item, "__len__") else 0)
         if left < 0:
             return True
     return False

@@ -121,7 +121,7 @@ class Envelope:
     @property
     def octets(self) -> int:
         """Memory that the message and its written forms hold."""
-        frames = (one for one in self._written.values() if isinstance(one, bytes))
+        frames = (item for item in self._written.values() if isinstance(item, bytes))
         return self.message_octets + sum(map(len, frames))
 
     def forget_written(self) -> None:
@@ -250,7 +250,7 @@ class Feed:
 
     def _bound_memory(self) -> None:
         """Lose the oldest until what waits holds no more than it may; what came last is kept."""
-        held = [one.message_octets for one in self._waiting.copy()]
+        held = [envelope.message_octets for envelope in self._waiting.copy()]
         excess = sum(held) - self._limits.feed_bytes
         for octets in held[:-1]:
             if excess <= 0:
@@ -427,7 +427,9 @@ def _of_those(
     for number, message in known:
         numbers.setdefault(id(message), []).append(number)
     # An object may stand twice, as small integers do: from the newest one on.
-    found = [(numbers[id(one)].pop(), one) for one in reversed(standing) if numbers.get(id(one))]
+    found = [
+        (numbers[id(item)].pop(), item) for item in reversed(standing) if numbers.get(id(item))
+    ]
     return found[::-1]
 
 

@@ -167,7 +167,7 @@ class InputSender:
             UsageError: there is no such input for the application.
         """
         step = self._connection.plan.provider
-        names = [one.name for one in step.component.inputs if one.source is None]
+        names = [input_.name for input_ in step.component.inputs if input_.source is None]
         name = names[0] if port is None and len(names) == 1 else port or "default"
         if name not in names:
             has = ", ".join(names) or "none"
@@ -232,8 +232,8 @@ class InputSender:
 
     def _has_lease(self) -> bool:
         ports = self._connection.plan.provider.component.inputs
-        policies = (one.endpoint.command for one in ports if one.source is None)
-        return any(one is not None and one.lease is not None for one in policies)
+        policies = (port.endpoint.command for port in ports if port.source is None)
+        return any(policy is not None and policy.lease is not None for policy in policies)
 
     def _handed(self, batch: list[_QueuedMessage], outcomes: list[BaseException | None]) -> None:
         self._handing = []

@@ -131,8 +131,8 @@ class Account:
     def close(self) -> None:
         """Release everything; what is charged later counts as nothing. Idempotent."""
         self._is_closed = True
-        for one in tuple(self.charges):
-            one.release()
+        for charge in tuple(self.charges):
+            charge.release()
         self._memory.forget(self)
 
 

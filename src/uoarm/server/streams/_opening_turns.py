@@ -50,7 +50,7 @@ class OpeningTurns:
         """Tell those that wait from those that compute; `due` is when this was to be called."""
         if now - due > _LATE_SECONDS:
             return
-        old = [one for one, begun in self._young.items() if now - begun >= _YOUNG_SECONDS]
-        for one in old:
-            del self._young[one]
+        old = [name for name, begun in self._young.items() if now - begun >= _YOUNG_SECONDS]
+        for item in old:
+            del self._young[item]
         self._waiting.update(old)

@@ -72,8 +72,8 @@ class Lane:
         Each reason is reported once, and again only after another one.
         """
         self.dropped += 1
-        told, self._refusal = self._refusal, str(error)
-        return told != self._refusal
+        text, self._refusal = self._refusal, str(error)
+        return text != self._refusal
 
 
 class Outbox:
@@ -164,7 +164,7 @@ class Outbox:
 
     def holds(self, frame: bytes) -> bool:
         """Say whether a reply still waits."""
-        return any(one is frame for one, _ in self._replies)
+        return any(chunk is frame for chunk, _ in self._replies)
 
     def put(self, lane: Lane, *frames: bytes) -> None:
         """Add one data message of a stream, dropping older ones as its policy says.

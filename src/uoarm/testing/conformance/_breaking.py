@@ -72,26 +72,28 @@ class Breaking:
     def test_a_break_is_told_with_its_cause_and_so_is_its_end(
         self, world: World, bridge: Bridge, kind: str
     ) -> None:
-        told = Told(world, bridge)
+        report = Told(world, bridge)
         with line(world, bridge, kind) as through:
             through.carries(through.example())
             with _broken(world):
-                event = _worse(told, through)
+                event = _worse(report, through)
                 assert event.cause, f"{event} has no cause"
                 hold_idle(world, bridge, "while the link is broken")
             if event.health is Health.DEGRADED:
-                told.wait(*_end(told, through), lambda one: one.health in {Health.OK, Health.LOST})
-            _once(told)
+                report.wait(
+                    *_end(report, through), lambda item: item.health in {Health.OK, Health.LOST}
+                )
+            _once(report)
 
     def test_messages_pass_again_once_it_is_mended_each_once(
         self, world: World, bridge: Bridge, kind: str
     ) -> None:
-        told = Told(world, bridge)
+        report = Told(world, bridge)
         with line(world, bridge, kind) as through:
             with _broken(world):
-                is_lost = _worse(told, through).health is Health.LOST
+                is_lost = _worse(report, through).health is Health.LOST
             if not is_lost:
-                _well(told, through)
+                _well(report, through)
                 for _ in range(_AGAIN):
                     through.carries(*[through.example()] * _AGAIN)
                 came = len(through.collector.messages)
@@ -107,10 +109,10 @@ class Breaking:
     def test_what_is_sent_while_it_is_broken_is_refused_or_counted_or_arrives(
         self, world: World, bridge: Bridge, kind: str
     ) -> None:
-        told = Told(world, bridge)
+        report = Told(world, bridge)
         with line(world, bridge, kind) as through:
             with _broken(world):
-                _worse(told, through)
+                _worse(report, through)
                 before = _lost(through)
                 try:
                     Background(lambda: through.send(through.example())).result(world.patience)
@@ -124,9 +126,9 @@ class Breaking:
             )
 
     def test_what_is_broken_can_be_closed(self, world: World, bridge: Bridge, kind: str) -> None:
-        told = Told(world, bridge)
+        report = Told(world, bridge)
         with line(world, bridge, kind) as through, _broken(world):
-            _worse(told, through)
+            _worse(report, through)
             for channel in (through.source, through.sink):
                 with suppress(BridgeError):  # that it could not say goodbye
                     Background(channel.close).result(world.patience)
@@ -136,18 +138,18 @@ class Breaking:
         self, world: World, bridge: Bridge, kind: str
     ) -> None:
         """Refusing to open is right; opening something that never carries is not."""
-        told, pair, collector = Told(world, bridge), world.pair(kind), Collector()
+        report, pair, collector = Told(world, bridge), world.pair(kind), Collector()
         structure = structure_of(bridge, pair, incoming=False)
         with line(world, bridge, kind) as through:
             with _broken(world):
-                _worse(told, through)
+                _worse(report, through)
                 try:
                     source = Background(
                         lambda: bridge.open_source(pair.source, structure, collector.deliver)
                     ).result(world.patience)
                 except BridgeError:
                     return
-            _well(told, through)
+            _well(report, through)
             through.send(through.example())
             collector.wait(1, world.patience)
             source.close()
@@ -157,18 +159,22 @@ def _worse(told: Told, through: Line) -> HealthEvent:
     """Wait until a break was told of either end."""
     bad = {Health.DEGRADED, Health.LOST}
     wait(
-        lambda: any(one.health in bad for one in _about(told, through)),
+        lambda: any(health_event.health in bad for health_event in _about(told, through)),
         f"a break was not reported, of neither end; what was: {told.events}",
         told.patience,
     )
-    return next(one for one in _about(told, through) if one.health in bad)
+    return next(
+        health_event for health_event in _about(told, through) if health_event.health in bad
+    )
 
 
 def _well(told: Told, through: Line) -> None:
     """Wait until all that was degraded of a line is told to be well."""
 
     def all_well() -> bool:
-        last = {_subject(one): one.health for one in _about(told, through)}
+        last = {
+            _subject(health_event): health_event.health for health_event in _about(told, through)
+        }
         return all(health is Health.OK for health in last.values())
 
     never = f"what was degraded was not told to be well again: {told.events}"
@@ -185,7 +191,9 @@ def _end(told: Told, through: Line) -> tuple[Endpoint, Channel]:
 
 def _about(told: Told, through: Line) -> list[HealthEvent]:
     ends = (through.source, through.sink)
-    return [one for one in told.events if any(one in told.of(end.endpoint, end) for end in ends)]
+    return [
+        event for event in told.events if any(event in told.of(end.endpoint, end) for end in ends)
+    ]
 
 
 def _once(told: Told) -> None:
@@ -203,5 +211,5 @@ def _subject(event: HealthEvent) -> object:
 def _lost(through: Line) -> int:
     facts = [end.facts() for end in (through.sink, through.source)]
     # Of a hosted bridge, what its sink refused is counted on this side under a name of its own.
-    counts = [one.get(name, 0) for one in facts for name in ("lost_on_link", "failed_in_host")]
+    counts = [fact.get(name, 0) for fact in facts for name in ("lost_on_link", "failed_in_host")]
     return sum(count for count in counts if isinstance(count, int))

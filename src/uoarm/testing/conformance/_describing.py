@@ -45,8 +45,8 @@ class Describing:
         reason = caught.value.reason
         assert reason in _ABSENT, f"the reason is {reason}, expected NOT_FOUND or UNAVAILABLE"
         words = re.split(r"[^\w]+", " ".join(endpoint.address))
-        told = str(caught.value.__cause__ or caught.value)
-        assert any(word in told for word in words if word), f"{told!r} does not name it"
+        text = str(caught.value.__cause__ or caught.value)
+        assert any(word in text for word in words if word), f"{text!r} does not name it"
 
     def test_what_is_not_there_does_not_open(self, world: World, bridge: Bridge, kind: str) -> None:
         structure = structure_of(bridge, world.pair(kind), incoming=False)
@@ -67,5 +67,7 @@ class Describing:
         assert found, "nothing was discovered, though the world has components"
         for component in found:
             for endpoint, description in component.endpoints:
-                told = bridge.describe(endpoint)
-                assert told == description, f"{endpoint} is described by {told}, not {description}"
+                report = bridge.describe(endpoint)
+                assert report == description, (
+                    f"{endpoint} is described by {report}, not {description}"
+                )

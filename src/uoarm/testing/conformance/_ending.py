@@ -53,8 +53,8 @@ class Ending:
             world.await_receivers(kind, 2)
             message = witness.example()
             witness.send(message)
-            for each in (closing, witness):
-                each.collector.wait(1, world.patience)
+            for item in (closing, witness):
+                item.collector.wait(1, world.patience)
             closing.source.close()
             witness.send(message)
             witness.collector.wait(2, world.patience)

@@ -73,8 +73,8 @@ class Flow:
         with line(world, bridge, kind) as through, line(world, bridge, others[0]) as other:
             through.carries(through.example())
             other.carries(other.example())
-            for one in (through, other):
-                came = one.collector.messages
+            for item in (through, other):
+                came = item.collector.messages
                 assert len(came) == 1, f"what was sent elsewhere came, too: {came}"
 
     def test_a_retained_message_comes_first(self, world: World, bridge: Bridge) -> None:
@@ -96,7 +96,7 @@ class Flow:
             @settings(max_examples=10, **_SETTINGS)
             @given(st.lists(instances(through.structure.schema), min_size=2, max_size=8))
             def keeps(messages: list[Message]) -> None:
-                through.carries(*(each for each in messages if world.takes(kind, each)))
+                through.carries(*(message for message in messages if world.takes(kind, message)))
 
             keeps()
             assert through.collector.overlaps == 0

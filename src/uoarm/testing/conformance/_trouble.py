@@ -38,7 +38,7 @@ class Trouble:
         component = victim.source.component
         events: list[HealthEvent] = []
         opened: list[Channel] = []
-        told = threading.Event()
+        notified = threading.Event()
 
         def is_it(event: HealthEvent) -> bool:
             about = event.channel in opened or event.component == component
@@ -47,7 +47,7 @@ class Trouble:
         def listen(event: HealthEvent) -> None:
             events.append(event)
             if is_it(event):
-                told.set()
+                notified.set()
 
         bridge.watch(listen)
         structure = bridge.describe(victim.source).message
@@ -55,7 +55,7 @@ class Trouble:
         channel = bridge.open_source(victim.source, structure, lambda _: None)
         opened.append(channel)
         victim.kill()
-        assert told.wait(world.patience), f"a killed component was not reported: {events}"
+        assert notified.wait(world.patience), f"a killed component was not reported: {events}"
         event = next(filter(is_it, events))
         assert event.cause, f"{event} has no cause"
         assert event.bridge == bridge.name
@@ -66,13 +66,17 @@ class Trouble:
         victims = world.victims()
         if len(victims) < 2:  # noqa: PLR2004 - several
             pytest.skip("the world has not several components that die alone")
-        told = Told(world, bridge)
+        report = Told(world, bridge)
         channels = [_open(bridge, victim.source) for victim in victims]
         for victim, channel in zip(victims, channels, strict=True):
-            early = [one for one in told.of(victim.source, channel) if one.health is Health.LOST]
+            early = [
+                health_event
+                for health_event in report.of(victim.source, channel)
+                if health_event.health is Health.LOST
+            ]
             assert not early, f"{victim.source} was told to be lost while it lived: {early}"
             victim.kill()
-            told.wait(victim.source, channel, lambda one: one.health is Health.LOST)
+            report.wait(victim.source, channel, lambda item: item.health is Health.LOST)
         for channel in channels:
             Background(channel.close).result(world.patience)
 
@@ -100,7 +104,7 @@ class Trouble:
         emit = world.unreadable(kind)
         if emit is None:
             pytest.skip("nothing in this world can be made unreadable")
-        told = Told(world, bridge)
+        report = Told(world, bridge)
         with line(world, bridge, kind) as through:
             emit()
             wait(
@@ -112,7 +116,7 @@ class Trouble:
             through.carries(through.example())
             assert len(through.collector.messages) == 1, "the payload was delivered"
             assert through.source.unreadable == 1, "it was said of a message that can be read"
-            lost = [one for one in told.events if one.health is Health.LOST]
+            lost = [event for event in report.events if event.health is Health.LOST]
             assert not lost, f"one payload ended the channel: {lost}"
 
     def test_another_channel_opens_while_a_consumer_is_stuck(

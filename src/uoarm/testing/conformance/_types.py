@@ -55,14 +55,14 @@ def _convert(root: Schema, schema: object, value: Any, *, strictly: bool) -> Any
         if schema.get("x-octets"):
             return bytes(map(int, value))  # 7.0 is an integer in JSON Schema
         return [
-            _convert(root, _item(schema, index), each, strictly=strictly)
-            for index, each in enumerate(value)
+            _convert(root, _item(schema, index), item, strictly=strictly)
+            for index, item in enumerate(value)
         ]
     if isinstance(value, dict):
         properties = schema.get("properties", {})
         return {
-            name: _convert(root, properties.get(name), each, strictly=strictly)
-            for name, each in value.items()
+            name: _convert(root, properties.get(name), item, strictly=strictly)
+            for name, item in value.items()
         }
     return value
 
@@ -83,7 +83,7 @@ def _lengthen(root: Schema, schema: object, value: Any) -> Any:
         return [sample] * _LONG if fits else value
     if isinstance(value, dict):
         properties = schema.get("properties", {})
-        return {name: _lengthen(root, properties.get(name), one) for name, one in value.items()}
+        return {name: _lengthen(root, properties.get(name), item) for name, item in value.items()}
     return value
 
 
@@ -98,12 +98,12 @@ def _other_types(root: Schema, schema: object, value: Any, at: str) -> Iterator[
         if not isinstance(value, _BUFFERS):
             yield f"{at}: octets came as {type(value).__name__}, expected bytes"
     elif wanted == "array":
-        for index, each in enumerate(plain(value)):
-            yield from _other_types(root, _item(schema, index), each, f"{at}[{index}]")
+        for index, item in enumerate(plain(value)):
+            yield from _other_types(root, _item(schema, index), item, f"{at}[{index}]")
     elif isinstance(value, Mapping):
-        for name, one in schema.get("properties", {}).items():
+        for name, property_ in schema.get("properties", {}).items():
             if name in value:
-                yield from _other_types(root, one, value[name], f"{at}.{name}")
+                yield from _other_types(root, property_, value[name], f"{at}.{name}")
 
 
 def _one_type(schema: Mapping[str, Any]) -> str:

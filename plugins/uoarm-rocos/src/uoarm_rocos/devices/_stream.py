@@ -82,7 +82,9 @@ class StreamDevice(Device):
     def leave(self, flow: _StreamFlow) -> None:
         """Give this receiver nothing more."""
         with self._heard:
-            self._flows = tuple(one for one in self._flows if one is not flow)
+            self._flows = tuple(
+                stream_flow for stream_flow in self._flows if stream_flow is not flow
+            )
 
     def facts(self) -> Mapping[str, object]:
         """Return how many octets belonged to no frame."""

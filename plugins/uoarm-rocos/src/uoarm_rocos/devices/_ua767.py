@@ -87,7 +87,7 @@ def _read(frame: bytes) -> dict[str, Any] | WireError:
         return WireError(
             f"the monitor sent no measurement: expected 80 and 8 digits, got {payload!r}"
         )
-    difference, diastolic, pulse, mean = (int(one, 16) for one in digits.groups())
+    difference, diastolic, pulse, mean = (int(group, 16) for group in digits.groups())
     reading: dict[str, Any] = {
         "systolic": diastolic + difference,
         "diastolic": diastolic,
@@ -127,4 +127,4 @@ def ua767_frame(reading: Measurement, *, serial: bytes = b"", battery: int = 0) 
     header[_BATTERY] = battery
     difference = reading.systolic - reading.diastolic
     numbers = (difference, reading.diastolic, reading.pulse, reading.mean)
-    return bytes(header) + b"80" + b"".join(b"%02X" % one for one in numbers)
+    return bytes(header) + b"80" + b"".join(b"%02X" % number for number in numbers)

@@ -68,5 +68,5 @@ class BloodPressureMonitor:
     def _measure(self, time: float) -> bytes:
         vitals = self._person.at(time)
         numbers = (vitals.systolic, vitals.diastolic, vitals.mean, vitals.pulse)
-        systolic, diastolic, mean, pulse = (round(one) for one in numbers)
+        systolic, diastolic, mean, pulse = (round(number) for number in numbers)
         return ua767_frame(Measurement(systolic, diastolic, mean, pulse), serial=b"SIMULATED")

@@ -174,9 +174,9 @@ class TcpEnd(End):
 
     def cut(self) -> None:
         """Close the host's connection."""
-        for one in (self._host, self._writer):
-            if one is not None:
-                one.close()
+        for item in (self._host, self._writer):
+            if item is not None:
+                item.close()
         self._host = self._writer = None
 
     def close(self) -> None:

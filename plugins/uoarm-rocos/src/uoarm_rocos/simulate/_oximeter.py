@@ -118,7 +118,7 @@ class Oximeter:
         if state == "finger-out":
             return nonin2_packet([0] * _PACKET, flags=0x40)
         times = [time + n / _NONIN_2_HZ for n in range(_PACKET)]
-        wave = [round(self._person.at(one).wave * 255) for one in times]
+        wave = [round(self._person.at(value).wave * 255) for value in times]
         if state == "searching":
             return nonin2_packet(wave, flags=0x10)
         vitals = self._person.at(time)

@@ -125,14 +125,14 @@ class Speech(Device):
             if self._closed:  # before it was there to be killed
                 player.kill()
             try:
-                _, told = player.communicate(sound.wav(), max(0.0, end - time.monotonic()))
+                _, report = player.communicate(sound.wav(), max(0.0, end - time.monotonic()))
             except subprocess.TimeoutExpired as error:
                 player.kill()
                 raise BridgeTimeoutError(f"{self._name} was interrupted by its limit") from error
             finally:
                 self._player = None
         if player.returncode:
-            said = told.decode(errors="replace").strip()[:200]
+            said = report.decode(errors="replace").strip()[:200]
             raise BridgeError(f"{command[0]} could not play the sound: {said}")
 
     def _write(self, sound: Sound) -> Path:

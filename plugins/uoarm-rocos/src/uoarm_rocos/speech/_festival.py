@@ -58,8 +58,8 @@ class FestivalEngine(Engine):
         except OSError as error:
             raise BridgeError(f"Festival cannot be started: {error}") from error
         if done.returncode:
-            told = done.stderr.decode(errors="replace").strip()[:200]
-            text = f"Festival failed, perhaps for want of the voice {voice!r}: {told}"
+            message = done.stderr.decode(errors="replace").strip()[:200]
+            text = f"Festival failed, perhaps for want of the voice {voice!r}: {message}"
             raise BridgeError(text, FailureReason.RAISED)
 
     def _command(self) -> str:

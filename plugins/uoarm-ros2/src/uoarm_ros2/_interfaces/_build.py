@@ -63,7 +63,9 @@ def build_wheels(folder: Path, output: Path, tell: Callable[[str], None]) -> tup
         ConfigurationError: the folder or a definition cannot be used; with the file.
         PluginError: there is no compiler, no Python header, or no generator; or compiling fails.
     """
-    packages = {each.name: each for each in packages_in(folder)}
+    packages = {
+        interface_package.name: interface_package for interface_package in packages_in(folder)
+    }
     with tempfile.TemporaryDirectory(prefix="uoarm-interfaces-") as made:
         work = Path(made)
         needs: dict[str, frozenset[str]] = {}
@@ -82,7 +84,7 @@ def build_wheels(folder: Path, output: Path, tell: Callable[[str], None]) -> tup
             tell(f"{name}: {count} definition{'s' if count > 1 else ''}")
             generated[name] = _generate.generate(package, work, shares)
             tell(f"{name}: compiling {len(generated[name].sources)} files")
-            own = [each for one in generated.values() for each in one.headers]
+            own = [header for item in generated.values() for header in item.headers]
             linked = _needed(name, needs)
             built[name] = compilers.build(name, generated[name], own, linked, built)
             _require_loads(name, work / "python")
@@ -115,10 +117,10 @@ def _needed(name: str, needs: Mapping[str, frozenset[str]]) -> tuple[str, ...]:
     found: set[str] = set()
     left = [name]
     while left:
-        for each in needs.get(left.pop(), ()):
-            if each not in found:
-                found.add(each)
-                left.append(each)
+        for need in needs.get(left.pop(), ()):
+            if need not in found:
+                found.add(need)
+                left.append(need)
     return tuple(sorted(found))
 
 
@@ -147,27 +149,29 @@ class _Compilers:
         built: Mapping[str, Path],
     ) -> Path:
         """Compile a package's sources to one library, returned, and the module that loads it."""
-        flags = [f"-I{each}" for each in (*own, *_headers())]
+        flags = [f"-I{header}" for header in (*own, *_headers())]
         sources = generated.sources
         with ThreadPoolExecutor(os.cpu_count()) as pool:
-            done = [pool.submit(self._compile, each, flags) for each in sources]
+            done = [pool.submit(self._compile, path, flags) for path in sources]
             try:
-                objects = dict(zip(sources, [each.result() for each in done], strict=True))
+                objects = dict(zip(sources, [future.result() for future in done], strict=True))
             except BaseException:
                 pool.shutdown(wait=False, cancel_futures=True)
                 raise
         python = generated.python
         library = python / _LIBRARY.format(name)
         folders = [prefix / "lib" for prefix in _generate.prefixes()]
-        words = ["-Wl,--as-needed", *(f"-L{each}" for each in folders if each.is_dir())]
-        for each in needed:
-            if each in built:
-                words += [str(built[each]), f"-Wl,-rpath,$ORIGIN/../{each}"]
+        words = ["-Wl,--as-needed", *(f"-L{folder}" for folder in folders if folder.is_dir())]
+        for text in needed:
+            if text in built:
+                words += [str(built[text]), f"-Wl,-rpath,$ORIGIN/../{text}"]
             else:
-                words += _installed_libraries(each)
-        words += [f"-l{each}" for each in _LIBRARIES]
+                words += _installed_libraries(text)
+        words += [f"-l{text}" for text in _LIBRARIES]
         entry = python / f"_{name}_s.ep.rosidl_typesupport_c.c"
-        self._link(library, *(each for source, each in objects.items() if source != entry), *words)
+        self._link(
+            library, *(object_ for source, object_ in objects.items() if source != entry), *words
+        )
         introspection = python / _INTROSPECTION.format(name)
         everything = ["-Wl,--no-as-needed", str(library)]
         self._link(introspection, *everything)
@@ -187,11 +191,11 @@ class _Compilers:
 
 
 def _compiler(variable: str, *names: str) -> tuple[str, ...]:
-    told = shlex.split(os.environ.get(variable, ""))
-    found = [*told[:1], *names] if not told else told[:1]
-    for each in found:
-        if shutil.which(each):
-            return (each, *told[1:])
+    reports = shlex.split(os.environ.get(variable, ""))
+    found = [*reports[:1], *names] if not reports else reports[:1]
+    for name in found:
+        if shutil.which(name):
+            return (name, *reports[1:])
     raise PluginError(
         f"there is no compiler: none of {', '.join(found)} is on the path; install gcc and g++, or "
         f"name them in CC and CXX. Message types need none where they are named in the option "
@@ -203,11 +207,11 @@ def _headers() -> list[Path]:
     import numpy as np  # noqa: PLC0415 - only here
 
     installed = [
-        each
+        path
         for prefix in _generate.prefixes()
         if (prefix / "include").is_dir()
-        for each in [prefix / "include", *sorted((prefix / "include").iterdir())]
-        if each.is_dir()
+        for path in [prefix / "include", *sorted((prefix / "include").iterdir())]
+        if path.is_dir()
     ]
     return [*installed, Path(sysconfig.get_path("include")), Path(np.get_include())]
 
@@ -216,8 +220,8 @@ def _installed_libraries(package: str) -> list[str]:
     """Return the libraries of a package that is installed, by their files."""
     for prefix in _generate.prefixes():
         found = [prefix / "lib" / f"lib{package}__rosidl_{part}.so" for part in _PARTS]
-        if all(each.is_file() for each in found):
-            return [str(each) for each in found]
+        if all(path.is_file() for path in found):
+            return [str(path) for path in found]
     for folder in map(Path, sys.path):
         built = folder / package / _LIBRARY.format(package)  # as this one is
         if built.is_file():
@@ -263,14 +267,14 @@ def _requirements(
     needed: Iterable[str], packages: Mapping[str, InterfacePackage]
 ) -> tuple[str, ...]:
     """Return what pip should have installed beside: packages of the folder, wheels of ROS 2."""
-    distributions = {each.distribution for each in wheels()}
+    distributions = {wheel.distribution for wheel in wheels()}
     found: list[str] = []
     for name in sorted(needed):
         if name in packages:
             found.append(f"{name.replace('_', '-')}=={packages[name].version}")
             continue
-        for each in sorted(distributions):
-            wanted = f"ros-{each}-{name.replace('_', '-')}"
+        for text in sorted(distributions):
+            wanted = f"ros-{text}-{name.replace('_', '-')}"
             try:
                 distribution(wanted)
             except PackageNotFoundError:
@@ -293,7 +297,7 @@ def _files(
     for file in package.files:
         described = generated.descriptions / file
         sources = {file.suffix: package.folder / file}
-        sources |= {each: described.with_suffix(each) for each in (".idl", ".json")}
+        sources |= {name: described.with_suffix(name) for name in (".idl", ".json")}
         for suffix, path in sources.items():
             found[f"{share}/{file.with_suffix(suffix)}"] = path
         entries += sorted({str(file), str(file.with_suffix(".idl"))})

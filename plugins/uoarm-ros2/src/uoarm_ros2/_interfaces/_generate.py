@@ -52,7 +52,7 @@ class Generated:
 def prefixes() -> tuple[Path, ...]:
     """Return where ROS 2 is installed: what was sourced, then this environment."""
     named = os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
-    return tuple(Path(each) for each in dict.fromkeys((*filter(None, named), sys.prefix)))
+    return tuple(Path(name) for name in dict.fromkeys((*filter(None, named), sys.prefix)))
 
 
 def translate(package: InterfacePackage, folder: Path) -> None:
@@ -95,7 +95,7 @@ def generate(package: InterfacePackage, work: Path, shares: Mapping[str, Path]) 
     """
     names = [str(file.with_suffix(".idl")) for file in package.files]
     folder = work / package.name
-    described, headers, introspection = (folder / each for each in ("idl", "c", "introspection"))
+    described, headers, introspection = (folder / text for text in ("idl", "c", "introspection"))
     python = work / "python" / package.name
     arguments: dict[str, object] = {
         "package_name": package.name,

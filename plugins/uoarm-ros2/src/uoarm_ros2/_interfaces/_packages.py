@@ -75,8 +75,8 @@ def _package(root: Path, paths: Iterable[Path]) -> InterfacePackage:
             kept[stem] = path.relative_to(root)
     manifest = root / "package.xml"
     text = manifest.read_text(encoding="utf-8", errors="replace") if manifest.is_file() else ""
-    told = _VERSION.search(text)
-    return InterfacePackage(root.name, told[1] if told else "0.0.0", root, tuple(kept.values()))
+    report = _VERSION.search(text)
+    return InterfacePackage(root.name, report[1] if report else "0.0.0", root, tuple(kept.values()))
 
 
 def in_build_order(needs: Mapping[str, frozenset[str]]) -> tuple[str, ...]:

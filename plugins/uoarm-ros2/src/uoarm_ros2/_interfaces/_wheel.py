@@ -31,23 +31,23 @@ def write_wheel(
     tag = f"{python}-{abi}-{platform}"
     stem = f"{name}-{version}"
     metadata = ["Metadata-Version: 2.1", f"Name: {name.replace('_', '-')}", f"Version: {version}"]
-    metadata += [f"Requires-Dist: {each}" for each in requires]
+    metadata += [f"Requires-Dist: {text}" for text in requires]
     wheel = ["Wheel-Version: 1.0", "Generator: uoarm", "Root-Is-Purelib: false", f"Tag: {tag}"]
     contents = {
-        (f"{stem}.{each}" if each.startswith("data/") else each): path.read_bytes()
-        for each, path in sorted(files.items())
+        (f"{stem}.{text}" if text.startswith("data/") else text): path.read_bytes()
+        for text, path in sorted(files.items())
     }
     contents[f"{stem}.dist-info/METADATA"] = _text(metadata)
     contents[f"{stem}.dist-info/WHEEL"] = _text(wheel)
     record = f"{stem}.dist-info/RECORD"
-    rows = [f"{each},sha256={_hash(octets)},{len(octets)}" for each, octets in contents.items()]
+    rows = [f"{key},sha256={_hash(octets)},{len(octets)}" for key, octets in contents.items()]
     contents[record] = _text([*rows, f"{record},,"])
     path = output / f"{stem}-{tag}.whl"
     part = path.with_suffix(".part")
     try:
         with zipfile.ZipFile(part, "w", zipfile.ZIP_DEFLATED) as archive:
-            for each, octets in contents.items():
-                archive.writestr(each, octets)
+            for key, octets in contents.items():
+                archive.writestr(key, octets)
         part.replace(path)
     finally:
         part.unlink(missing_ok=True)

@@ -77,7 +77,7 @@ class WaitLoop:
         for entity in entities:
             entity.removed = True
         with self._lock:
-            self._entities = tuple(each for each in self._entities if not each.removed)
+            self._entities = tuple(item for item in self._entities if not item.removed)
             self._changed = True
         self.wake()
 
@@ -132,9 +132,9 @@ class WaitLoop:
     def close(self) -> None:
         """Let go of everything; in the thread that makes the turns."""
         self._watch.close()
-        for each in (self._everything, self._without_events):
-            if each is not None:
-                each.close()
+        for wait_set in (self._everything, self._without_events):
+            if wait_set is not None:
+                wait_set.close()
         self._everything = self._without_events = None
         self._news.clear()
         self._guard.destroy_when_not_in_use()
@@ -179,9 +179,9 @@ class WaitLoop:
         self._everything = WaitSet(handle, guard, entities)
         quick = [entity for entity in entities if not isinstance(entity, EventEntity)]
         self._without_events = WaitSet(handle, guard, quick)
-        for each in before:
-            if each is not None:
-                each.close()
+        for wait_set in before:
+            if wait_set is not None:
+                wait_set.close()
         self._watch.watch([entity for entity in every if entity.is_quiet])
 
     def _take(self, entity: Entity) -> bool:

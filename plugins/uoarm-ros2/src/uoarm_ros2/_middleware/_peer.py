@@ -43,7 +43,7 @@ def read_peer(info: Any) -> Peer:
 
 def _definition(info: Any) -> str:
     """Return a type's hash as ROS 2 writes it; Humble and nodes older than it tell none."""
-    told = getattr(info, "topic_type_hash", None)
-    if told is None or told.version < 1:
+    report = getattr(info, "topic_type_hash", None)
+    if report is None or report.version < 1:
         return ""
-    return f"RIHS{told.version:02}_{bytes(told.value).hex()}"
+    return f"RIHS{report.version:02}_{bytes(report.value).hex()}"

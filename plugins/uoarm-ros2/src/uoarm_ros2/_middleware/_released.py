@@ -150,7 +150,7 @@ def take_with_writer(handle: Any) -> tuple[bytes, bytes] | None:
 
 def _error() -> str:
     """Return what rcutils says went wrong, and forget it: else the terminal shows it, too."""
-    *_, told, forget = _functions()
-    why: str = told().text.decode(errors="replace")
+    *_, report, forget = _functions()
+    why: str = report().text.decode(errors="replace")
     forget()
     return why or "the middleware says no reason"

@@ -232,8 +232,8 @@ class Station:
         )
         known = _rclpy.rcl_subscription_event_type_t
         entity = SubscriptionEntity(made.handle, native, take, names_writers=names_writers)
-        heard = _events(made.handle, known, _SUBSCRIPTION_EVENTS, events, of=entity)
-        return self._wait_for(made, entity, *heard)
+        received = _events(made.handle, known, _SUBSCRIPTION_EVENTS, events, of=entity)
+        return self._wait_for(made, entity, *received)
 
     @rclpy_errors(_OPENING)
     def advertise(

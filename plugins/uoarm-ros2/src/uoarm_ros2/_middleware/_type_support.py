@@ -122,7 +122,7 @@ def _capsule(support: _Support) -> object:
 def _support(namespace: str, short: str, name: str, definition: str) -> _Support:
     digits = definition.removeprefix("RIHS01_")
     value = bytes.fromhex(digits) if definition else bytes(_HASH_BYTES)
-    told = _Hash(1 if definition else 0, (ctypes.c_uint8 * _HASH_BYTES)(*value))
+    report = _Hash(1 if definition else 0, (ctypes.c_uint8 * _HASH_BYTES)(*value))
     encoded = name.encode()
     text = _String(encoded, len(encoded), len(encoded) + 1)
     description, sources = _Description(text), _Sequence()
@@ -135,7 +135,7 @@ def _support(namespace: str, short: str, name: str, definition: str) -> _Support
         _MostSize(_most_size),
     )
     tells = (
-        _Tell(lambda _: ctypes.addressof(told)),
+        _Tell(lambda _: ctypes.addressof(report)),
         _Tell(lambda _: ctypes.addressof(description)),
         _Tell(lambda _: ctypes.addressof(sources)),
     )
@@ -147,7 +147,7 @@ def _support(namespace: str, short: str, name: str, definition: str) -> _Support
     for identifier, data in ((_IDENTIFIER, callbacks), (_INTROSPECTION, members)):
         tables[identifier] = _Support(identifier, ctypes.addressof(data), handle, *tells)
     support = tables[_IDENTIFIER]
-    _kept.append((tables, callbacks, members, told, description, sources, encoded))
+    _kept.append((tables, callbacks, members, report, description, sources, encoded))
     return support
 
 

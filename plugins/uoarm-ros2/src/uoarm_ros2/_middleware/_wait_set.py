@@ -305,7 +305,8 @@ class WaitSet:
         for kind in _KINDS:
             if self._by_kind[kind]:
                 found = (
-                    self._by_pointer.get((kind, each)) for each in wait_set.get_ready_entities(kind)
+                    self._by_pointer.get((kind, ready_entity))
+                    for ready_entity in wait_set.get_ready_entities(kind)
                 )
                 ready += [entity for entity in found if entity is not None]
         self.ended_early = (

@@ -16,7 +16,9 @@ __all__ = ["run"]
 
 def run(tree: Any, arguments: list[str]) -> None:
     """Write the names of a parsed file; called by omniidl."""
-    target = next(each.removeprefix("file=") for each in arguments if each.startswith("file="))
+    target = next(
+        argument.removeprefix("file=") for argument in arguments if argument.startswith("file=")
+    )
     found: dict[str, Any] = {}
     _visit(tree.declarations(), found)
     Path(target).write_text(json.dumps(found), encoding="utf-8")
@@ -25,11 +27,11 @@ def run(tree: Any, arguments: list[str]) -> None:
 def _visit(declarations: Any, found: dict[str, Any]) -> None:
     from omniidl import idlast  # noqa: PLC0415 - only inside the compiler's own process
 
-    for each in declarations:
-        if isinstance(each, idlast.Module):
-            _visit(each.definitions(), found)
-        elif isinstance(each, idlast.Interface):
-            found[each.repoId()] = _operations(each)
+    for declaration in declarations:
+        if isinstance(declaration, idlast.Module):
+            _visit(declaration.definitions(), found)
+        elif isinstance(declaration, idlast.Interface):
+            found[declaration.repoId()] = _operations(declaration)
 
 
 def _operations(interface: Any) -> dict[str, list[list[str]]]:
@@ -38,14 +40,15 @@ def _operations(interface: Any) -> dict[str, list[list[str]]]:
     found: dict[str, list[list[str]]] = {}
     for parent in interface.inherits():
         found.update(_operations(parent))
-    for each in interface.callables():
-        if isinstance(each, idlast.Attribute):
-            for name in each.identifiers():
+    for callable_ in interface.callables():
+        if isinstance(callable_, idlast.Attribute):
+            for name in callable_.identifiers():
                 found[f"_get_{name}"] = []
-                if not each.readonly():
+                if not callable_.readonly():
                     found[f"_set_{name}"] = [["value", "in"]]
         else:
-            found[each.identifier()] = [
-                [one.identifier(), one.dirtext()] for one in each.parameters()
+            found[callable_.identifier()] = [
+                [parameter.identifier(), parameter.dirtext()]
+                for parameter in callable_.parameters()
             ]
     return found
