@@ -45,7 +45,7 @@ def _can(function: Function, *, serve: bool) -> bool:
     """Say whether a function can be called, or else requested, should its components be there."""
     if function.needs is not None and (function.needs.role is Role.SERVICE) is serve:
         return True
-    return any((one.service is not None) is serve for one in function.components)
+    return any((component.service is not None) is serve for component in function.components)
 
 
 class FunctionArgument(click.Argument):
