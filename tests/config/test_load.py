@@ -70,8 +70,8 @@ functions:
 
 def test_everything_that_can_be_written_arrives_in_the_model() -> None:
     robot = loads(FULL, "robot.yaml")
-    assert robot.origin == "robot.yaml"
     folder = str(Path.cwd())
+    assert robot.origin == str(Path(folder, "robot.yaml"))
     assert robot.bridges == {
         "python": BridgeSpec("python", "python", {"path": ["here"]}, folder=folder),
         "ros": BridgeSpec("ros", "ros2", {"domain_id": 7}, {"environment": "jazzy"}, folder=folder),

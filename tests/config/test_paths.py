@@ -147,5 +147,13 @@ def test_without_a_file_paths_begin_where_the_program_runs(
     }
 
 
+def test_a_path_that_is_left_out_is_its_default_in_the_folder() -> None:
+    option = {"type": "string", "x-uoarm-path": True, "default": "."}
+    schema = {"type": "object", "properties": {"folder": option, "other": {"default": "."}}}
+    kind = BridgeType("lab", "", lambda name, _: MemoryBridge(name), schema, contract=2)
+    assert kind.located({}, "/lab") == {"folder": "/lab"}
+    assert kind.located({"folder": "idl"}, "/lab") == {"folder": "/lab/idl"}
+
+
 def test_a_robot_in_memory_names_no_folder() -> None:
     assert loads(WRITTEN.replace("FILES", "[]")).bridges["lab"].folder == ""

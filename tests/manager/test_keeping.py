@@ -217,3 +217,25 @@ def test_a_configuration_of_no_file_and_one_that_is_gone_say_so(
     with pytest.raises(ConfigurationError, match="cannot be read"):
         robot.apply(loads(WITH_LAMP, str(file)), keep=True)
     assert robot.revision == 0
+
+
+def test_a_relative_path_is_that_of_the_folder_where_it_was_given(
+    file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A program may change its folder later; what stands in that one is not meant."""
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    (elsewhere / file.name).write_text("not a configuration", encoding="utf-8")
+    monkeypatch.chdir(file.parent)
+    lab = MemoryBridge("lab", {})
+    with RobotManager(load(file.name), bridges={"lab": lab}, stop_file="stopped") as robot:
+        assert robot.config.origin == str(file)
+        monkeypatch.chdir(elsewhere)
+        file.write_text(WITH_LAMP, encoding="utf-8")
+        robot.reload()
+        assert list(robot.config.functions) == ["camera", "lamp"]
+        robot.apply(loads(ROBOT, str(file)), keep=True)
+        assert file.read_text(encoding="utf-8") == ROBOT
+        robot.stop_all()
+        assert (file.parent / "stopped").exists()
+        robot.release()

@@ -20,10 +20,12 @@ from plain import plain
 from uoarm_rtm._compiler import OUR_IDL
 from uoarm_rtm._derived import derive
 from uoarm_rtm._schema import schema_of
+from uoarm_rtm._settings import bridge_settings
 from uoarm_rtm._types import Types
 from uoarm_rtm._user_idl import load_idl
 
 from uoarm.bridge import Registry
+from uoarm.config import load
 from uoarm.errors import BridgeError
 from uoarm.model import MessageStructure
 from uoarm.schema import check
@@ -171,6 +173,25 @@ def test_user_idl_is_compiled_once(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     assert Types([str(file)]).codec("Mine::M").encode({"p": {"x": 1}}) == b"\1\0"
 
 
+def test_a_text_finds_what_it_includes_in_the_folder_of_its_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    (tmp_path / "idl").mkdir()
+    for folder, kind in ((tmp_path, "long"), (tmp_path / "idl", "short")):
+        (folder / "part.idl").write_text(f"module Part {{ struct P {{ {kind} x; }}; }};")
+    idl = json.dumps('#include "part.idl"\nmodule Mine { struct M { Part::P p; }; };')
+    file = tmp_path / "robot.yaml"
+    text = f"version: 1\nbridges: {{rtm: {{options: {{idl: {idl}MORE}}}}}}\nfunctions: {{}}\n"
+    for more, octets in (("", b"\1\0\0\0"), (", idl_folder: idl", b"\1\0")):
+        file.write_text(text.replace("MORE", more))
+        spec = load(file, Registry().types).bridges["rtm"]
+        located = Registry().types["rtm"].located(spec.options, spec.folder)
+        options = bridge_settings("rtm", located)
+        types = Types(options.idl, options.text, options.idl_folder)
+        assert types.codec("Mine::M").encode({"p": {"x": 1}}) == octets
+
+
 def test_compiling_waits_for_no_import_of_ours(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -221,5 +242,8 @@ def test_missing_stubs_are_named_with_what_makes_them() -> None:
 def test_paths_begin_at_the_configuration() -> None:
     located = Registry().types["rtm"].located
     text = "struct Lab { long a; };"
-    assert located({"idl": "lab.idl"}, "/robot") == {"idl": "/robot/lab.idl"}
-    assert located({"idl": [text, "lab.idl"]}, "/robot") == {"idl": [text, "/robot/lab.idl"]}
+    for written, found in (
+        ("lab.idl", "/robot/lab.idl"),
+        ([text, "lab.idl"], [text, "/robot/lab.idl"]),
+    ):
+        assert located({"idl": written}, "/robot") == {"idl": found, "idl_folder": "/robot"}

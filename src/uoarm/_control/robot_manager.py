@@ -126,7 +126,7 @@ class RobotManager:
             revisions=self._revisions,
             clock=clock,
             emergency_stop=EmergencyStop(
-                clock, None if stop_file is None else StopFile(Path(stop_file))
+                clock, None if stop_file is None else StopFile(Path(stop_file).absolute())
             ),
         )
         self._discovery = Discovery(self._bridges.get)

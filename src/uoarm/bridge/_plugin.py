@@ -40,7 +40,7 @@ class BridgeType:
             installations that leave it out, a number each, so that they do not meet.
             A text with `x-uoarm-path: true` is the path of a file or folder: a relative one begins
             at the configuration's file. Where its value is a regular expression, texts that match
-            it as a whole are paths.
+            it as a whole are paths. One that is left out is its `default`, if it has one.
         check_endpoint: takes an address and its options; returns what is wrong, or "".
             Reads only; imports no middleware.
         topic: takes an address and its options; returns the name of the topic that it stands for,
@@ -80,7 +80,10 @@ class BridgeType:
     contract: int = field(kw_only=True)
 
     def located(self, options: Options, folder: str) -> dict[str, Any]:
-        """Return options in which every relative path begins in a folder, and `~` is the home."""
+        """Return options in which every relative path begins in a folder, and `~` is the home.
+
+        Paths with a default that are left out are among them.
+        """
         made: dict[str, Any] = _located(self.options_schema, dict(options), folder)
         return made
 
@@ -120,9 +123,14 @@ def _located(schema: Any, value: Any, folder: str) -> Any:
         return str(Path(folder, os.path.expanduser(value))) if is_path else value  # noqa: PTH111
     if isinstance(value, Mapping):
         known, others = schema.get("properties", {}), schema.get("additionalProperties")
+        left_out = {
+            name: option["default"]
+            for name, option in known.items()
+            if isinstance(option, Mapping) and _PATH in option and "default" in option
+        }
         return {
             name: _located(known.get(name, others), member, folder)
-            for name, member in value.items()
+            for name, member in {**left_out, **value}.items()
         }
     if isinstance(value, list):
         return [_located(schema.get("items"), item, folder) for item in value]

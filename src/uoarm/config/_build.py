@@ -57,7 +57,9 @@ def build(value: Mapping[str, Any], origin: str, warnings: tuple[str, ...]) -> R
         for function, item in offered.items()
     )
     lock = LockMode(value["lock"]) if "lock" in value else None
-    return Robot(bridges, functions, warnings, origin, applications, failover, hosts, offers, lock)
+    # A relative path would be another one where the program changes its working directory.
+    file = str(FilePath(origin).absolute()) if origin else ""
+    return Robot(bridges, functions, warnings, file, applications, failover, hosts, offers, lock)
 
 
 def _failover(value: Mapping[str, Any]) -> FailoverPolicy:

@@ -91,7 +91,7 @@ class Robot:
 
     Attributes:
         warnings: remarks about the file that do not stop it from being used.
-        origin: the file it was read from, empty when it was built in memory.
+        origin: the absolute path of the file it was read from, empty when it was built in memory.
         applications: the functions that each application is said to ask for; for readers and
             checks, nobody else is kept from asking.
         failover: what happens to connections when a component dies.

@@ -17,6 +17,11 @@ from uoarm.server.http import own_certificate, state_folder
 __all__ = ["Settings"]
 
 
+def _absolute(path: Path | None) -> Path | None:
+    """Return a path that stays the same where the program changes its folder: it is read again."""
+    return None if path is None else path.absolute()
+
+
 @frozen
 class Settings:
     """Where the server listens and whom it lets in.
@@ -39,7 +44,7 @@ class Settings:
     host: str = "127.0.0.1"
     port: int = 9080
     front_end_ports: Mapping[str, int] = field(factory=dict, hash=False)
-    access: Path | None = None
+    access: Path | None = field(default=None, converter=_absolute)
     origins: tuple[str, ...] = ()
     hosts: tuple[str, ...] = ()
     certificate: Path | None = None

@@ -78,7 +78,7 @@ class RtmBridge(Bridge):
     def __init__(self, name: str, options: Options) -> None:
         super().__init__(name, options)
         self._settings = bridge_settings(name, options)
-        self._types = Types(self._settings.idl, self._settings.text)
+        self._types = Types(self._settings.idl, self._settings.text, self._settings.idl_folder)
         seconds = self._settings.call_seconds
         self._orb = Orb(self._settings.address, seconds, self._settings.most_octets)
         try:

@@ -54,6 +54,12 @@ BRIDGE_OPTIONS: Schema = {
             "anyOf": [_IDL, {"type": "array", "items": _IDL, "minItems": 1}],
             "description": "IDL files or texts with further data types",
         },
+        "idl_folder": {
+            "type": "string",
+            "x-uoarm-path": True,
+            "default": ".",
+            "description": "where texts of `idl` find what they include; default: the file's",
+        },
         "address": {"type": "string", "description": "interface to listen on; default 127.0.0.1"},
         "call_timeout": {
             "type": "number",
@@ -121,6 +127,7 @@ class BridgeSettings:
     most_octets: int = 1 << 26
     operation_seconds: float | None = None
     observe: bool = True
+    idl_folder: str = "."
 
 
 @frozen
@@ -163,6 +170,7 @@ def bridge_settings(name: str, options: Options) -> BridgeSettings:
         int(str(options.get("max_message", defaults.most_octets))),
         _seconds(options, "call_timeout"),
         options.get("observe", defaults.observe) is True,
+        str(options.get("idl_folder", defaults.idl_folder)),
     )
 
 

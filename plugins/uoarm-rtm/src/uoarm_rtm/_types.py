@@ -43,14 +43,17 @@ class Types:
     Args:
         sources: IDL texts or files of the configuration; later ones win.
         encoding: of narrow strings.
+        folder: where texts find what they include.
 
     Raises:
         BridgeError: a source cannot be compiled.
     """
 
-    def __init__(self, sources: Iterable[str] = (), encoding: str = "utf-8") -> None:
+    def __init__(
+        self, sources: Iterable[str] = (), encoding: str = "utf-8", folder: str = "."
+    ) -> None:
         self._encoding = encoding
-        self._stubs = [load_idl(source) for source in sources]
+        self._stubs = [load_idl(source, folder) for source in sources]
         self._codecs: dict[str, Codec] = {}
 
     def codec(self, type_id: str) -> Codec:

@@ -49,18 +49,19 @@ class Stubs:
     names: Mapping[str, Mapping[str, list[tuple[str, str]]]] = field(hash=False)
 
 
-def load_idl(source: str) -> Stubs:
+def load_idl(source: str, folder: str = ".") -> Stubs:
     """Return the stubs of IDL: all that the text and its includes declare.
 
     Args:
-        source: IDL text, or the path of a file, relative to the working directory.
+        source: IDL text, or the path of a file.
+        folder: where a text finds what it includes; a file finds it beside itself.
 
     Raises:
         BridgeError: the file cannot be read, or the compiler refuses it.
         BridgeTimeoutError: the compiler takes too long.
     """
     if "{" in source:
-        text, directory, shown = source.encode(), Path.cwd(), "the IDL text"
+        text, directory, shown = source.encode(), Path(folder).absolute(), "the IDL text"
     else:
         path = Path(source).expanduser().absolute()
         text, directory, shown = _read(path), path.parent, str(path)
@@ -69,10 +70,10 @@ def load_idl(source: str) -> Stubs:
     with _loading:
         stubs = _loaded.get(package)
         if stubs is None:
-            folder = _cache() / key
-            if not folder.is_dir():
-                _compile(text, directory, package, folder, shown)
-            stubs = _loaded[package] = _import(package, folder)
+            kept = _cache() / key
+            if not kept.is_dir():
+                _compile(text, directory, package, kept, shown)
+            stubs = _loaded[package] = _import(package, kept)
         return stubs
 
 
