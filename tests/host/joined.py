@@ -105,6 +105,10 @@ class Joined:
         return self._log.read_text()
 
     @property
+    def process(self) -> int:
+        return self._process.pid
+
+    @property
     def runs(self) -> bool:
         return self._process.poll() is None
 

@@ -19,7 +19,7 @@ from uoarm._host.machines.registry import MachineRegistry
 from uoarm.cli import main
 from uoarm.config import loads
 from uoarm.model import ConnectionState, Health, MachineStatus, StatusEvent
-from uoarm.testing import Census, free_port, patience, slowness, wait
+from uoarm.testing import Census, free_port, hold_idle, patience, slowness, wait
 
 
 @pytest.fixture
@@ -43,6 +43,19 @@ def test_a_bridge_on_another_machine_works_as_one_here(tmp_path: Path, port: int
         assert got[-1] == 1998
         assert got == sorted(got)
         assert manager.call("where", 0, timeout=patience()) > 0
+
+
+def test_who_waits_for_the_other_takes_hardly_any_processor_time(tmp_path: Path, port: int) -> None:
+    file = robot(tmp_path, port, failover=f"{{wait: {patience()}}}")
+    with Joined(tmp_path, _place(port)) as host:
+        wait(lambda: "waiting for the manager" in host.log)
+        hold_idle("while the manager is not there", host.process)
+        with RobotManager.from_file(file) as manager:
+            manager.call("where", 0, timeout=patience())
+            hold_idle("while a machine is joined", host.process)
+            host.signal(signal.SIGKILL)
+            wait(lambda: not _machine(manager).present)
+            hold_idle("while a machine is gone")
 
 
 def test_the_clock_of_a_machine_is_known(tmp_path: Path, port: int) -> None:

@@ -4,7 +4,7 @@ The conformance kit for bridge authors is `uoarm.testing.conformance`, which nee
 `instances` needs hypothesis. Nothing else here needs more than uoarm itself.
 """
 
-from uoarm.testing._census import Census
+from uoarm.testing._census import Census, hold_idle
 from uoarm.testing._clock import ManualClock
 from uoarm.testing._collector import Background, Collector
 from uoarm.testing._faults import Hang, hanging, lying, raising
@@ -33,6 +33,7 @@ __all__ = [
     "find_instance",
     "free_port",
     "hanging",
+    "hold_idle",
     "instances",
     "losses",
     "lying",

@@ -9,27 +9,46 @@ import time
 from contextlib import suppress
 from pathlib import Path
 
-from uoarm.testing._patience import patience
+from uoarm.testing._patience import patience, wait
 
-__all__ = ["Census", "processor_share"]
+__all__ = ["Census", "hold_idle"]
 
 _DESCRIPTORS = ("/proc/self/fd", "/dev/fd")
 _OF_THE_CORE = "uoarm-step"
 _GLANCE_SECONDS = 0.01
+_LOOK_SECONDS = 0.5
+_IDLE_SHARE = 0.05
 
 
-def processor_share(seconds: float, *others: int) -> float:
-    """Return which share of one processor this process takes in so many seconds from now.
+def hold_idle(moment: str, *others: int, timeout: float | None = None) -> None:
+    """Hold that this process takes hardly any processor time: 5 % of one processor.
 
-    What waits takes next to none; a loop that turns for nothing takes all that it gets.
+    What waits takes next to none; a loop that turns for nothing takes all that it gets, which is
+    more than that also where many others want the processor. One look that finds none is enough.
 
     Args:
-        seconds: how long to look.
+        moment: when that is, for the failure.
         others: ids of processes that are counted, too, where the system tells of them: Linux.
+        timeout: seconds in which it is looked again; `patience`, unless given.
+
+    Raises:
+        AssertionError: it takes more, at each look.
     """
-    begin, before = time.monotonic(), _processor_seconds(others)
-    threading.Event().wait(seconds)
-    return (_processor_seconds(others) - before) / (time.monotonic() - begin)
+    shares: list[float] = []
+
+    def is_idle() -> bool:
+        begin, before = time.monotonic(), _processor_seconds(others)
+        threading.Event().wait(_LOOK_SECONDS)
+        used = _processor_seconds(others) - before
+        shares.append(used / (time.monotonic() - begin))
+        return shares[-1] < _IDLE_SHARE
+
+    try:
+        wait(is_idle, timeout=timeout)
+    except AssertionError:
+        least = f"{min(shares):.0%} of a processor"
+        text = f"a loop turns for nothing {moment}: {least} at least, in {len(shares)} looks"
+        raise AssertionError(text) from None
 
 
 class Census:

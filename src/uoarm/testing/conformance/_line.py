@@ -14,17 +14,14 @@ from uoarm.bridge import Bridge, Sink, Source
 from uoarm.errors import MessageError
 from uoarm.model import Message, MessageStructure
 from uoarm.schema import check
-from uoarm.testing._census import processor_share
+from uoarm.testing import _census
 from uoarm.testing._collector import Background, Collector
-from uoarm.testing._patience import wait
 from uoarm.testing._same import same
 from uoarm.testing.conformance._types import with_octets
 from uoarm.testing.conformance._world import Pair, World
 
 __all__ = ["Line", "example_of", "hold_idle", "hold_idle_between", "line", "structure_of"]
 
-_LOOK_SECONDS = 0.5
-_IDLE_SHARE = 0.05
 _TRICKLE_SECONDS = 0.2
 
 
@@ -89,24 +86,9 @@ def line(world: World, bridge: Bridge, kind: str) -> Iterator[Line]:
 
 
 def hold_idle(world: World, bridge: Bridge, moment: str) -> None:
-    """Hold that the bridge takes hardly any processor time, in this process and in its host.
-
-    One look that finds it idle is enough: a loop that turns for nothing never is. The limit is
-    below what such a loop gets on a machine where many others want the processor, too.
-    """
+    """Hold that the bridge takes hardly any processor time, in this process and in its host."""
     others = () if bridge.process_id is None else (bridge.process_id,)
-    shares: list[float] = []
-
-    def is_idle() -> bool:
-        shares.append(processor_share(_LOOK_SECONDS, *others))
-        return shares[-1] < _IDLE_SHARE
-
-    try:
-        wait(is_idle, timeout=world.patience)
-    except AssertionError:
-        least = f"{min(shares):.0%} of a processor"
-        text = f"a loop turns for nothing {moment}: {least} at least, in {len(shares)} looks"
-        raise AssertionError(text) from None
+    _census.hold_idle(moment, *others, timeout=world.patience)
 
 
 def hold_idle_between(through: Line, bridge: Bridge) -> None:
