@@ -7,6 +7,7 @@ import json
 import logging
 import threading
 from collections.abc import Iterator
+from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
@@ -31,6 +32,8 @@ bridges: {memory: {plugin: python}}
 functions:
   drive:
     components: [{name: base, bridge: memory, input: {endpoint: [base], stop: {message: 0}}}]
+  lift:
+    components: [{name: arm, bridge: memory, input: {endpoint: [arm], stop: {message: 0}}}]
   hang: {components: [{name: hang, bridge: memory, service: {endpoint: [hang]}}]}
 """
 TOKENS = {"driver": make_token(), "keeper": make_token(), "viewer": make_token()}
@@ -72,8 +75,13 @@ def base(memory: MemoryBridge) -> Taker:
 
 
 @pytest.fixture
-def robot(memory: MemoryBridge, base: Taker) -> Iterator[RobotManager]:
-    del base
+def arm(memory: MemoryBridge) -> Taker:
+    return memory.taker("arm", NUMBER)
+
+
+@pytest.fixture
+def robot(memory: MemoryBridge, base: Taker, arm: Taker) -> Iterator[RobotManager]:
+    del base, arm
     with RobotManager(loads(ROBOT), registry=Registry(()), bridges={"memory": memory}) as robot:
         yield robot
 
@@ -148,6 +156,27 @@ def test_a_stop_waits_for_no_call_that_hangs_and_no_limit(guarded: Server, base:
         assert driver.refused("Call", "hang", 1)["code"] == "limit"
         assert driver.ask("Stop")["stopped"]
         assert base.taken.messages == [0]
+
+
+def test_a_stop_after_a_release_stops_again_though_the_one_before_it_lasts(
+    guarded: Server, base: Taker, arm: Taker
+) -> None:
+    with ExitStack() as stack:
+        first, second, keeper = (
+            stack.enter_context(enter(guarded, role)) for role in ("driver", "driver", "keeper")
+        )
+        first.open("drive")
+        lift = second.open("lift")
+        stack.enter_context(base.stalled())
+        first.send("Stop")
+        arm.taken.wait(1)
+        keeper.ask("Stop", message={"release": True})
+        second.ask("Data", lift, 7)
+        arm.taken.wait(2)
+        report = second.ask("Stop")
+        assert arm.taken.messages == [0, 7, 0]
+        stopped = {entry["component"]: entry["stopped"] for entry in report["inputs"]}
+        assert stopped == {"base": False, "arm": True}
 
 
 def test_the_python_client(guarded: Server) -> None:

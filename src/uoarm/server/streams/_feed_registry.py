@@ -58,6 +58,7 @@ _READ_TEXT = functools.partial(read_message, TEXT_FORM)
 _REMEMBERED = 200
 _CLOSINGS = 8
 _STOP_SECONDS = 2.0
+_STOPS = 16
 _ENDS = frozenset({"closed", "failed"})
 
 
@@ -344,6 +345,7 @@ class FeedRegistry:
                 functools.partial(self.robot.stop_all, timeout=_STOP_SECONDS)
             )
             self._after_stop = {}
+            self._releasing = None  # who asks from now on wants this one released
         shared, after = self._stopping, self._after_stop
         report = await asyncio.shield(shared)
         if key not in after:
@@ -355,8 +357,12 @@ class FeedRegistry:
 
         Raises:
             BridgeError: some inputs could not be told.
+            BusyError: earlier stops and releases last still; what stops is never refused.
         """
         if self._releasing is None or self._releasing.done():
+            if self.workers.stopping >= _STOPS:
+                raise BusyError(f"{_STOPS} stops and releases are under way still; ask again later")
+            self._stopping = None  # one that is asked for from now on has to stop what moves then
             self._releasing = self.workers.stop(
                 functools.partial(self.robot.release, timeout=_STOP_SECONDS)
             )

@@ -52,6 +52,11 @@ class Workers:
         opening = self._opening.busy + sum(map(len, self._to_open.values()))
         return self._asking.busy + opening + self._freeing.busy
 
+    @property
+    def stopping(self) -> int:
+        """Stops and releases under way."""
+        return self._stopping.busy
+
     def start(self, action: Callable[[], T], *, always: bool = False) -> asyncio.Future[T]:
         """Run an action in a worker; the future has its result. Only from the loop's thread.
 
