@@ -141,6 +141,112 @@ def test_a_suggestion_mends_the_edge_that_it_is_for() -> None:
     ).compatible
 
 
+def ros(name: str, /, **fields: Any) -> dict[str, Any]:
+    return {**closed(**fields), "x-type": name}
+
+
+def closed(**fields: Any) -> dict[str, Any]:
+    named = {"type": "object", "properties": fields, "required": [*fields]}
+    return {**named, "additionalProperties": False}
+
+
+def whole(least: int, most: int, unit: str = "") -> dict[str, Any]:
+    limits = {"type": "integer", "minimum": least, "maximum": most}
+    return {**limits, "x-unit": unit} if unit else limits
+
+
+WORD, TEXT = whole(0, 2**32 - 1), {"type": "string"}
+SECS, NSECS = whole(0, 2**32 - 1, "s"), whole(0, 2**32 - 1, "ns")
+HEADERS = (
+    ros(
+        "std_msgs/Header",
+        seq=WORD,
+        stamp=ros("time", secs=SECS, nsecs=NSECS),
+        frame_id=TEXT,
+    ),
+    ros(
+        "std_msgs/msg/Header",
+        stamp=ros(
+            "builtin_interfaces/msg/Time", sec=whole(-(2**31), 2**31 - 1, "s"), nanosec=NSECS
+        ),
+        frame_id=TEXT,
+    ),
+)
+CLOUDS = tuple(
+    ros(
+        f"sensor_msgs/{infix}Cloud",
+        header=header,
+        fields={
+            "type": "array",
+            "items": ros(f"sensor_msgs/{infix}Field", name=TEXT, offset=WORD),
+        },
+        **{gain: {"type": "number"}},
+    )
+    for header, infix, gain in zip(HEADERS, ("", "msg/"), ("K", "k"), strict=True)
+)
+CLAMP = {"clamp": [0, 2**31 - 1]}
+
+
+def of_header(*, is_to_two: bool, at: str = "") -> dict[str, Any]:
+    own, others = (("secs", "nsecs"), ("sec", "nanosec"))[:: -1 if is_to_two else 1]
+    times = dict(zip(own, others, strict=True))
+    (seconds, other), (rest, other_rest) = times.items()
+    return {
+        **({} if is_to_two else {f"{at}seq": {"const": 0}}),
+        f"{at}stamp.{seconds}": {"from": f"{at}stamp.{other}", **CLAMP},
+        f"{at}stamp.{rest}": f"{at}stamp.{other_rest}",
+        f"{at}frame_id": f"{at}frame_id",
+    }
+
+
+PARTS = {"each": "fields", "map": {"name": "name", "offset": "offset"}}
+
+
+@pytest.mark.parametrize(
+    ("producer", "consumer", "mapping", "losses"),
+    [
+        (HEADERS[0], HEADERS[1], of_header(is_to_two=True), ["seq"]),
+        (HEADERS[1], HEADERS[0], of_header(is_to_two=False), []),
+        (
+            CLOUDS[0],
+            CLOUDS[1],
+            {**of_header(is_to_two=True, at="header."), "fields": PARTS, "k": "K"},
+            ["header.seq"],
+        ),
+        (
+            CLOUDS[1],
+            CLOUDS[0],
+            {**of_header(is_to_two=False, at="header."), "fields": PARTS, "K": "k"},
+            [],
+        ),
+    ],
+)
+def test_a_message_of_the_other_ros_is_offered_a_map(
+    producer: Any, consumer: Any, mapping: Any, losses: list[str]
+) -> None:
+    """It is refused until that is pasted: the types have different names, and members."""
+    ends = MessageStructure(producer), MessageStructure(consumer)
+    refused = check_edge(*ends)
+    assert not refused.compatible
+    lines = yaml.safe_load(refused.reasons[0].suggestion)
+    assert (lines["map"], lines.get("allow_loss", [])) == (mapping, losses)
+    assert check_edge(*ends, mapping, tuple(losses)).compatible
+
+
+@pytest.mark.parametrize(
+    ("producer", "consumer"),
+    [
+        (HEADERS[0], ros("std_msgs/msg/Header", frame_id=TEXT, more=TEXT)),
+        (ros("a/B", x=WORD), ros("a/C", x=WORD)),
+    ],
+)
+def test_no_map_is_offered_between_messages_of_different_names_or_fields(
+    producer: Any, consumer: Any
+) -> None:
+    refused = check_edge(MessageStructure(producer), MessageStructure(consumer))
+    assert not refused.reasons[0].suggestion
+
+
 @pytest.mark.parametrize(
     ("made", "taken", "suggestion"),
     [

@@ -8,9 +8,15 @@ import shlex
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
+import yaml
 from peers import Master
+from uoarm_ros1._structures import structure_of
+from uoarm_ros1._types import TypeStore
 
+from uoarm._adapt import check_edge
+from uoarm.model import MessageStructure
 from uoarm.testing import patience, wait
 
 PAGE = Path(__file__).parents[3] / "docs" / "ros1.md"
@@ -39,6 +45,29 @@ def test_the_example_runs_as_printed(master: Master, tmp_path: Path) -> None:
     finally:
         os.killpg(shell.pid, 9)
         shell.wait()
+
+
+def test_the_map_of_the_page_is_the_one_that_is_offered() -> None:
+    text = PAGE.read_text(encoding="utf-8")
+    block = next(
+        found[1]
+        for found in re.finditer(r"```yaml\n(.*?)```", text, re.DOTALL)
+        if "map:" in found[1]
+    )
+    (component,) = yaml.safe_load(block)["functions"]["stamped"]["components"]
+    header = structure_of(TypeStore(()).require("std_msgs/Header"))
+    seconds = {"type": "integer", "minimum": -(2**31), "maximum": 2**31 - 1, "x-unit": "s"}
+    rest = {"type": "integer", "minimum": 0, "maximum": 2**32 - 1, "x-unit": "ns"}
+    time = _closed("builtin_interfaces/msg/Time", sec=seconds, nanosec=rest)
+    other = _closed("std_msgs/msg/Header", stamp=time, frame_id={"type": "string"})
+    offered = check_edge(header, MessageStructure(other)).reasons[0].suggestion
+    keys = ("map", "allow_loss")
+    assert yaml.safe_load(offered) == {key: component["input"][key] for key in keys}
+
+
+def _closed(name: str, **fields: Any) -> dict[str, Any]:
+    described = {"type": "object", "properties": fields, "required": [*fields], "x-type": name}
+    return {**described, "additionalProperties": False}
 
 
 def _run(line: str, folder: Path) -> subprocess.CompletedProcess[str]:

@@ -12,7 +12,15 @@ from attrs import frozen
 
 from uoarm._adapt._adaptation import adapt
 from uoarm._adapt._mapping import Path, Structure, UnfitError, leaves, parse, write_path
-from uoarm._meaning import Conversion, Difference, UnitError, conversion, judge, missing_for_units
+from uoarm._meaning import (
+    Conversion,
+    Difference,
+    UnitError,
+    conversion,
+    judge,
+    missing_for_units,
+    name_of_type,
+)
 from uoarm.model import Meaning, MeaningLevel, MessageStructure
 from uoarm.schema import Budget, check
 
@@ -52,16 +60,95 @@ def suggest(
     """
     source, target = Structure(producer.schema), Structure(consumer.schema)
     try:
-        mapping = _draft(source, target, _Likeness(source, target, left, meaning))
+        mapping = _of_the_other_ros(source, target) or _draft(
+            source, target, _Likeness(source, target, left, meaning)
+        )
         if mapping is None:
             return ""
         losses = adapt(parse(mapping), producer.schema, consumer.schema).losses
     except (UnfitError, ValueError, _NoTimeError):
         return ""
-    if not fits(mapping, losses):
+    # A map that changes nothing would only hide that the types have different names.
+    if not (mapping or losses) or not fits(mapping, losses):
         return ""
     lines = f"map: {flow(mapping)}"
     return f"{lines}\nallow_loss: {flow(list(losses))}" if losses else lines
+
+
+# What ROS 2 has changed in messages of ROS 1 that it calls by the same name.
+_ROS_TIMES = {"time": "builtin_interfaces/Time", "duration": "builtin_interfaces/Duration"}
+_ROS_FIELDS = {"sec": "secs", "nanosec": "nsecs"}
+
+
+def _of_the_other_ros(source: Structure, target: Structure) -> dict[str, Any]:
+    """Return the map between a message of ROS 1 and that of ROS 2 of the same name, or nothing.
+
+    It goes down to the fields, whose types have no names: pasting it says that the messages mean
+    the same.
+
+    Raises:
+        UnfitError: a field of one is not in the other.
+    """
+    mapping: dict[str, Any] = {}
+    if not _is_counterpart(source.schema, target.schema):
+        return mapping
+    _fill_counterpart(mapping, (), (), source, target)
+    return mapping
+
+
+def _is_counterpart(one: Any, other: Any) -> bool:
+    names = [_ros_name(schema) for schema in (one, other)]
+    return bool(names[0]) and names[0] == names[1] and one.get("x-type") != other.get("x-type")
+
+
+def _ros_name(schema: Any) -> str:
+    """Return the name of a type as both call it: without the `msg` between package and name."""
+    name = name_of_type(schema.get("x-type")) if isinstance(schema, Mapping) else ""
+    return _ROS_TIMES.get(name, name.replace("/msg/", "/"))
+
+
+def _fill_counterpart(
+    mapping: dict[str, Any], place: Path, at: Path, source: Structure, target: Structure
+) -> None:
+    """Fill an object field by field; `place` and `at` are where it is in target and source."""
+    one = source.plain(source.at(at).schema if at else source.schema, write_path(at))
+    other = target.plain(target.at(place).schema if place else target.schema, write_path(place))
+    have = {_ROS_FIELDS.get(name, name).lower(): name for name in one.get("properties", {})}
+    for name, schema in other.get("properties", {}).items():
+        if len(mapping) > _MOST_FIELDS:
+            raise UnfitError(write_path(place), "too many fields")
+        where, own = (*place, name), have.get(_ROS_FIELDS.get(name, name).lower())
+        if own is None and name == "seq" and _ros_name(other) == "std_msgs/Header":
+            mapping[write_path(where)] = {"const": 0}
+            continue
+        if own is None:
+            raise UnfitError(write_path(where), "it is in one of the two only")
+        made = source.plain(one["properties"][own], write_path((*at, own)))
+        taken = target.plain(schema, write_path(where))
+        items = [array.get("items") for array in (made, taken)]
+        if "properties" in taken:
+            _fill_counterpart(mapping, where, (*at, own), source, target)
+        elif isinstance(items[1], Mapping) and "properties" in items[1]:
+            inner: dict[str, Any] = {}
+            parts = (
+                Structure(item, whole.definitions)
+                for item, whole in zip(items, (source, target), strict=True)
+            )
+            _fill_counterpart(inner, (), (), *parts)
+            mapping[write_path(where)] = {"each": write_path((*at, own)), "map": inner}
+        else:
+            mapping[write_path(where)] = _within_range(write_path((*at, own)), made, taken)
+
+
+def _within_range(path: str, made: Mapping[str, Any], taken: Mapping[str, Any]) -> Any:
+    """Return where a field comes from, cut to what the other takes, as with times after 2038."""
+    ends: list[Any] = [
+        schema.get(end) for end in ("minimum", "maximum") for schema in (made, taken)
+    ]
+    if taken.get("type") != "integer" or None in ends:
+        return path
+    clamp = [max(ends[:2]), min(ends[2:])]
+    return path if clamp == [ends[0], ends[2]] else {"from": path, "clamp": clamp}
 
 
 def untried_conversion(producer: MessageStructure, consumer: MessageStructure) -> str:
