@@ -37,14 +37,17 @@ roles:
   driver: {{see: ["echo"], request: ["echo"], send: ["echo"], call: ["add"]}}
   operator: {{see: all, kill: ["numbers"]}}
   nobody: {{}}
+  guesser: {{see: ["echo"], request: ["*"], send: ["*"], call: ["*"], kill: ["*"]}}
 tokens:
   - {{name: screen, role: viewer, sha256: {viewer}}}
   - {{name: pad, role: driver, sha256: {driver}}}
   - {{name: desk, role: operator, sha256: {operator}}}
   - {{name: dummy, role: nobody, sha256: {nobody}}}
+  - {{name: guess, role: guesser, sha256: {guesser}}}
   - {{name: old, role: viewer, sha256: {old}, expires: 2020-01-01T00:00:00Z}}
 """
-TOKENS = {name: make_token() for name in ("viewer", "driver", "operator", "nobody", "old")}
+ROLES = ("viewer", "driver", "operator", "nobody", "guesser", "old")
+TOKENS = {name: make_token() for name in ROLES}
 
 
 @pytest.fixture
@@ -116,6 +119,15 @@ def test_a_role_without_rules_may_do_nothing(guarded: Server) -> None:
         assert client.ask("List") == {"functions": []}
         for op in ("Request", "Resolve", "Call"):
             assert client.refused(op, "numbers")["code"] == "denied"
+
+
+@pytest.mark.parametrize("op", ["Request", "Call", "Resolve", "Kill", "Data", "Stop"])
+def test_no_error_names_a_function_that_the_role_does_not_see(guarded: Server, op: str) -> None:
+    with enter(guarded, "guesser") as client:
+        assert "'numberz'" in client.refused("Request", "numberz")["text"]
+        for guess, hidden in (("numberz", "numbers"), ("doublet", "doubled"), ("ad", "add")):
+            text = client.refused(op, guess, {"value": 1} if op in {"Call", "Data"} else None)
+            assert hidden not in text["text"].replace(guess, "")
 
 
 def test_changes_of_what_one_may_not_see_are_not_told(guarded: Server) -> None:

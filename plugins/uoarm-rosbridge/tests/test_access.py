@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import json
 import logging
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import pytest
 from ros import Ros, Serve, url
@@ -18,12 +20,14 @@ roles:
   viewer: {{see: ["*"], request: ["num*"]}}
   driver: {{see: ["echo"], request: ["echo"], send: ["echo"], call: ["add"]}}
   operator: {{see: ["*"], kill: ["numbers"]}}
+  guesser: {{see: ["echo"], request: ["*"], send: ["*"], call: ["*"]}}
 tokens:
   - {{name: screen, role: viewer, sha256: {viewer}}}
   - {{name: pad, role: driver, sha256: {driver}}}
   - {{name: desk, role: operator, sha256: {operator}}}
+  - {{name: guess, role: guesser, sha256: {guesser}}}
 """
-TOKENS = {name: make_token() for name in ("viewer", "driver", "operator")}
+TOKENS = {name: make_token() for name in ("viewer", "driver", "operator", "guesser")}
 
 
 @pytest.fixture
@@ -55,6 +59,28 @@ def test_a_role_may_do_what_is_named_and_nothing_else(guarded: Server) -> None:
         assert viewer.receive()["result"] is False
         assert driver.call("/uoarm/add", [1, 2]) == {"value": 3}
         assert driver.call("/rosapi/topics")["topics"] == ["/uoarm/echo"]
+
+
+ASKED: Mapping[str, Mapping[str, Any]] = {
+    "subscribe": {"op": "subscribe", "topic": "/uoarm/numberz"},
+    "publish": {"op": "publish", "topic": "/uoarm/numberz", "msg": {"value": 1}},
+    "advertise": {"op": "advertise", "topic": "/uoarm/numberz", "type": "std_msgs/Int32"},
+    "call_service": {"op": "call_service", "service": "/uoarm/numberz", "args": [1]},
+    "unsubscribe": {"op": "unsubscribe", "topic": "/uoarm/numberz"},
+    "send_action_goal": {"op": "send_action_goal", "action": "/uoarm/numberz",
+                         "action_type": "a/B", "args": {}},
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("asked", ASKED.values(), ids=ASKED.keys())
+def test_no_error_names_a_function_that_the_role_does_not_see(
+    guarded: Server, asked: Mapping[str, Any]
+) -> None:
+    with at(guarded, "guesser") as client:
+        client.send(**asked, id="1")
+        answer = client.receive()
+        assert answer["id"] == "1"
+        assert "numbers" not in json.dumps(answer)
 
 
 def test_parameters_are_seen_and_set_by_those_who_may(guarded: Server) -> None:
