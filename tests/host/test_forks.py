@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -9,6 +10,7 @@ from pathlib import Path
 import pytest
 from tests.host.hosted import COMPONENTS
 
+import uoarm
 from uoarm.testing import patience
 
 PROGRAM = """
@@ -139,3 +141,21 @@ def test_a_child_of_what_serves_ends_at_sigterm_alone(tmp_path: Path) -> None:
         check=False,
     )
     assert done.stdout.splitlines() == ["child -15", "served"], done.stdout + done.stderr
+
+
+SOURCES = Path(uoarm.__file__).parents[2]
+AT_EXIT = re.compile(
+    r"^import atexit|\bweakref\.finalize\b|def __del__|\bTemporaryDirectory\(", re.MULTILINE
+)
+NO_PYTHON_RUNS_BESIDE = {"environments/_make.py", "_interfaces/_build.py"}
+"""Commands that make a temporary folder while only programs of others run."""
+
+
+def test_what_runs_at_exit_runs_in_the_process_that_made_it() -> None:
+    """Through `at_exit` alone: what Python runs by itself runs in each forked child, too."""
+    found = {
+        "/".join(path.parts[-2:])
+        for path in (*SOURCES.glob("src/**/*.py"), *SOURCES.glob("plugins/*/src/**/*.py"))
+        if "_stubs" not in path.parts and AT_EXIT.search(path.read_text(encoding="utf-8"))
+    }
+    assert found == {"uoarm/_forks.py", *NO_PYTHON_RUNS_BESIDE}

@@ -33,7 +33,9 @@ class FestivalEngine(Engine):
         if not _VOICE.fullmatch(voice):
             text = f"{voice!r} is no name of a Festival voice, such as kal_diphone"
             raise BridgeError(text, FailureReason.BAD_MESSAGE)
-        with tempfile.TemporaryDirectory(prefix="uoarm-festival-") as directory:
+        # No TemporaryDirectory: a child that is forked meanwhile and ends would remove it.
+        directory = tempfile.mkdtemp(prefix="uoarm-festival-")
+        try:
             made = Path(directory) / "said.wav"  # to a pipe it writes a header without lengths
             self._run(text, voice, rate, timeout, made)
             try:
@@ -41,6 +43,8 @@ class FestivalEngine(Engine):
             except (OSError, wave.Error, EOFError) as error:
                 text = f"Festival made no sound, perhaps for want of the voice {voice!r}: {error}"
                 raise BridgeError(text) from error
+        finally:
+            shutil.rmtree(directory, ignore_errors=True)
 
     def _run(self, text: str, voice: str, rate: float, timeout: float, made: Path) -> None:
         stretch = f"(Parameter.set 'Duration_Stretch {1 / rate:.3f})"
