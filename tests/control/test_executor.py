@@ -12,11 +12,12 @@ from tests.control.world import FACE
 
 from uoarm import RobotManager
 from uoarm._control.live import parts
-from uoarm._control.reconciler.state import forget_earlier, listed
+from uoarm._control.reconciler.state import forget_earlier, keep_newest, listed
+from uoarm._control.runtime.event_dispatcher import EventDispatcher
 from uoarm._control.runtime.revisions import Revision
 from uoarm.config import loads
 from uoarm.model import ConnectionState, Health, StatusEvent
-from uoarm.testing import MemoryBridge, wait
+from uoarm.testing import ManualClock, MemoryBridge, wait
 
 NUMBER = {"type": "integer"}
 
@@ -106,3 +107,22 @@ def test_what_died_long_ago_is_forgotten_however_many_names_come_and_go() -> Non
 def test_of_many_that_die_together_a_few_are_named() -> None:
     assert listed(["a", "b"]) == "'a', 'b'"
     assert listed([f"c{number}" for number in range(1000)]).endswith("'c7' and 992 more")
+
+
+def test_of_names_that_come_and_go_the_newest_are_kept() -> None:
+    kept: dict[str, int] = {}
+    for number in range(3000):
+        keep_newest(kept, "stays", number)
+        keep_newest(kept, f"c{number}", number)
+    assert len(kept) == 1000
+    assert kept["stays"] == kept["c2999"] == 2999
+    assert "c1999" not in kept
+
+
+def test_records_of_names_that_come_and_go_are_forgotten() -> None:
+    dispatcher = EventDispatcher(ManualClock())
+    for number in range(3000):
+        dispatcher.post(f"component c{number}", "lost", "it was unplugged")
+    dispatcher.close()
+    wait(lambda: dispatcher._thread is not None and not dispatcher._thread.is_alive())
+    assert len(dispatcher._records) == 1000

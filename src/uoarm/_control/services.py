@@ -34,6 +34,8 @@ from uoarm.model import (
 
 __all__ = ["Services"]
 
+_WATCHES = 1000
+
 
 class Services:
     """Calls services and watches those that have raised. Thread safe.
@@ -144,15 +146,13 @@ class Services:
         """Take in that a call failed."""
         if not is_raised(error):
             return
-        found = self._watches.get(component.name)
-        if found is None or (
-            found[1].health is Health.LOST and not self._is_avoided(component.name)
-        ):
-            self._begin(component)
+        _, watch = self._watches.get(component.name, (component, None))
+        if watch is None or (watch.health is Health.LOST and not self._is_avoided(component.name)):
+            watch = self._begin(component)
         # Where the service ran in this process, what it raised itself is the cause.
-        self._watches[component.name][1].raised("the service", error.__cause__ or error)
+        watch.raised("the service", error.__cause__ or error)
 
-    def _begin(self, component: Component) -> None:
+    def _begin(self, component: Component) -> FailureWatch:
         """Judge a service afresh; what was counted stays."""
         watch = FailureWatch(
             component.name, self._limits(), self._clock, partial(self._tell, component)
@@ -162,6 +162,9 @@ class Services:
             if before is not None:
                 watch.failed, watch.last_error = before[1].failed, before[1].last_error
             self._watches[component.name] = component, watch
+            while len(self._watches) > _WATCHES:  # names come and go for ever
+                del self._watches[next(iter(self._watches))]
+        return watch
 
 
 def _answer(

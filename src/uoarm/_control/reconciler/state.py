@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from enum import Enum
 from types import MappingProxyType
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 from attrs import frozen
 
@@ -40,6 +40,7 @@ __all__ = [
     "State",
     "Switchover",
     "forget_earlier",
+    "keep_newest",
     "listed",
     "names",
     "only_runs_out",
@@ -48,7 +49,9 @@ __all__ = [
 
 _REMEMBERED_SECONDS = 300.0
 _LISTED = 8
+_NAMES = 1000
 _WELL = ComponentHealth()
+T = TypeVar("T")
 _NOTHING: Mapping[Any, Any] = MappingProxyType({})
 OPEN = 0
 """In `State.parts`: the part is open. Any other number is the batch that is opening it."""
@@ -403,6 +406,14 @@ def forget_earlier(times: dict[str, float], now: float) -> None:
     """
     while times and times[oldest := next(iter(times))] < now - _REMEMBERED_SECONDS:
         del times[oldest]
+
+
+def keep_newest(by_name: dict[str, T], name: str, value: T) -> None:
+    """Set a value, and forget those that were set longest ago: names come and go for ever."""
+    by_name.pop(name, None)
+    by_name[name] = value
+    while len(by_name) > _NAMES:
+        del by_name[next(iter(by_name))]
 
 
 def listed(names: Sequence[str]) -> str:

@@ -7,6 +7,7 @@ import threading
 from collections.abc import Callable
 from queue import SimpleQueue
 
+from uoarm._control.reconciler.state import keep_newest
 from uoarm._dataplane import Clock
 from uoarm._raised import LimitedLog, foreign
 from uoarm.model import StatusEvent
@@ -34,7 +35,7 @@ class EventDispatcher:
         self._listeners: tuple[Callable[[StatusEvent], None], ...] = ()
         self._events: SimpleQueue[StatusEvent | None] = SimpleQueue()
         self._thread: threading.Thread | None = None
-        self._records: dict[tuple[str, str], LimitedLog] = {}
+        self._records: dict[str, LimitedLog] = {}
 
     def post(self, subject: str, change: str, cause: str = "", function: str = "") -> None:
         """Number one change and have the listeners called. Waits for nothing."""
@@ -74,11 +75,13 @@ class EventDispatcher:
 
     def _record(self, event: StatusEvent) -> None:
         kind, _, name = event.subject.partition(" ")
-        key = kind if kind == "connection" else event.subject, event.change
-        if key not in self._records:
+        key = f"{event.change} {kind if kind == 'connection' else event.subject}"
+        log = self._records.get(key)
+        if log is None:
             logger = f"uoarm.component.{name}" if kind == "component" else "uoarm"
-            self._records[key] = LimitedLog(logger, _BURST)
-        self._records[key].write(logging.WARNING, f"{event.subject} {event.change}: {event.cause}")
+            log = LimitedLog(logger, _BURST)
+        keep_newest(self._records, key, log)
+        log.write(logging.WARNING, f"{event.subject} {event.change}: {event.cause}")
 
     def _run(self) -> None:
         while (event := self._events.get()) is not None:

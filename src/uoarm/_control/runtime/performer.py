@@ -10,7 +10,6 @@ from __future__ import annotations
 import logging
 import threading
 import time
-from collections import Counter
 from collections.abc import Callable
 from contextlib import AbstractContextManager
 from functools import partial
@@ -23,7 +22,7 @@ from uoarm._control.live.connection_runtime import ConnectionRuntime
 from uoarm._control.live.parts import LiveParts
 from uoarm._control.reconciler import actions as act
 from uoarm._control.reconciler import events as ev
-from uoarm._control.reconciler.state import Part, State, names
+from uoarm._control.reconciler.state import Part, State, keep_newest, names
 from uoarm._control.runtime.event_dispatcher import EventDispatcher
 from uoarm._control.runtime.lanes import Lanes
 from uoarm._control.runtime.revisions import Revisions
@@ -54,8 +53,8 @@ class Performer:
         revisions: of the configuration, in which plans are found.
 
     Attributes:
-        deaths: how often each component was lost.
-        takeovers: how often a plan took over, by function.
+        deaths: how often each component was lost, of the thousand that were last.
+        takeovers: how often a plan took over, by function, of as many.
     """
 
     def __init__(
@@ -70,8 +69,8 @@ class Performer:
         announcements: EventDispatcher,
         revisions: Revisions,
     ) -> None:
-        self.deaths: Counter[str] = Counter()
-        self.takeovers: Counter[str] = Counter()
+        self.deaths: dict[str, int] = {}
+        self.takeovers: dict[str, int] = {}
         self._state = state
         self._post = post
         self._live = live
@@ -152,11 +151,12 @@ class Performer:
     def _announce(self, action: act.Announce) -> None:
         kind, _, name = action.subject.partition(" ")
         if kind == "component" and action.change == Health.LOST.value:
-            self.deaths[name] += 1
+            keep_newest(self.deaths, name, self.deaths.get(name, 0) + 1)
         self._announcements.post(action.subject, action.change, action.cause, action.function)
 
     def _hand_over(self, action: act.HandOver) -> None:
-        self.takeovers[action.after.plan.function] += 1
+        function = action.after.plan.function
+        keep_newest(self.takeovers, function, self.takeovers.get(function, 0) + 1)
         ports = self._live.ports[action.after.ports]
         runtime = self._live.runtimes[action.connection]
         if action.is_heard:
