@@ -11,12 +11,20 @@ from uoarm.bridge import Registry, Sink
 from uoarm.config import loads
 from uoarm.errors import BridgeError, FailureReason, MessageError
 from uoarm.model import Endpoint, Message, MessageStructure
-from uoarm.testing import MemoryBridge
+from uoarm.testing import Emitter, MemoryBridge
 
 ROBOT = """
 version: 1
 bridges: {memory: {plugin: memory}}
-functions: {board: {components: [{name: board, bridge: memory, input: {endpoint: [board]}}]}}
+functions:
+  board: {components: [{name: board, bridge: memory, input: {endpoint: [board]}}]}
+  given: {components: [{name: giver, bridge: memory, output: {endpoint: [giver]}}]}
+  seen:
+    components:
+      - name: eye
+        bridge: memory
+        input: {from: given, endpoint: [board]}
+        output: {endpoint: [eye]}
 """
 
 
@@ -36,10 +44,22 @@ class Fussy(MemoryBridge):
 
 
 @pytest.fixture
-def robot() -> Iterator[RobotManager]:
-    memory = Fussy()
-    memory.taker("board", {"type": "string"})
+def memory() -> Fussy:
+    made = Fussy()
+    made.taker("board", {"type": "string"})
+    made.emitter("eye", {"type": "string"})
+    return made
+
+
+@pytest.fixture
+def giver(memory: Fussy) -> Emitter:
+    return memory.emitter("giver", {"type": "string"})
+
+
+@pytest.fixture
+def robot(memory: Fussy, giver: Emitter) -> Iterator[RobotManager]:
     bridges = {"memory": memory}
+    del giver  # made by now
     with RobotManager(loads(ROBOT), registry=Registry(()), bridges=bridges) as robot:
         yield robot
 
@@ -55,3 +75,21 @@ def test_what_a_sink_discards_is_an_error_of_the_send(robot: RobotManager) -> No
         board.send("odd")
     [route] = board.routes()
     assert (route.delivered, route.dropped) == (1, (("failed", 2), ("invalid", 1)))
+
+
+@pytest.mark.parametrize(
+    ("message", "why"), [("large", "the payload has 9 octets"), ("away", "the broker is away")]
+)
+def test_a_silence_names_what_was_refused_last(
+    robot: RobotManager, giver: Emitter, message: str, why: str
+) -> None:
+    seen = robot.request("seen")
+    giver.emit(message)
+    told = rf"giver\.default -> eye\.default was refused: .*{why}"
+    with pytest.raises(TimeoutError, match=told):
+        seen.get(0.001)
+    [route] = robot.status().routes[:1]
+    assert why in route.refusal
+    giver.emit("fine")
+    with pytest.raises(TimeoutError, match=r"no message within 0\.001 s$"):
+        seen.get(0.001)

@@ -10,6 +10,7 @@ from uoarm import RobotManager
 from uoarm._control.live.staleness import StalenessWatch
 from uoarm.bridge import HealthEvent
 from uoarm.config import loads
+from uoarm.errors import BridgeError, FailureReason
 from uoarm.model import ConnectionState, Expectation, Health
 from uoarm.testing import Collector, Emitter, ManualClock, MemoryBridge, patience, wait
 
@@ -241,6 +242,23 @@ def test_a_detector_that_gets_enough_and_gives_too_little_is_stale(
         chain.clock.advance(0.1)
     chain.pass_by(0.1)
     assert chain.moves() == [("best", "second")]
+
+
+def test_that_one_took_nothing_of_what_fed_it_is_said_with_why(
+    chain: Chain, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(_: object) -> None:
+        raise BridgeError("it has no room", FailureReason.UNAVAILABLE)
+
+    monkeypatch.setattr(chain.detector, "take", refuse)
+    chain.robot._staleness.look()
+    for number in range(20):
+        chain.best.emit(number)
+        chain.clock.advance(0.1)
+    wait(lambda: any(route.refusal for route in chain.robot.status().routes))
+    chain.pass_by(0.1)
+    told = "the last message of best.default -> detector.default was refused: it has no room"
+    assert told in chain.face.gaps[0].cause
 
 
 def test_a_detector_is_not_blamed_for_what_cannot_be_read(chain: Chain) -> None:

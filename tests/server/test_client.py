@@ -26,7 +26,7 @@ from uoarm import (
 )
 from uoarm.client import Client, RemoteStream, ServerError, connect
 from uoarm.server import Limits, Server, hash_token
-from uoarm.testing import patience
+from uoarm.testing import patience, slowness
 
 Work = Callable[[Client], Awaitable[None]]
 FORMS = pytest.mark.parametrize("binary", [False, True], ids=["json", "cbor"])
@@ -52,6 +52,30 @@ def test_messages_come_and_gaps_are_counted(server: Server, binary: bool) -> Non
             await stream.get()
 
     run(server, work, binary=binary)
+
+
+@pytest.mark.parametrize(
+    ("function", "why"),
+    [
+        ("numbers", "the server could not send the last message: .*object"),
+        ("doubled", "numbers is degraded: its output 'default' gave what does not match"),
+    ],
+)
+def test_a_silence_says_what_was_refused_last(
+    server: Server, monkeypatch: pytest.MonkeyPatch, function: str, why: str
+) -> None:
+    monkeypatch.setattr("uoarm.client._client._TROUBLE_SECONDS", patience())
+
+    async def work(client: Client) -> None:
+        stream = await client.request(function)
+        script.put({"value": 1}, {"value": object()})
+        await stream.get(patience())
+        with pytest.raises(TimeoutError, match=rf"^no message within .* s; {why}"):
+            await stream.get(0.2 * slowness())
+        script.put({"value": 2}, END)
+        await stream.get(patience())
+
+    run(server, work)
 
 
 @FORMS

@@ -15,16 +15,35 @@ async def _never(*_: object, **__: object) -> Any:
     raise AssertionError("nothing is asked here")
 
 
+async def _trouble(connection: str) -> str:
+    return f"; nobody feeds {connection}"
+
+
 def _stream() -> RemoteStream:
-    return RemoteStream({"connection": "c1", "inputs": [], "warnings": []}, {}, _never, 8)
+    opened = {"connection": "c1", "inputs": [], "warnings": []}
+    return RemoteStream(opened, {}, _never, _trouble, 8)
 
 
 def test_nothing_in_time_is_a_timeout() -> None:
     async def play() -> None:
-        with pytest.raises(TimeoutError, match=r"no message within 0\.01 s"):
+        with pytest.raises(TimeoutError, match=r"^no message within 0\.01 s; nobody feeds c1$"):
             await _stream().get(0.01)
 
     asyncio.run(play())
+
+
+def test_what_comes_while_it_is_asked_why_nothing_came_is_given() -> None:
+    async def play() -> object:
+        async def trouble(_: str) -> str:
+            stream.take(1, 5)
+            return "; nothing came"
+
+        stream = RemoteStream(
+            {"connection": "c1", "inputs": [], "warnings": []}, {}, _never, trouble, 8
+        )
+        return await stream.get(0.01)
+
+    assert asyncio.run(play()) == 5
 
 
 def test_what_is_there_needs_no_time() -> None:

@@ -8,6 +8,7 @@ from functools import partial
 from types import TracebackType
 from typing import Generic, cast, final
 
+from attrs import asdict
 from typing_extensions import Self
 
 from uoarm._arguments import arguments
@@ -23,11 +24,12 @@ from uoarm.model import (
     ConnectionState,
     ConnectionStatus,
     Gap,
-    Health,
     LeaseHolder,
     Message,
     Plan,
     RouteStatus,
+    StatusMap,
+    tell_trouble,
 )
 
 __all__ = ["Connection"]
@@ -85,7 +87,8 @@ class Connection(Generic[T]):
         """Return the next message, waiting `timeout` seconds at most (None: until it ends).
 
         Raises:
-            TimeoutError: nothing came in time; the text says which component is not well, and why.
+            TimeoutError: nothing came in time; the text says which component is not well, and
+                why the last message was refused.
             MessageError: a component gave something else than it had declared, so that no value
                 of `as_type` could be made. The next call goes on with the next message.
             ConnectionClosedError: the connection has ended and every message was read.
@@ -283,16 +286,13 @@ class Connection(Generic[T]):
 
     def _trouble(self) -> str:
         """Say what keeps messages from coming, as far as it is known; for the end of a sentence."""
-        record = self._record
-        told = (
-            [] if not record.cause else [f"the connection is {record.state.value}: {record.cause}"]
+        routes = (edge.status() for edge in self._executor.edges())
+        status = StatusMap(
+            components=self._executor.component_statuses(),
+            connections=(self.status(),),
+            routes=(*(route for route in routes if route is not None), *self.routes()),
         )
-        told += [
-            f"{one.name} is {one.health.value}: {one.cause or one.last_error}"
-            for one in self._executor.component_statuses()
-            if one.name in record.components and one.health is not Health.OK
-        ]
-        return "".join(f"; {one}" for one in told)
+        return tell_trouble(asdict(status), self.id)
 
     def _on_wake(self, wake: Callable[[], None] | None) -> None:
         """Have `wake` called when a message or the end can be read; for event loops."""

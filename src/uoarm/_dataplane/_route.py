@@ -9,7 +9,7 @@ from typing import Protocol
 
 from uoarm._dataplane._queue import BoundedQueue, QueueClosed
 from uoarm._raised import LimitedLog, contained, is_raised, text_of
-from uoarm.errors import CommandRefusedError, MessageError
+from uoarm.errors import CommandRefusedError, MessageError, UoarmError
 from uoarm.model import Deliver, Message, QueuePolicy, RouteStatus
 
 __all__ = ["Clock", "Consumer", "Judge", "Route", "Watched"]
@@ -66,6 +66,7 @@ class Route:
     Attributes:
         copies: the messages received that count for another route of the output; the output counts.
         failures: messages for which something raised while it was open.
+        refusal: why the last message was not taken; empty where one was taken since.
         judge: asked about a message on which the adapter or the consumer failed: where its
             producer gave something wrong, that is the failure; the second argument says whether
             it was adapted before. None: it is never the producer's.
@@ -101,6 +102,7 @@ class Route:
         "last_time",
         "producer",
         "received",
+        "refusal",
     )
 
     def __init__(
@@ -123,7 +125,7 @@ class Route:
         self.copies = 0
         self.invalid = 0
         self.failures = 0
-        self.last_error = ""
+        self.last_error = self.refusal = ""
         self.last_time: float | None = None
         self._dropped: dict[str, int] = {}
         self._dropping = threading.Lock()
@@ -193,7 +195,7 @@ class Route:
         self.invalid += 1
         self.failures += 1
         self.last_time = self._clock()
-        self.last_error = why
+        self.last_error = self.refusal = why
         self.drop("unreadable")
         self._records.write(logging.WARNING, f"{self.producer} -> {self.consumer}: {why}")
 
@@ -248,6 +250,7 @@ class Route:
             rate=self._rate(now),
             age=age,
             last_error=self.last_error,
+            refusal=self.refusal,
             copies=self.copies,
         )
 
@@ -278,6 +281,8 @@ class Route:
             return
         hand(message)
         self._handed += 1
+        if self.refusal:
+            self.refusal = ""
         watch = self._watch
         if watch is not None and watch.component.is_alert:
             watch.took()
@@ -326,6 +331,7 @@ class Route:
         else:
             self.drop(error.reason if isinstance(error, CommandRefusedError) else "failed")
         text = self.last_error = text_of(error)
+        self.refusal = str(error) if isinstance(error, UoarmError) else text
         if self._watch is None or not self._watch.raised(error):
             place = f"{self.producer} -> {self.consumer}"
             # Where a command is refused, or a message does not match and nothing else caused that,

@@ -17,15 +17,17 @@ from websockets.typing import Subprotocol
 
 from uoarm import errors
 from uoarm._arguments import arguments
+from uoarm._deadlines import result_within
 from uoarm._hints.applications import MessageType, T, as_message
 from uoarm._wire import BINARY_FORM, TEXT_FORM, Form
 from uoarm.client._link import LARGEST, Link, Open
 from uoarm.client._stream import RemoteStream
-from uoarm.model import Message, QueuePolicy, StatusEvent, ValidationMode
+from uoarm.model import Message, QueuePolicy, StatusEvent, ValidationMode, tell_trouble
 
 __all__ = ["Client", "ServerError", "connect"]
 
 _HELD = 1024
+_TROUBLE_SECONDS = 1.0
 _Changes: TypeAlias = "asyncio.Queue[StatusEvent | None]"
 _KEYS: Mapping[str, Callable[[Mapping[str, Any]], Any]] = {
     "components": lambda entry: entry["name"],
@@ -361,6 +363,12 @@ class Client:
         self._status = _merged_status(known, await self._ask("Status", **since))
         return self._status
 
+    async def _trouble(self, connection: str) -> str:
+        """Say what keeps messages from coming, as far as the server says so at once."""
+        with suppress(errors.UoarmError, asyncio.TimeoutError):
+            return tell_trouble(await result_within(_TROUBLE_SECONDS, self.status()), connection)
+        return ""
+
     async def watch(self) -> AsyncIterator[StatusEvent]:
         """Yield changes of the robot until the connection ends for good; see `connect`.
 
@@ -497,6 +505,9 @@ class Client:
 
     def _take_answer(self, told: Mapping[str, Any], message: Message) -> None:
         asked = self._asked.get(told.get("id", ""))
+        stream = self._streams.get(told.get("type", ""))
+        if told["op"] == "Error" and "id" not in told and stream is not None:
+            stream.refuse(message["text"])  # one of its messages could not be written
         if asked is None or asked.answer.done():
             return
         if told["op"] == "Error":
@@ -505,7 +516,7 @@ class Client:
             # Made here, since the first message may follow before whoever asked has woken.
             stream = asked.renewed
             if stream is None:
-                stream = RemoteStream(message, asked.fields, self._ask, _HELD)
+                stream = RemoteStream(message, asked.fields, self._ask, self._trouble, _HELD)
             else:
                 stream.renew(message)
             self._away.discard(stream)

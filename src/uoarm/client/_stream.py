@@ -40,14 +40,22 @@ class RemoteStream(Generic[T]):
     """
 
     def __init__(
-        self, opened: Mapping[str, Any], request: Mapping[str, Any], ask: Ask, length: int
+        self,
+        opened: Mapping[str, Any],
+        request: Mapping[str, Any],
+        ask: Ask,
+        trouble: Callable[[str], Awaitable[str]],
+        length: int,
     ) -> None:
         self.request = request
+        self._trouble = trouble
         self.lost = 0
         self.gaps = 0
         self.state = "open"
         self.cause = ""
         self._is_away = False
+        self._refusal = ""
+        self._taken: int | None = None
         self._describe(opened)
         self._ask = ask
         self._waiting: deque[tuple[int, int | None, Message]] = deque(maxlen=length)
@@ -70,6 +78,7 @@ class RemoteStream(Generic[T]):
         """Go on as another connection, of a server that has begun anew; `Client` does it."""
         self._describe(opened)
         self._is_away = False
+        self._taken = None
         self.gaps += 1
 
     def suspend(self) -> None:
@@ -85,7 +94,8 @@ class RemoteStream(Generic[T]):
         """Return the next message, waiting `timeout` seconds at most (None: until it ends).
 
         Raises:
-            TimeoutError: nothing came in time.
+            TimeoutError: nothing came in time; the text says which component is not well, and
+                why the last message was refused, where the server says so within a second.
             ConnectionClosedError: the function has ended and every message was read.
             MessageError: a component gave something else than it had declared, so that no value
                 of `as_type` could be made. The next call goes on with the next message.
@@ -97,7 +107,12 @@ class RemoteStream(Generic[T]):
                 text = f"connection {self.connection} is {self.state}: {self.cause}"
                 raise ConnectionClosedError(text)
             if deadline is not None and loop.time() >= deadline:
-                raise TimeoutError(f"no message within {timeout:g} s")
+                trouble = "" if not timeout else await self._trouble(self.connection)
+                if self._refusal:
+                    trouble += f"; the server could not send the last message: {self._refusal}"
+                if self._waiting or self.ended:  # meanwhile
+                    continue
+                raise TimeoutError(f"no message within {timeout:g} s{trouble}")
             self._changed.clear()
             await event_by(self._changed, deadline)
         session, number, message = self._waiting.popleft()
@@ -197,8 +212,18 @@ class RemoteStream(Generic[T]):
 
     def take(self, number: int | None, message: Message) -> None:
         """Take one message from the client's reader; without a number, one that stood already."""
+        if number is not None:
+            # What the server could not write is told before the messages that wait; its number is
+            # missing among theirs.
+            if self._taken is not None and number > self._taken + 1:
+                self._refusal = ""
+            self._taken = number
         self._waiting.append((self.gaps, number, message))
         self._changed.set()
+
+    def refuse(self, why: str) -> None:
+        """Take in that the server had a message that it could not write."""
+        self._refusal = why
 
     def finish(self, state: str, cause: str) -> None:
         """Hear that no more will come."""

@@ -64,7 +64,7 @@ from uoarm.model._status import (
     StatusEvent,
     StatusMap,
 )
-from uoarm.model._status_text import tell_status
+from uoarm.model._status_text import tell_status, tell_trouble
 from uoarm.model._structure import MessageStructure
 from uoarm.model._values import Deliver, Message, Options, Schema
 from uoarm.model._wire import from_json, to_json
@@ -152,6 +152,7 @@ __all__ = [
     "tell_reason",
     "tell_rejections",
     "tell_status",
+    "tell_trouble",
     "to_json",
     "write_control",
     "write_json",

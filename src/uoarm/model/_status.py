@@ -170,6 +170,7 @@ class RouteStatus:
         copies: those of `received` that another route out of the same output got as well, such as
             that of a candidate which serves until a better one beside it takes over. Over all
             routes, what was sent and the copies are what was received or lost.
+        refusal: why the last message was not taken; empty where one was taken since.
     """
 
     producer: str
@@ -184,6 +185,7 @@ class RouteStatus:
     native: bool = False
     facts: tuple[tuple[str, object], ...] = ()
     copies: int = 0
+    refusal: str = ""
 
 
 @frozen

@@ -8,7 +8,7 @@ from enum import Enum
 from functools import partial
 from typing import Any
 
-__all__ = ["tell_status"]
+__all__ = ["tell_status", "tell_trouble"]
 
 _COLUMNS: Mapping[str, tuple[str, ...]] = {
     "machines": ("name", "present", "clock_offset", "clock_error", "cause"),
@@ -55,6 +55,41 @@ def tell_status(status: Mapping[str, Any], width: int | None = None) -> str:
         if rows:
             lines.extend(_table(columns, rows, width))
     return "\n".join(lines)
+
+
+def tell_trouble(status: Mapping[str, Any], connection: str) -> str:
+    """Say what keeps messages of a connection from coming, for the end of a sentence.
+
+    Args:
+        status: the map, as data or as JSON has it.
+        connection: its name.
+
+    Returns:
+        For what it waits, which of its components is not well, and why the last message between
+        them was not taken; empty where nothing is known.
+    """
+    own = next((one for one in status.get("connections", ()) if one["id"] == connection), None)
+    if own is None:
+        return ""
+    names = set(own["components"])
+    told = [f"the connection is {_word(own['state'])}: {own['cause']}"] if own["cause"] else []
+    told += [
+        f"{component['name']} is {_word(component['health'])}: "
+        f"{component['cause'] or component['last_error']}"
+        for component in status.get("components", ())
+        if component["name"] in names and _word(component["health"]) != "ok"
+    ]
+    for route in status.get("routes", ()):
+        consumer, refusal = route["consumer"], route.get("refusal", "")
+        is_own = consumer == connection or consumer.rpartition(".")[0] in names
+        if is_own and refusal and not any(refusal in text for text in told):
+            ends = f"{route['producer']} -> {consumer}"
+            told.append(f"the last message of {ends} was refused: {refusal}")
+    return "".join(f"; {text}" for text in told)
+
+
+def _word(value: Any) -> str:
+    return str(getattr(value, "value", value))
 
 
 def _commands(status: Mapping[str, Any]) -> list[Mapping[str, Any]]:

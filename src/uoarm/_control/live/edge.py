@@ -7,7 +7,7 @@ import threading
 from collections.abc import Callable
 from functools import partial
 
-from attrs import define, field
+from attrs import define, evolve, field
 
 from uoarm._adapt import transfer
 from uoarm._control.bridges.bridge_set import facts_of
@@ -107,7 +107,9 @@ class LiveEdge:
     def status(self) -> RouteStatus | None:
         """Return what the status map shows; None while the edge is being opened."""
         if self.route is not None:
-            return self.route.status()
+            status = self.route.status()
+            later = self.consumer.watch(self.edge.input).refusal
+            return evolve(status, refusal=later) if later and not status.refusal else status
         if self.link is None:
             return None
         ends = ".".join(self.origin), ".".join(self.key)

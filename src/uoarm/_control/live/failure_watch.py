@@ -144,14 +144,17 @@ class InputWatch:
     Attributes:
         is_later: whether the channel tells what became of messages, later than `send` returns.
         suspect: called, by edge that feeds it, when messages came that were wrong themselves.
+        refusal: why the last of those was not taken of which the channel told later; empty where
+            one was taken since.
     """
 
-    __slots__ = ("_place", "component", "is_later", "suspect")
+    __slots__ = ("_place", "component", "is_later", "refusal", "suspect")
 
     def __init__(self, component: FailureWatch, port: str) -> None:
         self.component = component
         self._place = f"its input {port!r}"
         self.is_later = False
+        self.refusal = ""
         self.suspect: dict[Hashable, Callable[[], None]] = {}
 
     def took(self) -> None:
@@ -172,6 +175,8 @@ class InputWatch:
         Of those that were wrong only the next show whose they are: each that feeds the input is
         checked.
         """
+        if failed or wrong or taken:
+            self.refusal = text if failed or wrong else ""
         if failed or (taken and self.component.is_alert):
             self.component.told_later(self._place, taken, failed, text)
         if wrong:

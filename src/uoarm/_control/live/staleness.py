@@ -139,7 +139,7 @@ class StalenessWatch:
         if count < _ENOUGH * min([expect.rate * lasted, *window.fed()]):
             cause = (
                 f"output {port!r} is stale: {count / lasted:.2g} messages a second over "
-                f"{lasted:.2g} s, {expect.rate:.3g} are expected"
+                f"{lasted:.2g} s, {expect.rate:.3g} are expected{_refused(window)}"
             )
             name = live.component.name
             self._report(HealthEvent(live.component.bridge, Health.LOST, cause, component=name))
@@ -148,6 +148,15 @@ class StalenessWatch:
     def _run(self) -> None:
         while not self._stopped.wait(_LOOK_SECONDS):
             self.look()
+
+
+def _refused(window: _Window) -> str:
+    """Say what it was given last and did not take, for the end of a sentence."""
+    refused = (feed for feed in window.feeds if feed.refusal)
+    return "".join(
+        f"; the last message of {feed.producer} -> {feed.consumer} was refused: {feed.refusal}"
+        for feed in refused
+    )
 
 
 def _passed(feed: Route) -> int:

@@ -223,7 +223,9 @@ def _shown_routes(
         return end in names or component in names or view.has_component(component)
 
     return tuple(
-        evolve(route, last_error=view.text(route.last_error)) if route.last_error else route
+        evolve(route, last_error=view.text(route.last_error), refusal=view.text(route.refusal))
+        if route.last_error or route.refusal
+        else route
         for route in routes
         if sees(route.producer) and sees(route.consumer)
     )
