@@ -24,6 +24,11 @@ functions:
         bridge: python
         input: {endpoint: ["bench._attack_components:hang"]}
         output: {endpoint: ["bench._attack_components:hang"]}
+  drive:
+    components:
+      - name: base
+        bridge: python
+        input: {endpoint: ["bench._attack_components:drive"], stop: {message: {speed: 0}}}
 """
 
 _FUNCTION = """
@@ -50,6 +55,10 @@ class Sum(TypedDict):
     sum: int
 
 
+class Command(TypedDict):
+    speed: float
+
+
 class Numbers(TypedDict):
     data: list[float]
 
@@ -72,3 +81,7 @@ def sleep(pair: Pair) -> Sum:
 def hang(numbers: Numbers) -> Numbers:
     threading.Event().wait()
     return numbers
+
+
+def drive(command: Command) -> None:
+    """Take a command, or the message that stops."""

@@ -70,13 +70,15 @@ class Client:
     async def stop(self) -> None:
         """Stop everything again and again until cancelled; only what stops is noted."""
         while True:
-            await self._ask('"op":"Stop"')
+            report = await self._ask('"op":"Stop"')
+            assert report["stopped"], report
+            assert report["inputs"], report
             noted = len(self.waits)
             await self._ask('"op":"Stop","jsonMessage":{"release":true}')
             del self.waits[noted:]
             await asyncio.sleep(STOP_SECONDS)
 
-    async def _ask(self, fields: str) -> None:
+    async def _ask(self, fields: str) -> Any:
         self._number += 1
         self._since = time.perf_counter()
         await self.socket.send(f'{{{fields},"id":"{self._number}"}}')
@@ -85,6 +87,7 @@ class Client:
             answer = json.loads(await self.socket.recv())
         self.waits.append(time.perf_counter() - self._since)
         self._since = None
+        return answer.get("jsonMessage")
 
     def take(self) -> list[float]:
         """Return the waits since the last time, with that of a question under way."""
@@ -175,17 +178,24 @@ async def attacked(name: str, url: str, server: int) -> tuple[str, Use]:
 
 
 async def open_functions(socket: ClientConnection, count: int) -> None:
-    """Open that many functions, some at a time."""
+    """Open that many functions, some at a time, and one that a stop stops."""
     for first in range(0, count, OPENED_AT_ONCE):
         numbers = range(first, min(count, first + OPENED_AT_ONCE))
         for number in numbers:
             await socket.send(f'{{"op":"Request","type":"f{number}","id":"{number}"}}')
-        left = {str(number) for number in numbers}
-        while left:
-            answer = json.loads(await socket.recv())
-            if answer["op"] == "Error":
-                raise RuntimeError(str(answer["jsonMessage"]))
-            left.discard(answer.get("id", ""))
+        await answered(socket, {str(number) for number in numbers})
+    drive = {"op": "Request", "type": "drive", "id": "drive", "jsonMessage": {"receive": False}}
+    await socket.send(json.dumps(drive))
+    await answered(socket, {"drive"})
+
+
+async def answered(socket: ClientConnection, identities: set[str]) -> None:
+    """Wait for all answers."""
+    while identities:
+        answer = json.loads(await socket.recv())
+        if answer["op"] == "Error":
+            raise RuntimeError(str(answer["jsonMessage"]))
+        identities.discard(answer.get("id", ""))
 
 
 async def terminated(name: str, url: str, process: asyncio.subprocess.Process) -> str:

@@ -16,6 +16,7 @@ from tests.server.talk import Talk
 from uoarm import RobotManager
 from uoarm.config import loads
 from uoarm.server import Server, Settings, serve_in_thread
+from uoarm.server._running import _short_collections
 from uoarm.testing import patience
 
 FUNCTIONS, CLIENTS = 300, 16
@@ -50,7 +51,7 @@ def large() -> Iterator[RobotManager]:
 def crowded(
     large: RobotManager, longest_step: Callable[[str], float]
 ) -> Iterator[tuple[Server, Callable[[], float]]]:
-    with serve_in_thread(large, Settings(port=0)) as server:
+    with _short_collections(), serve_in_thread(large, Settings(port=0)) as server:
         yield server, lambda: longest_step("uoarm-serve")
 
 
@@ -61,7 +62,16 @@ ASKED = {
     "resolve": ("Resolve", "f7"),
     "resolve what is not there": ("Resolve", "f7x"),
     "stop": ("Stop", ""),
+    "stop one input that is not there": ("Stop", "c0"),
+    "stop watching": ("Status", "unwatch"),
     "kill what is not there": ("Kill", "c0"),
+    "request": ("Request", "f7"),
+    "request what is not there": ("Request", "f7x"),
+    "call what is not there": ("Call", "f7x"),
+    "send to what is not there": ("Data", "c0"),
+    "take up what is not there": ("Resume", "x"),
+    "the history": ("Configure", ""),
+    "what can be had": ("Discover", ""),
 }
 
 
