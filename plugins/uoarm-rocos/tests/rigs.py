@@ -32,9 +32,19 @@ class Events:
 
     def __init__(self) -> None:
         self.queue: Queue[Any] = Queue()
+        self.unread: list[str] = []
 
-    def __call__(self, event: Any) -> None:
+    def __call__(self, event: Any, writer: str = "") -> None:
         self.queue.put(event)
+
+    def let_go(self, writer: str = "") -> None:
+        """Nothing of a device stands."""
+
+    def unreadable(self, why: str) -> None:
+        self.unread.append(why)
+
+    def readable(self) -> None:
+        """Each message says so."""
 
     def get(self) -> Any:
         return self.queue.get(timeout=LIMIT)
