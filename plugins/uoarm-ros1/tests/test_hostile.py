@@ -23,7 +23,7 @@ from uoarm_ros1._protocol import decode_call, encode_header, encode_reply, http_
 from uoarm.bridge import Bridge
 from uoarm.errors import BridgeError
 from uoarm.model import Health, MessageStructure
-from uoarm.testing import Collector, patience, slowness, wait
+from uoarm.testing import Census, Collector, patience, slowness, wait
 
 INT = "std_msgs/Int32"
 ANY = MessageStructure(True)
@@ -368,6 +368,42 @@ def test_a_client_that_asks_nothing_is_let_go(
             while connection.recv(4096):
                 pass
         wait(lambda: served.facts()["clients"] == 0, "it is kept", patience())
+
+
+def test_a_thousand_publishers_that_come_and_are_killed_leave_nothing_behind(
+    master: Master,
+) -> None:
+    def publish(connection: socket.socket) -> None:
+        connection.recv(65536)
+        connection.sendall(typed() + struct.pack("<Ii", 4, 7))
+        # Ended by a reset, as by a machine that is started again.
+        connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, b"\1\0\0\0\0\0\0\0")
+
+    with listening(publish) as port:
+        api = {
+            "requestTopic": [1, "", ["TCPROS", "127.0.0.1", port]],
+            "getBusInfo": [1, "", [[1, "/x", "o", "TCPROS", "/mortals", True]]],
+        }
+        with listening(calls(api)) as api_port, bridge_to(master, rosout=False) as bridge:
+            collector = Collector()
+            at = output("/mortals", INT, peer="optional")
+            bridge.open_source(at, ANY, collector.deliver, timeout=patience())
+            node: Node = bridge._node  # type: ignore[attr-defined]  # of this bridge
+
+            def come_and_go(number: int) -> None:
+                uris = [f"http://127.0.0.1:{api_port}/{number}"]
+                for named in (uris, []):
+                    call_api(
+                        node.uri, "publisherUpdate", "/m", "/mortals", named, seconds=patience()
+                    )
+                    if named:
+                        collector.wait(number + 1, patience())
+
+            come_and_go(0)
+            census = Census()
+            for number in range(1, 1001):
+                come_and_go(number)
+            census.check(patience())
 
 
 def test_more_publishers_than_there_is_room_for_are_left_out(master: Master) -> None:

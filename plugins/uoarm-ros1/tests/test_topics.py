@@ -458,7 +458,6 @@ def test_connections_and_kills_leave_nothing_behind(master: Master, lasting: Pee
         census.check(patience())
 
 
-@pytest.mark.long
 def test_a_thousand_connections_and_kills_leave_nothing_behind(master: Master) -> None:
     with bridge_to(master, rosout=False) as bridge:
         sink = bridge.open_sink(input_("/kills", INT, peer="optional", latch=True), ANY)
