@@ -97,7 +97,7 @@ def _follow_coverage(name: str, runs: int, findings: Path) -> None:
 
     import atheris
 
-    with atheris.instrument_imports(include=["uoarm", "uoarm_rocos", "uoarm_rtm"]):
+    with atheris.instrument_imports(include=["uoarm", "uoarm_rocos", "uoarm_ros1", "uoarm_rtm"]):
         from tests.fuzz.targets import TARGETS
     one = TARGETS[name]
     corpus = Path(tempfile.mkdtemp(prefix="uoarm-fuzz-"))

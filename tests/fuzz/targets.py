@@ -387,4 +387,104 @@ def _openrtm() -> Mapping[str, Target]:
     return {"CDR of OpenRTM": Target(decode, (MessageError,), seeds)}
 
 
-TARGETS: Mapping[str, Target] = {**_CORE, **_web(), **_devices(), **_openrtm()}
+def _ros1() -> Mapping[str, Target]:
+    """Return the decoders of `uoarm-ros1`, where it is installed."""
+    if find_spec("uoarm_ros1") is None:
+        return {}
+    from uoarm_ros1._definitions import DefinitionError, record_of, service_of
+    from uoarm_ros1._protocol import (
+        Fault,
+        FrameReader,
+        HttpReader,
+        ProtocolError,
+        ReplyReader,
+        Slave,
+        decode_call,
+        decode_header,
+        decode_reply,
+        encode_call,
+        encode_header,
+        encode_reply,
+        frames_of,
+        http_request,
+    )
+    from uoarm_ros1._serialisation import reader, writer
+
+    record = record_of(
+        "fuzz/Message",
+        "bool on\nint64[] many\nfloat32[3] three\nstring[] texts\nPart[] parts\ntime[2] at\n"
+        f"{'=' * 80}\nMSG: fuzz/Part\nbool[] flags\nchar[] octets\n",
+    )
+    read, write = reader(record, BUDGET), writer(record)
+    message = {
+        "on": True, "many": [1], "three": [0.5, 1.0, 2.0], "texts": ["a", "bc"],
+        "parts": [{"flags": [True], "octets": b"abc"}], "at": 2 * [{"secs": 1, "nsecs": 2}],
+    }  # fmt: skip
+    header = encode_header({"callerid": "/a", "md5sum": "*", "topic": "/t", "type": "*"})
+    calls = tuple(
+        encode_call(method, ["/m", *given])
+        for method, given in (
+            ("requestTopic", ["/t", [["TCPROS"]]]),
+            ("publisherUpdate", ["/t", ["http://h:1/"]]),
+            ("paramUpdate", ["/p/", {"a": [1, 2.5, True, b"x"]}]),
+        )
+    )
+
+    def frames(data: bytes) -> None:
+        """However a stream is cut, the same frames come, in runs or one by one."""
+        came = []
+        for in_runs, most in ((False, len(data)), (True, 7)):
+            reading, at = FrameReader(BUDGET.octets), 0
+            reading.in_runs = in_runs
+            came.append(b"")
+            while at < len(data):
+                buffer = reading.buffer()
+                count = min(most, len(buffer), len(data) - at)
+                buffer[:count] = data[at : at + count]
+                at += count
+                for frame in reading.received(count):
+                    parts = frames_of(memoryview(frame)) if in_runs else ()
+                    came[-1] += b"".join(part[4:] for part in parts) if in_runs else frame
+        assert came[0] == came[1]
+
+    def call(data: bytes) -> None:
+        slave = Slave("/me", "http://m:1/", 1, "h", 2)
+        slave.answer(*decode_call(data, BUDGET))
+
+    def definition(data: bytes) -> None:
+        text = text_of(data)
+        with suppress(DefinitionError):
+            service_of("fuzz/Service", text, lambda _: None)
+        reader(record_of("fuzz/Other", text), BUDGET)
+
+    return {
+        "headers of TCPROS": Target(
+            lambda data: decode_header(data[4:]), (ProtocolError,), (header,)
+        ),
+        "frames of TCPROS": Target(frames, (ProtocolError,), (header + b"\1\0\0\0a" * 9,)),
+        "replies of ROS 1": Target(
+            lambda data: ReplyReader(BUDGET.octets).received(data),
+            (ProtocolError,),
+            (b"\1\3\0\0\0abc",),
+        ),
+        "HTTP of ROS 1": Target(
+            lambda data: HttpReader(BUDGET.octets).received(data),
+            (ProtocolError,),
+            (http_request("h", 1, b"<a/>"),),
+        ),
+        "calls of XML-RPC": Target(call, (ProtocolError,), calls),
+        "answers of XML-RPC": Target(
+            lambda data: decode_reply(data, BUDGET),
+            (ProtocolError, Fault),
+            (encode_reply([1, "", [["/t", ["/a"]], []]]), encode_reply(Fault("no"))),
+        ),
+        "definitions of ROS 1": Target(
+            definition, (DefinitionError,), (b"string[] a\nint8 B=1\n", b"int8 a\n---\n")
+        ),
+        "messages of ROS 1": Target(
+            lambda data: write(read(data)), (MessageError,), (bytes(write(message)),)
+        ),
+    }
+
+
+TARGETS: Mapping[str, Target] = {**_CORE, **_web(), **_devices(), **_openrtm(), **_ros1()}

@@ -26,7 +26,17 @@ NUMBERS = {
     "int64": (-(2**63), 2**63 - 1),
     "uint64": (0, 2**64 - 1),
 }
-FLOATS = [0.0, -0.0, 1.5, -2.25, 5e-324, 1.7976931348623157e308, float("inf"), float("-inf")]
+FLOATS = [
+    0.0,
+    -0.0,
+    1.5,
+    -2.25,
+    5e-324,
+    1.7976931348623157e308,
+    float("inf"),
+    float("-inf"),
+    float("nan"),
+]
 DEFINED = {}
 TEXTS = ["", "a", "Kia ora \u2192 \U0001f916", "\0", "x" * 300]
 
@@ -52,7 +62,15 @@ def value(kind, random_):
         return random_.choice([*FLOATS, random_.uniform(-1e9, 1e9)])
     if kind == "float32":
         return random_.choice(
-            [0.0, -0.5, 1.25, float("inf"), 2.0**-149, float(random_.randint(-9999, 9999))]
+            [
+                0.0,
+                -0.5,
+                1.25,
+                float("inf"),
+                float("nan"),
+                2.0**-149,
+                float(random_.randint(-9999, 9999)),
+            ]
         )
     if kind == "string":
         return random_.choice(TEXTS)
