@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import atexit
 import contextlib
 import functools
 import gc
@@ -141,6 +142,9 @@ def _short_collections() -> Iterator[None]:
                 gc.unfreeze()
 
     gc.set_threshold(_YOUNG_OBJECTS, _YOUNG_LOOKS, former[2])
+    # A process that ends looks at everything once more: a second and a half beside other work.
+    atexit.unregister(gc.freeze)
+    atexit.register(gc.freeze)
     gc.callbacks.append(collected)
     try:
         gc.collect()

@@ -162,6 +162,8 @@ class Server:
             watch.cancel()
         for listening in self._listening:
             listening.close(close_connections=False)
+        if self._registry is not None:
+            self._registry.views.close()  # long answers would keep outboxes from being emptied
         limit = self._limits.stop_seconds / 4
         await _all_within(limit, [client.outbox.emptied() for client in self._clients])
         await _all_within(

@@ -1,0 +1,38 @@
+"""How a process that serves has its collector of cycles look at what lives."""
+
+from __future__ import annotations
+
+import gc
+
+from uoarm.server._running import _short_collections
+
+
+class Node:
+    """Part of a circle."""
+
+    def __init__(self) -> None:
+        self.other: Node = self
+
+
+def count() -> int:
+    return sum(isinstance(value, Node) for value in gc.get_objects())
+
+
+def test_what_outlived_a_look_is_left_out_of_the_next_ones_and_freed_in_the_end() -> None:
+    former = gc.get_threshold()
+    with _short_collections():
+        kept = [Node() for _ in range(1000)]
+        gc.collect()
+        assert gc.get_freeze_count() > len(kept)
+        assert not count()
+        kept.clear()
+        looks = 0
+        while gc.get_freeze_count():
+            gc.collect()
+            looks += 1
+            assert looks < 20
+        assert count() == 1000
+        gc.collect()
+        assert not count()
+    assert gc.get_threshold() == former
+    assert not gc.get_freeze_count()
