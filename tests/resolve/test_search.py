@@ -219,8 +219,21 @@ def test_a_plan_is_kept_until_it_is_invalidated() -> None:
     resolver = Resolver(robot, world, world.check)
     plan = resolver.resolve("f")
     assert resolver.resolve("f") is plan
-    resolver.invalidate("f0")
+    resolver.invalidate({"f0"})
     assert resolver.resolve("f") is not plan
+
+
+def test_many_components_are_forgotten_at_once() -> None:
+    """Of a bridge that dies with thousands, each plan is looked at once."""
+    functions = {f"f{n}": Function(f"f{n}", (component(f"f{n}", 0, ()),)) for n in range(100)}
+    robot = Robot({}, functions)
+    world = World(frozenset(), frozenset())
+    resolver = Resolver(robot, world, world.check)
+    plans = {name: resolver.resolve(name) for name in functions}
+    lost = {f"f{n}0" for n in range(50)}
+    resolver.invalidate(lost)
+    for name, plan in plans.items():
+        assert (resolver.known(name) is plan) == (plan.provider.component.name not in lost)
 
 
 def test_other_functions_let_only_those_plans_be_sought_anew_that_they_concern() -> None:

@@ -423,8 +423,7 @@ class RobotManager:
         self._require_open()
         self._candidates.wait(_DISCOVERY_SECONDS)
         revision = self._revisions.current
-        for component in revision.robot.components():
-            revision.forget(component.name)
+        revision.forget([component.name for component in revision.robot.components()])
         return check_availability(revision.robot, revision.structures, self.resolve)
 
     @arguments()

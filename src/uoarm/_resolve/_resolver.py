@@ -6,7 +6,7 @@ import difflib
 import math
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 
 from attrs import frozen
 
@@ -127,19 +127,18 @@ class Resolver:
                     self._plans[name] = _Kept(found, until)
         return found
 
-    def invalidate(self, component: str | None = None) -> None:
-        """Forget the plans that use a component, and those that passed something over.
+    def invalidate(self, components: Collection[str]) -> None:
+        """Forget the plans that use one of these, and those that passed something over.
 
-        None forgets every plan. Edges stay judged: they depend on structures alone.
+        Edges stay judged: they depend on structures alone.
         """
         with self._lock:
             self._revision += 1
             self._plans = {
                 name: kept
                 for name, kept in self._plans.items()
-                if component is not None
-                and not kept.plan.rejected
-                and all(step.component.name != component for step in kept.plan.steps)
+                if not kept.plan.rejected
+                and all(step.component.name not in components for step in kept.plan.steps)
             }
 
     def use(self, functions: Mapping[str, Function]) -> None:

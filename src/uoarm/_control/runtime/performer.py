@@ -201,9 +201,7 @@ class Performer:
             joined.renew_check()
 
     def _forget_all(self, action: act.Forget) -> None:
-        revision = self._revisions.current
-        for name in action.components:
-            revision.forget(name)
+        self._revisions.current.forget(action.components)
 
     def _adopt(self, number: int) -> None:
         self._revisions.adopt(number)

@@ -82,10 +82,11 @@ class Revision:
                 pass
         return self.resolver.resolve(name, excluded=excluded)
 
-    def forget(self, component: str) -> None:
-        """Ask for the structures of a component again the next time."""
-        self.structures.forget(component)
-        self.resolver.invalidate(component)
+    def forget(self, components: Collection[str]) -> None:
+        """Ask for the structures of components again the next time."""
+        for component in components:
+            self.structures.forget(component)
+        self.resolver.invalidate(frozenset(components))
 
 
 @frozen(eq=False)

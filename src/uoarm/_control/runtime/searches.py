@@ -6,7 +6,7 @@ Among them are replacements: plans that can go on behind the handle of one whose
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from typing import Protocol
 
 from uoarm._adapt import check_edge
@@ -37,8 +37,8 @@ class Resolving(Protocol):
     ) -> Plan:
         """Return the best plan; raises ResolutionError."""
 
-    def forget(self, component: str) -> None:
-        """Ask for the structures of a component again the next time."""
+    def forget(self, components: Collection[str]) -> None:
+        """Ask for the structures of components again the next time."""
 
 
 def seek_replacement(action: act.FindReplacement, revision: Resolving) -> ev.ReplacementSought:
@@ -64,8 +64,7 @@ def seek_replacement(action: act.FindReplacement, revision: Resolving) -> ev.Rep
 def check_preferred(action: act.CheckPreferred, revision: Resolving) -> ev.PreferredChecked:
     """See whether a plan is what a request would get now."""
     wanted = names(action.plan)
-    for name in wanted:
-        revision.forget(name)
+    revision.forget(wanted)
     try:
         found = names(revision.resolve(action.plan.function, avoided=action.avoided))
     except Exception as error:  # noqa: BLE001 - the state learns of it whatever it is
