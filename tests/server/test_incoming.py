@@ -233,12 +233,12 @@ def test_who_is_connected_goes_before_a_burst_of_those_who_come() -> None:
                 done.set()
             return False
 
-        known = Turn(partial(work, "known", 0.0005))
-        for _ in range(20):  # with nobody else there
+        known = Turn(partial(work, "known", 0.0001))
+        for _ in range(100):  # with nobody else there
             turns.ask(known)
             await asyncio.sleep(0)
         order.clear()
-        burst = [turns.turn_of_newcomer(partial(work, "new", 0.002)) for _ in range(BURST)]
+        burst = [Turn(partial(work, "new", 0.002)) for _ in range(BURST)]
         for turn in burst:
             turns.ask(turn)
         turns.ask(known)
@@ -267,7 +267,7 @@ def test_handshakes_of_an_address_take_turns_with_those_of_others() -> None:
         ticks: list[int] = []
 
         async def come(host: str) -> None:
-            await turns.open(turns.turn_of_newcomer(bool), host)
+            await turns.open(Turn(bool), host)
             order.append(host)
             ticks[-1] += 1
 
@@ -283,6 +283,25 @@ def test_handshakes_of_an_address_take_turns_with_those_of_others() -> None:
     order = asyncio.run(serve())
     assert len(order) == BURST + 1
     assert max(order.index("one"), order.index("other")) <= 4
+
+
+def test_what_takes_a_while_at_the_end_of_many_is_done_one_after_another() -> None:
+    async def serve() -> list[int]:
+        turns, ticks, done = Turns(), list[int](), list[None]()
+
+        def end() -> None:
+            done.append(None)
+            ticks[-1] += 1
+
+        ticks.append(0)
+        for _ in range(BURST):
+            turns.do(end)
+        while len(done) < BURST:
+            ticks.append(0)
+            await asyncio.sleep(0)
+        return ticks
+
+    assert max(asyncio.run(serve())) <= 2
 
 
 def test_a_burst_of_handshakes_does_not_fill_a_turn_of_the_loop(

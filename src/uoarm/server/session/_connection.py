@@ -12,7 +12,7 @@ import zlib
 from collections import Counter, deque
 from collections.abc import Iterable, Iterator
 from contextlib import suppress
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Any
 
 from websockets.asyncio.server import ServerConnection
@@ -25,7 +25,7 @@ from websockets.typing import BytesLike
 
 from uoarm._deadlines import result_within
 from uoarm.server._limits import Limits
-from uoarm.server.session._incoming import Incoming, IncomingError, Turns
+from uoarm.server.session._incoming import Incoming, IncomingError, Turn, Turns
 from uoarm.server.streams import Account
 
 __all__ = ["Sockets", "TurnConnection", "address_of", "host_of"]
@@ -35,6 +35,8 @@ _SLICE = 2048
 """Octets given to the parser in one go: 300 frames without content, which are parsed in 3 ms."""
 _TURN_SECONDS = 0.00025
 _SMALL_FRAGMENT = 1024
+_READ_OCTETS = 2**16
+"""Read of a socket in one turn of the loop: of 200 that have more it is 200 times as much."""
 _HEAD_OCTETS = 2**16
 """Of a handshake, and of what follows it before its answer."""
 _ALWAYS_OCTETS = 2**16
@@ -138,14 +140,14 @@ class TurnConnection(ServerConnection):
         self._unparsed = 0  # octets of these
         self._head = 0  # octets that came before the connection was open
         self._begin = 0
-        self._turn = sockets.turns.turn_of_newcomer(self._parse)
+        self._turn = Turn(self._parse)
         self._timer: asyncio.Handle | None = None
         self._stopped: float | None = None  # since when; nothing is parsed until something is taken
         self._is_refused = False
         self._allowance = _CONTROL_PER_SECOND
         self._counted = time.monotonic()
         self._gets_large = False
-        self._incoming = Incoming(self._limits.message_bytes)
+        self._incoming = Incoming(self._limits.message_bytes, sockets.turns.do)
         self._in_hand = 0  # octets of the message that was taken last
         self._began: float | None = None  # when what is unfinished did
         self._taker: asyncio.Future[None] | None = None
@@ -154,6 +156,8 @@ class TurnConnection(ServerConnection):
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         """Begin; see `asyncio.Protocol`."""
         super().connection_made(transport)
+        if hasattr(transport, "max_size"):  # asyncio's own: what is read in one go
+            transport.max_size = _READ_OCTETS
         self._limit_unsent(_UNSENT_OCTETS)
         self._sockets.add(self)
 
@@ -445,7 +449,8 @@ class TurnConnection(ServerConnection):
         self.send_data()
         # What more it sends is not read: to throw it away would cost as much as to take it.
         self.transport.pause_reading()
-        self.loop.call_later(self.close_timeout or 0.0, self.transport.abort)
+        abort = partial(self._sockets.turns.do, self.transport.abort)
+        self.loop.call_later(self.close_timeout or 0.0, abort)
 
 
 @lru_cache(1024)

@@ -29,7 +29,7 @@ _MESSAGES = 4
 _PORTION = 2**16
 """Octets unpacked in one go: a tenth of a millisecond."""
 _SMALLEST_PILE, _LARGE_PILE = 2**12, 2**20
-_ALL_SECONDS = 0.002
+_ALL_SECONDS = 0.001
 # The processor's time: whoever was being served when the machine did something else has had nothing
 # of that. Where it is told in steps of 16 ms, as on Windows, the time of day has to do.
 _FINE_SECONDS = 0.0001
@@ -103,37 +103,35 @@ class Turn:
 
     Args:
         work: parses and unpacks for a moment; returns whether there is more to do.
-        used: virtual seconds that it has had.
     """
 
-    def __init__(self, work: Callable[[], bool], used: float = 0.0) -> None:
+    def __init__(self, work: Callable[[], bool]) -> None:
         self.work = work
-        self.used = used
+        self.used = 0.0  # virtual seconds
+        self.cost = (
+            _OPENING_SECONDS  # of its work, as it was of late: of a newcomer's it is not known
+        )
         self.is_waiting = False
 
 
 class Turns:
     """Shares the loop's time between connections that have something to parse or to unpack.
 
-    All together have two milliseconds of each of the loop's turns. Who has had least goes first
-    (start-time fair queueing): one small message waits for nobody's flood, however many flood, and
-    who was idle for long has saved up nothing.
+    All together have a millisecond of each of the loop's turns. Whoever will have had least goes
+    first (fair queueing by virtual finish): one small message waits for nobody's flood, however
+    many flood, and who was idle for long has saved up nothing.
 
     A handshake counts as a millisecond, of its connection and of its address: whoever is connected
     goes before a burst of those who come, and of these each address has its part.
     """
 
     def __init__(self) -> None:
-        self._waiting: list[tuple[float, float, int, Turn]] = []
+        self._waiting: list[tuple[float, int, float, Turn]] = []
         self._numbers = itertools.count()
         self._used = 0.0  # virtual seconds, of whoever was served last when it began
         self._spent = 0.0  # of this turn of the loop
         self._is_scheduled = False
         self._hosts: dict[str, float] = {}  # when handshakes of an address are due, virtual seconds
-
-    def turn_of_newcomer(self, work: Callable[[], bool]) -> Turn:
-        """Return the turn of a connection that was made just now."""
-        return Turn(work, self._used + _OPENING_SECONDS)
 
     async def open(self, turn: Turn, host: str) -> None:
         """Wait until a connection from an address may finish its handshake."""
@@ -149,8 +147,23 @@ class Turns:
             self._hosts = {name: due for name, due in self._hosts.items() if due > self._used}
         due = max(self._used, self._hosts.get(host, 0.0))
         turn.used = self._hosts[host] = due + _OPENING_SECONDS
-        self.ask(Turn(go_on, due))
+        opening = Turn(go_on)
+        opening.used = due
+        self.ask(opening)
         await may_go_on
+
+    def do(self, action: Callable[[], object]) -> None:
+        """Have something done when it is its turn; it counts as a millisecond.
+
+        For what the system takes a while for, of many at once: to have back 16 MB, or a socket.
+        """
+
+        def work() -> bool:
+            action()
+            self._spent += _OPENING_SECONDS
+            return False
+
+        self.ask(Turn(work))
 
     def ask(self, turn: Turn) -> None:
         """Have the work of a turn done, now or soon; again while there is more. Idempotent."""
@@ -168,7 +181,7 @@ class Turns:
     def _serve_more(self) -> None:
         self._spent = 0.0
         while self._waiting and self._spent < _ALL_SECONDS:
-            due, _, _, turn = heapq.heappop(self._waiting)
+            _, _, due, turn = heapq.heappop(self._waiting)
             turn.is_waiting = False
             self._serve(turn, due)
         self._is_scheduled = bool(self._waiting)
@@ -176,19 +189,19 @@ class Turns:
             asyncio.get_running_loop().call_soon(self._serve_more)
 
     def _serve(self, turn: Turn, due: float) -> None:
-        self._used = due
+        self._used = max(self._used, due)
         begun = _now()
         has_more = turn.work()
         used = _now() - begun
         self._spent += used
         turn.used = due + used
+        turn.cost = (turn.cost + used) / 2
         if has_more:
             self._put(turn, turn.used)
 
     def _put(self, turn: Turn, due: float) -> None:
-        """Have a turn wait; of those that are due at once, who has had least goes first."""
         turn.is_waiting = True
-        heapq.heappush(self._waiting, (due, turn.used, next(self._numbers), turn))
+        heapq.heappush(self._waiting, (due + turn.cost, next(self._numbers), due, turn))
 
 
 class IncomingError(Exception):
@@ -207,6 +220,9 @@ class _Pile:
     """
 
     def __init__(self) -> None:
+        self.clear()
+
+    def clear(self) -> None:
         self._room: bytearray | mmap.mmap = bytearray()
         self._length = 0
 
@@ -226,7 +242,7 @@ class _Pile:
     def take(self) -> bytes:
         """Return all, and be empty."""
         taken = bytes(self._room[: self._length])
-        self.__init__()  # type: ignore[misc] # it has no other state
+        self.clear()
         return taken
 
 
@@ -237,20 +253,25 @@ class Incoming:
 
     Args:
         most: octets of one message.
+        later: does something in time.
 
     Attributes:
         octets: held in frames, in the unfinished message and in whole ones.
         is_within_message: whether a message has begun whose last frame has not come.
     """
 
-    def __init__(self, most: int) -> None:
+    def __init__(
+        self, most: int, later: Callable[[Callable[[], object]], object] = lambda action: action()
+    ) -> None:
         self._most = most
+        self._later = later
+        self._pile = _Pile()
         self.clear()
 
     def clear(self) -> None:
         """Forget everything."""
         self._frames: deque[Frame] = deque()
-        self._pile = _Pile()
+        self._drop_pile()
         self._compressed = 0  # octets that these came as
         self._is_text = False
         self._unpacker: Any = None  # its type has no public name
@@ -308,7 +329,12 @@ class Incoming:
         """Forget the message whose end will not come; what is whole can be taken still."""
         if not self._frames:  # what is packed is unpacked still, and may be whole
             self.octets -= len(self._pile)
-            self._pile = _Pile()
+            self._drop_pile()
+
+    def _drop_pile(self) -> None:
+        pile, self._pile = self._pile, _Pile()
+        if len(pile) >= _LARGE_PILE:
+            self._later(pile.clear)
 
     def _add_plain(self, frame: Frame) -> None:
         if frame.opcode is not Opcode.CONT:
