@@ -187,7 +187,7 @@ def test_of_every_address_those_are_told_that_can_be_opened(
             "listening on every address of this machine: elsewhere it is "
             f"{socket.gethostname()}, or an address of it, in place of {here}"
         ),
-        "every client needs a token of access.yaml (uoarm token makes one)",
+        f"every client needs a token of {Path('access.yaml').absolute()} (uoarm token makes one)",
         f"open http://{here}:9080/ in a browser",
     ]
     assert "without TLS, tokens and data can be read" in err
