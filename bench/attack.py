@@ -19,8 +19,8 @@ import statistics
 import sys
 import tempfile
 import time
-from collections.abc import AsyncIterator, Iterator
-from contextlib import asynccontextmanager, contextmanager, suppress
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -141,8 +141,8 @@ def use(process: int) -> Use:
     return Use(int(found.get("VmRSS", 0)) / 1000, int(found.get("Threads", 0)))
 
 
-@contextmanager
-def attacking(name: str, url: str) -> Iterator[asyncio.Future[tuple[bytes, bytes]]]:
+@asynccontextmanager
+async def attacking(name: str, url: str) -> AsyncIterator[asyncio.Future[tuple[bytes, bytes]]]:
     """Run an attack in a process of its own; what it printed is the result."""
 
     async def run() -> tuple[bytes, bytes]:
@@ -155,19 +155,22 @@ def attacking(name: str, url: str) -> Iterator[asyncio.Future[tuple[bytes, bytes
         finally:
             if attacker.returncode is None:
                 attacker.kill()
+                await attacker.wait()
 
     running = asyncio.ensure_future(run())
     try:
         yield running
     finally:
         running.cancel()
+        with suppress(asyncio.CancelledError):
+            await running
 
 
 async def attacked(name: str, url: str, server: int) -> tuple[str, Use]:
     """Run one attack to its end; returns how the server answered, and the most that it used."""
     peak = use(server)
     end = time.monotonic() + MOST_SECONDS
-    with attacking(name, url) as running:
+    async with attacking(name, url) as running:
         while not running.done() and time.monotonic() < end:
             now = use(server)
             peak = Use(max(peak.megabytes, now.megabytes), max(peak.threads, now.threads))
@@ -200,7 +203,7 @@ async def answered(socket: ClientConnection, identities: set[str]) -> None:
 
 async def terminated(name: str, url: str, process: asyncio.subprocess.Process) -> str:
     """Return for how many seconds a server lives on after SIGTERM, beside an attack."""
-    with attacking(name, url):
+    async with attacking(name, url):
         await asyncio.sleep(TERM_SECONDS)
         since = time.perf_counter()
         with suppress(ProcessLookupError):

@@ -6,7 +6,7 @@ import os
 import socket
 import struct
 import threading
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from pathlib import Path
 
 import pytest
@@ -20,7 +20,7 @@ from websockets.frames import Frame, Opcode
 
 from uoarm import RobotManager
 from uoarm._wire import ASKED
-from uoarm.server import Limits, Server
+from uoarm.server import Limits, Server, _server
 from uoarm.testing import patience, slowness
 
 
@@ -334,3 +334,23 @@ def _connects(server: Server) -> bool:
             return bool(client.ask("List"))
     except InvalidStatus:
         return False
+
+
+def test_what_a_crowd_took_goes_back_to_the_system_once_it_has_gone(
+    serve: Serve, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    returned = threading.Event()
+    monkeypatch.setattr(_server, "_trim", returned.set)
+    server = serve()
+    with Talk(url(server)) as stays:
+        with ExitStack() as crowd:
+            for _ in range(_server._CROWD):
+                crowd.enter_context(Talk(url(server)))
+            eventually(lambda: server._crowd > _server._CROWD, "they are seen")
+            assert not returned.is_set()
+        assert returned.wait(patience())
+        assert stays.ask("List")
+
+
+def test_free_memory_is_returned_or_left_where_the_system_has_no_such_call() -> None:
+    _server._trim()

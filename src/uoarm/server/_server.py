@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
+import ctypes
 import logging
 import os
 import secrets
@@ -51,6 +53,7 @@ __all__ = ["Server"]
 
 _log = logging.getLogger("uoarm.server")
 _GLANCE_SECONDS = 0.5
+_CROWD = 8
 _UNFINISHED = 64
 
 
@@ -106,6 +109,7 @@ class Server:
         self._registry: FeedRegistry | None = None
         self._shared: Shared | None = None
         self._watches: list[asyncio.Task[None]] = []
+        self._crowd = 0
         self._stop_listening: Callable[[], None] = lambda: None
 
     @property
@@ -154,6 +158,7 @@ class Server:
                     lambda: asyncio.to_thread(self._admission.refresh), "reading the access file"
                 )
             ),
+            asyncio.ensure_future(_repeat(self._give_memory_back, "giving memory back")),
         ]
 
     async def stop(self) -> None:
@@ -335,6 +340,14 @@ class Server:
                 client.dismiss("its rights have changed or ended; connect again")
             client.check(now)
 
+    async def _give_memory_back(self) -> None:
+        """Have the allocator return, which it does not by itself, what a crowd of clients took."""
+        count = len(tuple(self._sockets))
+        self._crowd = max(self._crowd, count)
+        if self._crowd >= _CROWD and count <= self._crowd / 2:
+            self._crowd = count
+            await asyncio.to_thread(_trim)
+
     def _health(self) -> dict[str, object]:
         return {"status": "ok", "clients": len(self._clients)}
 
@@ -342,6 +355,12 @@ class Server:
 def _module_of(session: Session) -> str:
     """Return whose session it is, for the log."""
     return type(session).__module__
+
+
+def _trim() -> None:
+    """Return free memory to the system, where the C library is one that can."""
+    with contextlib.suppress(AttributeError):
+        ctypes.CDLL(None).malloc_trim(0)
 
 
 async def _repeat(action: Callable[[], Awaitable[None]], what: str) -> None:
