@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+import sys
+import threading
+from itertools import repeat
+
+import pytest
 from prometheus_client import CollectorRegistry, generate_latest
 
 from uoarm.model import (
@@ -13,7 +18,8 @@ from uoarm.model import (
     Health,
     StatusMap,
 )
-from uoarm.server.http._metrics import status_metrics
+from uoarm.server.http._metrics import status_metrics, thread_metrics
+from uoarm.testing import patience, wait
 
 STATUS = StatusMap(
     bridges=(
@@ -64,3 +70,25 @@ def test_health_failures_and_facts_of_channels_are_figures() -> None:
         'uoarm_channel_fact{component="cam",fact="matched",port="output.default"} 1.0',
     } <= set(lines)
     assert "cam7" not in "".join(lines), "only numbers are figures"
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="needs the clocks of Linux's threads")
+def test_a_thread_that_turns_for_nothing_shows() -> None:
+    over = threading.Event()
+    waits = threading.Thread(target=over.wait, args=(patience(),), name="waits")
+    turns = threading.Thread(target=lambda: all(not over.is_set() for _ in repeat(None)))
+    turns.name = "turns"
+    for thread in (waits, turns):
+        thread.start()
+
+    def seconds() -> dict[str, float]:
+        return {sample.labels["thread"]: sample.value for sample in thread_metrics().samples}
+
+    try:
+        wait(lambda: seconds()["turns"] > 0.5)
+        assert seconds()["waits"] < 0.1
+    finally:
+        over.set()
+        for thread in (waits, turns):
+            thread.join(patience())
+    assert not {"turns", "waits"} & seconds().keys()
