@@ -86,12 +86,14 @@ class _Job(Generic[T]):
         action: Callable[[], T],
         on_late: Callable[[T], None] | None,
         on_give_up: Callable[[], object] | None,
+        grace: float,
     ) -> None:
         self.step = step
         self.limit = limit
         self.deadline = time.monotonic() + limit
         self.given_up = False
         self.on_give_up = on_give_up
+        self.grace = grace
         self._hangs_in = ""
         self._action = action
         self._on_late = on_late
@@ -142,7 +144,11 @@ class _Job(Generic[T]):
         while not self._finished.acquire(
             timeout=max(0.0, min(self.deadline - time.monotonic(), _GLANCE_SECONDS))
         ):
-            if time.monotonic() >= self.deadline and self._give_up():
+            if time.monotonic() < self.deadline:
+                continue
+            if self._finished.acquire(timeout=self.grace):
+                return
+            if self._give_up():
                 raise BridgeTimeoutError(
                     f"{self.step} did not finish within {self.limit:g} s and was given up"
                 )
@@ -185,6 +191,7 @@ def run(
     on_late: Callable[[T], None] | None = None,
     on_give_up: Callable[[], object] | None = None,
     keeps_time: bool = False,
+    grace: float = 0.0,
 ) -> T:
     """Run an action under a time limit and return what it returns.
 
@@ -197,6 +204,8 @@ def run(
             on alone may be told to end.
         keeps_time: the action ends within the limit by itself, with an error of its own: it runs
             in the caller's thread, and nobody gives it up.
+        grace: seconds more that the action is given to end with an error of its own, which says
+            what it waited for.
 
     Raises:
         BridgeTimeoutError: the step did not finish in time; it goes on alone, unheard.
@@ -209,10 +218,10 @@ def run(
     if outer is None or outer.given_up:
         if keeps_time:
             return action()
-        job = _Job(step, limit, action, on_late, on_give_up)
+        job = _Job(step, limit, action, on_late, on_give_up, grace)
         _workers.submit(job.work)
         return job.wait()
-    return _run_inside(outer, step, limit, action, on_late, on_give_up)
+    return _run_inside(outer, step, limit, action, on_late, on_give_up, grace)
 
 
 def _run_inside(
@@ -222,11 +231,12 @@ def _run_inside(
     action: Callable[[], T],
     on_late: Callable[[T], None] | None,
     on_give_up: Callable[[], object] | None,
+    grace: float,
 ) -> T:
-    before = outer.step, outer.limit, outer.deadline, outer.on_give_up
+    before = outer.step, outer.limit, outer.deadline, outer.on_give_up, outer.grace
     deadline = time.monotonic() + limit
     if deadline < outer.deadline:
-        outer.limit, outer.deadline = limit, deadline
+        outer.limit, outer.deadline, outer.grace = limit, deadline, grace
     outer.step = step
     if on_give_up is not None:
         outer.on_give_up = on_give_up
@@ -234,7 +244,7 @@ def _run_inside(
         result = action()
     finally:
         if not outer.given_up:
-            outer.step, outer.limit, outer.deadline, outer.on_give_up = before
+            outer.step, outer.limit, outer.deadline, outer.on_give_up, outer.grace = before
     if outer.given_up:
         if on_late is not None:
             on_late(result)

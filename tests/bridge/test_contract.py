@@ -21,6 +21,7 @@ from uoarm.bridge import (
     Delivery,
     Description,
     Handler,
+    HealthEvent,
     Registry,
     ServiceStructures,
     Sink,
@@ -31,6 +32,7 @@ from uoarm.model import (
     BridgeSpec,
     CommandPolicy,
     Endpoint,
+    Health,
     Message,
     MessageStructure,
     Role,
@@ -284,6 +286,47 @@ def test_what_cannot_be_read_is_counted_and_handed_on_until_the_channel_is_close
     bridge.deliver.readable()
     assert channel.unreadable == 2
     assert len(got.unread) == 3
+
+
+@pytest.mark.parametrize("take", [Collector, list], ids=["delivery", "function"])
+def test_a_silence_names_what_came_and_could_not_be_read(take: Callable[[], Any]) -> None:
+    bridge, got, events = Puppet(), take(), list[HealthEvent]()
+    bridge.watch(events.append)
+    channel = bridge.open_source(ENDPOINT, ANY, got if callable(got) else got.append)
+
+    def told(health: Health = Health.LOST) -> str:
+        bridge.report(health, "no message for 5 s", channel=channel)
+        return events[-1].cause
+
+    assert told() == "no message for 5 s"
+    bridge.deliver.unreadable("cut short")
+    assert told() == "no message for 5 s; the last message that came cannot be read: cut short"
+    assert told(Health.FINISHED) == told(Health.OK) == "no message for 5 s"
+    bridge.report(Health.LOST, "it is cut short again", channel=channel)
+    assert events[-1].cause == "it is cut short again"
+    bridge.deliver.readable()
+    assert told() == "no message for 5 s"
+    bridge.deliver.unreadable("cut short")
+    bridge.deliver(1)
+    assert told() == "no message for 5 s"
+
+
+def test_a_bridge_that_keeps_the_limit_of_a_call_says_what_it_waited_for() -> None:
+    class Waiting(Puppet):
+        capabilities = Capabilities(call=True)
+
+        def _call(
+            self,
+            endpoint: Endpoint,
+            structures: ServiceStructures,
+            message: Message,
+            timeout: float,
+        ) -> Message:
+            threading.Event().wait(timeout)
+            raise BridgeTimeoutError("no reply; what came answers no call")
+
+    with pytest.raises(BridgeTimeoutError, match="what came answers no call"):
+        Waiting().call(ENDPOINT, 1, timeout=0.05)
 
 
 def test_what_cannot_be_read_is_counted_where_a_function_takes_the_messages() -> None:

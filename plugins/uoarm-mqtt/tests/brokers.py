@@ -111,10 +111,17 @@ class Peer:
     def publish(
         self, topic: str, payload: bytes | str, *, retain: bool = False, **more: Any
     ) -> None:
+        self._publish(topic, payload, retain, more).wait_for_publish(patience())
+
+    def publish_soon(self, topic: str, payload: bytes | str, **more: Any) -> None:
+        """Publish from a handler, which must wait for nothing."""
+        self._publish(topic, payload, retain=False, more=more)
+
+    def _publish(self, topic: str, payload: bytes | str, retain: bool, more: dict[str, Any]) -> Any:
         properties = Properties(PacketTypes.PUBLISH)  # type: ignore[no-untyped-call]
         for name, value in more.items():
             setattr(properties, name, value)
-        self._client.publish(topic, payload, 1, retain, properties).wait_for_publish(patience())
+        return self._client.publish(topic, payload, 1, retain, properties)
 
     def subscribe(self, topic: str, handler: Callable[[Any], object]) -> None:
         self._handlers[topic] = handler

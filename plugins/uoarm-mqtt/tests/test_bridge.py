@@ -22,7 +22,7 @@ from uoarm.errors import (
     MessageError,
 )
 from uoarm.model import BridgeSpec, Endpoint, Health, MessageStructure, Role
-from uoarm.testing import Collector, patience, wait
+from uoarm.testing import Collector, patience, slowness, wait
 
 ANYTHING = MessageStructure(True)
 
@@ -325,6 +325,17 @@ class TestServices:
         with pytest.raises(BridgeError, match="nobody is subscribed") as caught:
             bridge.call(place, {}, timeout=patience())
         assert not isinstance(caught.value, BridgeTimeoutError)
+
+    def test_a_reply_that_answers_no_call_is_named_where_one_is_waited_for(
+        self, bridge: Bridge, peer: Peer
+    ) -> None:
+        def answer(request: Any) -> None:
+            peer.publish_soon(request.properties.ResponseTopic, b"42", CorrelationData=b"mine")
+
+        peer.subscribe("odd/service", answer)
+        told = r"no reply within .*; what came instead answers no call: 2 octets with .*b'mine'"
+        with pytest.raises(BridgeTimeoutError, match=told):
+            bridge.call(endpoint("odd/service", Role.SERVICE), {}, timeout=0.5 * slowness())
 
     def test_a_function_serves_peers_and_failures_are_told(
         self, bridge: Bridge, peer: Peer

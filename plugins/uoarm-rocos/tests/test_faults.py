@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 from attrs import evolve
-from lines import LIMIT, PseudoTerminal, listening
+from lines import LIMIT, PseudoTerminal, fresh_link, listening
 from rigs import Events, bridged, endpoint, running, unplugged_by
 from uoarm_rocos._catalogue import Catalogue
 from uoarm_rocos._codec import XmlCodec
@@ -19,14 +19,23 @@ from uoarm_rocos._errors import LineError
 from uoarm_rocos._fields import BooleanField, Member
 from uoarm_rocos._framing import Framer, LengthFramer, StuffedFramer
 from uoarm_rocos._line import Backoff
-from uoarm_rocos._messages import Call, CatalogueMessage, Data, Describe, Open, WireMessage
+from uoarm_rocos._messages import (
+    Call,
+    CatalogueMessage,
+    Data,
+    Describe,
+    Open,
+    Result,
+    WireMessage,
+)
 from uoarm_rocos._profile import Timing
 from uoarm_rocos._transport import Transport
 from uoarm_rocos.devices._monitor import Monitor
 from uoarm_rocos.simulate import Job, ProfileServer, PtyEnd, Robot, TcpEnd, robot_catalogue
 
-from uoarm.errors import BridgeError, FailureReason
+from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason
 from uoarm.model import Health, MessageStructure
+from uoarm.testing import slowness
 
 ANY = MessageStructure(True)
 ODOMETRY = endpoint("robot", "odometry")
@@ -84,6 +93,58 @@ def test_a_device_that_stays_away_is_lost_after_its_grace_with_the_cause() -> No
         with pytest.raises(BridgeError, match="refused") as raised:
             bridge.call(ECHO, {"text": "gone"}, timeout=0.3)
         assert raised.value.reason is FailureReason.UNAVAILABLE
+
+
+class Garbling:
+    """Writes what the device says as it is, but for what should be garbled."""
+
+    def __init__(self, *kinds: type) -> None:
+        self._kinds = kinds
+
+    def write(self, message: WireMessage) -> bytes:
+        return b"<garbled" if isinstance(message, self._kinds) else CODEC.write(message)
+
+    def read(self, frame: bytes) -> WireMessage:
+        return CODEC.read(frame)
+
+
+@pytest.mark.parametrize("what", ["call", "flow"])
+def test_an_answer_that_cannot_be_read_is_named_where_it_is_waited_for(
+    monkeypatch: pytest.MonkeyPatch, what: str
+) -> None:
+    device = ProfileServer(Robot(), StuffedFramer)
+    device._codec = Garbling(Result, Open)  # type: ignore[assignment] # what is used of it
+    with (
+        running(device, PtyEnd(fresh_link())) as url,
+        bridged(robot={"url": url}) as (bridge, _),
+    ):
+        bridge.describe(ECHO)
+        seconds = 0.2 * slowness()
+        monkeypatch.setattr("uoarm_rocos._bridge._OPEN_SECONDS", seconds)
+
+        def ask() -> object:
+            if what == "call":
+                return bridge.call(ECHO, {"text": "a"}, timeout=seconds)
+            return bridge.open_source(ODOMETRY, ANY, Events(), timeout=LIMIT)
+
+        with pytest.raises(
+            BridgeTimeoutError, match=r"no answer .*; a message came that cannot be"
+        ):
+            ask()
+
+
+def test_a_catalogue_that_cannot_be_read_is_named_where_none_comes(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("uoarm_rocos._talk._CATALOGUE_SECONDS", 0.2 * slowness())
+    device = ProfileServer(Robot(), StuffedFramer)
+    device._codec = Garbling(CatalogueMessage)  # type: ignore[assignment] # as above
+    with (
+        running(device, PtyEnd(fresh_link())) as url,
+        bridged(robot={"url": url, "wait": slowness()}) as (bridge, _),
+        pytest.raises(BridgeError, match=r"no catalogue within .*came that cannot be read"),
+    ):
+        bridge.describe(ECHO, timeout=LIMIT)
 
 
 def test_a_call_under_way_fails_at_once_when_the_cable_is_out() -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Mapping
 from contextlib import nullcontext
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -12,8 +13,10 @@ from endpoints import INT64, Inbox, endpoint, known, sink, source
 from messages import default_of
 from peers import DOMAIN, MORTAL, Peer
 from uoarm_ros2._actions import Action
+from uoarm_ros2._agreement import Disagreement
 from uoarm_ros2._graph import Graph
 from uoarm_ros2._middleware import GoalRequest, Participant
+from uoarm_ros2._services import _named
 from uoarm_ros2._types import import_type
 
 from uoarm import RobotManager
@@ -546,3 +549,10 @@ def test_nodes_that_come_and_go_are_events(bridge: Bridge, peer: Start) -> None:
     assert events.event(Health.OK, "node /visitor appeared").component == "/visitor"
     visitor.kill()
     assert events.event(Health.LOST, "node /visitor left").component == "/visitor"
+
+
+@pytest.mark.parametrize("otherwise", ["", "service /x is not the same everywhere: /b has X"])
+def test_who_did_not_answer_may_mean_something_else(otherwise: str) -> None:
+    late = BridgeTimeoutError("service /x did not answer in time")
+    agreement: Any = SimpleNamespace(look=lambda: Disagreement(otherwise))
+    assert str(_named(late, agreement)) == f"{late}{otherwise and '; '}{otherwise}"

@@ -243,6 +243,17 @@ def test_what_cannot_be_read_is_said_and_the_next_message_arrives(
     assert got.unread[0].startswith("topic /torn: std_msgs/msg/Int64: cannot be read: ")
 
 
+def test_a_silence_names_what_came_and_could_not_be_read(bridge: Bridge, peer: Start) -> None:
+    talker, got = peer("talker"), Collector()
+    talker.do("advertise", topic="/torn")
+    events = Inbox()
+    bridge.watch(events)
+    at = endpoint(Role.OUTPUT, "/torn", INT64, stale_after=0.5 * slowness())
+    opened: Any = source(bridge, at, got)
+    opened._receive(b"\x00\x01\x00\x00\x07")
+    events.event(Health.LOST, "s; the last message that came cannot be read: topic /torn")
+
+
 def test_who_comes_while_the_type_is_looked_for_is_fitted(
     bridge: Any, peer: Start, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -350,6 +350,29 @@ def test_clients_provide_services_to_one_another(enter: Enter) -> None:
     assert caller.receive()["values"] == {"x": 2}
 
 
+@pytest.mark.parametrize(
+    ("answer", "why"),
+    [
+        ('{"op": "service_response", "id": "ID", "values": {}}', "'result' is missing"),
+        ('{"op": "service_response", "id": "other", "result": true}', "nobody waits"),
+        ("{", "the last answer of the client that provides it"),
+    ],
+)
+def test_who_waits_in_vain_is_told_which_answer_was_refused(
+    enter: Enter, answer: str, why: str
+) -> None:
+    provider, caller = enter(), enter()
+    provider.send(op="advertise_service", service="/half", type="x/Half")
+    provider.call("/rosapi/services")
+    caller.send(op="call_service", id="1", service="/half", timeout=0.5 * slowness())
+    request = provider.receive()
+    provider.socket.send(answer.replace("ID", request["id"]))
+    response = caller.receive()
+    assert (response["result"], response["id"]) == (False, "1")
+    assert "did not answer within" in response["values"]
+    assert why in response["values"]
+
+
 def test_a_provider_that_goes_fails_those_who_wait(server: Server) -> None:
     with Ros(url(server)) as caller:
         with Ros(url(server)) as provider:

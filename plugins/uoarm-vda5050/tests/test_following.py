@@ -9,20 +9,23 @@ from typing import Any
 import pytest
 from brokers import Broker
 from fleet import MAKER, bridge_to, driven, endpoint, goal
+from uoarm_mqtt.connection import Codec
 from uoarm_vda5050._follower import Follower
 from uoarm_vda5050._health_state import VehicleHealth
 from uoarm_vda5050._messages import check_of
 from uoarm_vda5050._orders import Order
 from uoarm_vda5050._presence import Presence
 from uoarm_vda5050._releases import RELEASES
+from uoarm_vda5050._transport import call
 from uoarm_vda5050._transport_state import Action, Ended, Phase, TransportState
 from uoarm_vda5050._vehicle_state import VehicleState
 
-from uoarm.errors import BridgeError
-from uoarm.model import Health, MessageStructure
+from uoarm.errors import BridgeError, BridgeTimeoutError
+from uoarm.model import Budget, Health, MessageStructure
 from uoarm.testing import Collector, patience, wait
 
 ANYTHING = MessageStructure(True)
+BUDGET = Budget()
 BOTH = pytest.mark.parametrize("release", ["2.1", "3.0"])
 
 
@@ -149,6 +152,35 @@ def test_a_state_that_lacks_what_the_rules_need_is_unreadable_and_the_next_is_ta
     assert reports[0][0] is Health.DEGRADED
     assert lacking in reports[0][1]
     assert follower.facts()["states_unreadable"] == 1
+
+
+def test_a_call_that_is_given_up_says_which_states_came_and_could_not_be_read() -> None:
+    release = RELEASES["2.1"]
+    codec: Any = SimpleNamespace(split=lambda payload: ({}, json.loads(payload)))
+    link: Any = SimpleNamespace(
+        subscribe=lambda _: None,
+        unsubscribe=lambda _: None,
+        require_up=lambda: None,
+        publish=lambda *_, **__: None,
+    )
+    codecs = {
+        "state": codec,
+        "order": Codec("json", BUDGET),
+        "instantActions": Codec("json", BUDGET),
+    }
+    follower = Follower(
+        link, "v2/m/s", TransportState(release), VehicleHealth(patience()), codecs, lambda *_: None
+    )  # fmt: skip
+    try:
+        follower.connection(True, "")
+        event: Any = SimpleNamespace(payload=b"{")
+        follower._inbox.put(event)
+        wait(follower.unread_states, str(follower.facts()))
+        why = r"did not end in 0\.01 s; a state came that cannot be read: .*Expecting property name"
+        with pytest.raises(BridgeTimeoutError, match=why):
+            call(endpoint("m", "transport"), follower, goal("a", "b"), 0.01)
+    finally:
+        follower.close()
 
 
 @pytest.mark.parametrize("asked", [True, False])

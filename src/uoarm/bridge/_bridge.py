@@ -40,6 +40,7 @@ C = TypeVar("C", bound=Channel)
 Handler = Callable[[Message], Message]
 
 _ANYTHING = ServiceStructures()
+_GRACE_SECONDS = 0.25
 _log = logging.getLogger("uoarm")
 
 
@@ -237,6 +238,7 @@ class Bridge(ABC):
             begin,
             on_give_up=lambda: self._pending_calls.cancel(call),
             keeps_time=lambda: self._keeps_time(endpoint),
+            grace=_GRACE_SECONDS,  # a bridge that keeps the limit says what it waited for
         )
 
     @final
@@ -356,9 +358,13 @@ class Bridge(ABC):
 
         A bridge that reconnects must report DEGRADED at once, and then OK when messages pass
         again, or LOST when it gives up. It must not report a lost channel as OK: that is closed.
+        Where the last message of a source could not be read, the core adds why to what ails it.
         """
         listener = self._listener
         if listener is not None and not self._is_closed:
+            refusal = channel.refusal if isinstance(channel, Source) else ""
+            if refusal and health in {Health.DEGRADED, Health.LOST} and refusal not in cause:
+                cause = f"{cause}; the last message that came cannot be read: {refusal}"
             listener(HealthEvent(self.name, health, cause, channel, component))
 
     def facts(self) -> Mapping[str, object]:
@@ -486,6 +492,7 @@ class Bridge(ABC):
         on_give_up: Callable[[], object] | None = None,
         *,
         keeps_time: Callable[[], bool] | None = None,
+        grace: float = 0.0,
     ) -> T:
         if self._is_closed:
             raise BridgeError(f"bridge {self.name!r} is closed: {what}", FailureReason.CLOSED)
@@ -501,6 +508,7 @@ class Bridge(ABC):
                 on_late=on_late,
                 on_give_up=on_give_up,
                 keeps_time=keeps_time is not None and keeps_time(),
+                grace=grace,
             )
 
     def _opened(

@@ -184,6 +184,12 @@ class Source(Channel):
         return 0 if self._gate is None else self._gate.unread
 
     @final
+    @property
+    def refusal(self) -> str:
+        """Why the last message could not be read; empty where one was read since."""
+        return "" if self._gate is None else self._gate.refusal
+
+    @final
     def watch_refused(self, told: Callable[[], object]) -> None:
         """Have each message told that comes after it was closed, in its thread; for the core."""
         if self._gate is not None:

@@ -51,10 +51,20 @@ class Gate:
     Attributes:
         refused: messages that came after it was shut.
         unread: messages that could not be read.
+        refusal: why the last one could not be read; empty where one was read since.
         on_refused: told of each of them, in its thread.
     """
 
-    __slots__ = ("_deliver", "_delivery", "_is_shut", "_turn", "on_refused", "refused", "unread")
+    __slots__ = (
+        "_deliver",
+        "_delivery",
+        "_is_shut",
+        "_turn",
+        "on_refused",
+        "refusal",
+        "refused",
+        "unread",
+    )
 
     def __init__(self, deliver: Deliver | Delivery) -> None:
         self._deliver = deliver
@@ -63,12 +73,15 @@ class Gate:
         self._is_shut = False
         self.refused = 0
         self.unread = 0
+        self.refusal = ""
         self.on_refused: Callable[[], object] | None = None
 
     def __call__(self, message: Message, writer: str = "") -> None:
         """Deliver a message in this thread, after those of other threads that came before."""
         with self._turn:
             if not self._is_shut:
+                if self.refusal:
+                    self.refusal = ""
                 if writer and self._delivery is not None:
                     self._delivery(message, writer)
                 else:
@@ -89,14 +102,16 @@ class Gate:
         with self._turn:
             if not self._is_shut:
                 self.unread += 1
+                self.refusal = why[:_WHY_LENGTH] or "it cannot be read"
                 if self._delivery is not None:
-                    self._delivery.unreadable(why[:_WHY_LENGTH] or "it cannot be read")
+                    self._delivery.unreadable(self.refusal)
 
     def readable(self) -> None:
         """Say that something could be read; before the first that could not, nothing follows."""
-        if self.unread and self._delivery is not None:
+        if self.unread:
             with self._turn:
-                if not self._is_shut:
+                self.refusal = ""
+                if not self._is_shut and self._delivery is not None:
                     self._delivery.readable()
 
     def shut(self) -> None:

@@ -47,6 +47,8 @@ class Calls:
         self._opening = threading.Lock()
         self._is_open = False
         self._waiting: dict[bytes, _Call] = {}
+        self._strays = 0
+        self._stray = ""  # what came last that answers no call
 
     def call(
         self,
@@ -79,11 +81,15 @@ class Calls:
             if outcome.failure or outcome.nobody:
                 call.end(None, outcome.failure or "nobody is subscribed to it")
 
+        strays = self._strays
         self._waiting[correlation] = call
         try:
             self._link.publish(topic, payload, done, qos=max(1, port.qos), more=more)
             if not call.ended.wait(timeout):
-                raise BridgeTimeoutError(f"{endpoint}: no reply within {timeout:g} s")
+                text = f"{endpoint}: no reply within {timeout:g} s"
+                if self._strays > strays:
+                    text += f"; what came instead answers no call: {self._stray}"
+                raise BridgeTimeoutError(text)
         finally:
             del self._waiting[correlation]
         if call.reply is None:
@@ -103,6 +109,10 @@ class Calls:
         call = self._waiting.get(correlation)
         if call is not None:
             call.end(incoming)
+            return
+        self._strays += 1
+        octets = f"{len(incoming.payload):,} octets"
+        self._stray = f"{octets} with the correlation data {correlation[:40]!r}, as no request had"
 
 
 class ServedTopic(Channel):

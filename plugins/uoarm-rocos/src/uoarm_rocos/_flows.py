@@ -27,6 +27,7 @@ class ProfileFlow:
     Attributes:
         api: as it was when the flow was opened.
         id: of the conversation now; 0 while the line is lost.
+        refused: messages of the line that could not be read when one of the flow came last.
     """
 
     direction = Direction.OUTPUT
@@ -34,6 +35,7 @@ class ProfileFlow:
     def __init__(self, api: Api, told: Told, end: Callable[[ProfileFlow], None]) -> None:
         self.api = api
         self.id = 0
+        self.refused = 0
         self._told = told
         self._end = end
         self._health = Health.OK
@@ -49,8 +51,8 @@ class ProfileFlow:
     def take(self, message: Mapping[str, Any]) -> None:
         """Take a message from the line, in its thread; a flow into a device has none to take."""
 
-    def tick(self, now: float) -> None:
-        """Look at the clock, in the line's thread."""
+    def tick(self, now: float, came: str = "") -> None:
+        """Look at the clock, in the line's thread; `came` says what could not be read."""
 
     def facts(self) -> Mapping[str, object]:
         """Return counters for the status."""
@@ -97,7 +99,7 @@ class OutputFlow(ProfileFlow):
         self._courier.put(self._parcel, values)
         self.tell(Health.OK, "messages arrive")
 
-    def tick(self, now: float) -> None:
+    def tick(self, now: float, came: str = "") -> None:
         """Tell when a flow with a period falls silent."""
         silent = now - self._last
         if self._patience is not None and self.id and silent > self._patience:
@@ -105,7 +107,7 @@ class OutputFlow(ProfileFlow):
             self.tell(
                 Health.LOST if gone else Health.DEGRADED,
                 f"no message of {self.api.name} for {silent:.1f} s, its period is "
-                f"{self.api.period:g} s",
+                f"{self.api.period:g} s{came}",
             )
 
     def facts(self) -> Mapping[str, object]:

@@ -116,7 +116,7 @@ class ProfileDevice(Device):
         self._await_ready(min(timeout, self._timing.wait))
         self._check_same(api)
         what = f"calling {api.name} of {self.name}"
-        identity = self._talk.ids.next()
+        identity, refused = self._talk.ids.next(), self._talk.refused
         answer = self._answers.expect(identity, what)
         is_answered = False
         try:
@@ -129,7 +129,8 @@ class ProfileDevice(Device):
             if not is_answered and self._answers.forget(identity):
                 self._say_close(identity, 0.0 if self.is_prompt else None)
         if not is_answered:
-            raise BridgeTimeoutError(f"{what}: no answer within {timeout:g} s; it was given up")
+            text = f"{what}: no answer within {timeout:g} s; it was given up"
+            raise BridgeTimeoutError(text + self._talk.refused_since(refused))
         return fit(api.output, answer.value(), f"result of {api.name}")
 
     def open_output(self, api: Api, deliver: Delivery, told: Told, timeout: float) -> OutputFlow:
@@ -177,6 +178,7 @@ class ProfileDevice(Device):
         if isinstance(message, Data):
             flow = self._by_id.get(message.id)
             if flow is not None:
+                flow.refused = self._talk.refused
                 flow.take(message.values)
         elif isinstance(message, Result):
             self._answers.give(message.id, message.values)
@@ -213,7 +215,7 @@ class ProfileDevice(Device):
         while self._unsaid:
             self._say_close(self._unsaid.popleft())
         for flow in list(self._by_id.values()):
-            flow.tick(now)
+            flow.tick(now, self._talk.refused_since(flow.refused))
 
     def _await_ready(self, timeout: float) -> None:
         if self._ready and not self._closed:
@@ -265,6 +267,7 @@ class ProfileDevice(Device):
         with self._state:
             self._flows.add(flow)
             self._by_id[identity], flow.id = flow, identity
+            flow.refused = self._talk.refused
         api, way = flow.api.name, flow.direction
         try:
             self._talk.send(lambda seq: Open(seq, identity, api, way))
@@ -278,10 +281,12 @@ class ProfileDevice(Device):
         self._await_ready(min(timeout, self._timing.wait))
         self._check_same(flow.api)
         what = f"opening {flow.direction.value} {flow.api.name} of {self.name}"
+        refused = self._talk.refused
         try:
             answer = self._ask_for(flow, what)
             if not answer.wait(max(0.0, end - time.monotonic())):
-                raise BridgeTimeoutError(f"{what}: no answer within {timeout:g} s")
+                text = f"{what}: no answer within {timeout:g} s"
+                raise BridgeTimeoutError(text + self._talk.refused_since(refused))
             answer.value()
         except BridgeError:
             flow.close()
@@ -296,6 +301,7 @@ class ProfileDevice(Device):
                 return  # closed, or opened by its user since the line came back
             identity = self._talk.ids.next()
             self._by_id[identity], flow.id = flow, identity
+            flow.refused = self._talk.refused
         self._talk.send(lambda seq: Open(seq, identity, flow.api.name, flow.direction))
 
     def _send_data(self, flow: ProfileFlow, values: dict[str, Any]) -> None:

@@ -79,7 +79,8 @@ class Talk:
         self._framer = wire.framer()
         self._incoming = Incoming()
         self._watch = Watch(_FIRST_HEARTBEAT, 0.0, 0.0)
-        self._refused = 0
+        self._refused = self._refused_before = 0
+        self._why = ""
         self._lost_before = 0
 
     def send(self, build: Callable[[int], WireMessage], within: float | None = None) -> None:
@@ -113,6 +114,26 @@ class Talk:
         finally:
             self._sending.release()
 
+    @property
+    def refused(self) -> int:
+        """How many messages of the device could not be read."""
+        return self._refused
+
+    def refused_since(self, count: int) -> str:
+        """Say what came since there were so many that could not be read, to end a sentence."""
+        more = self._refused - count
+        if more <= 0:
+            return ""
+        came = "a message came" if more == 1 else f"{more:,} messages came"
+        return f"; {came} that cannot be read, the last: {self._why}"
+
+    def _came(self) -> str:
+        """Say what came instead of what is waited for, to end a sentence."""
+        damaged = self._framer.discarded
+        return self.refused_since(self._refused_before) + (
+            f"; {damaged:,} frames came damaged" if damaged else ""
+        )
+
     def facts(self) -> dict[str, object]:
         """Return counters: messages lost on the way, frames damaged, messages refused."""
         return {
@@ -132,6 +153,7 @@ class Talk:
             period = self._fixed.heartbeat if self._fixed else _FIRST_HEARTBEAT
             self._watch = Watch(period, now, now)
         self._began = now
+        self._refused_before = self._refused
         if self._fixed is not None:
             self._asked = 0
             self.send(Heartbeat)
@@ -146,23 +168,28 @@ class Talk:
         for frame in framer.feed(data):
             try:
                 message = self._wire.codec.read(frame)
-            except WireError:
+            except WireError as error:
                 if not framer.resynchronises:
                     raise
                 self._refused += 1
+                self._why = str(error)
                 continue
             if self._incoming.take(message.seq):
                 raise LineError("the device has begun anew")
             self._watch.heard = time.monotonic()
+            if not self._asked:
+                self._refused_before = self._refused
             self._take(message)
 
     def tick(self, now: float) -> None:
         """Keep the heartbeat, and notice that the device has none."""
         silent = self._watch.dead(now)
         if silent:
-            raise LineError(f"the device said nothing for {silent:.1f} s")
+            told = f"the device said nothing for {silent:.1f} s"
+            raise LineError(told + self._came())
         if self._asked and now - self._began > _CATALOGUE_SECONDS:
-            raise LineError(f"the device sent no catalogue within {_CATALOGUE_SECONDS:g} s")
+            told = f"the device sent no catalogue within {_CATALOGUE_SECONDS:g} s"
+            raise LineError(told + self._came())
         if self._watch.must_speak(now):
             self.send(Heartbeat)
         self._listener.on_tick(now)

@@ -68,6 +68,12 @@ def require_agreement(agreement: Agreement) -> None:
         raise BridgeError(found.text, FailureReason.UNAVAILABLE)
 
 
+def _named(error: BridgeTimeoutError, agreement: Agreement) -> BridgeTimeoutError:
+    """Add who of those that serve means something else, of whom one may have been asked."""
+    found = agreement.look().text
+    return BridgeTimeoutError(f"{error}; {found}") if found else error
+
+
 class Caller:
     """A client of one service, shared by all calls to it; calls may overlap.
 
@@ -119,6 +125,8 @@ class Caller:
 
             try:
                 return self._read(answered(future, deadline, there, self._what))
+            except BridgeTimeoutError as error:
+                raise _named(error, self.agreement) from None
             finally:
                 self._client.remove_pending_request(future)
 

@@ -95,6 +95,7 @@ class Hub:
         self._services: dict[str, tuple[str, Provider]] = {}
         self._numbers = itertools.count(1)
         self._waiting: dict[str, tuple[Provider, asyncio.Future[Message]]] = {}
+        self._refusals: dict[str, str] = {}  # of answers that came, by the call that waits
         self.actions = ActionHub()
         self.parameters = Parameters()
 
@@ -251,10 +252,22 @@ class Hub:
             # Not `wait_for`: it may lose a cancellation before CPython 3.12.
             await asyncio.wait({future}, timeout=timeout)
             if not future.done():
-                raise BridgeTimeoutError(f"{name!r} did not answer within {timeout:g} s")
+                text = f"{name!r} did not answer within {timeout:g} s"
+                refusal = self._refusals.get(identity)
+                raise BridgeTimeoutError(f"{text}; {refusal}" if refusal else text)
             return future.result()
         finally:
             del self._waiting[identity]
+            self._refusals.pop(identity, None)
+
+    def refused(self, identity: object, provider: Provider, why: str) -> None:
+        """Take in that an answer of a client was refused: who waits for one is told so.
+
+        Without the name of a call that waits, each that waits for this client is.
+        """
+        own = [name for name, (asked, _) in self._waiting.items() if asked is provider]
+        for name in [str(identity)] if identity in own else own:
+            self._refusals[name] = f"the last answer of the client that provides it: {why}"[:500]
 
     def answer(self, identity: str, provider: Provider, conclude: Callable[..., None]) -> None:
         """Take a client's answer; `conclude` sets the future's result or error.

@@ -105,6 +105,10 @@ class Services:
 
         self._hub.answer(str(fields["id"]), self, conclude)
 
+    def refused(self, fields: Fields, why: str) -> None:
+        """Have who waits for an answer of this client know why it was refused."""
+        self._hub.refused(fields.get("id"), self, why)
+
     def ask(self, identity: str, service: str, message: Message) -> None:
         """Send another client's request to this one, which provides the service."""
         self._ask({"op": "call_service", "id": identity, "service": service, "args": message})

@@ -250,6 +250,8 @@ class RosbridgeSession:
     def _fail(self, fields: Mapping[str, Any], error: BaseException) -> None:
         text = self._shown(tell_error(error), fields)
         op = fields.get("op")
+        if op == "service_response" or not isinstance(op, str):  # it may have been an answer
+            self._services.refused(fields, text)
         if isinstance(op, str) and op in _ANSWERED:
             answer = _failed(fields, *_ANSWERED[op], text)
             self._client.outbox.tell(answer, text=True)

@@ -91,6 +91,11 @@ class Follower:
         """Return how many states its header counters skipped, and how many could not be read."""
         return {"states_missed": self._missed, "states_unreadable": self._unreadable}
 
+    def unread_states(self) -> str:
+        """Say what came since the last state and could not be read, for the end of a sentence."""
+        with self._lock:
+            return self._transport.unread_states()
+
     def goal(self, goal: Mapping[str, Any]) -> str:
         """Take a goal; return its identifier. What becomes of it is told to who listens.
 

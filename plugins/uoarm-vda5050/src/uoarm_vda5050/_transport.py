@@ -109,7 +109,8 @@ def call(endpoint: Endpoint, follower: Follower, message: Message, timeout: floa
             is_over = changed.wait_for(lambda: goal_id in ended, timeout)
         if not is_over:
             follower.cancel(goal_id)
-            raise BridgeTimeoutError(f"{endpoint}: order {goal_id!r} did not end in {timeout:g} s")
+            text = f"{endpoint}: order {goal_id!r} did not end in {timeout:g} s"
+            raise BridgeTimeoutError(text + follower.unread_states())
     finally:
         follower.leave(listen)
     end = ended[goal_id]

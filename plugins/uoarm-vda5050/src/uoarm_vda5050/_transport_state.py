@@ -206,6 +206,13 @@ class TransportState:
         self._unread += 1
         self._why_unread = why
 
+    def unread_states(self) -> str:
+        """Say what came and could not be read, for the end of a sentence."""
+        if not self._unread:
+            return ""
+        count = "a state came" if self._unread == 1 else f"{self._unread:,} states came"
+        return f"; {count} that cannot be read: {self._why_unread}"
+
     def unsendable(self, why: str) -> list[Action]:
         """Take the news that the order cannot be sent at all, as one that is too large cannot."""
         return self._end("rejected", why) if self._order is not None else []
@@ -227,14 +234,14 @@ class TransportState:
             if self._unread and self.phase is Phase.ASKING:
                 what = "sent no state that can be read"
             text = f"the vehicle {what} within {self.times.accept:g} s"
-            return self._end("aborted", text + self._unread_states())
+            return self._end("aborted", text + self.unread_states())
         if self._settle_at is not None and now >= self._settle_at:
             known = self._known
             silent = [
                 action for action in order.actions if known is None or not known.status_of(action)
             ]
             text = f"the vehicle does not say what became of {', '.join(silent)}"
-            return self._end("aborted", text + self._unread_states())
+            return self._end("aborted", text + self.unread_states())
         actions: list[Action] = []
         if self._cancel_id and now >= self._cancel_at:
             self._cancel_at = now + self.times.repeat
@@ -380,13 +387,6 @@ class TransportState:
             return []
         self._abandoned_at = now + self.times.repeat
         return [self._cancelling(action_id, known.order_id)]
-
-    def _unread_states(self) -> str:
-        """Say what came and could not be read, for the end of a sentence."""
-        if not self._unread:
-            return ""
-        count = "a state came" if self._unread == 1 else f"{self._unread:,} states came"
-        return f"; {count} that cannot be read: {self._why_unread}"
 
     def _new_id(self) -> str:
         self._made += 1
