@@ -425,6 +425,32 @@ def test_a_node_of_the_same_name_ends_the_bridge(master: Master) -> None:
             assert lost.channel is None
 
 
+def test_a_subscription_of_our_own_is_waited_for_until_it_takes_messages(
+    master: Master, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """On a busy machine its first connection may be given up after the publisher took it in."""
+    given_up, is_open = threading.Event(), threading.Event()
+
+    def receive(connection: socket.socket, *given: Any) -> Any:
+        answered = receive_header(connection, *given)
+        if not given_up.is_set():
+            is_open.wait(0.5)
+            given_up.set()
+            raise TimeoutError
+        return answered
+
+    receive_header = _subscription._receive_header
+    monkeypatch.setattr(_subscription, "_receive_header", receive)
+    with bridge_to(master) as bridge:
+        collector = Collector()
+        at = ("/given_up", INT)
+        bridge.open_source(output(*at, peer="optional"), ANY, collector.deliver)
+        sink = bridge.open_sink(input_(*at, peer="optional"), ANY, timeout=patience())
+        is_open.set()
+        sink.send({"data": 1})
+        assert collector.wait(1, patience()) == [{"data": 1}]
+
+
 def test_a_subscriber_that_reads_nothing_holds_up_nobody(master: Master, lasting: Peer) -> None:
     stuck = master.peer("stuck")
     for peer in (stuck, lasting):

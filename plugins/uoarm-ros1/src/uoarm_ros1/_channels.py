@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Mapping
+from functools import partial
 
 from attrs import evolve, frozen
 
@@ -19,6 +20,9 @@ from uoarm_ros1._serialisation import framed_writer, reader
 from uoarm_ros1._subscription import PublisherHeader, Subscription, Wanted
 
 __all__ = ["Place", "Relay", "SameTopic", "TopicSink", "TopicSource"]
+
+_WAIT_SECONDS = 0.2
+_LOOK_SECONDS = 0.005
 
 
 @frozen
@@ -263,17 +267,22 @@ class _Publishing:
         place, node = self.place, self.place.node
         deadline = time.monotonic() + place.wait
         wanted = place.port.node and node.resolve(place.port.node)
+        rest, asked = threading.Event(), 0.0
+        expected: set[str] = set()
         while True:
-            expected = {wanted} if wanted else self._expected()
-            if not expected and not place.port.peer_required:
-                return
-
-            def are_there(callers: list[str], expected: set[str] = expected) -> bool:
-                return bool(expected) and expected <= set(callers)
-
+            if time.monotonic() >= asked + _WAIT_SECONDS:
+                asked = time.monotonic()
+                expected = {wanted} if wanted else self._expected()
+                if not expected and not place.port.peer_required:
+                    return
             left = deadline - time.monotonic()
-            if self.publication.wait(are_there, min(max(left, 0.0), 0.2)):
-                return
+            if self.publication.wait(
+                partial(_are_there, expected), min(max(left, 0.0), _WAIT_SECONDS)
+            ):
+                # One of our own may be given up after it was taken in here: it says itself.
+                if wanted or all(node.own_callers(place.topic).values()):
+                    return
+                rest.wait(_LOOK_SECONDS)
             if left <= 0:
                 break
         callers = self.publication.callers
@@ -299,6 +308,10 @@ class _Publishing:
             if name != node.name and (name in self.publication.callers or node.is_alive(name)):
                 expected.add(name)
         return expected
+
+
+def _are_there(expected: set[str], callers: list[str]) -> bool:
+    return bool(expected) and expected <= set(callers)
 
 
 class TopicSink(Sink):

@@ -173,13 +173,18 @@ class Node:
         """
         return f"{self.name}_{next(self._numbers)}"
 
-    def own_callers(self, topic: str) -> list[str]:
-        """Return the names under which the node itself connects to a topic of its own."""
-        return [
-            subscription.wanted.caller
+    def own_callers(self, topic: str) -> dict[str, bool]:
+        """Return the names under which the node itself connects to a topic of its own.
+
+        Each with whether it takes messages: one may be given up after the publisher took it in.
+        """
+        return {
+            subscription.wanted.caller: any(
+                header.node == self.name for header in subscription.connected
+            )
             for subscription in self._subscriptions.get(topic, ())
             if subscription.wanted.node in {"", self.name}
-        ]
+        }
 
     def serve(self, service: str, arrived: Arrived) -> None:
         """Serve a service: connections of clients go to `arrived`, in the loop's thread.

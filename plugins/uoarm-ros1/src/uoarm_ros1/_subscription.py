@@ -27,7 +27,7 @@ from uoarm_ros1._publication import keep_alive
 
 __all__ = ["PublisherHeader", "Subscription", "Wanted", "read_publisher_header"]
 
-_CONNECT_SECONDS = 2.0
+_CONNECT_SECONDS = 5.0
 _LISTED_SECONDS = 1.0
 _LISTED_LOOK_SECONDS = 0.002
 _RETRY_SECONDS = (0.1, 2.0)
