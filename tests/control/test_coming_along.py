@@ -9,7 +9,7 @@ from __future__ import annotations
 import pytest
 from tests.control.test_transcripts import Player
 
-from uoarm._control.reconciler.state import Switchover
+from uoarm._control.engine.state import Switchover
 from uoarm.model import FailoverPolicy
 
 OTHER = 99

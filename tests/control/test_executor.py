@@ -11,10 +11,10 @@ import pytest
 from tests.control.world import FACE
 
 from uoarm import RobotManager
+from uoarm._control.engine.state import forget_earlier, keep_newest, listed
 from uoarm._control.live import parts
-from uoarm._control.reconciler.state import forget_earlier, keep_newest, listed
-from uoarm._control.runtime.event_dispatcher import EventDispatcher
-from uoarm._control.runtime.revisions import Revision
+from uoarm._control.revisions import Revision
+from uoarm._control.threads import EventDispatcher
 from uoarm.config import loads
 from uoarm.model import ConnectionState, Health, StatusEvent
 from uoarm.testing import ManualClock, MemoryBridge, wait

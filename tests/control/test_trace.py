@@ -17,14 +17,13 @@ from tests.control.world import FACE, Plans
 
 import uoarm
 from uoarm import RobotManager
-from uoarm._control.discovery import candidate_watch
-from uoarm._control.reconciler import actions as act
-from uoarm._control.reconciler import events as ev
-from uoarm._control.reconciler.draft import InputInUseError
-from uoarm._control.reconciler.state import State, names
-from uoarm._control.reconciler.step import step
-from uoarm._control.reconciler.trace import read, write
-from uoarm._control.runtime import executor
+from uoarm._control import candidates, executor
+from uoarm._control.engine import actions as act
+from uoarm._control.engine import events as ev
+from uoarm._control.engine.draft import InputInUseError
+from uoarm._control.engine.events import read_event, write_event
+from uoarm._control.engine.state import State, names
+from uoarm._control.engine.step import step
 from uoarm._resolve import NoPlanError
 from uoarm.client import ServerError
 from uoarm.config import loads
@@ -83,7 +82,7 @@ def test_a_log_of_events_replays_to_the_same_actions(
 
     assert len(lines) == len(done) > 15
     for line, actions in zip(lines, done, strict=True):
-        event, now = read(line, find_plan)
+        event, now = read_event(line, find_plan)
         state, again = step(state, event, now)
         assert list(map(repr, again)) == list(map(repr, actions)), line
 
@@ -139,7 +138,7 @@ def test_the_errors_of_plugins_and_of_others_are_read_back_by_name_and_text(
 
 
 def _assert_same(error: Exception, event: ev.Event) -> None:
-    again, _ = read(write(event, 1.0), lambda *_: pytest.fail("there is no plan"))
+    again, _ = read_event(write_event(event, 1.0), lambda *_: pytest.fail("there is no plan"))
     assert type(again) is type(event)
     got = getattr(again, "error", None)
     assert isinstance(error, UoarmError) is (type(got) is type(error))
@@ -158,7 +157,7 @@ functions:
 def test_what_is_discovered_is_in_the_log_and_replays(
     caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(candidate_watch, "_EVERY_SECONDS", 0.05)
+    monkeypatch.setattr(candidates, "_EVERY_SECONDS", 0.05)
     done: list[tuple[act.Action, ...]] = []
     begun: list[State] = []
     plans: dict[tuple[str, ...], Plan] = {}
@@ -186,7 +185,7 @@ def test_what_is_discovered_is_in_the_log_and_replays(
     state = begun[0]
     events = []
     for line, actions in zip(lines, done, strict=True):
-        event, now = read(line, lambda _, these: plans[these])
+        event, now = read_event(line, lambda _, these: plans[these])
         events.append(event)
         state, again = step(state, event, now)
         assert list(map(repr, again)) == list(map(repr, actions)), line
@@ -255,7 +254,9 @@ def test_a_soak_that_took_waiting_for_the_end_goes_on() -> None:
     asked: set[tuple[object, ...]] = set()
     seen: list[tuple[ConnectionState, tuple[str, ...]]] = []
     for line in log.read_text(encoding="utf-8").splitlines():
-        event, now = read(line, lambda name, these: plans(name, frozenset(every.difference(these))))
+        event, now = read_event(
+            line, lambda name, these: plans(name, frozenset(every.difference(these)))
+        )
         answer = _answered(event)
         if answer is not None:
             assert answer in asked, line

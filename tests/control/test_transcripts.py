@@ -17,9 +17,9 @@ import attrs
 import pytest
 from tests.control.world import FACE, NAME, OTHERS, PORTS, Plans, World, discovered
 
-from uoarm._control.reconciler import actions as act
-from uoarm._control.reconciler import events as ev
-from uoarm._control.reconciler.state import ConnectionRecord, Part, Parts, Placement, names
+from uoarm._control.engine import actions as act
+from uoarm._control.engine import events as ev
+from uoarm._control.engine.state import ConnectionRecord, Part, Parts, Placement, names
 from uoarm.model import FailoverPolicy, Health, Plan, PortRef, ValidationMode
 
 FOLDER = Path(__file__).with_name("transcripts")

@@ -7,7 +7,7 @@ from itertools import pairwise
 import pytest
 from tests.control.world import FACE, Plans, World, discovered
 
-from uoarm._control.reconciler import actions as act
+from uoarm._control.engine import actions as act
 from uoarm.model import ConnectionState, FailoverPolicy, Health
 
 PLANS = Plans(FACE)

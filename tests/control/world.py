@@ -13,11 +13,11 @@ from typing import Any
 from attrs import evolve
 
 from uoarm._adapt import check_edge
-from uoarm._control.reconciler import actions as act
-from uoarm._control.reconciler import events as ev
-from uoarm._control.reconciler.state import OPEN, Kind, Part, Parts, Placement, State, names
-from uoarm._control.reconciler.step import step
-from uoarm._control.runtime.searches import find_replacement
+from uoarm._control.engine import actions as act
+from uoarm._control.engine import events as ev
+from uoarm._control.engine.state import OPEN, Kind, Part, Parts, Placement, State, names
+from uoarm._control.engine.step import step
+from uoarm._control.revisions import find_replacement
 from uoarm._resolve import Resolver, StructureCache
 from uoarm.config import compare, loads
 from uoarm.errors import BridgeError, ResolutionError

@@ -10,8 +10,7 @@ import pytest
 from attrs import evolve
 
 from uoarm import RobotManager
-from uoarm._control.discovery import discovery
-from uoarm._control.discovery.discovery import Discovery
+from uoarm._control import discovery
 from uoarm.bridge import Description, Discovered
 from uoarm.config import loads, suggest
 from uoarm.model import BridgeFindings, Endpoint, FoundComponent, Robot, Role, Schema
@@ -237,33 +236,33 @@ def test_a_bridge_that_starts_slowly_is_started_once_and_holds_up_who_waits_for_
             may_start.wait()
         return lab
 
-    discovery = Discovery(start)
+    looks = discovery.Discovery(start)
     try:
         for _ in range(3):
-            assert discovery.look(robot, 0.01, 0.0)[0].cause == "has not answered yet"
-        assert discovery.is_whole
+            assert looks.look(robot, 0.01, 0.0)[0].cause == "has not answered yet"
+        assert looks.is_whole
         wait(lambda: bool(starts))
         may_start.set()
-        wait(lambda: bool(discovery.look(robot, patience(), 0.0)[0].components))
+        wait(lambda: bool(looks.look(robot, patience(), 0.0)[0].components))
         assert starts == ["lab"]
     finally:
         may_start.set()
-        discovery.close()
+        looks.close()
         lab.close()
 
 
 def test_a_bridge_that_fails_is_told_as_it_answered_last_for_some_answers() -> None:
     lab = make_lab()
     robot = loads("version: 1\nbridges: {lab: {plugin: memory}}\nfunctions: {}\n")
-    discovery = Discovery(lambda _: lab, kept=2)
+    looks = discovery.Discovery(lambda _: lab, kept=2)
     try:
-        assert discovery.look(robot, patience())[0].components
+        assert looks.look(robot, patience())[0].components
         lab.cut()
-        reports = [bool(discovery.look(robot, patience())[0].cause) for _ in range(4)]
+        reports = [bool(looks.look(robot, patience())[0].cause) for _ in range(4)]
         lab.mend()
-        reports.append(bool(discovery.look(robot, patience())[0].cause))
+        reports.append(bool(looks.look(robot, patience())[0].cause))
     finally:
-        discovery.close()
+        looks.close()
         lab.close()
     assert reports == [False, False, True, True, False]
 
@@ -284,7 +283,7 @@ def test_a_bridge_that_started_late_has_its_time_to_answer_from_then_on(
         may_start.wait()
         return slow
 
-    looking = Discovery(start)
+    looking = discovery.Discovery(start)
 
     def is_whole() -> bool:
         looking.look(robot, limit, 0.0)

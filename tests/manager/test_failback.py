@@ -10,8 +10,8 @@ import pytest
 from attrs import evolve
 
 from uoarm import Connection, RobotManager
-from uoarm._control.reconciler.events import TimeReached
-from uoarm._control.reconciler.state import ConnectionRecord
+from uoarm._control.engine.events import TimeReached
+from uoarm._control.engine.state import ConnectionRecord
 from uoarm.config import loads
 from uoarm.model import ConnectionState, FailoverPolicy, ValidationMode
 from uoarm.testing import Census, ManualClock, MemoryBridge, copies, losses, patience, wait

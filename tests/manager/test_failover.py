@@ -12,11 +12,11 @@ import pytest
 from attrs import evolve
 
 from uoarm import ConnectionClosedError, RobotManager, _bounded
-from uoarm._control.live.losses import LossAccount
-from uoarm._control.reconciler import actions as act
-from uoarm._control.reconciler import events as ev
-from uoarm._control.reconciler.state import State, names
-from uoarm._control.runtime import performer
+from uoarm._control import performer
+from uoarm._control.engine import actions as act
+from uoarm._control.engine import events as ev
+from uoarm._control.engine.state import State, names
+from uoarm._control.live.connection_runtime import LossAccount
 from uoarm.bridge import Channel
 from uoarm.config import loads
 from uoarm.model import (

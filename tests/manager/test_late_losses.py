@@ -8,9 +8,9 @@ import pytest
 
 from uoarm import RobotManager
 from uoarm._control.live.component import LiveComponent
-from uoarm._control.live.emergency_stop import EmergencyStop
-from uoarm._control.live.failure_watch import FailureWatch
-from uoarm._control.live.losses import LossAccount
+from uoarm._control.live.connection_runtime import LossAccount
+from uoarm._control.live.health import FailureWatch
+from uoarm._control.live.safety import EmergencyStop
 from uoarm._dataplane import Outlet, Route
 from uoarm.bridge import Bridge, Sink, Source
 from uoarm.config import loads

@@ -11,7 +11,7 @@ import pytest
 from attrs import evolve
 
 from uoarm import BridgeTimeoutError, Connection, ResolutionError, RobotManager
-from uoarm._control.discovery import candidate_watch
+from uoarm._control import candidates
 from uoarm._dataplane import Clock
 from uoarm._resolve import add_candidates
 from uoarm.bridge import Description, Discovered
@@ -70,14 +70,14 @@ class Lab:
 
 @pytest.fixture
 def lab(monkeypatch: pytest.MonkeyPatch) -> Iterator[Lab]:
-    monkeypatch.setattr(candidate_watch, "_EVERY_SECONDS", 0.05)
-    monkeypatch.setattr(candidate_watch, "_SETTLE_SECONDS", 0.0)
+    monkeypatch.setattr(candidates, "_EVERY_SECONDS", 0.05)
+    monkeypatch.setattr(candidates, "_SETTLE_SECONDS", 0.0)
     made = Lab()
     yield made
     made.far.may_answer.set()
 
 
-def candidates(manager: RobotManager, function: str) -> list[str]:
+def candidates_of(manager: RobotManager, function: str) -> list[str]:
     return [component.name for component in manager.config.functions[function].components]
 
 
@@ -109,7 +109,7 @@ def test_candidates_stand_in_the_order_of_the_rules(lab: Lab, more: str, order: 
     lab.lab.emitter("a", NUMBER)
     with lab.manager(CAMERA.replace("integer}", f"integer}}{more}")) as manager:
         manager.resolve("camera")
-        assert candidates(manager, "camera") == [f"camera@{name}" for name in order]
+        assert candidates_of(manager, "camera") == [f"camera@{name}" for name in order]
 
 
 def test_where_nothing_of_the_kind_is_seen_that_is_said(lab: Lab) -> None:
@@ -133,7 +133,7 @@ def test_who_is_named_comes_first_and_is_never_replaced(lab: Lab) -> None:
     named = "components: [{name: head, bridge: lab, priority: -5, output: {endpoint: [hand]}}]"
     with lab.manager(CAMERA.replace("{needs", f"{{{named}, needs")) as manager:
         assert manager.resolve("camera").provider.component.name == "head"
-        assert candidates(manager, "camera") == ["head", "camera@lab/head"]
+        assert candidates_of(manager, "camera") == ["head", "camera@lab/head"]
 
 
 def test_several_that_fit_equally_well_are_refused_where_that_is_asked(lab: Lab) -> None:
@@ -165,7 +165,7 @@ def test_what_appears_is_a_candidate_and_what_dies_is_replaced_by_one(lab: Lab) 
     with lab.manager(CAMERA) as manager:
         camera = manager.request("camera")
         second = lab.far.emitter("second", NUMBER)
-        wait(lambda: len(candidates(manager, "camera")) == 2)
+        wait(lambda: len(candidates_of(manager, "camera")) == 2)
         assert manager.revision == 0
         first.emit(1)
         lab.lab.die("first", "it was unplugged")
@@ -203,7 +203,7 @@ def test_of_a_thousand_that_come_and_go_between_two_rounds_only_the_last_state_c
 def test_who_asks_first_waits_for_what_a_framework_learns_after_its_start(
     lab: Lab, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(candidate_watch, "_SETTLE_SECONDS", patience())
+    monkeypatch.setattr(candidates, "_SETTLE_SECONDS", patience())
     lab.lab.emitter("head", NUMBER)
     lab.lab.hidden.add("head")
     lab.lab.shown_at = 3
@@ -214,8 +214,8 @@ def test_who_asks_first_waits_for_what_a_framework_learns_after_its_start(
 def test_a_slow_bridge_delays_no_candidate_but_who_asks_waits_for_its_first_answer(
     lab: Lab, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(candidate_watch, "_ASK_SECONDS", 10 * patience())
-    monkeypatch.setattr(candidate_watch, "_GRACE_SECONDS", 0.0)
+    monkeypatch.setattr(candidates, "_ASK_SECONDS", 10 * patience())
+    monkeypatch.setattr(candidates, "_GRACE_SECONDS", 0.0)
     lab.lab.emitter("small", SMALL)
     lab.far.emitter("exact", NUMBER)
     lab.far.may_answer.clear()
@@ -223,7 +223,7 @@ def test_a_slow_bridge_delays_no_candidate_but_who_asks_waits_for_its_first_answ
         for _ in range(2):
             with pytest.raises(BridgeTimeoutError, match=r"have not yet told .* 0\.01 s: "):
                 manager.resolve("camera", timeout=0.01)
-            wait(lambda: candidates(manager, "camera") == ["camera@lab/small"])
+            wait(lambda: candidates_of(manager, "camera") == ["camera@lab/small"])
         lab.far.may_answer.set()
         plan = manager.resolve("camera", timeout=patience())
         assert plan.provider.component.name == "camera@far/exact"
@@ -235,13 +235,13 @@ def test_what_is_in_use_stays_a_candidate_while_no_bridge_shows_it(lab: Lab) -> 
         camera = manager.request("camera")
         lab.lab.hidden.add("head")
         lab.far.emitter("other", NUMBER)
-        wait(lambda: "camera@far/other" in candidates(manager, "camera"))
-        assert "camera@lab/head" in candidates(manager, "camera")
+        wait(lambda: "camera@far/other" in candidates_of(manager, "camera"))
+        assert "camera@lab/head" in candidates_of(manager, "camera")
         head.emit(1)
         assert camera.get(timeout=patience()) == 1
         assert camera.gaps == ()
         camera.kill()
-        wait(lambda: candidates(manager, "camera") == ["camera@far/other"])
+        wait(lambda: candidates_of(manager, "camera") == ["camera@far/other"])
 
 
 def test_what_is_requested_while_a_round_is_proving_stays_as_it_runs(
@@ -264,11 +264,11 @@ def test_what_is_requested_while_a_round_is_proving_stays_as_it_runs(
             faces.append(manager.request("face"))
         return found
 
-    monkeypatch.setattr(candidate_watch, "add_candidates", request_when_proven)
+    monkeypatch.setattr(candidates, "add_candidates", request_when_proven)
     with lab.manager(text) as manager:
         assert manager.resolve("face").steps[0].component.function == "camera"
         lab.lab.hidden.clear()
-        wait(lambda: candidates(manager, "eye"))
+        wait(lambda: candidates_of(manager, "eye"))
         again = manager.request("face")
         assert again.plan.steps == faces[0].plan.steps
         for face in (*faces, again):

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from uoarm import RobotManager
-from uoarm._control.offers.offer_machine import OfferMachine, Work, pause
+from uoarm._control.offers import OfferMachine, Work, pause
 from uoarm.config import loads
 from uoarm.errors import ConfigurationError, MessageError, ResolutionError
 from uoarm.model import Endpoint, Health, OfferState, OfferStatus, Role

@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from tests.manager import stage
 
 from uoarm import RobotManager
+from uoarm._control import revisions
 from uoarm._control.live.application_ports import ApplicationPorts
-from uoarm._control.runtime import revisions
 from uoarm.bridge import BridgeType, Registry
 from uoarm.config import loads
 from uoarm.errors import ConfigurationError, UsageError

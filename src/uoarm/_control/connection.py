@@ -12,10 +12,10 @@ from attrs import asdict
 from typing_extensions import Self
 
 from uoarm._arguments import arguments
+from uoarm._control.engine.state import ConnectionRecord
+from uoarm._control.executor import Executor
 from uoarm._control.live.application_ports import ApplicationPorts
 from uoarm._control.live.connection_runtime import ConnectionRuntime
-from uoarm._control.reconciler.state import ConnectionRecord
-from uoarm._control.runtime.executor import Executor
 from uoarm._dataplane import QueueClosed
 from uoarm._hints.applications import MessageType, T, as_message
 from uoarm._renewal import HeldCommand, renewal_period, renewed

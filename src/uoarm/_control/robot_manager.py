@@ -13,24 +13,20 @@ from typing import Any, final, overload
 
 from uoarm import _bounded
 from uoarm._arguments import arguments
-from uoarm._control.bridges.bridge_set import BridgeSet
-from uoarm._control.configuration_changes import ConfigurationChanges
+from uoarm._control.bridges import BridgeSet
+from uoarm._control.candidates import CandidateWatch
+from uoarm._control.configuration_changes import ConfigurationChanges, KeptFile
 from uoarm._control.connection import Connection
-from uoarm._control.discovery.availability import check_availability
-from uoarm._control.discovery.candidate_watch import CandidateWatch
-from uoarm._control.discovery.discovery import Discovery, with_rates
-from uoarm._control.live.emergency_stop import EmergencyStop
+from uoarm._control.discovery import Discovery, check_availability, with_rates
+from uoarm._control.engine.state import State, recently
+from uoarm._control.executor import Executor
+from uoarm._control.live.safety import EmergencyStop, StopFile
 from uoarm._control.live.staleness import StalenessWatch
-from uoarm._control.live.stop_file import StopFile
-from uoarm._control.offers.offered_function import offered_structures
-from uoarm._control.offers.offers import Offers
-from uoarm._control.reconciler.state import State, recently
-from uoarm._control.requests import Requests
-from uoarm._control.runtime.event_dispatcher import EventDispatcher
-from uoarm._control.runtime.executor import Executor
-from uoarm._control.runtime.kept_file import KeptFile
-from uoarm._control.runtime.revisions import Revisions
-from uoarm._control.services import Services
+from uoarm._control.offered_function import offered_structures
+from uoarm._control.offers import Offers
+from uoarm._control.requests import Requests, Services
+from uoarm._control.revisions import Revisions
+from uoarm._control.threads import EventDispatcher
 from uoarm._dataplane import Clock
 from uoarm._hints.applications import MessageType, T
 from uoarm._interrupts import Uninterrupted
@@ -617,9 +613,9 @@ class RobotManager:
         In the main thread Ctrl-C and SIGTERM wait for its end; a second one is raised at once.
         In a child that was forked it does nothing: what is open is the parent's.
         """
-        if self._executor.is_foreign:
-            return
         with Uninterrupted():
+            if self._executor.is_foreign:
+                return
             self._discovery.close()
             self._candidates.close()
             self._staleness.close()

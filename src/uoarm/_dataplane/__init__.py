@@ -1,8 +1,7 @@
 """The data plane: how one message goes from where it arrives to where it is wanted."""
 
-from uoarm._dataplane._inbox import Inbox
 from uoarm._dataplane._outlet import Outlet
-from uoarm._dataplane._queue import BoundedQueue, QueueClosed
+from uoarm._dataplane._queue import BoundedQueue, Inbox, QueueClosed
 from uoarm._dataplane._route import Clock, Consumer, Route
 from uoarm._dataplane._validation import make_check
 

@@ -7,10 +7,9 @@ import threading
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
-from uoarm._control.bridges.bridge_set import facts_of
-from uoarm._control.live.emergency_stop import EmergencyStop
-from uoarm._control.live.failure_watch import FailureWatch, InputWatch, OutputWatch
-from uoarm._control.live.lease import InputLease
+from uoarm._control.bridges import facts_of
+from uoarm._control.live.health import FailureWatch, InputWatch, OutputWatch
+from uoarm._control.live.safety import EmergencyStop, InputLease
 from uoarm._dataplane import Outlet, make_check
 from uoarm._raised import foreign, text_of
 from uoarm.bridge import Bridge, Channel, Sink, Source

@@ -2,16 +2,165 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any
+import threading
+from collections import Counter, deque
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from typing import Any, Protocol, TypeAlias
+from weakref import WeakSet
 
+from attrs import evolve
+
+from uoarm._control.engine.actions import HandOver
+from uoarm._control.engine.state import ConnectionRecord, names
 from uoarm._control.live.application_ports import ApplicationPorts, OutputReceiver
-from uoarm._control.live.losses import LossAccount
-from uoarm._control.reconciler.actions import HandOver
-from uoarm._control.reconciler.state import ConnectionRecord, names
+from uoarm._control.live.component import LiveComponent
+from uoarm._control.live.edge import LiveEdge
 from uoarm.model import Gap, QueuePolicy, RouteStatus
 
-__all__ = ["ConnectionRuntime"]
+__all__ = ["ConnectionRuntime", "Counting", "LossAccount"]
+
+Sums: TypeAlias = Mapping[tuple[str, str], RouteStatus]
+Gone: TypeAlias = tuple[LiveComponent, ...]
+
+_GAPS = 1000
+_GAP_OCTETS = 64 * 1024
+_RECENT = 8
+
+
+class Counting(Protocol):
+    """A route, whichever end it is at."""
+
+    def status(self) -> RouteStatus:
+        """Return its counters."""
+
+
+class LossAccount:
+    """The gaps of a connection, and the counters of its routes that ended.
+
+    What ended last, components and routes, is still asked for its counters, since a thread that
+    was about to use one may do so late; what ended earlier is added up. Bounded: the newest gaps,
+    as many as find room, the last few ends, and one row for each pair of ends, of which a
+    configuration has only so many.
+    """
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self.gaps: tuple[Gap, ...] = ()
+        self._lost = 0
+        self._sums: Sums = {}
+        self._recent: deque[tuple[Gone, tuple[Counting, ...]]] = deque()
+        self._counted: WeakSet[LiveComponent | LiveEdge] = WeakSet()
+
+    @property
+    def ended(self) -> tuple[RouteStatus, ...]:
+        """The routes that ended, those between the same ends as one."""
+        with self._lock:
+            sums, recent = self._sums, tuple(self._recent)
+        return tuple(_added(sums, (route for _, routes in recent for route in routes)).values())
+
+    @property
+    def lost(self) -> int:
+        """How many messages were lost with components, as known now."""
+        with self._lock:
+            lost, recent = self._lost, tuple(self._recent)
+        return lost + sum(_lost_with(gone) for gone, _ in recent)
+
+    def close(self, lives: Iterable[LiveComponent]) -> Gone:
+        """Close components that died or were let go; return those not counted yet."""
+        gone = []
+        for live in lives:
+            live.close()
+            if live not in self._counted:
+                self._counted.add(live)
+                gone.append(live)
+        return tuple(gone)
+
+    def ended_edges(self, edges: Iterable[LiveEdge]) -> Iterator[Counting]:
+        """Yield the routes of those of the edges that have ended, once each."""
+        for joined in edges:
+            if joined.route is not None and joined.route.closed and joined not in self._counted:
+                self._counted.add(joined)
+                yield joined.route
+
+    def add(self, gap: Gap) -> None:
+        """Take in one change of plan, whose losses are not counted yet."""
+        with self._lock:
+            self.gaps = _newest((*self.gaps[1 - _GAPS :], gap))
+
+    def count(self, gap: Gap, gone: Gone, routes: Iterable[Counting]) -> None:
+        """Take in a change of plan, with components that are gone and routes that ended."""
+        ended = tuple(routes)
+        dropped = _dropped_by_reason(route.status() for route in ended)
+        counted = evolve(gap, lost=_lost_with(gone), dropped=dropped, counted=True)
+        self.settle(gone, ended)
+        with self._lock:
+            self.gaps = tuple(counted if item is gap else item for item in self.gaps)
+
+    def settle(self, gone: Gone, routes: Iterable[Counting]) -> None:
+        """Take in components that are gone, and routes that ended."""
+        ended = tuple(routes)
+        if not gone and not ended:
+            return
+        with self._lock:
+            self._recent.append((gone, ended))
+            if len(self._recent) > _RECENT:
+                gone, ended = self._recent.popleft()
+                self._lost += _lost_with(gone)
+                self._sums = _added(self._sums, ended)
+
+
+def _newest(gaps: tuple[Gap, ...]) -> tuple[Gap, ...]:
+    """Return the newest gaps, as many as find room, and the last one in any case."""
+    octets = 0
+    for count, gap in enumerate(reversed(gaps)):
+        octets += 300 + len(gap.cause) + sum(len(name) for name in (*gap.before, *gap.after))
+        if count and octets > _GAP_OCTETS:
+            return gaps[-count:]
+    return gaps
+
+
+def _lost_with(gone: Gone) -> int:
+    return sum(live.lost for live in gone)
+
+
+def _added(sums: Sums, routes: Iterable[Counting]) -> Sums:
+    added = dict(sums)
+    for route in routes:
+        status = _settled(route.status())
+        ends = status.producer, status.consumer
+        before = added.get(ends)
+        added[ends] = status if before is None else _sum(before, status)
+    return added
+
+
+def _dropped_by_reason(routes: Iterable[RouteStatus]) -> tuple[tuple[str, int], ...]:
+    """Return how many messages routes that ended have dropped, by reason."""
+    total: Counter[str] = Counter()
+    for route in routes:
+        total.update(dict(_settled(route).dropped))
+    return tuple(sorted(total.items()))
+
+
+def _settled(route: RouteStatus) -> RouteStatus:
+    """Count as dropped what a consumer still has in hand after its route has ended."""
+    dropped = Counter(dict(route.dropped))
+    rest = route.received - route.delivered - dropped.total()
+    if rest > 0:
+        dropped["in-hand"] += rest
+    return evolve(route, dropped=tuple(sorted(dropped.items())), rate=None, age=None)
+
+
+def _sum(one: RouteStatus, two: RouteStatus) -> RouteStatus:
+    dropped = Counter(dict(one.dropped)) + Counter(dict(two.dropped))
+    return evolve(
+        two,
+        received=one.received + two.received,
+        delivered=one.delivered + two.delivered,
+        dropped=tuple(sorted(dropped.items())),
+        invalid=one.invalid + two.invalid,
+        last_error=two.last_error or one.last_error,
+        copies=one.copies + two.copies,
+    )
 
 
 class ConnectionRuntime:

@@ -12,17 +12,10 @@ from typing import TypeVar
 
 from attrs import define
 
-from uoarm._control.bridges.bridge_set import BridgeSet
-from uoarm._control.live.application_ports import ApplicationPorts
-from uoarm._control.live.component import LiveComponent
-from uoarm._control.live.connection_runtime import ConnectionRuntime
-from uoarm._control.live.edge import LiveEdge
-from uoarm._control.live.emergency_stop import EmergencyStop
-from uoarm._control.live.failure_watch import FailureWatch
-from uoarm._control.live.losses import Counting
-from uoarm._control.reconciler.actions import Finish, Open
-from uoarm._control.reconciler.draft import strictest
-from uoarm._control.reconciler.state import (
+from uoarm._control.bridges import BridgeSet
+from uoarm._control.engine.actions import Finish, Open
+from uoarm._control.engine.draft import strictest
+from uoarm._control.engine.state import (
     PORTS,
     ComponentRecord,
     EdgeRecord,
@@ -32,6 +25,12 @@ from uoarm._control.reconciler.state import (
     Placement,
     State,
 )
+from uoarm._control.live.application_ports import ApplicationPorts
+from uoarm._control.live.component import LiveComponent
+from uoarm._control.live.connection_runtime import ConnectionRuntime, Counting
+from uoarm._control.live.edge import LiveEdge
+from uoarm._control.live.health import FailureWatch
+from uoarm._control.live.safety import EmergencyStop
 from uoarm._dataplane import Clock
 from uoarm.bridge import Bridge
 from uoarm.errors import BridgeError, ConnectionClosedError, FailureReason

@@ -16,18 +16,15 @@ from functools import partial
 from typing import Any
 
 from uoarm import _bounded
-from uoarm._control.bridges.bridge_set import BridgeSet
+from uoarm._control.bridges import BridgeSet
+from uoarm._control.engine import actions as act
+from uoarm._control.engine import events as ev
+from uoarm._control.engine.state import Part, State, keep_newest, names
 from uoarm._control.live.application_ports import ApplicationPorts
 from uoarm._control.live.connection_runtime import ConnectionRuntime
 from uoarm._control.live.parts import LiveParts
-from uoarm._control.reconciler import actions as act
-from uoarm._control.reconciler import events as ev
-from uoarm._control.reconciler.state import Part, State, keep_newest, names
-from uoarm._control.runtime.event_dispatcher import EventDispatcher
-from uoarm._control.runtime.lanes import Lanes
-from uoarm._control.runtime.revisions import Revisions
-from uoarm._control.runtime.searches import check_preferred, seek_replacement
-from uoarm._control.runtime.timer import Timer
+from uoarm._control.revisions import Revisions, check_preferred, seek_replacement
+from uoarm._control.threads import EventDispatcher, Lanes, Timer
 from uoarm._raised import foreign
 from uoarm._spans import past_span, span
 from uoarm.errors import BridgeTimeoutError, UoarmError

@@ -6,7 +6,7 @@ from collections.abc import Container, Iterable, Mapping
 from itertools import chain
 from typing import Any, TypeVar
 
-from uoarm._control.reconciler.actions import (
+from uoarm._control.engine.actions import (
     Action,
     Announce,
     CancelBatch,
@@ -15,7 +15,7 @@ from uoarm._control.reconciler.actions import (
     Resolve,
     SetCheck,
 )
-from uoarm._control.reconciler.state import (
+from uoarm._control.engine.state import (
     OPEN,
     PORTS,
     Batch,

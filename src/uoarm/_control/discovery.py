@@ -1,4 +1,4 @@
-"""Discovery: every bridge is asked what it sees, all at once, each within a limit."""
+"""What bridges see: all are asked at once, each within a limit; and which components can be had."""
 
 from __future__ import annotations
 
@@ -7,27 +7,33 @@ import math
 import threading
 import time
 from collections.abc import Callable, Container, Iterable, Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from typing import TypeAlias, TypeVar
 
 from attrs import define, evolve
 
 from uoarm import _bounded
+from uoarm._resolve import StructureCache, Unavailable
 from uoarm._workers import WorkerPool
 from uoarm.bridge import Bridge, Description, Discovered
-from uoarm.errors import UoarmError
+from uoarm.errors import ResolutionError, UoarmError
 from uoarm.model import (
+    Availability,
     BridgeFindings,
     BridgeSpec,
+    Component,
     Endpoint,
     FoundComponent,
     FoundPort,
+    FunctionStatus,
     Options,
+    Plan,
     Robot,
     Role,
     message_octets,
 )
 
-__all__ = ["Discovery", "with_rates"]
+__all__ = ["Discovery", "check_availability", "with_rates"]
 
 _REST = 4.0
 _MOST_PORTS = 10_000
@@ -306,3 +312,40 @@ def with_rates(
 
 def _place(endpoint: Endpoint) -> _Place:
     return endpoint.bridge, endpoint.role, endpoint.address
+
+
+_AT_ONCE = 16
+
+
+def check_availability(
+    robot: Robot, structures: StructureCache, resolve: Callable[[str], Plan]
+) -> tuple[FunctionStatus, ...]:
+    """Ask for every component, several at once, and resolve every function.
+
+    Blocks as long as the slowest bridge takes to answer; each answer has its limit.
+    """
+
+    def ask(component: Component) -> Availability:
+        answer = structures.structures(component)
+        cause = answer.sentence if isinstance(answer, Unavailable) else ""
+        return Availability(component.name, component.bridge, component.priority, cause)
+
+    with ThreadPoolExecutor(_AT_ONCE, thread_name_prefix="uoarm-availability") as pool:
+        found = {
+            availability.component: availability
+            for availability in pool.map(ask, robot.components())
+        }
+    return tuple(
+        _judge(name, tuple(found[item.name] for item in function.components), resolve)
+        for name, function in robot.functions.items()
+    )
+
+
+def _judge(
+    name: str, candidates: tuple[Availability, ...], resolve: Callable[[str], Plan]
+) -> FunctionStatus:
+    try:
+        plan = resolve(name)
+    except ResolutionError as error:
+        return FunctionStatus(name, None, candidates, str(error))
+    return FunctionStatus(name, plan.provider.component.name, candidates)

@@ -1,23 +1,88 @@
-"""The emergency stop: every input that moves something, at once, until it is released."""
+"""What keeps inputs that move something safe: the emergency stop, and the lease of one sender.
+
+The emergency stop holds all of them at once, until it is released; a file keeps that over restarts.
+`Lease` decides who may command an input, as a state machine without thread and clock; `InputLease`
+wraps it for the threads that send.
+"""
 
 from __future__ import annotations
 
 import itertools
 import logging
+import os
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
+from datetime import datetime, timezone
+from pathlib import Path
 from typing import TypeVar
 
-from uoarm._control.live.stop_file import StopFile
 from uoarm._dataplane import Clock
 from uoarm._raised import foreign, text_of
-from uoarm.bridge import Bridge, Sink
+from uoarm._whole_file import write_whole
+from uoarm.bridge import Bridge, Sink, boot_seconds
 from uoarm.errors import BridgeError, CommandRefusedError, FailureReason, UoarmError
-from uoarm.model import CommandPhase, CommandStatus, Endpoint, StopOutcome, StopReport
+from uoarm.model import (
+    CommandPhase,
+    CommandStatus,
+    Endpoint,
+    LeaseHolder,
+    LeasePolicy,
+    LeaseStatus,
+    StopOutcome,
+    StopReport,
+)
 
-__all__ = ["EmergencyStop"]
+__all__ = ["EmergencyStop", "InputLease", "Lease", "StopFile"]
+
+
+class StopFile:
+    """Whether all is stopped, kept over restarts. Thread safe.
+
+    Args:
+        path: of the file; its folder is made when it is needed.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self._lock = threading.Lock()
+
+    def is_there(self) -> bool:
+        """Say whether it is there; one that cannot be looked at is taken to be."""
+        try:
+            self.path.stat()
+        except (FileNotFoundError, NotADirectoryError):
+            return False
+        except OSError:
+            return True
+        return True
+
+    def settle(self, wanted: Callable[[], bool]) -> None:
+        """Have it there, readable by this user only, or not, as is wanted at this moment.
+
+        Raises:
+            OSError: it cannot be written or removed.
+        """
+        with self._lock:  # what is wanted is asked within: the one who settles last asks last
+            if not wanted():
+                self.path.unlink(missing_ok=True)
+            elif not self.is_there():
+                self.path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+                text = (
+                    f"stopped {datetime.now(timezone.utc).isoformat()} by process {os.getpid()}\n"
+                )
+                write_whole(self.path, text.encode(), private=True)
+
+    def remove(self) -> None:
+        """Have it there no more.
+
+        Raises:
+            OSError: it cannot be removed.
+        """
+        with self._lock:
+            self.path.unlink(missing_ok=True)
+
 
 T = TypeVar("T")
 _log = logging.getLogger("uoarm.commands")
@@ -285,3 +350,137 @@ def _outcome(moved: Sink | _Call, function: str, told: CommandStatus | str) -> S
     else:
         cause = told.cause or "it has not taken the stop message yet"
     return StopOutcome(function, component, port, stopped=False, cause=cause)
+
+
+class Lease:
+    """One holder at a time, until it gives it back, sends nothing for a while, or is overridden.
+
+    Args:
+        policy: of the input.
+    """
+
+    def __init__(self, policy: LeasePolicy) -> None:
+        self._duration = policy.duration
+        self._priorities = dict(policy.priorities)
+        self._holder: LeaseHolder | None = None
+        self._until = 0.0
+        self._refused = 0
+
+    def holder(self, now: float) -> LeaseHolder | None:
+        """Return who holds it; None where it is free."""
+        return self._holder if now < self._until else None
+
+    def ask(self, sender: LeaseHolder, now: float, *, take_over: bool = False) -> str:
+        """Give it to a sender or renew it; return why it may not have it, nothing where it has it.
+
+        Whoever asks first has it. One of a higher priority takes it over; one of the same
+        priority does where it wants to.
+        """
+        holder = self.holder(now)
+        if holder is not None and holder.id != sender.id:
+            mine, other = self._priority(sender), self._priority(holder)
+            if mine < other or (mine == other and not take_over):
+                self._refused += 1
+                left = f"for another {self._until - now:.3f} s without a command of its own"
+                return f"{holder} holds its lease, {left}"
+        self._holder, self._until = sender, now + self._duration
+        return ""
+
+    def passes(self, sender: LeaseHolder, now: float) -> bool:
+        """Say whether a command that was let in still may go on: nobody else has it meanwhile."""
+        holder = self.holder(now)
+        if holder is None or holder.id == sender.id:
+            return True
+        self._refused += 1
+        return False
+
+    def give_back(self, sender: LeaseHolder, now: float) -> bool:
+        """Free it; return whether this sender held it."""
+        holder = self.holder(now)
+        if holder is None or holder.id != sender.id:
+            return False
+        self._holder = None
+        self._until = now
+        return True
+
+    def status(self, now: float) -> LeaseStatus:
+        """Return what the status map shows."""
+        holder = self.holder(now)
+        if holder is None:
+            return LeaseStatus(refused=self._refused)
+        return LeaseStatus(holder, self._priority(holder), self._until - now, self._refused)
+
+    def _priority(self, sender: LeaseHolder) -> float:
+        return self._priorities.get(sender.role, 0.0)
+
+
+class InputLease:
+    """The lease of one open input. Thread safe.
+
+    Args:
+        policy: of the input.
+        place: of the input, `base.default`.
+        announce: told who holds it now, in a sentence, whenever that changes by what somebody did;
+            nobody is told when it lapses.
+        clock: seconds.
+    """
+
+    def __init__(
+        self,
+        policy: LeasePolicy,
+        place: str,
+        announce: Callable[[str], None],
+        clock: Clock = boot_seconds,
+    ) -> None:
+        self._lease = Lease(policy)
+        self._place = place
+        self._announce = announce
+        self._clock = clock
+        self._lock = threading.Lock()
+
+    def ask(self, sender: LeaseHolder, *, take_over: bool = False) -> None:
+        """Give it to a sender or renew it; see `Lease.ask`.
+
+        Raises:
+            CommandRefusedError: somebody else holds it, whom the text names.
+        """
+        with self._lock:
+            now = self._clock()
+            before = self._lease.holder(now)
+            refused = self._lease.ask(sender, now, take_over=take_over)
+        if refused:
+            raise CommandRefusedError(f"{self._place}: {refused}", "leased")
+        if before is None or before.id != sender.id:
+            over = "" if before is None else f", who took it over from {before}"
+            self._announce(f"{self._place}: {sender} holds its lease{over}")
+
+    def require(self, sender: LeaseHolder) -> None:
+        """Refuse a command whose sender has lost it since.
+
+        Raises:
+            CommandRefusedError: somebody else holds it.
+        """
+        with self._lock:
+            passes = self._lease.passes(sender, self._clock())
+        if not passes:
+            text = f"{self._place}: its lease was taken over while the command waited"
+            raise CommandRefusedError(text, "leased")
+
+    def is_open_to(self, sender: LeaseHolder) -> bool:
+        """Say whether this sender holds it, or nobody does."""
+        with self._lock:
+            holder = self._lease.holder(self._clock())
+        return holder is None or holder.id == sender.id
+
+    def give_back(self, sender: LeaseHolder) -> bool:
+        """Free it; return whether this sender held it."""
+        with self._lock:
+            held = self._lease.give_back(sender, self._clock())
+        if held:
+            self._announce(f"{self._place}: {sender} gave its lease back")
+        return held
+
+    def status(self) -> LeaseStatus:
+        """Return what the status map shows."""
+        with self._lock:
+            return self._lease.status(self._clock())

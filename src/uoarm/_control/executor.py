@@ -17,22 +17,20 @@ from collections import deque
 from collections.abc import Iterable
 
 from uoarm import _bounded
-from uoarm._control.bridges.bridge_set import BridgeSet
+from uoarm._control.bridges import BridgeSet
+from uoarm._control.engine import events as ev
+from uoarm._control.engine.draft import connection_of
+from uoarm._control.engine.events import write_event
+from uoarm._control.engine.state import ComponentRecord, State
+from uoarm._control.engine.step import step
 from uoarm._control.live.component import LiveComponent
 from uoarm._control.live.connection_runtime import ConnectionRuntime
 from uoarm._control.live.edge import LiveEdge
-from uoarm._control.live.emergency_stop import EmergencyStop
 from uoarm._control.live.parts import LiveParts
-from uoarm._control.reconciler import events as ev
-from uoarm._control.reconciler.draft import connection_of
-from uoarm._control.reconciler.state import ComponentRecord, State
-from uoarm._control.reconciler.step import step
-from uoarm._control.reconciler.trace import write
-from uoarm._control.runtime.event_dispatcher import EventDispatcher
-from uoarm._control.runtime.lanes import Job, Lanes
-from uoarm._control.runtime.performer import Performer
-from uoarm._control.runtime.revisions import Revisions, StagedRevision
-from uoarm._control.runtime.timer import Timer
+from uoarm._control.live.safety import EmergencyStop
+from uoarm._control.performer import Performer
+from uoarm._control.revisions import Revisions, StagedRevision
+from uoarm._control.threads import EventDispatcher, Job, Lanes, Timer
 from uoarm._dataplane import Clock
 from uoarm._interrupts import Uninterrupted
 from uoarm._resolve import keep_candidates
@@ -333,7 +331,7 @@ class Executor:
     def _handle(self, event: ev.Event) -> None:
         now = self._clock()
         if _log_of_events.isEnabledFor(logging.DEBUG):
-            _log_of_events.debug("%s", write(event, now))
+            _log_of_events.debug("%s", write_event(event, now))
         try:
             self.state, actions = step(self.state, event, now)
         except Exception:  # noqa: BLE001 - whoever posted it must not pay for a fault of ours

@@ -10,9 +10,9 @@ from functools import partial
 
 from attrs import define, field
 
-from uoarm._control.discovery.discovery import Discovery
-from uoarm._control.runtime.executor import Executor
-from uoarm._control.runtime.revisions import Revisions
+from uoarm._control.discovery import Discovery
+from uoarm._control.executor import Executor
+from uoarm._control.revisions import Revisions
 from uoarm._dataplane import Clock
 from uoarm._resolve import Proofs, Structures, Unavailable, add_candidates
 from uoarm.bridge import Bridge, BridgeType

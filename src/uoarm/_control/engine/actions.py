@@ -10,7 +10,7 @@ from typing import TypeAlias
 
 from attrs import frozen
 
-from uoarm._control.reconciler.state import ConnectionRecord, Part, Parts, Placement
+from uoarm._control.engine.state import ConnectionRecord, Part, Parts, Placement
 from uoarm.model import Plan
 
 __all__ = [

@@ -1,4 +1,7 @@
-"""The bridge instances of one manager, each made when it is first needed."""
+"""The bridge instances of one manager, each made when it is first needed, some in a host.
+
+A bridge that died is started again at once, then later and later, and at last never (`Restarts`).
+"""
 
 from __future__ import annotations
 
@@ -7,17 +10,135 @@ import threading
 import time
 from collections.abc import Callable, Mapping
 
+from attrs import define
+
 from uoarm import _bounded
-from uoarm._control.bridges.hosted import start_hosted
-from uoarm._control.bridges.machines import Machines, StagedMachines
-from uoarm._control.bridges.restarts import Restarts
+from uoarm._control.machines import Machines, StagedMachines
 from uoarm._dataplane import Clock
+from uoarm._origin import install_command
 from uoarm._raised import foreign, text_of
 from uoarm.bridge import Bridge, Channel, HealthEvent, Registry
-from uoarm.errors import BridgeError, ConnectionClosedError, FailureReason
-from uoarm.model import BridgeSpec, BridgeStatus, Health, Listening
+from uoarm.errors import BridgeError, ConnectionClosedError, FailureReason, PluginError
+from uoarm.model import BridgeSpec, BridgeStatus, Health, Listening, Options
 
-__all__ = ["BridgeSet", "StagedBridges", "facts_of"]
+__all__ = ["BridgeSet", "Restarts", "StagedBridges", "facts_of", "start_hosted"]
+
+_FIRST_DELAY_SECONDS = 0.25
+_LAST_DELAY_SECONDS = 30.0
+_HEALTHY_SECONDS = 60.0
+
+
+@define
+class _Record:
+    """What is known of one bridge: its deaths in a row, and when it began and ended last."""
+
+    deaths: int = 0
+    began: float = 0.0
+    ended: float = 0.0
+    cause: str = ""
+
+
+class Restarts:
+    """Keeps a bridge that dies again and again from being started again and again.
+
+    The first restart is free. Each later one waits twice as long as the one before, from 0.25 s
+    to 30 s. A bridge that has lived for a minute starts with a clean record.
+
+    Args:
+        clock: a monotonic clock, in seconds.
+    """
+
+    def __init__(self, clock: Clock) -> None:
+        self._clock = clock
+        self._lock = threading.Lock()
+        self._records: dict[str, _Record] = {}
+
+    def began(self, name: str) -> None:
+        """Note that a bridge is being started."""
+        with self._lock:
+            self._records.setdefault(name, _Record()).began = self._clock()
+
+    def died(self, name: str, cause: str) -> None:
+        """Note that a bridge died, or did not come to life."""
+        with self._lock:
+            record = self._records.setdefault(name, _Record())
+            now = self._clock()
+            lived = now - record.began
+            record.deaths = 1 if lived >= _HEALTHY_SECONDS else record.deaths + 1
+            record.ended, record.cause = now, cause
+
+    def check(self, name: str, limit: int) -> None:
+        """Let a bridge be started now, or say why not.
+
+        Args:
+            name: of the bridge.
+            limit: deaths in a row after which it is given up.
+
+        Raises:
+            BridgeError: it must wait, or is given up; the text has the last cause of death.
+        """
+        with self._lock:
+            record = self._records.get(name)
+            if record is None or record.deaths == 0:
+                return
+            deaths, cause = record.deaths, record.cause
+            due = record.ended + _delay(deaths)
+        if deaths >= limit:
+            text = f"bridge {name!r} is given up: it died {deaths} times in a row, at last: {cause}"
+            raise BridgeError(text, FailureReason.UNAVAILABLE)
+        wait = due - self._clock()
+        if wait > 0:
+            text = (
+                f"bridge {name!r} died {deaths} times in a row and is started again in "
+                f"{wait:.2g} s at the earliest; it died because {cause}"
+            )
+            raise BridgeError(text, FailureReason.UNAVAILABLE)
+
+
+def _delay(deaths: int) -> float:
+    if deaths <= 1:
+        return 0.0
+    doubled: float = _FIRST_DELAY_SECONDS * 2.0 ** min(deaths - 2, 30)
+    return min(_LAST_DELAY_SECONDS, doubled)
+
+
+def start_hosted(
+    spec: BridgeSpec,
+    host: Options,
+    restarts: Restarts,
+    machines: Machines | StagedMachines,
+    origin: str,
+) -> Bridge:
+    """Start the host of a bridge, or find it on its machine, and return when it is ready.
+
+    Args:
+        spec: the bridge.
+        host: the settings of its host, see `HostSettings`.
+        restarts: what is known of earlier deaths.
+        machines: other machines; what runs there is never started from here.
+        origin: the configuration file, which the host's command line shows.
+
+    Raises:
+        PluginError: the extra `uoarm[hosts]`, or the plugin in the host, is missing.
+        BridgeError: the host could not be started, or died too often.
+    """
+    try:
+        from uoarm._host import HostSettings, RemoteBridge  # noqa: PLC0415 - needs an extra
+    except ImportError as error:
+        command = install_command("uoarm", "hosts")
+        text = f"bridge {spec.name!r} has a host, which needs: {command} ({error})"
+        raise PluginError(text) from error
+    if "machine" in host:
+        return RemoteBridge(spec, machines.registry())
+    restarts.check(spec.name, HostSettings.read(host).restarts)
+    restarts.began(spec.name)
+    try:
+        return RemoteBridge(spec, origin=origin)
+    except BridgeError as error:
+        if error.reason in {FailureReason.UNAVAILABLE, FailureReason.TIMEOUT}:
+            restarts.died(spec.name, str(error))
+        raise
+
 
 _log = logging.getLogger("uoarm")
 _START_SECONDS = 30.0

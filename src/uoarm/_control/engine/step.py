@@ -10,11 +10,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from uoarm._control.reconciler import failback, failover, reconfiguration, switchover
-from uoarm._control.reconciler.actions import Action, Close, Forget, Reply
-from uoarm._control.reconciler.draft import Draft, InputInUseError, connection_of
-from uoarm._control.reconciler.endings import end, finish_if_asked
-from uoarm._control.reconciler.events import (
+from uoarm._control.engine import failover, switchover
+from uoarm._control.engine.actions import Action, Close, Forget, Reply
+from uoarm._control.engine.draft import Draft, InputInUseError, connection_of
+from uoarm._control.engine.events import (
     CandidatesChanged,
     Configured,
     Drained,
@@ -32,7 +31,8 @@ from uoarm._control.reconciler.events import (
     Stopped,
     TimeReached,
 )
-from uoarm._control.reconciler.state import ConnectionRecord, State, names
+from uoarm._control.engine.failover import end, finish_if_asked
+from uoarm._control.engine.state import ConnectionRecord, State, names
 from uoarm.errors import ConnectionClosedError, ResolutionError, UsageError
 from uoarm.model import ConnectionState, Plan, PortRef
 
@@ -51,7 +51,7 @@ def step(state: State, event: Event, now: float) -> tuple[State, tuple[Action, .
     """
     draft = Draft(state, now)
     _HANDLERS[type(event)](draft, event)
-    reconfiguration.go_on(draft)
+    switchover.continue_reconfiguration(draft)
     return draft.state(), tuple(draft.actions)
 
 
@@ -247,7 +247,7 @@ def _time_reached(draft: Draft, event: TimeReached) -> None:
     del event
     for identity in tuple(draft.connections):
         failover.look_again(draft, draft.connections[identity])
-        failback.look(draft, draft.connections[identity])
+        switchover.look_for_preferred(draft, draft.connections[identity])
 
 
 def _replacement_sought(draft: Draft, event: ReplacementSought) -> None:
@@ -270,10 +270,10 @@ _HANDLERS: dict[type[Any], Callable[[Draft, Any], None]] = {
     RanOut: _ran_out,
     Ended: _ended,
     ReplacementSought: _replacement_sought,
-    PreferredChecked: failback.checked,
+    PreferredChecked: switchover.preferred_checked,
     InputsSwitched: switchover.inputs_switched,
     TimeReached: _time_reached,
     Stopped: _stopped,
-    Configured: reconfiguration.configured,
-    CandidatesChanged: reconfiguration.candidates_changed,
+    Configured: switchover.configured,
+    CandidatesChanged: switchover.candidates_changed,
 }

@@ -1,1 +1,0 @@
-"""Functions that the configuration puts on offer in a framework."""

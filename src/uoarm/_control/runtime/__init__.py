@@ -1,1 +1,0 @@
-"""What does the reconciler's work: one thread for its state, lanes for its actions, one timer."""
