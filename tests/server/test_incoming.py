@@ -149,6 +149,13 @@ def test_fragments_without_content_leave_nothing() -> None:
     assert not incoming.is_full
 
 
+def busy(seconds: float) -> None:
+    """Use the processor."""
+    end = time.thread_time() + seconds
+    while time.thread_time() < end:
+        pass
+
+
 def served(*asking: tuple[int, int]) -> list[int]:
     """Return in which order connections work that ask, by name and how often each goes on."""
 
@@ -161,9 +168,7 @@ def served(*asking: tuple[int, int]) -> list[int]:
             left[name] -= 1
             if not any(left.values()):
                 done.set()
-            end = time.perf_counter() + 0.002
-            while time.perf_counter() < end:
-                pass
+            busy(0.002)
             return left[name] > 0
 
         made = {name: Turn(partial(work, name)) for name in left}
@@ -189,9 +194,7 @@ def test_who_was_idle_has_saved_up_nothing_and_waits_for_no_flood() -> None:
 
         def flood(name: str) -> bool:
             order.append(name)
-            end = time.perf_counter() + 0.002
-            while time.perf_counter() < end:
-                pass
+            busy(0.002)
             if len(order) == 6:
                 turns.ask(late)
             if len(order) > 12:
@@ -212,13 +215,6 @@ def test_who_was_idle_has_saved_up_nothing_and_waits_for_no_flood() -> None:
     order = asyncio.run(serve())
     assert order.index("small") <= 9  # after each of the others once, at most
     assert order.count("small") == 1
-
-
-def busy(seconds: float) -> None:
-    """Use the processor."""
-    end = time.thread_time() + seconds
-    while time.thread_time() < end:
-        pass
 
 
 def test_who_is_connected_goes_before_a_burst_of_those_who_come() -> None:
