@@ -154,7 +154,7 @@ def test_what_a_component_emits_while_nobody_takes_it_is_in_the_status() -> None
             outlet.detach(route)
         assert losses(robot.status()).total() == 0
         outlet.deliver(1)
-        assert losses(robot.status()) == {"unheard": 1}
+        assert losses(robot.status()) == {"undelivered": 1}
 
 
 def _outlets(robot: RobotManager) -> list[Outlet]:

@@ -20,11 +20,11 @@ from uoarm_mqtt._link import ThreadedClient
 
 from uoarm.testing import patience, wait
 
-PROGRAM = shutil.which("mosquitto") or "/usr/sbin/mosquitto"  # Debian: not on everybody's PATH
+PROGRAM = shutil.which("mosquitto") or "/usr/sbin/mosquitto"  # Debian: not on every user's PATH
 
 
 class Broker:
-    """Mosquitto in a process of its own, on a loopback address that nobody else chooses.
+    """Mosquitto in a process of its own, on a loopback address that no other test chooses.
 
     An address and not only a port: it can be killed and comes back at the same place, which no
     outgoing connection of another program has taken meanwhile.

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from typing import Any
 
 from attrs import evolve, frozen
-from uoarm_mqtt import _bridge, _channels, _codec, _known, _link, _outage, _services, _subscriptions
+from uoarm_mqtt import _bridge, _channels, _codec, _discovery, _health, _link, _subscriptions
 
 from uoarm.errors import BridgeError, MessageError
 from uoarm.model import Health
@@ -81,7 +81,7 @@ def to_the_newest(original: Any) -> Any:
     return lambda table, message: original(table, message)[-1:]
 
 
-def to_everybody(_: Any) -> Any:
+def to_every_receiver(_: Any) -> Any:
     return lambda table, _message: list(table)
 
 
@@ -115,22 +115,25 @@ def of_the_whole(original: Any) -> Any:
     def take(source: Any, incoming: Any) -> None:
         original(source, incoming)
         if source.unreadable:
-            source._link.told(Health.LOST, "it cannot be read")
+            source._link.report(Health.LOST, "it cannot be read")
 
     return take
 
 
 def of_no_component(original: Any) -> Any:
-    def init(components: Any, link: Any, wait: float, told: Any) -> None:
-        original(components, link, wait, lambda _, health, cause: told("somebody", health, cause))
+    def init(components: Any, link: Any, wait: float, report: Any) -> None:
+        def of_another(_: str, health: Health, cause: str) -> None:
+            report("another", health, cause)
+
+        original(components, link, wait, of_another)
 
     return init
 
 
-def told_twice(original: Any) -> Any:
+def reported_twice(original: Any) -> Any:
     def down(link: Any, cause: str, **named: Any) -> None:
         original(link, cause, **named)
-        link.told(Health.DEGRADED, cause)
+        link.report(Health.DEGRADED, cause)
 
     return down
 
@@ -169,14 +172,16 @@ def keeping_only(_: Any) -> Any:
 
 
 def never_failing(original: Any) -> Any:
-    def init(served: Any, endpoint: Any, port: Any, offers: Any, handler: Any, link: Any) -> None:
+    def init(
+        served: Any, endpoint: Any, options: Any, offers: Any, handler: Any, link: Any
+    ) -> None:
         def handle(request: Any) -> Any:
             try:
                 return handler(request)
             except ArithmeticError:
                 return {"value": 0}
 
-        original(served, endpoint, port, offers, handle, link)
+        original(served, endpoint, options, offers, handle, link)
 
     return init
 
@@ -191,16 +196,16 @@ BUGS: tuple[Bug, ...] = (
         "messages came",
     ),
     Bug(
-        "tells the break with each attempt to connect",
+        "reports the break with each attempt to connect",
         _link.BrokerConnection,
         "_down",
-        told_twice,
+        reported_twice,
         Breaking.test_a_break_is_told_with_its_cause_and_so_is_its_end,
         "told again",
     ),
     Bug(
-        "does not tell that the broker is back",
-        _outage.Outage,
+        "does not report that the broker is back",
+        _health.Disconnection,
         "up",
         unsaid,
         Breaking.test_a_break_is_told_with_its_cause_and_so_is_its_end,
@@ -216,7 +221,7 @@ BUGS: tuple[Bug, ...] = (
     ),
     Bug(
         "drops what is sent while the broker is away",
-        _channels.TopicSink,
+        _channels.MqttSink,
         "_send",
         swallowing(BridgeError),
         Breaking.test_what_is_sent_while_it_is_broken_is_refused_or_counted_or_arrives,
@@ -224,7 +229,7 @@ BUGS: tuple[Bug, ...] = (
     ),
     Bug(
         "delivers in the thread of the network",
-        _channels.Backlog,
+        _channels.ReceiveQueue,
         "put",
         on_one_thread,
         Trouble.test_another_channel_opens_while_a_consumer_is_stuck,
@@ -232,7 +237,7 @@ BUGS: tuple[Bug, ...] = (
     ),
     Bug(
         "lets paho's exception for a payload out of send",
-        _codec.Codec,
+        _codec.PayloadCodec,
         "encode",
         raw,
         Trouble.test_a_message_that_fits_nothing_is_refused_in_words_or_carried,
@@ -240,7 +245,7 @@ BUGS: tuple[Bug, ...] = (
     ),
     Bug(
         "drops a payload that cannot be read, in silence",
-        _channels.TopicSource,
+        _channels.MqttSource,
         "_take",
         lambda original: (
             lambda source, incoming: (
@@ -252,7 +257,7 @@ BUGS: tuple[Bug, ...] = (
     ),
     Bug(
         "delivers None for a payload that cannot be read",
-        _codec.Codec,
+        _codec.PayloadCodec,
         "decode",
         as_none,
         Trouble.test_what_cannot_be_read_is_said_and_ends_nothing,
@@ -260,23 +265,23 @@ BUGS: tuple[Bug, ...] = (
     ),
     Bug(
         "reports the whole bridge lost for one payload",
-        _channels.TopicSource,
+        _channels.MqttSource,
         "_take",
         of_the_whole,
         Trouble.test_what_cannot_be_read_is_said_and_ends_nothing,
         "one payload ended the channel",
     ),
     Bug(
-        "does not hear of a last will",
-        _known.Watched,
+        "takes no notice of a last will",
+        _discovery.RetainedTopic,
         "_take",
         keeping_only,
         Trouble.test_a_death_is_told_with_its_cause,
         "a killed component was not reported",
     ),
     Bug(
-        "tells deaths of a component of another name",
-        _known.Components,
+        "reports deaths of a component of another name",
+        _discovery.Components,
         "__init__",
         of_no_component,
         Trouble.test_each_death_is_told_of_its_own_component,
@@ -300,7 +305,7 @@ BUGS: tuple[Bug, ...] = (
     ),
     Bug(
         "writes JSON in ASCII",
-        _codec.Codec,
+        _codec.PayloadCodec,
         "encode",
         in_ascii,
         Flow.test_recorded_samples_survive,
@@ -318,7 +323,7 @@ BUGS: tuple[Bug, ...] = (
         "gives every message to every channel",
         _subscriptions.Subscriptions,
         "route",
-        to_everybody,
+        to_every_receiver,
         Flow.test_kinds_do_not_mix,
         "kinds do not mix",
     ),
@@ -332,7 +337,7 @@ BUGS: tuple[Bug, ...] = (
     ),
     Bug(
         "does not say that the last message is retained",
-        _channels.TopicSource,
+        _channels.MqttSource,
         "__init__",
         never_latched,
         Flow.test_a_retained_message_comes_first,
@@ -356,7 +361,7 @@ BUGS: tuple[Bug, ...] = (
     ),
     Bug(
         "leaves the thread of each source behind",
-        _channels.Backlog,
+        _channels.ReceiveQueue,
         "close",
         nothing,
         Ending.test_no_thread_and_no_descriptor_stays_behind,
@@ -388,7 +393,7 @@ BUGS: tuple[Bug, ...] = (
     ),
     Bug(
         "gives a caller the reply to another request",
-        _services.Calls,
+        _channels.ServiceCalls,
         "_take",
         the_first_reply,
         Services.test_several_threads_may_call_at_once,
@@ -404,7 +409,7 @@ BUGS: tuple[Bug, ...] = (
     ),
     Bug(
         "serves on after the close",
-        _services.ServedTopic,
+        _channels.ServedTopic,
         "_close",
         nothing,
         Services.test_a_served_function_answers_until_it_is_closed,
@@ -412,7 +417,7 @@ BUGS: tuple[Bug, ...] = (
     ),
     Bug(
         "answers with nothing when a served function raises",
-        _services.ServedTopic,
+        _channels.ServedTopic,
         "__init__",
         never_failing,
         Services.test_a_served_function_that_raises_fails_its_caller,

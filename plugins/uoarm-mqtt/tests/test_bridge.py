@@ -65,7 +65,7 @@ def speak(bridge: Bridge, topic: str, **options: Any) -> Sink:
     return bridge.open_sink(endpoint(topic, Role.INPUT, **options), ANYTHING)
 
 
-def heard(bridge: Bridge) -> list[HealthEvent]:
+def health_events(bridge: Bridge) -> list[HealthEvent]:
     events: list[HealthEvent] = []
     bridge.watch(events.append)
     return events
@@ -79,7 +79,7 @@ def until(events: list[HealthEvent], health: Health) -> HealthEvent:
 class TestTopics:
     """Wildcards, retained messages, shared subscriptions, contents."""
 
-    def test_a_wildcard_hears_all_and_says_where(self, bridge: Bridge, peer: Peer) -> None:
+    def test_a_wildcard_receives_all_and_says_where(self, bridge: Bridge, peer: Peer) -> None:
         collector, source = listen(bridge, "wild/+/temperature", with_topic=True)
         assert not source.latched
         peer.publish("wild/a/temperature", "1")
@@ -97,7 +97,7 @@ class TestTopics:
         for listener in listeners:
             assert listener.wait(5, patience()) == [0, 1, 2, 3, 4]
 
-    def test_each_new_consumer_gets_what_is_retained_and_nobody_twice(
+    def test_each_new_consumer_gets_what_is_retained_and_none_twice(
         self, bridge: Bridge, peer: Peer
     ) -> None:
         peer.publish("kept/map", "1", retain=True)
@@ -109,7 +109,7 @@ class TestTopics:
         peer.publish("kept/map", "2", retain=True)
         assert first.wait(2, patience()) == [1, 2]
         assert second.wait(2, patience()) == [1, 2]
-        assert fresh.wait(1, patience()) == [2], "a port without `retain` hears what is new"
+        assert fresh.wait(1, patience()) == [2], "a port without `retain` gets what is new"
         leaving.close()
         peer.publish("kept/map", "3", retain=True)
         assert first.wait(3, patience()) == [1, 2, 3]
@@ -156,11 +156,11 @@ class TestTopics:
         assert sink.facts()["under_way"] == 0
         assert collector.wait(100, patience()) == list(range(100))
 
-    def test_the_broker_says_when_nobody_listens(self, bridge: Bridge) -> None:
-        sink = speak(bridge, "nobody/listens")
+    def test_the_broker_says_when_no_client_listens(self, bridge: Bridge) -> None:
+        sink = speak(bridge, "no/listener")
         sink.send(1)
         assert sink.drain(patience())
-        assert sink.facts()["unheard"] == 1
+        assert sink.facts()["undelivered"] == 1
 
 
 def paho_of(bridge: Bridge) -> Any:
@@ -193,7 +193,7 @@ class TestBudget:
         self, broker: Broker, peer: Peer, payload: bytes, why: str
     ) -> None:
         with bridge_to(broker, max_octets=1500, max_values=400, max_depth=20) as bridge:
-            events = heard(bridge)
+            events = health_events(bridge)
             collector, source = listen(bridge, "budget")
             peer.publish("budget", payload)
             peer.publish("budget", b"7")
@@ -281,7 +281,7 @@ class TestPresence:
     ) -> None:
         says = {"topic": "v/1/connection", "member": "state", "online": "ON", "finished": "OFF"}
         with bridge_to(broker) as bridge:
-            events, place = heard(bridge), endpoint("v/1/state", presence=says)
+            events, place = health_events(bridge), endpoint("v/1/state", presence=says)
             with pytest.raises(BridgeError, match="v/1/connection says nothing") as caught:
                 bridge.describe(place)
             assert caught.value.reason is FailureReason.UNAVAILABLE
@@ -297,7 +297,7 @@ class TestPresence:
     def test_two_with_one_name_on_two_topics_are_two(self, broker: Broker) -> None:
         peers = [Peer(broker, will=(f"two/{name}", "gone")) for name in "ab"]
         with bridge_to(broker) as bridge:
-            events = heard(bridge)
+            events = health_events(bridge)
             for name, item in zip("ab", peers, strict=True):
                 item.publish(f"two/{name}", "online", retain=True)
                 bridge.describe(endpoint(f"two/{name}/x", presence={"topic": f"two/{name}"}))
@@ -320,9 +320,9 @@ class TestPresence:
 class TestServices:
     """Response topic and correlation data, with peers on the other side."""
 
-    def test_nobody_there_is_told_at_once(self, bridge: Bridge) -> None:
+    def test_an_absent_service_is_reported_at_once(self, bridge: Bridge) -> None:
         place = endpoint("no/service", Role.SERVICE)
-        with pytest.raises(BridgeError, match="nobody is subscribed") as caught:
+        with pytest.raises(BridgeError, match="no client is subscribed") as caught:
             bridge.call(place, {}, timeout=patience())
         assert not isinstance(caught.value, BridgeTimeoutError)
 
@@ -333,11 +333,11 @@ class TestServices:
             peer.publish_soon(request.properties.ResponseTopic, b"42", CorrelationData=b"mine")
 
         peer.subscribe("odd/service", answer)
-        told = r"no reply within .*; what came instead answers no call: 2 octets with .*b'mine'"
-        with pytest.raises(BridgeTimeoutError, match=told):
+        expected = r"no reply within .*; what came instead answers no call: 2 octets with .*b'mine'"
+        with pytest.raises(BridgeTimeoutError, match=expected):
             bridge.call(endpoint("odd/service", Role.SERVICE), {}, timeout=0.5 * slowness())
 
-    def test_a_function_serves_peers_and_failures_are_told(
+    def test_a_function_serves_peers_and_failures_are_reported(
         self, bridge: Bridge, peer: Peer
     ) -> None:
         def answer(request: Any) -> Any:
@@ -366,7 +366,7 @@ class TestBroker:
     def test_killed_and_back_counts_and_resumes(self, tmp_path: Path) -> None:
         lines = f"allow_anonymous true\npersistence true\npersistence_location {tmp_path}/\n"
         with running(tmp_path / "broker", lines) as broker, bridge_to(broker) as bridge:
-            events = heard(bridge)
+            events = health_events(bridge)
             collector, source = listen(bridge, "resumed", retain=True)
             sink = speak(bridge, "resumed")
             sink.send(0)
@@ -386,7 +386,7 @@ class TestBroker:
 
     def test_away_for_longer_than_its_grace_it_is_lost_once(self, tmp_path: Path) -> None:
         with running(tmp_path / "broker") as broker, bridge_to(broker, grace=0.5) as bridge:
-            events = heard(bridge)
+            events = health_events(bridge)
             listen(bridge, "lost")
             broker.kill()
             event = until(events, Health.LOST)
@@ -396,10 +396,10 @@ class TestBroker:
                 Health.LOST,
             ]
 
-    def test_one_that_appears_late_is_told(self, tmp_path: Path) -> None:
+    def test_one_that_appears_late_is_reported(self, tmp_path: Path) -> None:
         broker = Broker(tmp_path / "broker")
         with bridge_to(broker) as bridge:
-            events = heard(bridge)
+            events = health_events(bridge)
             with pytest.raises(BridgeError, match="no connection to the broker at") as caught:
                 bridge.describe(endpoint("late"))
             assert caught.value.reason is FailureReason.UNAVAILABLE
@@ -412,7 +412,7 @@ class TestBroker:
 
     def test_one_that_says_nothing_is_noticed_and_closing_ends(self, tmp_path: Path) -> None:
         with running(tmp_path / "broker") as broker, bridge_to(broker, keepalive=1) as bridge:
-            events = heard(bridge)
+            events = health_events(bridge)
             listen(bridge, "silent")
             broker.send_signal(signal.SIGSTOP)
             try:
@@ -422,10 +422,10 @@ class TestBroker:
             finally:
                 broker.send_signal(signal.SIGCONT)
 
-    def test_its_limits_hold_and_its_reason_codes_are_told(self, tmp_path: Path) -> None:
+    def test_its_limits_hold_and_its_reason_codes_are_reported(self, tmp_path: Path) -> None:
         lines = "allow_anonymous true\nmax_packet_size 3000\nmax_inflight_messages 3\n"
         with running(tmp_path / "broker", lines) as broker, bridge_to(broker) as bridge:
-            events = heard(bridge)
+            events = health_events(bridge)
             collector, _ = listen(bridge, "limited", qos=2)
             sink = speak(bridge, "limited", qos=2)
             with pytest.raises(MessageError, match="3,000 at most"):
@@ -457,7 +457,7 @@ class TestBroker:
                     refused.describe(endpoint("ours/a"))
                 assert "secret" not in f"{caught.value}{caplog.text}{vars(refused)}"
             with bridge_to(broker, user="ours", password_file=str(secret)) as bridge:
-                events = heard(bridge)
+                events = health_events(bridge)
                 collector, _ = listen(bridge, "ours/a")
                 speak(bridge, "ours/a").send(1)
                 assert collector.wait(1, patience()) == [1]

@@ -1,4 +1,4 @@
-"""What is decided without a connection: what to tell of an outage, and who gets a message."""
+"""Decided without a connection: what to report of its end, and which receivers get a message."""
 
 from __future__ import annotations
 
@@ -7,34 +7,34 @@ from types import SimpleNamespace
 
 import pytest
 from paho.mqtt.enums import CallbackAPIVersion, MQTTErrorCode
-from uoarm_mqtt._codec import Codec
+from uoarm_mqtt._codec import PayloadCodec
+from uoarm_mqtt._health import Disconnection
 from uoarm_mqtt._link import ThreadedClient
-from uoarm_mqtt._outage import Outage
-from uoarm_mqtt._subscriptions import Incoming, Receiver, Subscriptions
+from uoarm_mqtt._subscriptions import ReceivedMessage, Receiver, Subscriptions
 
 from uoarm.bridge import Registry
 from uoarm.errors import MessageError
 from uoarm.model import Budget, Endpoint, Health, MessageStructure, Role
 
 
-def test_an_outage_is_told_once_lost_once_and_over_once() -> None:
-    outage = Outage(grace=10.0)
-    assert outage.up() is None
-    told = [outage.down(now, final=False) for now in (0.0, 1.0, 9.9, 10.0, 11.0)]
-    assert told == [Health.DEGRADED, None, None, Health.LOST, None]
-    assert outage.is_over
-    assert [outage.up(), outage.up()] == [Health.OK, None]
-    assert outage.down(20.0, final=True) is Health.LOST
+def test_a_disconnection_is_reported_once_lost_once_and_over_once() -> None:
+    disconnection = Disconnection(grace=10.0)
+    assert disconnection.up() is None
+    reported = [disconnection.down(now, final=False) for now in (0.0, 1.0, 9.9, 10.0, 11.0)]
+    assert reported == [Health.DEGRADED, None, None, Health.LOST, None]
+    assert disconnection.is_over
+    assert [disconnection.up(), disconnection.up()] == [Health.OK, None]
+    assert disconnection.down(20.0, final=True) is Health.LOST
 
 
-def test_what_nobody_relied_upon_is_not_lost_and_its_coming_is_news() -> None:
-    outage = Outage(grace=10.0)
-    assert [outage.down(now, final=True) for now in (0.0, 100.0)] == [None, None]
-    assert outage.up() is Health.OK
+def test_what_no_client_relied_upon_is_not_lost_and_its_coming_is_news() -> None:
+    disconnection = Disconnection(grace=10.0)
+    assert [disconnection.down(now, final=True) for now in (0.0, 100.0)] == [None, None]
+    assert disconnection.up() is Health.OK
 
 
 class Ending(ThreadedClient):
-    """Its thread is gone whenever somebody has looked whether it is there."""
+    """Its thread is gone as soon as it was looked at."""
 
     _looked = False
 
@@ -59,11 +59,11 @@ def receiver(topic: str, *, retained: bool = False) -> Receiver:
     return Receiver(topic, lambda _: None, retained=retained)
 
 
-def message(topic: str, *ids: int, retain: bool = False) -> Incoming:
-    return Incoming(topic, b"", retain, SimpleNamespace(SubscriptionIdentifier=[*ids]))
+def message(topic: str, *ids: int, retain: bool = False) -> ReceivedMessage:
+    return ReceivedMessage(topic, b"", retain, SimpleNamespace(SubscriptionIdentifier=[*ids]))
 
 
-def test_identifiers_are_bounded_and_the_last_one_serves_everybody() -> None:
+def test_identifiers_are_bounded_and_the_last_one_serves_every_receiver() -> None:
     table, lasting = Subscriptions(), receiver("a")
     table.add(lasting)
     for _ in range(1000):
@@ -77,17 +77,17 @@ def test_identifiers_are_bounded_and_the_last_one_serves_everybody() -> None:
 
 
 def test_without_identifiers_filters_are_matched() -> None:
-    table, receivers = Subscriptions(), [receiver(one) for one in ("a/+", "$share/g/a/#", "b")]
-    for one in receivers:
-        table.add(one)
-    assert sorted(table.route(message("a/x")), key=lambda one: one.id) == receivers[:2]
+    table, receivers = Subscriptions(), [receiver(topic) for topic in ("a/+", "$share/g/a/#", "b")]
+    for item in receivers:
+        table.add(item)
+    assert sorted(table.route(message("a/x")), key=lambda item: item.id) == receivers[:2]
 
 
 def test_what_is_retained_goes_to_who_has_just_subscribed_and_wants_it() -> None:
     table = Subscriptions()
     old, new, other = (receiver("a", retained=wanted) for wanted in (True, True, False))
-    for one in (old, new):
-        table.add(one)
+    for item in (old, new):
+        table.add(item)
     assert table.route(message("a", new.id, retain=True)) == [new]
     table.add(other)
     assert table.route(message("a", other.id, retain=True)) == []
@@ -96,7 +96,7 @@ def test_what_is_retained_goes_to_who_has_just_subscribed_and_wants_it() -> None
 
 def test_octets_in_json_are_base64_with_its_padding_or_without() -> None:
     octets = {"type": "array", "items": {"type": "integer"}, "x-octets": True}
-    codec = Codec.of("json", MessageStructure(octets), Budget())
+    codec = PayloadCodec.of("json", MessageStructure(octets), Budget())
     for text in (b'"YQ=="', b'"YQ"'):
         assert bytes(codec.decode(text)) == b"a"
     for text in (b'"Y"', b'"YQ="', b'"Y Q"'):
@@ -116,7 +116,7 @@ KNOWN: list[tuple[Role, dict[str, object], dict[str, object], bool]] = [
 
 
 @pytest.mark.parametrize(("role", "port", "options", "is_known"), KNOWN)
-def test_check_is_told_without_a_broker_which_structures_must_be_written(
+def test_check_knows_without_a_broker_which_structures_must_be_written(
     role: Role, port: dict[str, object], options: dict[str, object], is_known: bool
 ) -> None:
     describe = Registry().types["mqtt"].describe

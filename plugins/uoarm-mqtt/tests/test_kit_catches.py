@@ -41,13 +41,13 @@ def made(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     opened: list[Any] = []
 
     def noting(init: Any) -> Any:
-        def noted(one: Any, *given: Any, **named: Any) -> None:
-            opened.append(one)
-            init(one, *given, **named)
+        def noted(made: Any, *given: Any, **named: Any) -> None:
+            opened.append(made)
+            init(made, *given, **named)
 
         return noted
 
-    for owner in (_link.BrokerConnection, _channels.Backlog):
+    for owner in (_link.BrokerConnection, _channels.ReceiveQueue):
         monkeypatch.setattr(owner, "__init__", noting(owner.__init__))
     yield
     for item in opened:

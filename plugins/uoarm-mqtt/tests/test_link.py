@@ -9,15 +9,15 @@ from typing import Any
 import pytest
 from brokers import Broker
 from uoarm_mqtt import _link
-from uoarm_mqtt._link import BrokerConnection, Outcome
-from uoarm_mqtt._options import settings_of
+from uoarm_mqtt._link import BrokerConnection, PacketOutcome
+from uoarm_mqtt._options import connection_options
 
 from uoarm.errors import BridgeError, FailureReason
 from uoarm.testing import Background, patience, wait
 
 
 class Gate:
-    """Lets whoever comes pass when it is opened, and tells that somebody has come."""
+    """Holds callers until it is opened, and says that a caller has come."""
 
     def __init__(self) -> None:
         self.reached, self.opened = threading.Event(), threading.Event()
@@ -45,7 +45,7 @@ def close_during(link: BrokerConnection, gate: Gate) -> None:
         patch.setattr(_link, "_STEP_SECONDS", patience())
         patch.setattr(link._client, "disconnect", noted)
         closing = Background(link.close)
-        # Either it waits, and nobody else does, or it did not and has gone on to disconnect.
+        # Either it waits, and no other caller does, or it did not and has gone on to disconnect.
         wait(lambda: waiting or under_way)
         gate.opened.set()
         closing.result()
@@ -57,7 +57,7 @@ def close_during(link: BrokerConnection, gate: Gate) -> None:
 
 @pytest.fixture
 def link(broker: Broker) -> BrokerConnection:
-    return BrokerConnection("m", settings_of("m", {"url": broker.url}), lambda *_: None)
+    return BrokerConnection("m", connection_options("m", {"url": broker.url}), lambda *_: None)
 
 
 @pytest.mark.parametrize("qos", [0, 1])
@@ -65,7 +65,7 @@ def test_what_is_published_as_it_closes_is_answered_once(
     link: BrokerConnection, monkeypatch: pytest.MonkeyPatch, qos: int
 ) -> None:
     link.require_up()
-    gate, reports = Gate(), list[Outcome]()
+    gate, reports = Gate(), list[PacketOutcome]()
     monkeypatch.setattr(BrokerConnection, "_note", gate.before(BrokerConnection._note))
     publishing = Background(lambda: link.publish("a", b"x", reports.append, qos=qos))
     assert gate.reached.wait(patience())
@@ -76,7 +76,7 @@ def test_what_is_published_as_it_closes_is_answered_once(
     assert not link._pending
 
 
-def test_what_wakes_the_client_stays_until_nobody_publishes(
+def test_what_wakes_the_client_stays_until_no_caller_publishes(
     link: BrokerConnection, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     link.require_up()

@@ -43,7 +43,7 @@ def test_the_example_runs_as_printed(broker: Broker, tmp_path: Path) -> None:
         wait(answered, "the peers of the page did not come up", patience())
         assert "".join(said) == printed
         assert _run(["-c", program], tmp_path).returncode == 0
-        wait(lambda: lamp, "the lamp was not told", patience())
+        wait(lambda: lamp, "the lamp received nothing", patience())
         assert lamp[0].payload == b'"on"'
     finally:
         os.killpg(shell.pid, 15)

@@ -76,7 +76,9 @@ def facts(robot: RobotManager, component: str) -> dict[str, Any]:
 
 
 @HOSTS
-def test_what_is_cleared_stands_no_more_and_harms_nobody(robot: RobotManager, peer: Peer) -> None:
+def test_what_is_cleared_stands_no_more_and_harms_no_receiver(
+    robot: RobotManager, peer: Peer
+) -> None:
     peer.publish("scan", json.dumps({"n": 1}), retain=True)
     first = robot.request("scan")
     assert first.get(patience()) == {"n": 1}

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from brokers import Broker
 from fleet import MAKER, bridge_to, driven, endpoint, goal
-from uoarm_mqtt.connection import Codec
+from uoarm_mqtt.connection import PayloadCodec
 from uoarm_vda5050._follower import Follower
 from uoarm_vda5050._health_state import VehicleHealth
 from uoarm_vda5050._messages import check_of
@@ -165,8 +165,8 @@ def test_a_call_that_is_given_up_says_which_states_came_and_could_not_be_read() 
     )
     codecs = {
         "state": codec,
-        "order": Codec("json", BUDGET),
-        "instantActions": Codec("json", BUDGET),
+        "order": PayloadCodec("json", BUDGET),
+        "instantActions": PayloadCodec("json", BUDGET),
     }
     follower = Follower(
         link, "v2/m/s", TransportState(release), VehicleHealth(patience()), codecs, lambda *_: None

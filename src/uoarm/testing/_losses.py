@@ -16,10 +16,10 @@ def losses(status: StatusMap) -> Counter[str]:
 
     Counts what routes dropped, those of plans that were replaced included, what was lost with
     components that died or were let go, as `lost`, what living links lost, as `lost_on_link`, and
-    what living components emitted while nobody took it, as `unheard`. What is still under way is
-    not lost: compare when nothing moves. What several routes of an output got may be lost on one
-    and received on another: see `copies`. Routes that several connections shared when they ended
-    are counted once for each of them.
+    what living components emitted while no consumer took it, as `undelivered`. What is still under
+    way is not lost: compare when nothing moves. What several routes of an output got may be lost on
+    one and received on another: see `copies`. Routes that several connections shared when they
+    ended are counted once for each of them.
     """
     found: Counter[str] = Counter()
     for connection in status.connections:
@@ -30,7 +30,7 @@ def losses(status: StatusMap) -> Counter[str]:
         found.update(dict(route.dropped))
     for component in status.components:
         for channel in component.channels:
-            for reason in ("lost_on_link", "unheard"):
+            for reason in ("lost_on_link", "undelivered"):
                 lost = dict(channel.facts).get(reason, 0)
                 found[reason] += lost if isinstance(lost, int) else 0
     return +found

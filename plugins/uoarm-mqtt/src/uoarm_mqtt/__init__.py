@@ -16,7 +16,7 @@ def _create(name: str, options: Options) -> Bridge:
 
 
 def _describe(endpoint: Endpoint, options: Options) -> Description:
-    from uoarm_mqtt._bridge import describe_offline  # noqa: PLC0415 - imports paho
+    from uoarm_mqtt._discovery import describe_offline  # noqa: PLC0415 - imports paho
 
     return describe_offline(endpoint, options)
 

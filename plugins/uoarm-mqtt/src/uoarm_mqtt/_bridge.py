@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import threading
-from collections.abc import Mapping
 from typing import Any, NoReturn
 
 from attrs import evolve
-from paho.mqtt.client import topic_matches_sub
 
 from uoarm.bridge import (
     Bridge,
@@ -23,22 +20,21 @@ from uoarm.bridge import (
     reading_endpoint,
 )
 from uoarm.errors import BridgeError, FailureReason
-from uoarm.model import Endpoint, Message, MessageStructure, Options, Role
-from uoarm_mqtt._channels import TopicSink, TopicSource
-from uoarm_mqtt._codec import STRUCTURES, Codec, limits_of, with_topic
-from uoarm_mqtt._known import Components, read_schema
+from uoarm.model import Endpoint, Health, Message, MessageStructure, Options, Role
+from uoarm_mqtt._channels import MqttSink, MqttSource, ServedTopic, ServiceCalls
+from uoarm_mqtt._codec import PayloadCodec, limits_of, with_topic, without_topic
+from uoarm_mqtt._discovery import (
+    STRUCTURE_HINTS,
+    Components,
+    configured,
+    described,
+    read_schema,
+    topics_on,
+)
 from uoarm_mqtt._link import BrokerConnection
-from uoarm_mqtt._options import Port, mistake, settings_of
-from uoarm_mqtt._services import Calls, ServedTopic
-from uoarm_mqtt._subscriptions import Incoming, Receiver
+from uoarm_mqtt._options import TopicOptions, connection_options, mistake
 
-__all__ = ["MqttBridge", "describe_offline"]
-
-_HINTS = {
-    False: "say by topic, under `structures` of the bridge's options, what its messages are like",
-    True: "say by topic, under `services` of the bridge's options, what it takes and answers",
-}
-"""What to write where MQTT does not know a structure, by whether it is a service's."""
+__all__ = ["MqttBridge"]
 
 
 class MqttBridge(Bridge):
@@ -49,54 +45,58 @@ class MqttBridge(Bridge):
     def __init__(self, name: str, options: Options) -> None:
         super().__init__(name, options)
         self._given: dict[str, Any] = dict(options)
-        self._broker = BrokerConnection(name, settings_of(name, options), self.report)
+        self._broker = BrokerConnection(name, connection_options(name, options), self.report)
         self._components = Components(
             self._broker,
             self._given.get("retained_wait", 0.2),
             lambda component, health, cause: self.report(health, cause, component=component),
         )
-        self._calls = Calls(self._broker, self._given.get("replies", "uoarm/replies"))
+        self._calls = ServiceCalls(self._broker, self._given.get("replies", "uoarm/replies"))
 
     @property
     def process_id(self) -> int | None:
-        """Return None: the broker and who speaks through it are anywhere."""
+        """Return None: the broker and its clients are anywhere."""
         return None
 
     def _describe(self, endpoint: Endpoint) -> Description:
-        port = self._port(endpoint)
+        options = self._options_of(endpoint)
         self._broker.require_up()
-        self._require_present(endpoint, port)
-        return self._description(endpoint, port)
+        self._require_present(endpoint, options)
+        return self._description(endpoint, options)
 
     def _open_source(
         self, endpoint: Endpoint, structure: MessageStructure, deliver: Delivery
     ) -> Source:
-        port = self._port(endpoint)
-        self._require_there(endpoint, port)
+        options = self._options_of(endpoint)
+        self._require_there(endpoint, options)
         schema: Any = structure.schema
-        inner = MessageStructure(schema) if not port.with_topic else _inner(schema)
-        codec = Codec.of(port.content, inner, self._broker.settings.budget)
+        inner = MessageStructure(schema) if not options.with_topic else without_topic(schema)
+        codec = PayloadCodec.of(options.content, inner, self._broker.options.budget)
         topic = endpoint.address[0]
-        return TopicSource(endpoint, topic, port, codec, self._broker, deliver, self._tell)
+        return MqttSource(
+            endpoint, topic, options, codec, self._broker, deliver, self._report_channel
+        )
 
     def _open_sink(self, endpoint: Endpoint, structure: MessageStructure) -> Sink:
         del structure
-        port = self._port(endpoint)
-        self._require_there(endpoint, port)
-        codec = Codec(port.content, self._broker.settings.budget)
-        return TopicSink(endpoint, endpoint.address[0], port, codec, self._broker, self._tell)
+        options = self._options_of(endpoint)
+        self._require_there(endpoint, options)
+        codec = PayloadCodec(options.content, self._broker.options.budget)
+        return MqttSink(
+            endpoint, endpoint.address[0], options, codec, self._broker, self._report_channel
+        )
 
     def _call(
         self, endpoint: Endpoint, structures: ServiceStructures, message: Message, timeout: float
     ) -> Message:
-        port = self._port(endpoint)
-        self._require_there(endpoint, port)
-        return self._calls.call(endpoint, port, structures, message, timeout)
+        options = self._options_of(endpoint)
+        self._require_there(endpoint, options)
+        return self._calls.call(endpoint, options, structures, message, timeout)
 
     def _serve(
         self, endpoint: Endpoint, structures: ServiceStructures, handler: Handler
     ) -> Channel:
-        return ServedTopic(endpoint, self._port(endpoint), structures, handler, self._broker)
+        return ServedTopic(endpoint, self._options_of(endpoint), structures, handler, self._broker)
 
     def _discover(self) -> tuple[Discovered, ...]:
         wanted = self._given.get("discover", {})
@@ -105,41 +105,44 @@ class MqttBridge(Bridge):
         filters = [f"{before}#"] if pattern else wanted.get("topics", ["#"])
         # Schemas are retained, and so are there at once; others have to be waited for.
         seconds = self._given.get("retained_wait", 0.2) if pattern else wanted.get("seconds", 1.0)
-        topics = self._topics_on(filters, seconds, wanted.get("most", 200))
+        topics = topics_on(self._broker, filters, seconds, wanted.get("most", 200))
         if pattern:
             topics = [
-                one[len(before) : len(one) - len(after)] for one in topics if one.endswith(after)
+                topic[len(before) : len(topic) - len(after)]
+                for topic in topics
+                if topic.endswith(after)
             ]
-        return tuple(one for topic in topics if (one := self._discovered(topic)) is not None)
+        discovered = map(self._discovered, topics)
+        return tuple(component for component in discovered if component is not None)
 
     def _close(self) -> None:
         self._broker.close()
 
-    def _port(self, endpoint: Endpoint) -> Port:
+    def _options_of(self, endpoint: Endpoint) -> TopicOptions:
         with reading_endpoint(endpoint):
             if wrong := mistake(endpoint.address, endpoint.options):
                 raise ValueError(wrong)
-            port = Port.of(endpoint.options)
+            options = TopicOptions.of(endpoint.options)
             is_wide = {"+", "#"} & set(endpoint.address[0].split("/"))
-            if endpoint.role is not Role.OUTPUT and (is_wide or port.with_topic):
+            if endpoint.role is not Role.OUTPUT and (is_wide or options.with_topic):
                 raise ValueError("wildcards and `with_topic` are for outputs")
-            if endpoint.role is Role.INPUT and port.share:
+            if endpoint.role is Role.INPUT and options.share:
                 raise ValueError("`share` is for what is subscribed to: outputs and services")
-        return port
+        return options
 
-    def _require_present(self, endpoint: Endpoint, port: Port) -> None:
-        if port.presence is not None:
-            self._components.require(endpoint.component, port.presence)
+    def _require_present(self, endpoint: Endpoint, options: TopicOptions) -> None:
+        if options.presence is not None:
+            self._components.require(endpoint.component, options.presence)
 
-    def _require_there(self, endpoint: Endpoint, port: Port) -> None:
+    def _require_there(self, endpoint: Endpoint, options: TopicOptions) -> None:
         """Refuse what is not there, by the presence or by the schema that it should have."""
         self._broker.require_up()
-        self._require_present(endpoint, port)
-        if configured(self._given, endpoint, port) is None and "schemas" in self._given:
-            self._description(endpoint, port)
+        self._require_present(endpoint, options)
+        if configured(self._given, endpoint, options) is None and "schemas" in self._given:
+            self._description(endpoint, options)
 
-    def _description(self, endpoint: Endpoint, port: Port) -> Description:
-        found = configured(self._given, endpoint, port)
+    def _description(self, endpoint: Endpoint, options: TopicOptions) -> Description:
+        found = configured(self._given, endpoint, options)
         if found is None and (pattern := self._given.get("schemas")):
             topic = endpoint.address[0]
             place = pattern.replace("{topic}", topic)
@@ -148,44 +151,20 @@ class MqttBridge(Bridge):
             )
             if not payload:
                 self._refuse(endpoint, f"no schema of {topic} is retained on {place}")
-            schema = read_schema(place, payload, self._broker.settings.budget)
+            schema = read_schema(place, payload, self._broker.options.budget)
             if ("request" in schema) is not (endpoint.role is Role.SERVICE):
                 self._refuse(endpoint, f"what {place} describes is no {endpoint.role.value}")
-            found = _described(schema)
-        found = found or Description(hint=_HINTS[endpoint.role is Role.SERVICE])
-        if port.with_topic and found.message is not None:
+            found = described(schema)
+        found = found or Description(hint=STRUCTURE_HINTS[endpoint.role is Role.SERVICE])
+        if options.with_topic and found.message is not None:
             return Description(with_topic(found.message))
         if endpoint.role is Role.OUTPUT:
             return found
         most = self._broker.largest_payload(endpoint.address[0])
-        return evolve(found, limits=limits_of(port.content, most))
+        return evolve(found, limits=limits_of(options.content, most))
 
     def _refuse(self, endpoint: Endpoint, why: str) -> NoReturn:
         raise BridgeError(f"bridge {self.name!r}: {endpoint}: {why}", FailureReason.NOT_FOUND)
-
-    def _topics_on(self, filters: list[str], seconds: float, most: int) -> list[str]:
-        """Return topics on which something comes or is retained, in order, at most so many."""
-        found: dict[str, None] = {}
-        enough = threading.Event()
-
-        def take(incoming: Incoming) -> None:
-            if len(found) < most:
-                found[incoming.topic] = None
-            else:
-                enough.set()
-
-        receivers = [Receiver(one, take, qos=0, retained=True) for one in filters]
-        opened: list[Receiver] = []
-        try:
-            for one in receivers:
-                self._broker.subscribe(one)
-                opened.append(one)
-            self._broker.barrier()
-            enough.wait(seconds)
-        finally:
-            for one in opened:
-                self._broker.unsubscribe(one)
-        return sorted(found)
 
     def _discovered(self, topic: str) -> Discovered | None:
         if topic.startswith(("$", self._given.get("replies", "uoarm/replies"))):
@@ -193,49 +172,10 @@ class MqttBridge(Bridge):
         for role in (Role.OUTPUT, Role.SERVICE):
             endpoint = Endpoint(self.name, topic, role, (topic,))
             try:
-                return Discovered(topic, ((endpoint, self._description(endpoint, Port())),))
+                return Discovered(topic, ((endpoint, self._description(endpoint, TopicOptions())),))
             except BridgeError:
                 continue
         return None
 
-    def _tell(self, channel: Channel, health: Any, cause: str) -> None:
+    def _report_channel(self, channel: Channel, health: Health, cause: str) -> None:
         self.report(health, cause, channel=channel)
-
-
-def configured(given: Mapping[str, Any], endpoint: Endpoint, port: Port) -> Description | None:
-    """Return what options say of an endpoint's structures, None where they say nothing."""
-    topic = endpoint.address[0]
-    if endpoint.role is Role.SERVICE:
-        return _described(given.get("services", {}).get(topic))
-    for pattern, schema in given.get("structures", {}).items():
-        if pattern == topic or topic_matches_sub(pattern, topic):
-            return _described(schema)
-    known = STRUCTURES.get(port.content)
-    return None if known is None else Description(known)
-
-
-def describe_offline(endpoint: Endpoint, options: Options) -> Description:
-    """Return what a bridge would describe, as far as that is known without its broker."""
-    found = configured(options, endpoint, Port.of(endpoint.options))
-    if found is None and "schemas" not in options:
-        return Description(hint=_HINTS[endpoint.role is Role.SERVICE])
-    return found or Description()
-
-
-def _described(schema: Any) -> Description | None:
-    """Return a description of a schema, or of a mapping of two."""
-    if schema is None:
-        return None
-    if isinstance(schema, dict) and schema.keys() and schema.keys() <= {"request", "reply"}:
-        sides = {name: MessageStructure(side) for name, side in schema.items()}
-        return Description(request=sides.get("request"), reply=sides.get("reply"))
-    return Description(MessageStructure(schema))
-
-
-def _inner(schema: Any) -> MessageStructure:
-    """Return the structure within one that says the topic; references are seen from the root."""
-    if not isinstance(schema, dict):
-        return MessageStructure(True)
-    inner = schema.get("properties", {}).get("message", True)
-    named = {one: schema[one] for one in ("$defs", "definitions") if one in schema}
-    return MessageStructure({**inner, **named} if isinstance(inner, dict) else inner)

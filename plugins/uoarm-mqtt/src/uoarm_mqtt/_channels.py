@@ -1,38 +1,45 @@
-"""Sources and sinks on topics."""
+"""Channels on topics: sources, sinks, calls and served functions."""
 
 from __future__ import annotations
 
+import os
 import threading
 from collections import deque
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from uoarm.bridge import Channel, Delivery, Sink, Source
-from uoarm.errors import BridgeError, FailureReason, MessageError
-from uoarm.model import Endpoint, Health, Message
-from uoarm_mqtt._codec import CONTENT_TYPES, Codec
-from uoarm_mqtt._link import BrokerConnection, Outcome
-from uoarm_mqtt._options import Port
-from uoarm_mqtt._subscriptions import Incoming, Receiver
+from attrs import define, field
 
-__all__ = ["Backlog", "TopicSink", "TopicSource", "content_type"]
+from uoarm.bridge import Channel, Delivery, Handler, ServiceStructures, Sink, Source
+from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, MessageError
+from uoarm.model import Endpoint, Health, Message
+from uoarm_mqtt._codec import CONTENT_TYPES, PayloadCodec
+from uoarm_mqtt._link import BrokerConnection, PacketOutcome
+from uoarm_mqtt._options import TopicOptions
+from uoarm_mqtt._subscriptions import ReceivedMessage, Receiver
+
+__all__ = ["MqttSink", "MqttSource", "ReceiveQueue", "ServedTopic", "ServiceCalls", "content_type"]
 
 Report = Callable[[Channel, Health, str], None]
 
 
-class Backlog:
+class ReceiveQueue:
     """What came and was not taken yet, and the one thread that takes it.
 
-    The thread of the network only appends, so that a receiver that is stuck holds up nobody else.
+    The thread of the network only appends, so that a receiver that is stuck holds up no other one.
     When it is full, the oldest are dropped and counted. The thread ends when it is closed, or with
     the `take` under way.
     """
 
-    def __init__(self, name: str, take: Callable[[Incoming], None], most: int, octets: int) -> None:
+    def __init__(
+        self, name: str, take: Callable[[ReceivedMessage], None], most: int, octets: int
+    ) -> None:
         self._take = take
         self._most, self._most_octets = most, octets
-        self._waiting: deque[Incoming] = deque()
+        self._waiting: deque[ReceivedMessage] = deque()
         self._octets = 0
+        # Guards what waits, its octets and `_closed`: the thread of the network appends, the
+        # queue's own takes, and any thread may close. It is not held during `take`.
         self._changed = threading.Condition()
         self._closed = False
         self.dropped = 0
@@ -42,7 +49,7 @@ class Backlog:
     def __len__(self) -> int:
         return len(self._waiting)
 
-    def put(self, message: Incoming) -> None:
+    def put(self, message: ReceivedMessage) -> None:
         """Append a message; returns at once."""
         with self._changed:
             if self._closed:
@@ -75,7 +82,7 @@ class Backlog:
             self._take(message)
 
 
-class TopicSource(Source):
+class MqttSource(Source):
     """What is published on a topic, or on all that a filter matches.
 
     Where its last messages stand, the last one of each topic does. An empty payload clears what is
@@ -84,7 +91,7 @@ class TopicSource(Source):
     Args:
         endpoint: where it is open.
         topic: or a filter.
-        port: options.
+        options: of the topic.
         codec: reads what comes.
         link: to the broker.
         deliver: takes the messages.
@@ -96,33 +103,33 @@ class TopicSource(Source):
         self,
         endpoint: Endpoint,
         topic: str,
-        port: Port,
-        codec: Codec,
+        options: TopicOptions,
+        codec: PayloadCodec,
         link: BrokerConnection,
         deliver: Delivery,
         report: Report,
         *,
         latched: bool | None = None,
     ) -> None:
-        super().__init__(endpoint, latched=port.retain if latched is None else latched)
-        self._port, self._codec, self._link = port, codec, link
+        super().__init__(endpoint, latched=options.retain if latched is None else latched)
+        self._options, self._codec, self._link = options, codec, link
         self._deliver = deliver
         self._breaks = link.breaks
         self._received = self._cleared = 0
         budget = codec.budget
-        most, octets = link.settings.backlog, 8 * budget.octets
-        self._backlog = Backlog(f"uoarm-mqtt-{topic}", self._take, most, octets)
+        most, octets = link.options.backlog, 8 * budget.octets
+        self._queue = ReceiveQueue(f"uoarm-mqtt-{topic}", self._take, most, octets)
         self._receiver = Receiver(
-            f"$share/{port.share}/{topic}" if port.share else topic,
-            self._backlog.put,
-            port.qos,
-            port.retain,
+            f"$share/{options.share}/{topic}" if options.share else topic,
+            self._queue.put,
+            options.qos,
+            options.retain,
             lambda cause: report(self, Health.LOST, cause),
         )
         try:
             link.subscribe(self._receiver)
         except BaseException:
-            self._backlog.close()
+            self._queue.close()
             raise
 
     def facts(self) -> Mapping[str, object]:
@@ -130,16 +137,16 @@ class TopicSource(Source):
         return {
             "received": self._received,
             "cleared": self._cleared,
-            "under_way": len(self._backlog),
-            "lost_on_link": self._backlog.dropped,
+            "under_way": len(self._queue),
+            "lost_on_link": self._queue.dropped,
             "interruptions": self._link.breaks - self._breaks,
         }
 
     def _close(self) -> None:
         self._link.unsubscribe(self._receiver)
-        self._backlog.close()
+        self._queue.close()
 
-    def _take(self, incoming: Incoming) -> None:
+    def _take(self, incoming: ReceivedMessage) -> None:
         self._received += 1
         is_cleared = not incoming.payload
         self._cleared += is_cleared
@@ -151,14 +158,14 @@ class TopicSource(Source):
         except MessageError as error:
             self._deliver.unreadable(f"{incoming.topic}: {error}")
             return
-        if self._port.with_topic:
+        if self._options.with_topic:
             message = {"topic": incoming.topic, "message": message}
         self._deliver(message, incoming.topic if self.latched else "")
         if is_cleared:  # an empty text, or no octets: it may be meant, but nothing stands
             self._deliver.let_go(incoming.topic)
 
 
-class TopicSink(Sink):
+class MqttSink(Sink):
     """Publishes on a topic; refuses what would wait, so that sending returns at once."""
 
     blocking = False
@@ -167,26 +174,28 @@ class TopicSink(Sink):
         self,
         endpoint: Endpoint,
         topic: str,
-        port: Port,
-        codec: Codec,
+        options: TopicOptions,
+        codec: PayloadCodec,
         link: BrokerConnection,
         report: Report,
     ) -> None:
         super().__init__(endpoint)
-        self._port, self._codec, self._link, self._report = port, codec, link, report
+        self._options, self._codec, self._link, self._report = options, codec, link, report
         self._topic = topic
+        # Guards the counters: any thread sends and drains, paho's reports how it ended. It is not
+        # held while the link is called, which may report at once.
         self._changed = threading.Condition()
-        self._under_way = self._lost = self._refused = self._unheard = 0
+        self._under_way = self._lost = self._refused = self._undelivered = 0
         self._is_degraded = False
         link.require_up()
 
     def facts(self) -> Mapping[str, object]:
-        """Return counters: `unheard` were taken by the broker while nobody was subscribed."""
+        """Return counters; `undelivered`: taken by the broker while no client was subscribed."""
         return {
             "under_way": self._under_way,
             "lost_on_link": self._lost,
             "refused": self._refused,
-            "unheard": self._unheard,
+            "undelivered": self._undelivered,
         }
 
     def drain(self, timeout: float) -> bool:
@@ -199,21 +208,21 @@ class TopicSink(Sink):
 
     def _send(self, message: Message) -> None:
         payload = self._codec.encode(message)
-        if self._port.retain and not payload:
+        if self._options.retain and not payload:
             text = "an empty payload would delete the retained message instead of replacing it"
             raise MessageError(text)
         with self._changed:
-            if self._under_way >= self._link.settings.backlog:
+            if self._under_way >= self._link.options.backlog:
                 text = f"{self.endpoint}: {self._under_way} messages wait for the broker (backlog)"
                 raise BridgeError(text, FailureReason.UNAVAILABLE)
             self._under_way += 1
         more: dict[str, Any] = {"ContentType": CONTENT_TYPES[self._codec.content]}
-        if self._port.expiry:
-            more["MessageExpiryInterval"] = self._port.expiry
+        if self._options.expiry:
+            more["MessageExpiryInterval"] = self._options.expiry
         try:
-            port = self._port
+            options = self._options
             self._link.publish(
-                self._topic, payload, self._done, qos=port.qos, retain=port.retain, more=more
+                self._topic, payload, self._done, qos=options.qos, retain=options.retain, more=more
             )
         except BaseException:
             with self._changed:
@@ -223,10 +232,10 @@ class TopicSink(Sink):
     def _close(self) -> None:
         """Nothing is held: what is under way goes its way."""
 
-    def _done(self, outcome: Outcome) -> None:
+    def _done(self, outcome: PacketOutcome) -> None:
         with self._changed:
             self._under_way -= 1
-            self._unheard += outcome.nobody
+            self._undelivered += outcome.no_subscribers
             self._lost += bool(outcome.failure) and not outcome.is_answer
             is_refused = bool(outcome.failure) and outcome.is_answer
             self._refused += is_refused
@@ -239,6 +248,171 @@ class TopicSink(Sink):
             self._report(self, health, outcome.failure or "the broker takes messages again")
 
 
-def content_type(incoming: Incoming) -> str:
+def content_type(incoming: ReceivedMessage) -> str:
     """Return the content type that a message says to have, "" where it says nothing."""
     return str(getattr(incoming.properties, "ContentType", ""))
+
+
+_FAILED = "error"
+"""The user property of a reply that says why there is none."""
+
+
+@define(eq=False)
+class _Call:
+    ended: threading.Event = field(factory=threading.Event)
+    reply: ReceivedMessage | None = None
+    failure: str = ""
+
+    def end(self, reply: ReceivedMessage | None, failure: str = "") -> None:
+        if not self.ended.is_set():
+            self.reply, self.failure = reply, failure
+            self.ended.set()
+
+
+class ServiceCalls:
+    """Calls of one connection; their replies come on one topic of its own.
+
+    Correlation data are letters and digits, so that a peer in a shell can give them back.
+    """
+
+    def __init__(self, link: BrokerConnection, topic: str) -> None:
+        self._link = link
+        self._receiver = Receiver(f"{topic}/{link.options.client_id}", self._take)
+        # Of the first callers, in threads of their own, exactly one subscribes to the replies, and
+        # none publishes a request before that.
+        self._opening = threading.Lock()
+        self._is_open = False
+        self._waiting: dict[bytes, _Call] = {}
+        self._strays = 0
+        self._stray = ""  # what came last that answers no call
+
+    def call(
+        self,
+        endpoint: Endpoint,
+        options: TopicOptions,
+        structures: ServiceStructures,
+        message: Message,
+        timeout: float,
+    ) -> Message:
+        """Publish a request and return the reply to it.
+
+        Raises:
+            BridgeError: no client serves it, the server says that it failed, the link is down.
+        """
+        with self._opening:
+            if not self._is_open:
+                self._link.subscribe(self._receiver)
+                self._is_open = True
+        budget, topic = self._link.options.budget, endpoint.address[0]
+        payload = PayloadCodec(options.content, budget).encode(message)
+        correlation, call = os.urandom(16).hex().encode(), _Call()
+        more: dict[str, Any] = {
+            "ContentType": CONTENT_TYPES[options.content],
+            "ResponseTopic": self._receiver.topic,
+            "CorrelationData": correlation,
+            "MessageExpiryInterval": max(1, int(timeout)),  # late is never, for a request
+        }
+
+        def done(outcome: PacketOutcome) -> None:
+            if outcome.failure or outcome.no_subscribers:
+                call.end(None, outcome.failure or "no client is subscribed to it")
+
+        strays = self._strays
+        self._waiting[correlation] = call
+        try:
+            self._link.publish(topic, payload, done, qos=max(1, options.qos), more=more)
+            if not call.ended.wait(timeout):
+                text = f"{endpoint}: no reply within {timeout:g} s"
+                if self._strays > strays:
+                    text += f"; what came instead answers no call: {self._stray}"
+                raise BridgeTimeoutError(text)
+        finally:
+            del self._waiting[correlation]
+        if call.reply is None:
+            raise BridgeError(f"{endpoint}: {call.failure}", FailureReason.UNAVAILABLE)
+        said = dict(getattr(call.reply.properties, "UserProperty", ()))
+        if _FAILED in said:
+            raise BridgeError(f"{endpoint}: the service failed: {said[_FAILED][:1000]}")
+        codec = PayloadCodec.of(options.content, structures.reply, budget)
+        try:
+            return codec.decode(call.reply.payload, content_type(call.reply))
+        except MessageError as error:
+            text = f"{endpoint}: the reply cannot be read: {error}"
+            raise BridgeError(text, FailureReason.BAD_MESSAGE) from error
+
+    def _take(self, incoming: ReceivedMessage) -> None:
+        correlation = getattr(incoming.properties, "CorrelationData", b"")
+        call = self._waiting.get(correlation)
+        if call is not None:
+            call.end(incoming)
+            return
+        self._strays += 1
+        octets = f"{len(incoming.payload):,} octets"
+        self._stray = f"{octets} with the correlation data {correlation[:40]!r}, as no request had"
+
+
+class ServedTopic(Channel):
+    """A function that answers the requests on a topic, one after the other in its own thread."""
+
+    def __init__(
+        self,
+        endpoint: Endpoint,
+        options: TopicOptions,
+        structures: ServiceStructures,
+        handler: Handler,
+        link: BrokerConnection,
+    ) -> None:
+        super().__init__(endpoint)
+        self._options, self._handler, self._link = options, handler, link
+        self._codec = PayloadCodec.of(options.content, structures.request, link.options.budget)
+        self._answered = self._failed = self._unanswerable = 0
+        topic, budget = endpoint.address[0], link.options.budget
+        self._queue = ReceiveQueue(
+            f"uoarm-mqtt-{topic}", self._take, link.options.backlog, 8 * budget.octets
+        )
+        shared = f"$share/{options.share}/{topic}" if options.share else topic
+        self._receiver = Receiver(shared, self._queue.put, max(1, options.qos))
+        try:
+            link.subscribe(self._receiver)
+        except BaseException:
+            self._queue.close()
+            raise
+
+    def facts(self) -> dict[str, object]:
+        """Return counters of requests; `unanswerable`: without a topic for the reply."""
+        return {
+            "answered": self._answered,
+            "failed": self._failed,
+            "unanswerable": self._unanswerable,
+            "lost_on_link": self._queue.dropped,
+        }
+
+    def _close(self) -> None:
+        self._link.unsubscribe(self._receiver)
+        self._queue.close()
+
+    def _take(self, request: ReceivedMessage) -> None:
+        topic = getattr(request.properties, "ResponseTopic", "")
+        if not topic or {"+", "#", "$"} & {topic[:1], *topic.split("/")}:
+            self._unanswerable += 1
+            return
+        more: dict[str, Any] = {"ContentType": CONTENT_TYPES[self._options.content]}
+        correlation = getattr(request.properties, "CorrelationData", None)
+        if correlation is not None:
+            more["CorrelationData"] = correlation
+        try:
+            message = self._codec.decode(request.payload, content_type(request))
+            payload = self._codec.encode(self._handler(message))
+            self._answered += 1
+        except Exception as error:  # noqa: BLE001 - of the handler: the caller gets its text
+            self._failed += 1
+            payload = b""
+            more["UserProperty"] = (_FAILED, f"{type(error).__name__}: {error}"[:1000])
+        try:
+            self._link.publish(topic, payload, _ignore, qos=1, more=more)
+        except Exception:  # noqa: BLE001 - not connected any more, or no topic
+            self._unanswerable += 1
+
+
+def _ignore(_: PacketOutcome) -> None:
+    """Whether the reply was taken matters to the caller alone."""

@@ -20,7 +20,14 @@ from uoarm.model import (
     scan_json,
 )
 
-__all__ = ["CONTENT_TYPES", "STRUCTURES", "Codec", "limits_of", "with_topic"]
+__all__ = [
+    "CONTENT_TYPES",
+    "STRUCTURES",
+    "PayloadCodec",
+    "limits_of",
+    "with_topic",
+    "without_topic",
+]
 
 Convert = Callable[[Any], Any]
 
@@ -39,7 +46,7 @@ CONTENT_TYPES = {
 
 
 @frozen
-class Codec:
+class PayloadCodec:
     """How the messages of one port are written.
 
     Attributes:
@@ -54,7 +61,7 @@ class Codec:
     convert: Convert | None = None
 
     @classmethod
-    def of(cls, content: str, structure: MessageStructure, budget: Budget) -> Codec:
+    def of(cls, content: str, structure: MessageStructure, budget: Budget) -> PayloadCodec:
         """Return the codec for what has a structure."""
         convert = _Reading(structure.schema).of(structure.schema) if content == "json" else None
         return cls(content, budget, convert)
@@ -147,7 +154,7 @@ class _Reading:
         return None
 
     def _list(self, schema: Mapping[str, Any]) -> Convert | None:
-        first = [self.of(one) for one in schema.get("prefixItems", ())]
+        first = [self.of(item) for item in schema.get("prefixItems", ())]
         rest = self.of(schema.get("items"))
         if rest is None and not any(first):
             return None
@@ -155,13 +162,16 @@ class _Reading:
         def convert(value: Any) -> Any:
             if not isinstance(value, list):
                 return value
-            each = [*first[: len(value)], *[rest] * (len(value) - len(first))]
-            return [one if do is None else do(one) for do, one in zip(each, value, strict=True)]
+            converts = [*first[: len(value)], *[rest] * (len(value) - len(first))]
+            return [
+                item if convert is None else convert(item)
+                for convert, item in zip(converts, value, strict=True)
+            ]
 
         return convert
 
     def _object(self, schema: Mapping[str, Any]) -> Convert | None:
-        named = {name: self.of(one) for name, one in schema.get("properties", {}).items()}
+        named = {name: self.of(inner) for name, inner in schema.get("properties", {}).items()}
         members = {name: do for name, do in named.items() if do is not None}
         other = self.of(schema.get("additionalProperties"))
         if not members and other is None:
@@ -170,10 +180,10 @@ class _Reading:
         def convert(value: Any) -> Any:
             if not isinstance(value, dict):
                 return value
-            for name, one in value.items():
+            for name, member in value.items():
                 do = members.get(name) if name in named else other
                 if do is not None:
-                    value[name] = do(one)
+                    value[name] = do(member)
             return value
 
         return convert
@@ -192,7 +202,7 @@ class _Reading:
 
 
 def _octets(value: Any) -> Any:
-    """Octets are base64; of whoever writes them as a list of numbers, the list is taken."""
+    """Octets are base64; a list of numbers is taken as well."""
     if isinstance(value, str):
         padding = "" if value.endswith("=") else "=" * (-len(value) % 4)  # many leave it out
         return base64.b64decode(value + padding, validate=True)
@@ -225,6 +235,15 @@ def with_topic(inner: MessageStructure) -> MessageStructure:
     both = {"topic": {"type": "string"}, "message": schema}
     closed = {"required": [*both], "additionalProperties": False}
     return MessageStructure({"type": "object", "properties": both, **closed, **hoisted})
+
+
+def without_topic(schema: Any) -> MessageStructure:
+    """Return the structure within one that says the topic; references are seen from the root."""
+    if not isinstance(schema, dict):
+        return MessageStructure(True)
+    inner = schema.get("properties", {}).get("message", True)
+    named = {name: schema[name] for name in ("$defs", "definitions") if name in schema}
+    return MessageStructure({**inner, **named} if isinstance(inner, dict) else inner)
 
 
 def _plain(value: Any) -> Any:

@@ -21,14 +21,14 @@ from paho.mqtt.subscribeoptions import SubscribeOptions
 
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, MessageError
 from uoarm.model import Health
-from uoarm_mqtt._options import Settings
-from uoarm_mqtt._outage import Outage
-from uoarm_mqtt._subscriptions import Incoming, Receiver, Subscriptions
+from uoarm_mqtt._health import Disconnection
+from uoarm_mqtt._options import ConnectionOptions
+from uoarm_mqtt._subscriptions import ReceivedMessage, Receiver, Subscriptions
 
-__all__ = ["BrokerConnection", "Outcome", "properties"]
+__all__ = ["BrokerConnection", "PacketOutcome", "properties"]
 
 _STEP_SECONDS = 4.0
-"""How long one step waits for the broker: less than the manager does, so that the cause is told."""
+"""How long one step waits for the broker: less than the manager does, which knows no cause."""
 
 _CONNECT_SECONDS = 3.0
 _GOODBYE_SECONDS = 1.0
@@ -43,22 +43,22 @@ _FINAL = frozenset({0x82, 0x84, 0x85, 0x86, 0x87, 0x8A, 0x8C, 0x8E, 0x9C, 0x9D})
 
 
 @frozen
-class Outcome:
+class PacketOutcome:
     """How a packet ended.
 
     Attributes:
         failure: why the broker did not take it, "" when it did.
         is_answer: whether the broker said so; else the connection ended before.
-        nobody: whether it was taken while nobody is subscribed to its topic.
+        no_subscribers: whether it was taken while no client is subscribed to its topic.
     """
 
     failure: str = ""
     is_answer: bool = True
-    nobody: bool = False
+    no_subscribers: bool = False
 
 
-Done = Callable[[Outcome], object]
-"""Is told once how a packet ended, from any thread; must return at once."""
+Done = Callable[[PacketOutcome], object]
+"""Takes once how a packet ended, from any thread; must return at once."""
 
 
 @define
@@ -97,7 +97,7 @@ class _Client(ThreadedClient):
         cause = None
         try:
             return super().loop_forever(timeout, retry_first_connection)
-        except Exception as error:  # noqa: BLE001 - whatever ends the thread is told
+        except Exception as error:  # noqa: BLE001 - whatever ends the thread is reported
             cause = error
             return MQTTErrorCode.MQTT_ERR_UNKNOWN
         finally:
@@ -120,13 +120,13 @@ class BrokerConnection:
     holds its own while it calls us.
 
     Attributes:
-        told: is called with health, and cause, of the connection.
+        report: is called with health, and cause, of the connection.
         breaks: how often it broke.
     """
 
     name: str
-    settings: Settings
-    told: Callable[[Health, str], None]
+    options: ConnectionOptions
+    report: Callable[[Health, str], None]
     breaks: int = 0
     _up: bool = False
     _cause: str = ""  # why it is not up; empty: not known yet
@@ -134,21 +134,22 @@ class BrokerConnection:
     _closed: bool = False
     _calls: int = 0  # of paho that are under way, which `close` waits for
     _largest: int | None = None  # octets of a packet that the broker takes
+    # Guards all that is mutable here: callers in any thread, against paho's.
     _changed: threading.Condition = field(factory=threading.Condition, init=False)
     _subscriptions: Subscriptions = field(factory=Subscriptions, init=False)
     # Packets that wait for an answer, and answers that came before their packet was noted.
     _pending: dict[tuple[str, int], _Pending] = field(factory=dict, init=False)
-    _early: dict[tuple[str, int], Outcome] = field(factory=dict, init=False)
-    _outage: Outage = field(init=False)
+    _early: dict[tuple[str, int], PacketOutcome] = field(factory=dict, init=False)
+    _disconnection: Disconnection = field(init=False)
     _client: _Client = field(init=False)
 
     def __attrs_post_init__(self) -> None:
         """Make the client; nothing is connected."""
-        mine = self.settings
-        self._outage = Outage(mine.grace)
+        options = self.options
+        self._disconnection = Disconnection(options.grace)
         self._client = client = _Client(
             CallbackAPIVersion.VERSION2,
-            mine.client_id,
+            options.client_id,
             protocol=MQTTProtocolVersion.MQTTv5,
         )
         client.connect_timeout = _CONNECT_SECONDS
@@ -162,12 +163,14 @@ class BrokerConnection:
         client.on_publish = lambda _c, _u, mid, reason, _p: self._answer(("p", mid), [reason])
         client.on_subscribe = lambda _c, _u, mid, reasons, _p: self._answer(("s", mid), reasons)
         client.on_unsubscribe = lambda _c, _u, mid, reasons, _p: self._answer(("u", mid), reasons)
-        if mine.login is not None:
-            client.username_pw_set(*mine.login())
-        if mine.context is not None:
-            client.tls_set_context(mine.context)
-        if mine.announcement is not None:
-            client.will_set(mine.announcement.topic, mine.announcement.will, qos=1, retain=True)
+        if options.login is not None:
+            client.username_pw_set(*options.login())
+        if options.context is not None:
+            client.tls_set_context(options.context)
+        if options.announcement is not None:
+            client.will_set(
+                options.announcement.topic, options.announcement.will, qos=1, retain=True
+            )
 
     def require_up(self) -> None:
         """Return when the link is up; the first call connects.
@@ -185,7 +188,7 @@ class BrokerConnection:
         with self._changed:
             self._changed.wait_for(lambda: self._up or self._cause or self._closed, _STEP_SECONDS)
             if not self._up:
-                where = f"{self.settings.host}:{self.settings.port}"
+                where = f"{self.options.host}:{self.options.port}"
                 cause = self._cause or "no answer yet"
                 text = f"bridge {self.name!r}: no connection to the broker at {where}: {cause}"
                 raise BridgeError(text, FailureReason.UNAVAILABLE)
@@ -221,13 +224,13 @@ class BrokerConnection:
 
         Brokers take the packets of one client in order, and this is one that changes nothing.
         """
-        topic = f"uoarm/barrier/{self.settings.client_id}"
+        topic = f"uoarm/barrier/{self.options.client_id}"
         self.require_up()
         self._wait("u", "waiting for what was sent", lambda: self._client.unsubscribe(topic))
 
     def largest_payload(self, topic: str) -> int:
         """Return how many octets a payload on a topic may have: by our budget, and the broker's."""
-        most = self.settings.budget.octets
+        most = self.options.budget.octets
         if self._largest is None:
             return most
         return max(1, min(most, self._largest - len(topic.encode()) - _HEADER - _PROPERTIES))
@@ -265,14 +268,14 @@ class BrokerConnection:
             self._note(("p", info.mid), _Pending(done, survives=qos > 0))
 
     def close(self) -> None:
-        """Say goodbye, where there is somebody to say it to, and end paho's thread."""
+        """Say goodbye, where a broker is there to take it, and end paho's thread."""
         with self._changed:
             self._closed = True
             self._changed.notify_all()
             # Below, what they have started is ended, and what they have noted is answered.
             self._changed.wait_for(lambda: not self._calls, _STEP_SECONDS)
             was_up = self._up
-        said = self.settings.announcement
+        said = self.options.announcement
         if was_up and said is not None:
             self._announce(said.topic, said.offline())
         self._client.disconnect(properties=properties("DISCONNECT", SessionExpiryInterval=0))
@@ -306,14 +309,17 @@ class BrokerConnection:
                 self._changed.notify_all()
 
     def _start(self) -> None:
-        mine = self.settings
+        options = self.options
         wanted: dict[str, Any] = {
-            "SessionExpiryInterval": max(1, int(mine.grace)),
+            "SessionExpiryInterval": max(1, int(options.grace)),
             "ReceiveMaximum": _IN_FLIGHT,
-            "MaximumPacketSize": mine.budget.octets + _ROOM_FOR_TOPIC,
+            "MaximumPacketSize": options.budget.octets + _ROOM_FOR_TOPIC,
         }
         self._client.connect_async(
-            mine.host, mine.port, mine.keepalive, properties=properties("CONNECT", **wanted)
+            options.host,
+            options.port,
+            options.keepalive,
+            properties=properties("CONNECT", **wanted),
         )
         if self._client.loop_start():  # a thread that has just given up is still ending
             with self._changed:
@@ -336,10 +342,10 @@ class BrokerConnection:
 
     def _wait(self, kind: str, what: str, send: Callable[[], Any]) -> None:
         """Send a packet and wait for its answer."""
-        outcomes: list[Outcome] = []
+        outcomes: list[PacketOutcome] = []
         answered = threading.Event()
 
-        def done(outcome: Outcome) -> None:
+        def done(outcome: PacketOutcome) -> None:
             outcomes.append(outcome)
             answered.set()
 
@@ -368,10 +374,10 @@ class BrokerConnection:
 
     def _answer(self, key: tuple[str, int], reasons: Any) -> None:
         # UNSUBACK: that there was no such subscription is what a barrier expects.
-        failed = key[0] != "u" and any(one.is_failure for one in reasons)
+        failed = key[0] != "u" and any(reason.is_failure for reason in reasons)
         failure = f"the broker refuses: {_say(reasons[0])}" if failed else ""
-        nobody = key[0] == "p" and reasons[0].value == _NO_SUBSCRIBERS
-        outcome = Outcome(failure, nobody=nobody)
+        no_subscribers = key[0] == "p" and reasons[0].value == _NO_SUBSCRIBERS
+        outcome = PacketOutcome(failure, no_subscribers=no_subscribers)
         with self._changed:
             pending = self._pending.pop(key, None)
             if pending is None:
@@ -380,13 +386,15 @@ class BrokerConnection:
             pending.done(outcome)
 
     def _fail(self, cause: str, *, everything: bool = False) -> None:
-        """Answer what nobody will answer any more."""
+        """Answer what the broker will not answer any more."""
         with self._changed:
             self._early.clear()
-            gone = [k for k, one in self._pending.items() if everything or not one.survives]
+            gone = [
+                key for key, pending in self._pending.items() if everything or not pending.survives
+            ]
             failed = [self._pending.pop(key) for key in gone]
-        for one in failed:
-            one.done(Outcome(cause, is_answer=False))
+        for pending in failed:
+            pending.done(PacketOutcome(cause, is_answer=False))
 
     def _on_connect(
         self, client: Client, user: Any, flags: ConnectFlags, reason: ReasonCode, more: object
@@ -398,8 +406,10 @@ class BrokerConnection:
         self._largest = getattr(more, "MaximumPacketSize", None)
         self._client.keep_within(getattr(more, "ReceiveMaximum", _IN_FLIGHT))
         with self._changed:
-            receivers = [(one, self._subscriptions.add(one)) for one in self._subscriptions]
-        if (said := self.settings.announcement) is not None:
+            receivers = [
+                (receiver, self._subscriptions.add(receiver)) for receiver in self._subscriptions
+            ]
+        if (said := self.options.announcement) is not None:
             self._announce(said.topic, said.online())
         left = len(receivers)
 
@@ -407,11 +417,11 @@ class BrokerConnection:
             with self._changed:
                 self._up, self._cause = True, ""
                 self._changed.notify_all()
-                health = self._outage.up()
+                health = self._disconnection.up()
             if health is not None:
-                self.told(health, "connected to the broker")
+                self.report(health, "connected to the broker")
 
-        def resumed(receiver: Receiver, outcome: Outcome) -> None:
+        def resumed(receiver: Receiver, outcome: PacketOutcome) -> None:
             nonlocal left
             if not outcome.is_answer:
                 return  # it broke again
@@ -421,10 +431,10 @@ class BrokerConnection:
             if not left:
                 ready()
 
-        for one, qos in receivers:
-            _, mid = self._subscribe(one, qos, again=flags.session_present)
+        for receiver, qos in receivers:
+            _, mid = self._subscribe(receiver, qos, again=flags.session_present)
             if mid is not None:
-                pending = _Pending(partial(resumed, one), survives=False)
+                pending = _Pending(partial(resumed, receiver), survives=False)
                 self._note(("s", mid), pending)
         if not receivers:
             ready()
@@ -457,7 +467,7 @@ class BrokerConnection:
         del client, user
         payload = bytes(message.payload)
         try:
-            came = Incoming(message.topic, payload, message.retain, message.properties)
+            came = ReceivedMessage(message.topic, payload, message.retain, message.properties)
         except UnicodeDecodeError:  # no broker lets such a topic through
             return
         with self._changed:
@@ -468,15 +478,17 @@ class BrokerConnection:
     def _down(self, cause: str, *, final: bool = False) -> None:
         with self._changed:
             was_up, self._up = self._up, False
-            if was_up or not self._cause:  # paho tells a refusal a second time, in other words
+            if was_up or not self._cause:  # paho reports a refusal a second time, in other words
                 self._cause = cause
             self.breaks += was_up
-            health = None if self._closed else self._outage.down(time.monotonic(), final=final)
-            is_over = final or self._outage.is_over
+            health = (
+                None if self._closed else self._disconnection.down(time.monotonic(), final=final)
+            )
+            is_over = final or self._disconnection.is_over
             self._changed.notify_all()
         self._fail(cause)
         if health is not None:
-            self.told(health, cause)
+            self.report(health, cause)
         if is_over:
             self._client.disconnect()  # ends the thread, and the attempts
 
@@ -499,5 +511,5 @@ def _send_at_once(client: Client, user: Any, opened: Any) -> None:
     opened.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
 
 
-def _ignore(_: Outcome) -> None:
+def _ignore(_: PacketOutcome) -> None:
     """For packets on whose end nothing depends."""

@@ -19,12 +19,12 @@ from uoarm.model import Budget, Options, Schema
 __all__ = [
     "BRIDGE_OPTIONS",
     "CONNECTION_OPTIONS",
-    "Announcement",
-    "Port",
-    "Presence",
-    "Settings",
+    "ConnectionOptions",
+    "PresenceAnnouncement",
+    "PresenceOptions",
+    "TopicOptions",
+    "connection_options",
     "mistake",
-    "settings_of",
 ]
 
 _TEXT: Schema = {"type": "string", "minLength": 1}
@@ -62,7 +62,7 @@ CONNECTION_OPTIONS: Mapping[str, Any] = {
     "max_values": _COUNT,
     "max_depth": {"type": "integer", "minimum": 1, "maximum": 200},
 }
-"""JSON Schemas of the options that `settings_of` reads, by name; `url` must be given."""
+"""JSON Schemas of the options that `connection_options` reads, by name; `url` must be given."""
 
 BRIDGE_OPTIONS: Schema = _closed(
     {
@@ -101,7 +101,7 @@ _LONGEST_TOPIC = 65535
 
 
 @frozen
-class Presence:
+class PresenceOptions:
     """Where a component says whether it is there: a retained topic, written by its last will.
 
     Attributes:
@@ -118,7 +118,7 @@ class Presence:
 
 
 @frozen
-class Port:
+class TopicOptions:
     """The options of one endpoint."""
 
     content: str = "json"
@@ -127,10 +127,10 @@ class Port:
     share: str = ""
     with_topic: bool = False
     expiry: int = 0
-    presence: Presence | None = None
+    presence: PresenceOptions | None = None
 
     @staticmethod
-    def of(options: Options) -> Port:
+    def of(options: Options) -> TopicOptions:
         """Read the options of an endpoint.
 
         Raises:
@@ -140,8 +140,8 @@ class Port:
             raise ValueError("; ".join(["option", *map(str, error.path), error.message]))
         given: dict[str, Any] = dict(options)
         if "presence" in given:
-            given["presence"] = Presence(**given["presence"])
-        port = Port(**given)
+            given["presence"] = PresenceOptions(**given["presence"])
+        port = TopicOptions(**given)
         if port.retain and port.share:
             text = "a shared subscription is given no retained messages: `share` or `retain`"
             raise ValueError(text)
@@ -151,7 +151,7 @@ class Port:
 def mistake(address: tuple[str, ...], options: Options) -> str:
     """Say what is wrong with an address and its options, "" where nothing is."""
     try:
-        Port.of(options)
+        TopicOptions.of(options)
     except ValueError as error:
         return str(error)
     if len(address) != 1:
@@ -174,7 +174,7 @@ def wrong_filter(topic: str) -> str:
 
 
 @frozen
-class Announcement:
+class PresenceAnnouncement:
     """What a client says of itself on a topic, retained.
 
     Attributes:
@@ -191,7 +191,7 @@ class Announcement:
 
 
 @frozen
-class Settings:
+class ConnectionOptions:
     """How to connect to a broker, read from options. The password is in no text of it.
 
     Attributes:
@@ -214,12 +214,12 @@ class Settings:
     context: ssl.SSLContext | None
     keepalive: int
     grace: float
-    announcement: Announcement | None
+    announcement: PresenceAnnouncement | None
     budget: Budget
     backlog: int
 
 
-def settings_of(name: str, options: Options) -> Settings:
+def connection_options(name: str, options: Options) -> ConnectionOptions:
     """Read the options of a bridge, already checked against the schema.
 
     Raises:
@@ -240,7 +240,7 @@ def settings_of(name: str, options: Options) -> Settings:
     if password and not (encrypted or _is_loopback(host) or given.get("plain_password")):
         text = "the password would cross the network unencrypted: mqtts://, or `plain_password`"
         raise _wrong(name, f"{text}: true where the network is your own")
-    return Settings(
+    return ConnectionOptions(
         host=host,
         port=port,
         client_id=given.get("client_id", f"uoarm-{name}-{os.urandom(4).hex()}"),
@@ -258,9 +258,9 @@ def settings_of(name: str, options: Options) -> Settings:
     )
 
 
-def _announcement(says: Mapping[str, str]) -> Announcement:
+def _announcement(says: Mapping[str, str]) -> PresenceAnnouncement:
     online, offline = says.get("online", "online"), says.get("offline", "offline")
-    return Announcement(says["topic"], offline, lambda: online, lambda: offline)
+    return PresenceAnnouncement(says["topic"], offline, lambda: online, lambda: offline)
 
 
 def _password(name: str, given: Mapping[str, Any]) -> str | None:

@@ -1,4 +1,4 @@
-"""Who receives what: the table of subscriptions, without a connection."""
+"""The table of subscriptions, and which receivers get a message; without a connection."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from collections.abc import Callable, Iterator
 from attrs import define, field, frozen
 from paho.mqtt.client import topic_matches_sub
 
-__all__ = ["Incoming", "Receiver", "Subscriptions"]
+__all__ = ["ReceivedMessage", "Receiver", "Subscriptions"]
 
 _FIRST_ID = 1
 _KEPT_IDS = 16  # of one filter: messages on their way carry the last, or one shortly before it
 
 
 @frozen
-class Incoming:
+class ReceivedMessage:
     """A message as it came.
 
     Attributes:
@@ -39,12 +39,12 @@ class Receiver:
         topic: filter, with $share and its group where the subscription is shared.
         give: takes each message, in the thread of the network: must return at once.
         retained: whether the last message of each topic is wanted first.
-        refused: is told why the broker does not take the subscription up again after a break.
+        refused: takes why the broker does not subscribe it again after a break.
         id: of the subscription made for this receiver.
     """
 
     topic: str
-    give: Callable[[Incoming], None]
+    give: Callable[[ReceivedMessage], None]
     qos: int = 1
     retained: bool = False
     refused: Callable[[str], None] = lambda _: None
@@ -73,15 +73,13 @@ class Subscriptions:
         """Add a receiver, or give it a new identifier; return the QoS to be subscribed with."""
         receiver.id = next(self._ids)
         self._filters[receiver.id] = receiver.topic
-        known = [
-            filter__name for filter__name, topic in self._filters.items() if topic == receiver.topic
-        ]
-        for old in known[:-_KEPT_IDS]:
+        ids = [known for known, topic in self._filters.items() if topic == receiver.topic]
+        for old in ids[:-_KEPT_IDS]:
             del self._filters[old]
-        several = self._receivers.setdefault(receiver.topic, [])
-        if receiver not in several:
-            several.append(receiver)
-        return max(item.qos for item in several)
+        receivers = self._receivers.setdefault(receiver.topic, [])
+        if receiver not in receivers:
+            receivers.append(receiver)
+        return max(receiver.qos for receiver in receivers)
 
     def remove(self, receiver: Receiver) -> bool:
         """Remove a receiver; return whether its filter is to be unsubscribed from."""
@@ -95,13 +93,13 @@ class Subscriptions:
         self._filters = {k: v for k, v in self._filters.items() if v != receiver.topic}
         return True
 
-    def route(self, message: Incoming) -> list[Receiver]:
-        """Return who gets a message."""
+    def route(self, message: ReceivedMessage) -> list[Receiver]:
+        """Return the receivers of a message."""
         ids = set(getattr(message.properties, "SubscriptionIdentifier", ()))
         if ids:
             topics = {self._filters[id_] for id_ in ids if id_ in self._filters}
         else:  # the broker has no identifiers
-            topics = {receiver for receiver in self._receivers if _matches(receiver, message.topic)}
+            topics = {topic for topic in self._receivers if _matches(topic, message.topic)}
         found = [receiver for topic in topics for receiver in self._receivers.get(topic, ())]
         if message.retain:
             return [

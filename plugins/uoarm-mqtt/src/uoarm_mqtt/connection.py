@@ -1,13 +1,14 @@
 """What a plugin for a protocol on top of MQTT builds upon: a connection, subscriptions, channels.
 
-`settings_of` reads the options of a bridge that has `uoarm_mqtt.CONNECTION_OPTIONS` among its own.
-A `BrokerConnection` of these settings connects at the first use and again after each break.
-Receivers are called in the thread of the network and must return at once: a `Backlog` hands what
-came to a thread of its own. `TopicSource` and `TopicSink` are the channels of one topic, with a
-`Codec` that reads payloads within a budget; a subclass of it may read more than JSON. ::
+`connection_options` reads the options of a bridge that has `uoarm_mqtt.CONNECTION_OPTIONS` among
+its own. A `BrokerConnection` of these options connects at the first use and again after each break.
+Receivers are called in the thread of the network and must return at once: a `ReceiveQueue` hands
+what came to a thread of its own. `MqttSource` and `MqttSink` are the channels of one topic, with a
+`PayloadCodec` that reads payloads within a budget; a subclass of it may read more than JSON. ::
 
-    broker = BrokerConnection("plant", settings_of("plant", {"url": "mqtt://127.0.0.1"}), told)
-    broker.subscribe(Receiver("plant/+/state", backlog.put, retained=True))
+    options = connection_options("plant", {"url": "mqtt://127.0.0.1"})
+    broker = BrokerConnection("plant", options, report)
+    broker.subscribe(Receiver("plant/+/state", queue.put, retained=True))
     broker.publish("plant/lamp", b"on", lambda outcome: None, qos=1)
     broker.close()
 
@@ -16,31 +17,31 @@ came to a thread of its own. `TopicSource` and `TopicSink` are the channels of o
 
 from __future__ import annotations
 
-from uoarm_mqtt._channels import Backlog, Report, TopicSink, TopicSource
-from uoarm_mqtt._codec import Codec, limits_of
-from uoarm_mqtt._link import BrokerConnection, Done, Outcome
+from uoarm_mqtt._channels import MqttSink, MqttSource, ReceiveQueue, Report
+from uoarm_mqtt._codec import PayloadCodec, limits_of
+from uoarm_mqtt._link import BrokerConnection, Done, PacketOutcome
 from uoarm_mqtt._options import (
-    Announcement,
-    Port,
-    Settings,
-    settings_of,
+    ConnectionOptions,
+    PresenceAnnouncement,
+    TopicOptions,
+    connection_options,
 )
-from uoarm_mqtt._subscriptions import Incoming, Receiver
+from uoarm_mqtt._subscriptions import ReceivedMessage, Receiver
 
 __all__ = [
-    "Announcement",
-    "Backlog",
     "BrokerConnection",
-    "Codec",
+    "ConnectionOptions",
     "Done",
-    "Incoming",
-    "Outcome",
-    "Port",
+    "MqttSink",
+    "MqttSource",
+    "PacketOutcome",
+    "PayloadCodec",
+    "PresenceAnnouncement",
+    "ReceiveQueue",
+    "ReceivedMessage",
     "Receiver",
     "Report",
-    "Settings",
-    "TopicSink",
-    "TopicSource",
+    "TopicOptions",
+    "connection_options",
     "limits_of",
-    "settings_of",
 ]

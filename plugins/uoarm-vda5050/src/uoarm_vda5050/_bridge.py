@@ -8,13 +8,13 @@ from typing import Any
 
 from uoarm_mqtt.connection import (
     BrokerConnection,
-    Codec,
-    Port,
+    MqttSink,
+    MqttSource,
+    PayloadCodec,
     Receiver,
-    TopicSink,
-    TopicSource,
+    TopicOptions,
+    connection_options,
     limits_of,
-    settings_of,
 )
 
 from uoarm.bridge import (
@@ -59,7 +59,7 @@ class Vda5050Bridge(Bridge):
         schemas = read_published(folder, self._release) if folder is not None else {}
         self._published = Published(self._release, schemas)
         self._checks = {topic: check_of(self._published.whole(topic)) for topic in TOPICS}
-        self._broker = BrokerConnection(name, settings_of(name, self._given), self.report)
+        self._broker = BrokerConnection(name, connection_options(name, self._given), self.report)
         self._presence = Presence(
             self._broker,
             self._prefix,
@@ -89,14 +89,14 @@ class Vda5050Bridge(Bridge):
         place = self._place(endpoint)
         follower = self._follow(place, endpoint)
         if place.topic == TRANSPORT:
-            most = self._broker.settings.backlog
+            most = self._broker.options.backlog
             return TransportSource(endpoint, place.part, follower, deliver, most)
         codec = self._codec(place, structure)
         is_kept = place.topic in _RETAINED
-        port = Port(qos=1 if place.topic == "connection" else 0, retain=is_kept)
+        port = TopicOptions(qos=1 if place.topic == "connection" else 0, retain=is_kept)
         topic = self._topic(place, place.topic)
         # A state stands until the next one, as what is retained does; the broker keeps none of it.
-        return TopicSource(
+        return MqttSource(
             endpoint,
             topic,
             port,
@@ -114,7 +114,7 @@ class Vda5050Bridge(Bridge):
             return TransportSink(endpoint, place.part, follower, self._broker)
         codec = self._codec(place, structure)
         topic = self._topic(place, place.topic)
-        return TopicSink(endpoint, topic, Port(qos=0), codec, self._broker, self._tell)
+        return MqttSink(endpoint, topic, TopicOptions(qos=0), codec, self._broker, self._tell)
 
     def _call(
         self, endpoint: Endpoint, structures: ServiceStructures, message: Message, timeout: float
@@ -197,7 +197,7 @@ class Vda5050Bridge(Bridge):
     ) -> VdaCodec:
         return VdaCodec.reading(
             structure,
-            Codec("json", self._broker.settings.budget),
+            PayloadCodec("json", self._broker.options.budget),
             release=self._release,
             topic=topic,
             headers=headers,

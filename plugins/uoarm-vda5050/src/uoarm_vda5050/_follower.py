@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from attrs import frozen
-from uoarm_mqtt.connection import BrokerConnection, Incoming, Outcome, Receiver
+from uoarm_mqtt.connection import BrokerConnection, PacketOutcome, ReceivedMessage, Receiver
 
 from uoarm.errors import BridgeError, MessageError
 from uoarm.model import Health
@@ -34,7 +34,7 @@ class StateRead:
 
 
 News = Status | Feedback | Ended | StateRead
-_Event = Incoming | tuple[bool, str]
+_Event = ReceivedMessage | tuple[bool, str]
 
 
 class Follower:
@@ -153,7 +153,7 @@ class Follower:
                 self._announce(StateRead(why))
             self._tell(self._health.unreadable(why))
 
-    def _take_state(self, event: Incoming, now: float) -> None:
+    def _take_state(self, event: ReceivedMessage, now: float) -> None:
         header, body = self._codecs["state"].split(event.payload)
         self._count_gap(header.get("headerId"))
         state: Any = body
@@ -208,5 +208,5 @@ class Follower:
                     _log.warning("%s/%s cannot be sent: %s", self._topic, action.topic, why)
 
 
-def _ignore(_: Outcome) -> None:
+def _ignore(_: PacketOutcome) -> None:
     """A state says whether it was taken."""

@@ -10,7 +10,7 @@ from typing import Any
 
 from attrs import field, frozen
 from jsonschema import Draft202012Validator
-from uoarm_mqtt.connection import Codec
+from uoarm_mqtt.connection import PayloadCodec
 
 from uoarm.errors import MessageError
 from uoarm.model import Message, MessageStructure, Schema
@@ -53,7 +53,7 @@ def _timestamp() -> str:
 
 
 @frozen
-class VdaCodec(Codec):
+class VdaCodec(PayloadCodec):
     """JSON with a header, which is no part of the message unless it is asked for.
 
     Attributes:
@@ -71,9 +71,9 @@ class VdaCodec(Codec):
     is_header_kept: bool = field(default=False, kw_only=True)
 
     @classmethod
-    def reading(cls, structure: MessageStructure, plain: Codec, **more: Any) -> VdaCodec:
+    def reading(cls, structure: MessageStructure, plain: PayloadCodec, **more: Any) -> VdaCodec:
         """Return a codec for a structure, with the budget of another one."""
-        made = Codec.of("json", structure, plain.budget)
+        made = PayloadCodec.of("json", structure, plain.budget)
         return cls("json", plain.budget, made.convert, **more)
 
     def encode(self, message: Message) -> bytes:

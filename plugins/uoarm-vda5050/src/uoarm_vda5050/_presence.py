@@ -7,7 +7,7 @@ from collections.abc import Callable
 from typing import Any
 
 from attrs import define, field
-from uoarm_mqtt.connection import BrokerConnection, Codec, Incoming, Receiver
+from uoarm_mqtt.connection import BrokerConnection, PayloadCodec, ReceivedMessage, Receiver
 
 from uoarm.errors import BridgeError, FailureReason, MessageError
 from uoarm.model import Budget, Health
@@ -67,7 +67,7 @@ class Presence:
         body = body_of("connection", release.name)
         self._codec = VdaCodec.reading(
             body,
-            Codec("json", _SMALL),
+            PayloadCodec("json", _SMALL),
             release=release,
             topic="connection",
             check=check_of(body.schema),
@@ -133,7 +133,7 @@ class Presence:
             return None
         return self._known.setdefault(vehicle, _Known())
 
-    def _take(self, incoming: Incoming) -> None:
+    def _take(self, incoming: ReceivedMessage) -> None:
         *_, manufacturer, serial_number, _ = incoming.topic.split("/")
         state, wrong = "", ""
         if incoming.payload:

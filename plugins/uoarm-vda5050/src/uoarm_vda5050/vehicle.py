@@ -30,13 +30,13 @@ from typing import Any
 from attrs import evolve
 from typing_extensions import Self
 from uoarm_mqtt.connection import (
-    Announcement,
     BrokerConnection,
-    Codec,
-    Incoming,
-    Outcome,
+    PacketOutcome,
+    PayloadCodec,
+    PresenceAnnouncement,
+    ReceivedMessage,
     Receiver,
-    settings_of,
+    connection_options,
 )
 
 from uoarm.errors import BridgeError, MessageError
@@ -99,7 +99,9 @@ class Vehicle:
         }
         self._battery, self._charging, self._localized = 100.0, False, True
         self._said_at = self._shown_at = float("-inf")
-        self._settings = settings_of(self._name, {"url": url, "grace": 86400.0, **(options or {})})
+        self._settings = connection_options(
+            self._name, {"url": url, "grace": 86400.0, **(options or {})}
+        )
         self._codecs = {topic: self._codec(topic) for topic in TOPICS}
         self._broker = self._connection()
 
@@ -244,7 +246,7 @@ class Vehicle:
                 self._publish_state()
             return changed
 
-    def _take(self, topic: str, act: Callable[[Any], object], incoming: Incoming) -> None:
+    def _take(self, topic: str, act: Callable[[Any], object], incoming: ReceivedMessage) -> None:
         with self._lock:
             try:
                 body = self._codecs[topic].decode(incoming.payload)
@@ -294,7 +296,7 @@ class Vehicle:
         body = body_of(topic, self._release.name)
         return VdaCodec.reading(
             body,
-            Codec("json", self._settings.budget),
+            PayloadCodec("json", self._settings.budget),
             release=self._release,
             topic=topic,
             headers=self._headers,
@@ -305,7 +307,7 @@ class Vehicle:
         def say(state: str) -> str:
             return self._codecs["connection"].encode({"connectionState": state}).decode()
 
-        announcement = Announcement(
+        announcement = PresenceAnnouncement(
             f"{self._topic}/connection",
             will=say(self._release.broken),
             online=lambda: say("ONLINE"),
@@ -383,5 +385,5 @@ def _factsheet(
     return made
 
 
-def _ignore(_: Outcome) -> None:
+def _ignore(_: PacketOutcome) -> None:
     """The next state says it all."""

@@ -356,7 +356,7 @@ def _channel_statuses(
     for name, channel in tuple(channels.items()):
         facts = facts_of(channel)
         if name in outlets and outlets[name].unheard:
-            facts = (*facts, ("unheard", outlets[name].unheard))
+            facts = (*facts, ("undelivered", outlets[name].unheard))
         if isinstance(channel, Source) and channel.unreadable:
             facts = (*facts, ("unreadable", channel.unreadable))
         lost = dict(facts).get("lost_on_link", 0)
