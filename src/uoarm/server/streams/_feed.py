@@ -224,7 +224,9 @@ class Feed:
         self._waiting.append(Envelope(self._number, message, came=self._clock()))
         if len(self._waiting) > self._limits.feed_messages:
             self._lose_oldest()
-        elif len(self._waiting) > _UNCOUNTED and self._number % _UNCOUNTED == 0:
+        elif len(self._waiting) == _UNCOUNTED + 1 or (
+            len(self._waiting) > _UNCOUNTED and self._number % _UNCOUNTED == 0
+        ):
             self._bound_memory()
         if not self._pending:
             self._pending = True
