@@ -8,7 +8,7 @@ import traceback
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import ModuleType
-from typing import TypedDict
+from typing import ClassVar, TypedDict
 
 import pytest
 
@@ -149,3 +149,66 @@ def test_what_a_source_raises_is_logged_with_where_it_was_raised(
     assert record.getMessage() == f"component numbers: {cause}"
     assert record.exc_info is not None
     assert "in numbers" in "".join(traceback.format_tb(record.exc_info[2]))
+
+
+class Plugged:
+    """A device that one at a time may hold, and that is unplugged at the first message of each."""
+
+    held: ClassVar[list[Plugged]] = []
+    made = 0
+
+    def __init__(self) -> None:
+        assert not Plugged.held, "it is held still"
+        Plugged.held.append(self)
+        Plugged.made += 1
+
+    def __iter__(self) -> Iterator[Number]:
+        yield {"value": Plugged.made}
+        raise OSError(f"unplugged {Plugged.made}")
+
+    def close(self) -> None:
+        Plugged.held.remove(self)
+
+
+def test_what_comes_in_the_place_of_what_died_is_a_new_instance_and_holds_what_it_held(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The one that died is still open, as it is in a connection until another plan takes over."""
+    monkeypatch.setattr(Plugged, "made", 0)
+    bridge, got = PythonBridge("python", {}), list[Message]()
+    causes: list[str] = []
+    bridge.watch(lambda event: causes.append(event.cause))
+    endpoint = Endpoint("python", "sensor", Role.OUTPUT, (f"{__name__}:Plugged",))
+    first = bridge.open_source(endpoint, ANY, got.append, timeout=patience())
+    wait(lambda: len(causes) == 1)
+    second = bridge.open_source(endpoint, ANY, got.append, timeout=patience())
+    wait(lambda: len(causes) == 2)
+    assert causes == [f"its source raised OSError: unplugged {n}" for n in (1, 2)]
+    assert got == [{"value": 1}, {"value": 2}]
+    first.close()
+    assert len(Plugged.held) == 1, "the second one is open"
+    second.close()
+    assert not Plugged.held
+    bridge.close(timeout=patience())
+
+
+def test_a_listener_that_comes_as_a_source_raises_gets_the_failure_and_nothing_begins_again() -> (
+    None
+):
+    begun: list[int] = []
+    failures: list[Exception | None] = []
+
+    def numbers() -> Iterator[int]:
+        begun.append(1)
+        yield from map(int, ["none"])
+
+    workers = WorkerPool("uoarm-test", 1)
+    source = Source(numbers, lambda: begun.append, "numbers", workers)
+    source.add_listener("first", failures.append)
+    wait(lambda: len(failures) == 1)
+    source.add_listener("late", failures.append)
+    assert failures == [failures[0]] * 2
+    assert isinstance(failures[0], ValueError)
+    assert begun == [1]
+    workers.close(drop=False)
+    wait(lambda: not workers.busy)

@@ -63,10 +63,20 @@ _OPTIONS = {
 _Key: TypeAlias = tuple[str, tuple[str, ...], str]
 
 
-@define
+@define(eq=False)
 class _Slot:
-    """One component's instance and how many open ports use it."""
+    """One component's instance and how many open ports use it.
 
+    Attributes:
+        key: of the component.
+        before: the instance that died, in whose place this one comes; it is closed first.
+        building: held while the instance is built.
+        users: open ports.
+        instance: None until it is built.
+    """
+
+    key: _Key
+    before: Instance | None = None
     building: threading.Lock = field(factory=threading.Lock)
     users: int = 0
     instance: Instance | None = None
@@ -77,8 +87,9 @@ class PythonBridge(Bridge):
 
     An endpoint's address is one string, `module:attribute`. All endpoints of one component
     share one instance, made when the first channel opens and closed with the last; that of a
-    service is made at its first call and closed with the bridge. What is asynchronous runs in one
-    event loop of the bridge and is cancelled when its component closes.
+    service is made at its first call and closed with the bridge. One whose source raised is dead:
+    the next channel closes it, though others of it are open, and gets a new one. What is
+    asynchronous runs in one event loop of the bridge and is cancelled when its component closes.
     """
 
     capabilities = Capabilities(discover=True, call=True)
@@ -95,7 +106,7 @@ class PythonBridge(Bridge):
         self._handler_seconds = float(seconds)
         self._loop = LoopThread(f"uoarm-{name}-loop")
         self._slots: dict[_Key, _Slot] = {}
-        self._services: dict[_Key, Endpoint] = {}
+        self._services: set[_Slot] = set()
         self._workers = WorkerPool(f"uoarm-{name}-source")
         self._counting = threading.Lock()
         self._logs: dict[str, LimitedLog] = {}
@@ -111,19 +122,19 @@ class PythonBridge(Bridge):
     ) -> Source:
         del structure
         target = self._of_address(endpoint.address)
-        instance = self._enter(endpoint, target)
+        slot, instance = self._enter(endpoint, target)
         try:
             is_fed = target.port(endpoint).takes_messages
             source = None if is_fed else instance.source(endpoint)
         except BaseException:
-            self._leave(endpoint)
+            self._leave(slot)
             raise
 
         def leave() -> None:
             if source is not None:
                 source.remove_listener(channel)
             instance.remove_receiver(endpoint.port, channel)
-            self._leave(endpoint)
+            self._leave(slot)
 
         channel = Source(endpoint, leave)
         instance.add_receiver(endpoint.port, channel, deliver)
@@ -137,13 +148,13 @@ class PythonBridge(Bridge):
 
     def _open_sink(self, endpoint: Endpoint, structure: MessageStructure) -> Sink:
         del structure
-        instance = self._enter(endpoint, self._of_address(endpoint.address))
+        slot, instance = self._enter(endpoint, self._of_address(endpoint.address))
         try:
             take = instance.feed(endpoint)
         except BaseException:
-            self._leave(endpoint)
+            self._leave(slot)
             raise
-        return Sink(endpoint, take, lambda: self._leave(endpoint))
+        return Sink(endpoint, take, lambda: self._leave(slot))
 
     def _is_quick(self, endpoint: Endpoint) -> bool:
         target = self._targets.get(endpoint.address)
@@ -153,16 +164,15 @@ class PythonBridge(Bridge):
         self, endpoint: Endpoint, structures: ServiceStructures, message: Message, timeout: float
     ) -> Message:
         del structures
-        instance = self._enter(endpoint, self._of_address(endpoint.address))
-        key = _key(endpoint)
+        slot, instance = self._enter(endpoint, self._of_address(endpoint.address))
         with self._counting:
-            is_first = key not in self._services
-            self._services.setdefault(key, endpoint)
+            is_first = slot not in self._services
+            self._services.add(slot)
         try:
             return instance.answer(endpoint, message, timeout)
         finally:
             if not is_first:  # the first call's use lasts as long as the bridge
-                self._leave(endpoint)
+                self._leave(slot)
 
     def _close(self) -> None:
         """Wait a quarter of a second at most for sources that have a message under way.
@@ -171,9 +181,9 @@ class PythonBridge(Bridge):
         in foreign code when the interpreter ends may take the whole process down with it.
         """
         failure: Exception | None = None
-        for endpoint in self._services.values():
+        for slot in self._services:
             try:
-                foreign(self._leave, endpoint)
+                foreign(self._leave, slot)
             except Exception as error:  # noqa: BLE001 - the others must be closed, too
                 failure = failure or error
         self._services.clear()
@@ -193,32 +203,42 @@ class PythonBridge(Bridge):
             target = self._targets[address] = find(address, self._modules)
         return target
 
-    def _enter(self, endpoint: Endpoint, target: Target) -> Instance:
-        """Return the component's instance; one that is slow to build holds up nobody else."""
+    def _enter(self, endpoint: Endpoint, target: Target) -> tuple[_Slot, Instance]:
+        """Use the component's instance; one that is slow to build holds up nobody else."""
         key = _key(endpoint)
         with self._counting:
             slot = self._slots.get(key)
-            if slot is None:
-                slot = self._slots[key] = _Slot()
+            before = None if slot is None else slot.instance
+            if slot is None or (before is not None and before.is_dead):
+                slot = self._slots[key] = _Slot(key, before)
             slot.users += 1
         try:
             with slot.building:
                 if slot.instance is None:
+                    self._close_before(slot)
                     coroutines = Coroutines(self._loop, self._handler_seconds)
                     slot.instance = Instance(target, endpoint.parameters, coroutines, self._workers)
-                return slot.instance
+                return slot, slot.instance
         except BaseException:
-            self._leave(endpoint)
+            self._leave(slot)
             raise
 
-    def _leave(self, endpoint: Endpoint) -> None:
-        key = _key(endpoint)
+    def _close_before(self, slot: _Slot) -> None:
+        """Have what died let go of what it holds, which the new instance may need."""
+        before, slot.before = slot.before, None
+        if before is not None:
+            try:
+                foreign(before.close)
+            except Exception as error:  # noqa: BLE001 - it is dead, and the new one may do well
+                self._warn(slot.key[0], f"closing what died raised {text_of(error)}", error)
+
+    def _leave(self, slot: _Slot) -> None:
         with self._counting:
-            slot = self._slots[key]
             slot.users -= 1
             if slot.users:
                 return
-            del self._slots[key]
+            if self._slots.get(slot.key) is slot:
+                del self._slots[slot.key]
         if slot.instance is not None:
             slot.instance.close()
 
@@ -226,10 +246,13 @@ class PythonBridge(Bridge):
         if failure is None:
             self.report(Health.FINISHED, "its source has no more messages", channel=channel)
         else:
-            name, cause = channel.endpoint.component, f"its source raised {text_of(failure)}"
-            log = self._logs.setdefault(name, LimitedLog(f"uoarm.component.{name}"))
-            log.write(logging.WARNING, f"component {name}: {cause}", failure)
+            cause = f"its source raised {text_of(failure)}"
+            self._warn(channel.endpoint.component, cause, failure)
             self.report(Health.LOST, cause, channel=channel)
+
+    def _warn(self, component: str, text: str, error: Exception) -> None:
+        log = self._logs.setdefault(component, LimitedLog(f"uoarm.component.{component}"))
+        log.write(logging.WARNING, f"component {component}: {text}", error)
 
 
 def _key(endpoint: Endpoint) -> _Key:

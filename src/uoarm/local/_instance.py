@@ -46,7 +46,14 @@ class Instance:
         self._receivers: Receivers = {}  # replaced and never changed, as it is read without lock
         self._services: dict[str, Callable[[Message, float], Message]] = {}
         self._source: Source | None = None
+        self._closing = threading.Lock()
+        self._is_closed = False
         self._object: Any = target.value(**self._parameters) if target.is_class else target.value
+
+    @property
+    def is_dead(self) -> bool:
+        """Whether its source raised."""
+        return self._source is not None and self._source.failure is not None
 
     def source(self, endpoint: Endpoint) -> Source:
         """Return what iterates over the component, which takes no messages.
@@ -102,7 +109,14 @@ class Instance:
         return service(message, timeout)
 
     def close(self) -> None:
-        """End the component: stop its source, cancel its coroutines and call its own `close`."""
+        """End the component: stop its source, cancel its coroutines and call its own `close`.
+
+        Once: one that died may be closed before its last channel is.
+        """
+        with self._closing:
+            if self._is_closed:
+                return
+            self._is_closed = True
         if self._source is not None:
             self._source.stop()
         self._coroutines.cancel()

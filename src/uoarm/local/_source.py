@@ -26,6 +26,9 @@ class Source:
             known whether somebody listens still, so that no message is lost between.
         name: of the thread meanwhile.
         workers: give the thread.
+
+    Attributes:
+        failure: what the iteration raised; it is not begun again.
     """
 
     def __init__(
@@ -42,6 +45,7 @@ class Source:
         self._changing = threading.Lock()
         self._listeners: dict[Hashable, Finished] = {}
         self._run: _Run | None = None
+        self.failure: Exception | None = None
 
     def add_listener(self, key: Hashable, finished: Finished) -> None:
         """Start iterating unless it does already.
@@ -53,12 +57,15 @@ class Source:
             BridgeError: the workers were closed.
         """
         with self._changing:
-            if self._run is None:
+            failure = self.failure
+            if self._run is None and failure is None:
                 run = _Run(self._iterate(), self._emitter, self._ended, self._name)
                 if not self._workers.submit(run.work):
                     raise BridgeError(f"{self._name} is closed", FailureReason.CLOSED)
                 self._run = run
             self._listeners[key] = finished
+        if failure is not None:
+            finished(failure)
 
     def remove_listener(self, key: Hashable) -> None:
         """Forget a listener; after the last one the iteration ends with the next message."""
@@ -85,6 +92,7 @@ class Source:
             if self._run is not run:
                 return
             self._run = None
+            self.failure = failure
             listeners = list(self._listeners.values())
         for finished in listeners:
             finished(failure)
