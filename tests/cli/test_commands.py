@@ -356,6 +356,9 @@ def test_schema_check_exits_by_its_verdict(tmp_path: Path, consumer: object, cod
     [
         ('{"type": "integer", "type": "string"}', 'the key "type" is given twice'),
         ('{"properties": {"a": {}, "a": false}}', 'the key "a" is given twice'),
+        ('{"maximum": 1e400}', "1e400 is beyond what a number of 64 bits can hold"),
+        ('{"maximum": NaN}', "NaN is no number of JSON"),
+        (r'{"const": "\ud800"}', "surrogates not allowed"),
         ("[" * 100_000, "not JSON"),
         ("{", "not JSON"),
     ],

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from typing import Any
 
 import pytest
@@ -11,6 +12,7 @@ from tests.server.robot import END, script
 from tests.server.talk import Talk, eventually
 
 from uoarm import RobotManager
+from uoarm._wire._binary import write_binary
 from uoarm.server import Limits
 
 FORMS = pytest.mark.parametrize("binary", [False, True], ids=["json", "cbor"])
@@ -86,6 +88,28 @@ def test_a_message_to_an_input_that_is_not_there_names_those_that_are(talk: Conn
 def test_a_service_is_called(talk: Connect, binary: bool) -> None:
     client = talk(binary=binary)
     assert client.ask("Call", "add", {"a": 2, "b": 3}) == {"value": 5}
+
+
+@FORMS
+@pytest.mark.parametrize("number", [2**60, 2**63, 2**64, -(2**63) - 1, 10**30])
+def test_whole_numbers_keep_their_digits_there_and_back(
+    talk: Connect, binary: bool, number: int
+) -> None:
+    client = talk(binary=binary)
+    expected = number + 1 if binary else str(number + 1)
+    assert client.ask("Call", "add", {"a": number, "b": 1}) == {"value": expected}
+    if not binary:
+        assert client.ask("Call", "add", {"a": str(number), "b": 1}) == {"value": expected}
+
+
+def test_a_name_that_is_given_twice_is_refused_in_both_forms(talk: Connect) -> None:
+    fields = {"op": "Call", "id": "1", "type": "add", "jsonMessage": {"a": 1, "b": 2}}
+    client = talk()
+    client.raw(json.dumps(fields).replace('"b"', '"a"'))
+    assert "given twice" in client.answer(None)["jsonMessage"]["text"]
+    client = talk(binary=True)
+    client.raw(write_binary(fields).replace(b"ab\x02", b"aa\x02"))
+    assert "uplicate" in client.answer(None)["jsonMessage"]["text"]
 
 
 def test_what_a_service_raises_is_told(talk: Connect) -> None:

@@ -15,10 +15,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from jsonschema import Draft202012Validator
 
-from uoarm._wire._text import write_text
+from uoarm._wire._text import read_text, write_text
 from uoarm._wire._text_structure import make_reader, text_schema
-from uoarm.errors import MessageError
+from uoarm.errors import ControlMessageError, MessageError
 from uoarm.local import Range
+from uoarm.model import Budget, Spending
 
 OCTETS = {
     "type": "array",
@@ -48,6 +49,59 @@ messages = st.fixed_dictionaries(
         "list": st.lists(st.floats(), max_size=5),
     },
 )
+
+
+# What orjson and Python's reader of JSON disagree on, or nearly so.
+numbers = (
+    st.integers(-(2**70), 2**70)
+    | st.integers(2**63 - 3, 2**64 + 3)
+    | st.integers(-(2**63) - 3, -(2**63) + 3)
+    | st.floats(allow_nan=False, allow_infinity=False)
+    | st.sampled_from([0.00012345678901234567, 1e-300, -(10**18), 10**19, 10**300, 2**64 - 1])
+)
+anything = st.recursive(
+    st.none() | st.booleans() | numbers | st.text(max_size=5) | st.sampled_from([":", '":{', "\\"]),
+    lambda inner: (
+        st.lists(inner, max_size=4)
+        | st.dictionaries(
+            st.text(max_size=3) | st.sampled_from([":", '"', "\\"]), inner, max_size=4
+        )
+    ),
+    max_leaves=12,
+)
+
+
+@given(anything, st.booleans())
+def test_json_is_read_exactly(value: object, spaced: bool) -> None:
+    text = json.dumps(value, ensure_ascii=False, separators=(" , ", " : ") if spaced else None)
+    read = read_text(text, Spending(Budget()))
+    assert repr(read) == repr(json.loads(text))
+
+
+@given(anything, st.text(max_size=3), st.booleans())
+def test_a_name_that_is_given_twice_is_refused(value: object, name: str, deep: bool) -> None:
+    inner, key = json.dumps(value), json.dumps(name)
+    text = f'{{{key}: {inner}, "other : ": ":", {key} :{inner}}}'
+    text = f'[1, {{"a": [{text}]}}]' if deep else text
+    with pytest.raises(ControlMessageError, match="is given twice in one object"):
+        read_text(text, Spending(Budget()))
+
+
+@pytest.mark.parametrize(
+    ("text", "why"),
+    [
+        ("1e400", "infinity|beyond"),
+        (f"[{2**64}, 1e400]", "beyond what a number of 64 bits"),
+        (f"[{2**64}, NaN]", "NaN is no number"),
+        ("NaN", "not JSON"),
+        (r'"\ud800"', "surrogate"),
+        (rf'[{2**64}, "\ud800"]', "surrogate"),
+        (f"{10**1000}", "1,001 digits|infinity"),
+    ],
+)
+def test_what_no_form_has_is_refused_beside_a_wide_number_too(text: str, why: str) -> None:
+    with pytest.raises(ControlMessageError, match=why):
+        read_text(text, Spending(Budget()))
 
 
 def same(left: object, right: object) -> bool:

@@ -55,12 +55,15 @@ def test_another_type_than_that_of_the_publisher_is_told(enter: Enter) -> None:
     assert client.messages(1) == [{"data": "a"}]
 
 
-def test_octets_are_base64_and_wide_integers_numbers(enter: Enter, robot: RobotManager) -> None:
+@pytest.mark.parametrize("width", [2**60, 2**64, -(2**63) - 1, 10**30])
+def test_octets_are_base64_and_wide_integers_numbers(
+    enter: Enter, robot: RobotManager, width: int
+) -> None:
     client = enter()
     client.send(op="subscribe", topic="/uoarm/picture")
     opened(robot, 1)
-    script.put({"width": 2**60, "data": b"\x00\xff"})
-    assert client.messages(1) == [{"width": 2**60, "data": base64.b64encode(b"\x00\xff").decode()}]
+    script.put({"width": width, "data": b"\x00\xff"})
+    assert client.messages(1) == [{"width": width, "data": base64.b64encode(b"\x00\xff").decode()}]
 
 
 def test_cbor_where_it_is_asked_for(enter: Enter, robot: RobotManager) -> None:

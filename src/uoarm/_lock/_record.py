@@ -257,6 +257,6 @@ def read_json(path: Path) -> Any:
     try:
         if path.stat().st_size > _MOST_OCTETS:
             raise LockError(f"{path}: larger than {_MOST_OCTETS:,} octets")
-        return json_of(path.read_text(encoding="utf-8"), unique=True)
+        return json_of(path.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
         raise LockError(f"{path}: cannot be read: {error}") from error

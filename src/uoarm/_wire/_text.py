@@ -9,6 +9,7 @@ Those within 53 bits stay numbers.
 from __future__ import annotations
 
 import math
+import re
 from array import array
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -17,7 +18,7 @@ import orjson
 
 from uoarm._wire._skeleton import dump_parts
 from uoarm.errors import ControlMessageError, MessageError
-from uoarm.model import Message, Spending, scan_json
+from uoarm.model import Message, Spending, count_names, read_json, scan_json
 
 __all__ = ["SAFE_INTEGER", "read_text", "write_text", "write_text_parts"]
 
@@ -25,22 +26,66 @@ SAFE_INTEGER = 2**53 - 1
 _OPTIONS = orjson.OPT_STRICT_INTEGER
 _NUMPY = orjson.OPT_SERIALIZE_NUMPY
 _PIECE = 8192
+_AS_ZEROS = bytes.maketrans(b"123456789", b"000000000")
+_WIDE, _BELOW = b"0" * 20, b"-" + b"0" * 19
+_RUN = re.compile(b"0+")
 _WIDE_KINDS = "iu"
 _WIDE_SIZE = 8
 
 
 def read_text(text: str, spending: Spending) -> Any:
-    """Return the value that JSON text stands for.
+    """Return the value that JSON text stands for; whole numbers are exact, of any size.
 
     Raises:
-        ControlMessageError: it is not JSON, or costs more than its budget.
+        ControlMessageError: it is not JSON, costs more than its budget, or gives a key twice in
+            one object, of which readers of JSON take the one or the other.
     """
     spending.octets(len(text))  # characters: no more than the octets that the transport counted
     scan_json(text, spending)
     try:
-        return orjson.loads(text)
-    except orjson.JSONDecodeError as error:
+        # orjson makes floats of integers beyond 64 bits.
+        value = read_json(text) if _has_wide(text) else orjson.loads(text)
+        if not _are_names_unique(text, value):
+            read_json(text)  # which names the key
+    except ValueError as error:
         raise ControlMessageError(f"not JSON: {error}") from error
+    return value
+
+
+def _has_wide(text: str) -> bool:
+    """Say whether there may be a whole number beyond 64 bits: 20 digits, or 19 below zero.
+
+    What stands behind a point is none; what stands in a text is taken for one, which harms only
+    the time.
+    """
+    digits = text.encode("utf-8", "surrogatepass").translate(_AS_ZEROS)
+    if _BELOW in digits:
+        return True
+    place = digits.find(_WIDE)
+    while place >= 0:
+        if digits[place - 1 : place] != b".":
+            return True
+        run = _RUN.match(digits, place)
+        place = digits.find(_WIDE, place if run is None else run.end())
+    return False
+
+
+def _are_names_unique(text: str, value: Any) -> bool:
+    """Say whether no object of JSON text has a name twice, by how many there are.
+
+    Lists are looked into only while there are objects that were not seen.
+    """
+    objects, colons = text.count("{"), text.count(":")  # within texts, too: there are no more
+    names = 0
+    waiting = [value]
+    while waiting and objects:
+        item = waiting.pop()
+        if item.__class__ is dict:
+            objects -= 1
+            names += len(item)
+            item = item.values()
+        waiting += [part for part in item if part.__class__ is dict or part.__class__ is list]
+    return names == colons or names == count_names(text)
 
 
 def write_text(message: Message) -> bytes:

@@ -219,6 +219,8 @@ def _number(value: Any) -> Any:
         return value
     if value in _NAMES:
         return _NAMES[value]
+    if _DIGITS.match(value):  # so a whole number beyond 53 bits is written, whatever is declared
+        return int(value)
     raise _MisfitError(f"expected a number or {', '.join(_NAMES)}, got {value[:40]!r}")
 
 

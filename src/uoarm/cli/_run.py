@@ -102,7 +102,7 @@ def call(name: str, message: str, file: str, *, timeout: float) -> None:
     MESSAGE is JSON, and so is what is printed.
     """
     try:
-        asked = read_json(message, unique=True)
+        asked = read_json(message)
     except ValueError as error:
         raise click.BadParameter(f"not JSON: {error}", param_hint="MESSAGE") from error
     with open_robot(file) as robot:

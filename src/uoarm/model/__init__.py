@@ -34,7 +34,7 @@ from uoarm.model._control import ControlMessage, Op
 from uoarm.model._control_wire import read_control, write_control
 from uoarm.model._discovery import BridgeFindings, FoundComponent, FoundPort
 from uoarm.model._json import finite, read_json, write_json
-from uoarm.model._json_scan import scan_json
+from uoarm.model._json_scan import count_names, scan_json
 from uoarm.model._listening import Listening, place_problem
 from uoarm.model._octets import message_octets
 from uoarm.model._offer import Offer, OfferedPort, OfferedService, OfferState, OfferStatus
@@ -141,6 +141,7 @@ __all__ = [
     "StopOutcome",
     "StopReport",
     "ValidationMode",
+    "count_names",
     "finite",
     "from_json",
     "message_octets",

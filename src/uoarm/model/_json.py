@@ -12,32 +12,34 @@ __all__ = ["finite", "read_json", "write_json"]
 
 _HALF = re.compile(r"\\u[dD][89a-fA-F]")
 _HALVES = re.compile("[\ud800-\udfff]")
+_MOST_DIGITS = 1000
 _MAY_BE_INFINITE = re.compile(r"[eE]\+?\d{3}|\d{300}")
 
 
-def read_json(text: str | bytes, *, unique: bool = False) -> Any:
+def read_json(text: str | bytes) -> Any:
     """Return the value that JSON text stands for.
 
-    What other readers would take otherwise is refused: `NaN` and `Infinity`, which are no JSON;
-    numbers that are infinite in 64 bits, such as 1e400; half of a surrogate pair, which no
-    encoding can write.
+    Whole numbers are exact, of a thousand digits at most. What other readers would take otherwise
+    is refused: `NaN` and `Infinity`, which are no JSON; numbers that are infinite in 64 bits, such
+    as 1e400; half of a surrogate pair, which no encoding can write; a key that is given twice in
+    one object.
 
     Args:
         text: JSON; octets are UTF-8.
-        unique: whether a key that is given twice in one object is refused, too; else the last one
-            counts.
 
     Raises:
         ValueError: it is none; the text says what is wrong with it.
     """
     text = text if isinstance(text, str) else bytes(text).decode()
+    # A function for each number would cost as much as all the rest.
+    is_long = _MAY_BE_INFINITE.search(text) is not None
     try:
         value = json.loads(
             text,
             parse_constant=_refuse,
-            # A function for each number would cost as much as all the rest.
-            parse_float=_float if _MAY_BE_INFINITE.search(text) else None,
-            object_pairs_hook=_unique if unique else None,
+            parse_float=_float if is_long else None,
+            parse_int=_integer if is_long else None,
+            object_pairs_hook=_unique,
         )
     except RecursionError as error:
         raise ValueError("it is nested too deep") from error
@@ -80,6 +82,12 @@ def _float(text: str) -> float:
     if math.isinf(number):
         raise ValueError(f"{text[:40]} is beyond what a number of 64 bits can hold")
     return number
+
+
+def _integer(text: str) -> int:
+    if len(text) > _MOST_DIGITS:
+        raise ValueError(f"a whole number of {len(text):,} digits; {_MOST_DIGITS:,} are allowed")
+    return int(text)
 
 
 def _refuse(name: str) -> Any:

@@ -13,7 +13,7 @@ from itertools import accumulate
 from uoarm.errors import ControlMessageError
 from uoarm.model._budget import Spending
 
-__all__ = ["scan_json"]
+__all__ = ["count_names", "scan_json"]
 
 _STRING = re.compile(r'"[^"]*(?:"|\Z)')
 _BRACKETS = bytes.maketrans(b"[{]}", b"\x01\x01\xff\xff")
@@ -42,6 +42,11 @@ def scan_json(text: str, spending: Spending) -> None:
             spending.depth(_depth(outside))
     else:
         spending.add(elements)
+
+
+def count_names(text: str) -> int:
+    """Return how many names of members JSON text has, those that are given twice included."""
+    return _without_strings(text, len(text)).count(":")
 
 
 def _without_strings(text: str, quotes: int) -> str:

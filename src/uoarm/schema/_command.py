@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import sys
 from pathlib import Path
 from typing import Any
@@ -44,10 +45,16 @@ def check_files(producer: Path, consumer: Path, *, as_json: bool) -> None:
 
 def _read(path: Path) -> Any:
     try:
-        return json.loads(path.read_text(encoding="utf-8"), object_pairs_hook=_mapping)
+        text = path.read_text(encoding="utf-8")
+        read = json.loads(
+            text, object_pairs_hook=_mapping, parse_float=_number, parse_constant=_refuse
+        )
+        if "\\u" in text:
+            json.dumps(read, ensure_ascii=False).encode()  # half of a surrogate pair is no text
     except (OSError, ValueError, RecursionError) as error:
         click.echo(f"{path}: not JSON: {error}", err=True)
         sys.exit(_UNREADABLE)
+    return read
 
 
 def _mapping(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
@@ -58,6 +65,17 @@ def _mapping(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
             raise ValueError(f"the key {json.dumps(key)} is given twice in one object")
         made[key] = value
     return made
+
+
+def _number(text: str) -> float:
+    number = float(text)
+    if math.isinf(number):
+        raise ValueError(f"{text[:40]} is beyond what a number of 64 bits can hold")
+    return number
+
+
+def _refuse(name: str) -> Any:
+    raise ValueError(f"{name} is no number of JSON")
 
 
 def _tell(verdict: Verdict) -> str:

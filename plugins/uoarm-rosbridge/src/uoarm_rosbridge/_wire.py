@@ -115,8 +115,23 @@ def write_publish_cbor(topic: str, message: Message) -> bytes:
 def _write_parts(message: Message) -> list[bytes]:
     try:
         return dump_parts(message, _write_other)[1]
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError):
+        pass
+    try:  # perhaps for a whole number beyond 64 bits, which orjson refuses
+        return dump_parts(_with_digits(message), _write_other)[1]
+    except (TypeError, ValueError, RecursionError) as error:
         raise MessageError(f"the message has no form as JSON text: {error}") from error
+
+
+def _with_digits(value: Any) -> Any:
+    """Return a copy in which each whole number beyond 64 bits is written already."""
+    if isinstance(value, int) and not -_MAX_NUMBER <= value < 2 * _MAX_NUMBER:
+        return orjson.Fragment(str(value).encode())
+    if isinstance(value, Mapping):
+        return {key: _with_digits(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_with_digits(item) for item in value]
+    return value
 
 
 def _write_other(value: Any) -> Any:
