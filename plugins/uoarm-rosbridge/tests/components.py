@@ -178,7 +178,7 @@ class Walker:
         if steps != self.HURRY:
             yield accepted
         for step in range(steps):
-            number = step + (2**70 if steps == self.FAR else 0)
+            number = step + (10**5000 if steps == self.FAR else 0)
             yield Emit("feedback", {**goal, "feedback": {"step": number}})
         if steps > 0:
             yield Emit("result", {**goal, "status": "succeeded", "result": {"walked": steps}})

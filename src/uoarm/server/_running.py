@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import atexit
 import contextlib
 import functools
 import gc
@@ -18,7 +17,7 @@ from typing import Any
 from uoarm._arguments import arguments
 from uoarm._control import RobotManager
 from uoarm._deadlines import result_within
-from uoarm._forks import default_in_children
+from uoarm._forks import at_exit, default_in_children
 from uoarm._raised import ContainedError, foreign
 from uoarm._switch_interval import short_switch_interval
 from uoarm.server._server import Server
@@ -124,6 +123,12 @@ def serve_in_thread(
             _log.error("the server has not ended: something keeps its loop, and its thread is left")
 
 
+@functools.cache
+def _freeze_at_exit() -> None:
+    """Spare a process that ends its last look at everything: 1.5 s beside other work."""
+    at_exit(gc.freeze)
+
+
 @contextmanager
 def _short_collections() -> Iterator[None]:
     """Have the collector of cycles look at what is new, and only now and then at all that lives.
@@ -142,9 +147,7 @@ def _short_collections() -> Iterator[None]:
                 gc.unfreeze()
 
     gc.set_threshold(_YOUNG_OBJECTS, _YOUNG_LOOKS, former[2])
-    # A process that ends looks at everything once more: a second and a half beside other work.
-    atexit.unregister(gc.freeze)
-    atexit.register(gc.freeze)
+    _freeze_at_exit()
     gc.callbacks.append(collected)
     try:
         gc.collect()
