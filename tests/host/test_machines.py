@@ -204,7 +204,8 @@ def test_structures_are_asked_for_anew_when_a_machine_comes_back(tmp_path: Path,
             manager.request("doubled").kill()
         wait(lambda: not _machine(manager).present)
         parts = tmp_path / "hosted_parts.py"
-        parts.write_text(parts.read_text().replace("double(value: int)", "double(value: str)"))
+        changed = parts.read_text().replace("double(value: int)", "double(value: str)")
+        parts.write_text(changed + "\n")  # of another length, or the compiled module stands
         with Joined(tmp_path, _place(port)):
             wait(lambda: _machine(manager).present)
             with pytest.raises(ResolutionError, match="string"):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import socket
 import threading
+import tracemalloc
 from collections.abc import Iterator
 from queue import SimpleQueue
 from typing import Any
@@ -250,3 +251,42 @@ def test_nothing_is_heard_after_an_end(bare: tuple[SocketTransport, LinkSockets]
     assert seen == []
     far.close()
     wait(lambda: not far._thread.is_alive())
+
+
+def test_what_a_frame_says_of_its_length_takes_no_memory_before_it_comes() -> None:
+    near, far = socket.socketpair()
+    with near, far:
+        head = frames._HEAD.pack(1, 0, 0, 1, 0, frames._MOST_OCTETS)
+        far.sendall(head)
+        far.close()
+        tracemalloc.start()
+        try:
+            assert frames.FrameReader(near).read() is None
+            _, most = tracemalloc.get_traced_memory()
+        finally:
+            tracemalloc.stop()
+    assert most < 2 * frames._CLAIMED_OCTETS
+
+
+@pytest.mark.parametrize(("header", "length"), [(2**16 + 1, 0), (0, 2**30 + 1)])
+def test_a_frame_that_says_it_is_too_long_is_refused(header: int, length: int) -> None:
+    near, far = socket.socketpair()
+    with near, far:
+        far.sendall(frames._HEAD.pack(1, 0, 0, 1, header, length))
+        with pytest.raises(ValueError, match=f"{length:,} octets long, its header {header:,}"):
+            frames.FrameReader(near).read()
+
+
+def test_a_frame_longer_than_what_is_claimed_at_once_arrives_whole() -> None:
+    length = 2 * frames._CLAIMED_OCTETS + 3
+    payload = bytes(range(251)) * (length // 251 + 1)
+    payload = payload[:length]
+    near, far = socket.socketpair()
+    with near, far:
+        head = frames._HEAD.pack(1, 0, 1, 7, 0, length)
+        sender = threading.Thread(target=far.sendall, args=(head + b"k" + payload,))
+        sender.start()
+        received = frames.FrameReader(near).read()
+        sender.join(patience())
+    assert received is not None
+    assert (received.key, received.number, bytes(received.payload)) == ("k", 7, payload)

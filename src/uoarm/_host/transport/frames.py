@@ -24,6 +24,8 @@ _READ_OCTETS = 2**16
 _KERNEL_OCTETS = 2**20  # what the kernel may hold; on most machines it gives less
 _JOINED_OCTETS = 2**14  # a short frame is written as one piece
 _MOST_OCTETS = 2**30
+_MOST_HEADER = 2**16
+_CLAIMED_OCTETS = 2**24  # memory taken for what a frame says that it has; more when it has come
 _STEP_MICROSECONDS = 20_000
 _NO_SIGNAL = getattr(socket, "MSG_NOSIGNAL", 0)
 _AT_ONCE = _NO_SIGNAL | getattr(socket, "MSG_DONTWAIT", 0)
@@ -188,8 +190,9 @@ class FrameReader:
         kind, _, key_length, number, header_length, length = _HEAD.unpack_from(
             self._buffer, self._start
         )
-        if length > _MOST_OCTETS:
-            raise ValueError(f"a frame says that it is {length:,} octets long")
+        if length > _MOST_OCTETS or header_length > _MOST_HEADER:
+            text = f"a frame says that it is {length:,} octets long, its header {header_length:,}"
+            raise ValueError(text)
         self._start += _HEAD.size
         names = self._take(key_length + header_length)
         payload = self._take(length)
@@ -206,16 +209,18 @@ class FrameReader:
             begin = self._start
             self._start += length
             return bytes(self._view[begin : self._start])
-        taken = bytearray(length)
+        taken = bytearray(min(length, _CLAIMED_OCTETS))
         got = self._end - self._start
         taken[:got] = self._view[self._start : self._end]
         self._start = self._end
-        rest = memoryview(taken)[got:]
-        while rest:
-            count = self._socket.recv_into(rest, len(rest), socket.MSG_WAITALL)
+        while got < length:
+            if got == len(taken):
+                taken.extend(bytes(min(got, length - got)))
+            with memoryview(taken) as whole, whole[got:] as rest:
+                count = self._socket.recv_into(rest, len(rest), socket.MSG_WAITALL)
             if not count:
                 return None
-            rest = rest[count:]
+            got += count
         return taken
 
     def _have(self, length: int) -> bool:
