@@ -25,6 +25,7 @@ _GROUP = "uoarm.bridges"
 _KNOWN = {
     "ros2": ("uoarm-ros2", "jazzy"),
     "ros1": ("uoarm-ros1", ""),
+    "rosbridge": ("uoarm-rosbridge", ""),
     "rtm": ("uoarm-rtm", ""),
     "rocos": ("uoarm-rocos", ""),
     "mqtt": ("uoarm-mqtt", ""),

@@ -1,0 +1,322 @@
+"""The one connection to a rosbridge server, and what waits for what comes on it."""
+
+from __future__ import annotations
+
+import json
+import threading
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from itertools import count
+from typing import Any
+
+from attrs import define, field
+from websockets.exceptions import ConnectionClosed, InvalidHandshake, InvalidStatus
+from websockets.sync.client import ClientConnection, connect
+
+from uoarm.errors import BridgeError, BridgeTimeoutError, ControlMessageError, FailureReason
+from uoarm.model import Health, Spending
+from uoarm.server.front_end import read_binary, read_text
+from uoarm_rosbridge.client._options import ClientOptions
+
+__all__ = ["Fields", "ServerConnection"]
+
+Fields = Mapping[str, Any]
+
+_STEP_SECONDS = 4.0
+"""How long a step waits for the connection: less than the manager does, and its error says why."""
+
+_CONNECT_SECONDS = 3.0
+_GOODBYE_SECONDS = 0.5
+_JOIN_SECONDS = 2.0
+_RETRY_SECONDS = (0.1, 5.0)
+_MOST_WAITING = 1024
+_ROOM_FOR_FIELDS = 65_536
+
+
+@define(eq=False)
+class _Pending:
+    """A call, or a goal, that has not been answered."""
+
+    done: threading.Event = field(factory=threading.Event)
+    answer: Fields | None = None
+    failure: str = ""
+
+
+class ServerConnection:
+    """Connects at the first use, again after each break, and to nothing once it is closed.
+
+    What comes is handed on in the connection's thread: what takes it must return at once.
+
+    Args:
+        name: of the bridge.
+        options: of the bridge.
+        report: has the health of the connection reported.
+
+    Attributes:
+        topics: what takes the messages of a topic.
+        services: what takes the calls of a service that is served here.
+        watchers: are called with why the connection broke, and with nothing when it is up again.
+        breaks: how often it broke.
+    """
+
+    def __init__(
+        self, name: str, options: ClientOptions, report: Callable[[Health, str], None]
+    ) -> None:
+        self.options = options
+        self.topics: dict[str, tuple[Callable[[Any], None], ...]] = {}
+        self.services: dict[str, Callable[[Fields], None]] = {}
+        self.watchers: tuple[Callable[[str], None], ...] = ()
+        self.breaks = 0
+        self._name, self._report = name, report
+        # Guards the state of the connection, and what waits for answers, between the connection's
+        # thread and those of steps. Nothing is sent, and no receiver called, under it.
+        self._changed = threading.Condition()
+        self._socket: ClientConnection | None = None
+        self._thread: threading.Thread | None = None
+        self._cause = ""  # why it is not up; empty: not known yet
+        self._is_closed = False
+        self._pending: dict[str, _Pending] = {}
+        self._statuses: dict[str, Callable[[str], None]] = {}
+        self._numbers = count(1)
+
+    @property
+    def is_up(self) -> bool:
+        """Whether it is connected."""
+        return self._socket is not None
+
+    def new_id(self, what: str) -> str:
+        """Return an id that nothing else here has."""
+        return f"{what}:{next(self._numbers)}"
+
+    def require_up(self) -> ClientConnection:
+        """Return when it is connected; the first call connects.
+
+        Raises:
+            BridgeError: it is not, or it is closed; the text says why.
+        """
+        with self._changed:
+            if self._thread is None and not self._is_closed:
+                name = f"uoarm-rosbridge-{self._name}"
+                self._thread = threading.Thread(target=self._run, name=name, daemon=True)
+                self._thread.start()
+            self._changed.wait_for(
+                lambda: self._socket is not None or self._cause or self._is_closed, _STEP_SECONDS
+            )
+            if self._socket is not None:
+                return self._socket
+            if self._is_closed:
+                text = f"bridge {self._name!r}: the connection to {self.options.url} is closed"
+                raise BridgeError(text, FailureReason.CLOSED)
+            raise self._down(self._cause or "no answer yet")
+
+    def send(self, fields: Fields) -> None:
+        """Send an operation; waits while the server reads nothing, until it counts as lost.
+
+        Raises:
+            BridgeError: the connection is down, or breaks.
+        """
+        self.send_text(json.dumps(fields, allow_nan=False))
+
+    def send_text(self, text: str) -> None:
+        """Send an operation that is written already; as `send`."""
+        socket = self.require_up()
+        try:
+            socket.send(text)
+        except (ConnectionClosed, OSError) as error:
+            raise self._down(_cause_of(error)) from error
+
+    def request(self, fields: Fields, timeout: float) -> Fields:
+        """Send an operation and return the one that answers it, by its id.
+
+        Raises:
+            BridgeError: the connection is down, or breaks before the answer.
+            BridgeTimeoutError: no answer within `timeout` seconds.
+        """
+        pending, identity = _Pending(), fields["id"]
+        with self._changed:
+            if len(self._pending) >= _MOST_WAITING:
+                raise self._down(f"{_MOST_WAITING} requests wait for an answer already")
+            self._pending[identity] = pending
+        try:
+            self.send(fields)
+            if not pending.done.wait(timeout):
+                raise BridgeTimeoutError(
+                    f"bridge {self._name!r}: {self.options.url}: no answer to {fields['op']} "
+                    f"within {timeout:g} s"
+                )
+        finally:
+            with self._changed:
+                self._pending.pop(identity, None)
+        if pending.answer is None:
+            raise self._down(pending.failure)
+        return pending.answer
+
+    def rosapi(self, service: str, /, **arguments: str) -> Fields:
+        """Call a service of rosapi and return the values of its answer.
+
+        Raises:
+            BridgeError: it is not there, or fails.
+        """
+        fields = {
+            "op": "call_service", "id": self.new_id("rosapi"), "service": f"/rosapi/{service}",
+            "args": arguments,
+        }  # fmt: skip
+        answer = self.request(fields, self.options.wait)
+        values = answer.get("values")
+        if answer.get("result") is False or not isinstance(values, dict):
+            text = (
+                f"bridge {self._name!r}: {self.options.url}: /rosapi/{service} failed: "
+                f"{str(values)[:300]}: does rosapi run there?"
+            )
+            raise BridgeError(text, FailureReason.UNSUPPORTED)
+        return values
+
+    def on_status(self, identity: str, tell: Callable[[str], None]) -> None:
+        """Have statuses of the level error that belong to an operation handed on."""
+        with self._changed:
+            self._statuses[identity] = tell
+
+    def forget_status(self, identity: str) -> None:
+        """Have them handed on no more."""
+        with self._changed:
+            self._statuses.pop(identity, None)
+
+    def close(self) -> None:
+        """End the connection and its thread."""
+        with self._changed:
+            self._is_closed = True
+            socket, thread = self._socket, self._thread
+            self._changed.notify_all()
+        if socket is not None:
+            with suppress(OSError, ConnectionClosed):
+                socket.close()
+        if thread is not None and thread is not threading.current_thread():
+            thread.join(_JOIN_SECONDS)
+
+    def _down(self, cause: str) -> BridgeError:
+        text = f"bridge {self._name!r}: no connection to {self.options.url}: {cause}"
+        return BridgeError(text, FailureReason.UNAVAILABLE)
+
+    def _run(self) -> None:
+        pause = _RETRY_SECONDS[0]
+        while not self._is_closed:
+            try:
+                with self._connect() as socket:
+                    pause = _RETRY_SECONDS[0]
+                    self._begin(socket)
+                    self._lose(self._read(socket))
+            except Exception as error:  # noqa: BLE001 - of a URL, TLS, sockets: it is reported
+                if self.is_up:
+                    self._lose(_cause_of(error))
+                else:
+                    self._set(None, _cause_of(error))
+            with self._changed:
+                if self._changed.wait_for(lambda: self._is_closed, pause):
+                    return
+            pause = min(2 * pause, _RETRY_SECONDS[1])
+
+    def _connect(self) -> ClientConnection:
+        options = self.options
+        return connect(
+            options.url,
+            ssl=options.context,
+            additional_headers=dict(options.headers),
+            compression=None,
+            open_timeout=_CONNECT_SECONDS,
+            ping_interval=options.silence / 2,
+            ping_timeout=options.silence / 2,
+            close_timeout=_GOODBYE_SECONDS,
+            max_size=options.budget.octets + _ROOM_FOR_FIELDS,
+            proxy=None,
+        )
+
+    def _begin(self, socket: ClientConnection) -> None:
+        if self.options.authentication is not None:
+            socket.send(json.dumps(self.options.authentication()))
+        if self.breaks:
+            self._report(Health.OK, f"{self.options.url} answers again")
+        self._set(socket, "")
+        for watcher in self.watchers:
+            watcher("")
+
+    def _read(self, socket: ClientConnection) -> str:
+        """Take what comes until the connection ends; returns why it did."""
+        try:
+            for frame in socket:
+                self._take(frame)
+        except (ConnectionClosed, OSError) as error:
+            return _cause_of(error)
+        return "the server closed the connection"
+
+    def _take(self, frame: str | bytes) -> None:
+        spending = Spending(self.options.budget)
+        try:
+            if isinstance(frame, str):
+                fields = read_text(frame, spending)
+            else:
+                fields = read_binary(frame, spending)
+        except ControlMessageError as error:
+            self._report(Health.DEGRADED, f"{self.options.url} sends what cannot be read: {error}")
+            return
+        if not isinstance(fields, dict):
+            return
+        op = fields.get("op")
+        if op == "publish":
+            for take in self.topics.get(str(fields.get("topic")), ()):
+                take(fields.get("msg"))
+        elif op in {"service_response", "action_result"}:
+            self._answer(fields)
+        elif op == "call_service":
+            if (serve := self.services.get(str(fields.get("service")))) is not None:
+                serve(fields)
+        elif op == "status" and fields.get("level") == "error":
+            with self._changed:
+                tell = self._statuses.get(str(fields.get("id")))
+            if tell is not None:
+                tell(str(fields.get("msg"))[:500])
+
+    def _answer(self, fields: Fields) -> None:
+        with self._changed:
+            pending = self._pending.get(str(fields.get("id")))
+        if pending is not None:
+            pending.answer = fields
+            pending.done.set()
+
+    def _set(self, socket: ClientConnection | None, cause: str) -> None:
+        with self._changed:
+            self._socket, self._cause = socket, cause
+            self._changed.notify_all()
+            closed = self._is_closed
+        if closed and socket is not None:
+            with suppress(OSError, ConnectionClosed):
+                socket.close()
+
+    def _lose(self, cause: str) -> None:
+        self._set(None, cause)
+        with self._changed:
+            pending = list(self._pending.values())
+            is_closed = self._is_closed
+        for request in pending:
+            request.failure = cause
+            request.done.set()
+        if is_closed:
+            return
+        self.breaks += 1
+        # Channels are lost first: nothing takes them for such as go on while this is degraded.
+        for watcher in self.watchers:
+            watcher(cause)
+        self._report(Health.DEGRADED, f"{self.options.url}: {cause}")
+
+
+def _cause_of(error: Exception) -> str:
+    if isinstance(error, InvalidStatus):
+        status = error.response.status_code
+        hint = ": is the token right?" if status in {401, 403} else ""
+        return f"the server answered the handshake with {status}{hint}"
+    if isinstance(error, InvalidHandshake):
+        return f"no WebSocket server answers there: {error}"
+    if isinstance(error, TimeoutError):
+        return "no answer in time"
+    if isinstance(error, OSError):
+        return error.strerror or str(error)
+    return str(error) or type(error).__name__

@@ -1,0 +1,465 @@
+"""Types as rosapi describes them: message structures, and values as rosbridge has them and back.
+
+In JSON octets are base64 and what is no finite number is null; in CBOR octets are octets and arrays
+of numbers are typed. What is published is JSON in either case.
+"""
+
+from __future__ import annotations
+
+import binascii
+import math
+import operator
+import struct
+from array import array
+from collections.abc import Callable, Mapping, Sequence
+from functools import lru_cache, partial
+from typing import Any, TypeAlias
+
+import numpy as np
+import pybase64
+from attrs import field, frozen
+
+from uoarm.errors import BridgeError, FailureReason, MessageError
+from uoarm.model import Message, MessageStructure
+
+__all__ = ["RosType", "read_types", "reader", "structure_of", "writer"]
+
+_FORMATS = {
+    "int8": "b", "uint8": "B", "int16": "h", "uint16": "H", "int32": "i", "uint32": "I",
+    "int64": "q", "uint64": "Q", "float32": "f", "float64": "d",
+}  # fmt: skip
+# As the Python of ROS 2 calls them, and names of old, of which each ROS has another idea.
+_OTHER_NAMES = {"boolean": "bool", "float": "float32", "double": "float64", "wstring": "string"}
+_NAMES_OF_ONE = {"byte": "int8", "char": "uint8"}
+_NAMES_OF_TWO = {"byte": "uint8", "octet": "uint8", "char": "uint8"}
+_FLOAT32_MAX = 340282346638528859811704183484516925440
+_FLOATS = ("float32", "float64")
+_MOST_TYPES, _MOST_FIELDS, _DEEPEST = 500, 20_000, 32
+_SHOWN = 60
+
+
+@frozen
+class Primitive:
+    """A truth value, a number or a text."""
+
+    kind: str
+
+
+@frozen
+class ArrayOf:
+    """Elements of one type: exactly `size`, or any number when `size` is None."""
+
+    element: RosShape
+    size: int | None = None
+
+
+@frozen(eq=False)
+class RosType:
+    """A message type, with what it holds.
+
+    Attributes:
+        name: in full.
+        fields: members by name.
+        constants: of its definition.
+        is_real: whether the name is that of a type of ROS, or was made up for a function.
+    """
+
+    name: str
+    fields: Mapping[str, RosShape]
+    constants: Mapping[str, object] = field(factory=dict)
+    is_real: bool = True
+
+
+RosShape: TypeAlias = "Primitive | ArrayOf | RosType"
+_Read = Callable[[Any], Any]
+
+_TIMES = {
+    "time": RosType("time", {"secs": Primitive("uint32"), "nsecs": Primitive("uint32")}),
+    "duration": RosType("duration", {"secs": Primitive("int32"), "nsecs": Primitive("int32")}),
+}
+
+
+def read_types(name: str, typedefs: object) -> RosType:
+    """Return a type of what rosapi's details of it say.
+
+    Args:
+        name: of the outermost type, as ROS 1 or ROS 2 spells it.
+        typedefs: the list that was answered.
+
+    Raises:
+        BridgeError: they cannot be used.
+    """
+    return _Definitions(name, typedefs).outermost()
+
+
+class _Definitions:
+    """The definitions of one answer, each read once."""
+
+    def __init__(self, name: str, typedefs: object) -> None:
+        self._name = name
+        # Only ROS 2 says which kind of interface a type is.
+        self._is_two = any(f"/{kind}/" in name for kind in ("msg", "srv", "action"))
+        if not isinstance(typedefs, list) or not 0 < len(typedefs) <= _MOST_TYPES:
+            raise self._wrong("no list of definitions")
+        self._all: dict[str, Mapping[str, Any]] = {}
+        for typedef in typedefs:
+            if not isinstance(typedef, dict) or not isinstance(typedef.get("type"), str):
+                raise self._wrong("a definition without a type")
+            self._all.setdefault(typedef["type"], typedef)
+        self._first: str = typedefs[0]["type"]
+        self._made: dict[str, RosType] = {}
+        self._count = 0
+
+    def outermost(self) -> RosType:
+        return self._record(self._first, self._name, ())
+
+    def _record(self, key: str, name: str, path: tuple[str, ...]) -> RosType:
+        if key in self._made:
+            return self._made[key]
+        typedef = self._all.get(key)
+        if typedef is None or key in path or len(path) > _DEEPEST:
+            raise self._wrong(f"the type {key[:100]!r} is not defined, or holds itself")
+        columns = [typedef.get(part) for part in ("fieldnames", "fieldtypes", "fieldarraylen")]
+        if not all(isinstance(column, list) for column in columns):
+            raise self._wrong(f"the fields of {key[:100]!r} are no lists")
+        names, kinds, lengths = columns
+        if not len(names) == len(kinds) == len(lengths):  # type: ignore[arg-type]  # lists, see above
+            raise self._wrong(f"the lists of the fields of {key[:100]!r} differ in length")
+        fields: dict[str, RosShape] = {}
+        for own, kind, length in zip(names, kinds, lengths, strict=True):  # type: ignore[arg-type]
+            self._count += 1
+            if self._count > _MOST_FIELDS or not isinstance(own, str) or not isinstance(kind, str):
+                raise self._wrong(f"the fields of {key[:100]!r}")
+            fields[own.removeprefix("_")] = self._shape(kind, length, (*path, key))
+        is_real = "/" in name and not name.startswith("uoarm/")
+        self._made[key] = RosType(name, fields, _constants(typedef), is_real)
+        return self._made[key]
+
+    def _shape(self, kind: str, length: object, path: tuple[str, ...]) -> RosShape:
+        plain = kind.partition("[")[0].partition("<")[0]
+        names = {**_OTHER_NAMES, **(_NAMES_OF_TWO if self._is_two else _NAMES_OF_ONE)}
+        plain = names.get(plain, plain)
+        shape: RosShape
+        if plain in _FORMATS or plain in {"bool", "string"}:
+            shape = Primitive(plain)
+        elif not self._is_two and plain in _TIMES:
+            shape = _TIMES[plain]
+        else:
+            shape = self._record(plain, self._full(plain), path)
+        if not isinstance(length, int) or length < 0:
+            return shape
+        return ArrayOf(shape, length or None)
+
+    def _full(self, name: str) -> str:
+        package, _, own = name.partition("/")
+        is_short = self._is_two and package != "uoarm" and own and "/" not in own
+        return f"{package}/msg/{own}" if is_short else name
+
+    def _wrong(self, why: str) -> BridgeError:
+        text = f"rosapi describes {self._name} as nothing that can be used: {why}"
+        return BridgeError(text, FailureReason.BAD_MESSAGE)
+
+
+def _constants(typedef: Mapping[str, Any]) -> dict[str, object]:
+    names, values = typedef.get("constnames"), typedef.get("constvalues")
+    if not isinstance(names, list) or not isinstance(values, list) or len(names) != len(values):
+        return {}
+    return {
+        name: _constant(value)
+        for name, value in zip(names, values, strict=True)
+        if isinstance(name, str) and isinstance(value, str)
+    }
+
+
+def _constant(text: str) -> object:
+    if text in {"True", "False"}:
+        return text == "True"
+    for kind in (int, float):
+        try:
+            return kind(text)
+        except ValueError:
+            continue
+    return text
+
+
+@lru_cache(maxsize=1024)
+def structure_of(made: RosType) -> MessageStructure:
+    """Return the structure of a type: a closed object with every field required."""
+    return MessageStructure(_schema(made), native_type=made.name)
+
+
+def _schema(shape: RosShape) -> dict[str, Any]:
+    if isinstance(shape, RosType):
+        schema: dict[str, Any] = {
+            "type": "object",
+            "properties": {name: _schema(inner) for name, inner in shape.fields.items()},
+            "required": [*shape.fields],
+            "additionalProperties": False,
+            "x-native-type": shape.name,
+        }
+        if shape.is_real:
+            schema["x-type"] = shape.name
+        return {**schema, "x-constants": dict(shape.constants)} if shape.constants else schema
+    if isinstance(shape, ArrayOf):
+        schema = {"type": "array", "items": _schema(shape.element)}
+        if shape.size is not None:
+            schema["minItems"] = schema["maxItems"] = shape.size
+        return {**schema, "x-octets": True} if _is_octets(shape) else schema
+    if shape.kind in {"bool", "string"}:
+        return {"type": "boolean" if shape.kind == "bool" else "string"}
+    if shape.kind in _FLOATS:
+        schema = {"type": "number", "x-native-type": shape.kind, "x-nonfinite": True}
+        limits = {"minimum": -_FLOAT32_MAX, "maximum": _FLOAT32_MAX}
+        return {**schema, **limits} if shape.kind == "float32" else schema
+    least, most = _range(shape.kind)
+    return {"type": "integer", "x-native-type": shape.kind, "minimum": least, "maximum": most}
+
+
+def _is_octets(shape: ArrayOf) -> bool:
+    return shape.element == Primitive("uint8")
+
+
+@lru_cache(maxsize=16)
+def _range(kind: str) -> tuple[int, int]:
+    bits = 8 * struct.calcsize(_FORMATS[kind])
+    is_signed = kind.startswith("int")
+    return (-(2 ** (bits - 1)), 2 ** (bits - 1) - 1) if is_signed else (0, 2**bits - 1)
+
+
+def _shown(value: object) -> str:
+    text = f"{type(value).__name__} {value!r}"
+    return text if len(text) <= _SHOWN else f"{text[:_SHOWN]}..."
+
+
+def _misfit(path: str, expected: str, value: object) -> MessageError:
+    return MessageError(f"{path}: expected {expected}, got {_shown(value)}")
+
+
+@lru_cache(maxsize=1024)
+def reader(made: RosType) -> Callable[[Any], Message]:
+    """Return the function that makes a message of what came; it raises MessageError."""
+    return _reading(made, made.name)
+
+
+def _reading(shape: RosShape, path: str) -> _Read:
+    if isinstance(shape, RosType):
+        parts = [(name, _reading(part, f"{path}.{name}")) for name, part in shape.fields.items()]
+
+        def read_record(value: Any) -> Any:
+            if not isinstance(value, dict) or len(value) != len(parts):
+                raise _misfit(path, f"an object of {len(parts)} members", value)
+            try:
+                return {name: read(value[name]) for name, read in parts}
+            except KeyError as error:
+                raise _misfit(path, f"a member {error.args[0]!r}", value) from None
+
+        return read_record
+    if isinstance(shape, ArrayOf):
+        return _reading_array(shape, path)
+    return _reading_primitive(shape.kind, path)
+
+
+def _reading_primitive(kind: str, path: str) -> _Read:
+    if kind == "string":
+        return _exactly(str, "a text", path)
+    if kind == "bool":
+        return _exactly(bool, "true or false", path)
+    if kind in _FLOATS:
+
+        def read_float(value: Any) -> float:
+            if type(value) is float:
+                return value
+            if value is None:  # JSON has no NaN and no infinity: which of them it was is lost
+                return math.nan
+            if type(value) is int:
+                return float(value)
+            raise _misfit(path, f"a number ({kind})", value)
+
+        return read_float
+    least, most = _range(kind)
+
+    def read_integer(value: Any) -> int:
+        if isinstance(value, str | bytes) and kind == "uint8":  # an octet of ROS 2
+            octets = _octets(path, value)
+            value = octets[0] if len(octets) == 1 else value
+        if type(value) is not int or not least <= value <= most:
+            raise _misfit(path, f"{least} to {most} ({kind})", value)
+        return value
+
+    return read_integer
+
+
+def _exactly(kind: type, expected: str, path: str) -> _Read:
+    def read(value: Any) -> Any:
+        if type(value) is not kind:
+            raise _misfit(path, expected, value)
+        return value
+
+    return read
+
+
+def _reading_array(shape: ArrayOf, path: str) -> _Read:
+    size, element = shape.size, shape.element
+    if _is_octets(shape):
+
+        def read_octets(value: Any) -> bytes:
+            octets = _octets(path, value)
+            _require_size(path, size, octets)
+            return octets
+
+        return read_octets
+    if isinstance(element, Primitive) and element.kind in _FORMATS:
+        kind, dtype = element.kind, np.dtype(f"<{_FORMATS[element.kind]}")
+
+        def read_numbers(value: Any) -> Any:
+            _require_size(path, size, value)
+            return _numbers(path, kind, dtype, value)
+
+        return read_numbers
+    read = _reading(element, f"{path}[]")
+
+    def read_list(value: Any) -> Any:
+        if not isinstance(value, list):
+            raise _misfit(path, "an array", value)
+        _require_size(path, size, value)
+        return [read(item) for item in value]
+
+    return read_list
+
+
+def _octets(path: str, value: Any) -> bytes:
+    try:
+        if isinstance(value, str):
+            return pybase64.b64decode(value, validate=True)
+        if isinstance(value, bytes | bytearray | memoryview | list):
+            return bytes(value)
+    except (binascii.Error, ValueError, TypeError):
+        pass
+    raise _misfit(path, "octets", value)
+
+
+def _require_size(path: str, size: int | None, value: Any) -> None:
+    if size is not None and (not hasattr(value, "__len__") or len(value) != size):
+        raise _misfit(path, f"{size} elements", value)
+
+
+def _numbers(path: str, kind: str, dtype: np.dtype[Any], value: Any) -> np.ndarray[Any, Any]:
+    """Return an array of numbers of what came as a list, or as a typed array."""
+    if not isinstance(value, list | array | np.ndarray):
+        raise _misfit(path, f"an array of {kind}", value)
+    try:
+        if dtype.kind == "f":
+            given = np.asarray(value, np.float64 if isinstance(value, list) else None)
+        else:
+            given = np.asarray(value) if len(value) else np.empty(0, dtype)
+    except (TypeError, ValueError, OverflowError):
+        raise _misfit(path, f"an array of {kind}", value) from None
+    is_number = given.ndim == 1 and given.dtype.kind in ("iuf" if dtype.kind == "f" else "iu")
+    if not is_number:
+        raise _misfit(path, f"an array of {kind}", value)
+    if dtype.kind != "f" and given.size and given.dtype != dtype:
+        least, most = _range(kind)
+        if not least <= given.min().item() <= given.max().item() <= most:
+            raise _misfit(path, f"{least} to {most} ({kind})", value)
+    with np.errstate(over="ignore"):
+        return np.asarray(given, dtype)
+
+
+@lru_cache(maxsize=1024)
+def writer(made: RosType) -> Callable[[Message], Any]:
+    """Return the function that makes of a message what is written as JSON.
+
+    It raises MessageError where a message does not fit, or holds what JSON has no form for.
+    """
+    return _writing(made, "$")
+
+
+def _writing(shape: RosShape, path: str) -> _Read:
+    if isinstance(shape, RosType):
+        parts = [(name, _writing(part, f"{path}.{name}")) for name, part in shape.fields.items()]
+
+        def write_record(value: Any) -> Any:
+            if not isinstance(value, Mapping):
+                raise _misfit(path, "an object", value)
+            if missing := [name for name, _ in parts if name not in value]:
+                raise MessageError(f"{path}: the member {missing[0]!r} is missing")
+            if len(value) != len(parts):
+                unknown = next(name for name in value if name not in shape.fields)
+                raise MessageError(f"{path}: there is no member {str(unknown)[:80]!r}")
+            return {name: write(value[name]) for name, write in parts}
+
+        return write_record
+    if isinstance(shape, ArrayOf):
+        return _writing_array(shape, path)
+    return _writing_primitive(shape.kind, path)
+
+
+def _writing_primitive(kind: str, path: str) -> _Read:
+    if kind == "string":
+        return partial(_text, path)
+    if kind == "bool":
+        return partial(_truth, path)
+    return partial(_float, kind, path) if kind in _FLOATS else partial(_integer, kind, path)
+
+
+def _text(path: str, value: Any) -> str:
+    if not isinstance(value, str):
+        raise _misfit(path, "a text", value)
+    try:
+        value.encode()
+    except UnicodeEncodeError:
+        raise _misfit(path, "a text of whole characters", value) from None
+    return value
+
+
+def _truth(path: str, value: Any) -> bool:
+    if not isinstance(value, bool | np.bool_):
+        raise _misfit(path, "true or false", value)
+    return bool(value)
+
+
+def _float(kind: str, path: str, value: Any) -> float:
+    if isinstance(value, bool | str | bytes):
+        raise _misfit(path, f"a number ({kind})", value)
+    try:
+        number = float(value)
+    except (TypeError, ValueError, OverflowError):
+        raise _misfit(path, f"a number ({kind})", value) from None
+    if not math.isfinite(number):
+        raise _misfit(path, "a finite number, as JSON has no other", value)
+    if kind == "float32" and abs(number) > _FLOAT32_MAX:
+        raise _misfit(path, "at most 3.4028234663852886e38 in size (float32)", value)
+    return number
+
+
+def _integer(kind: str, path: str, value: Any) -> int:
+    if isinstance(value, bool) or (isinstance(value, float) and not value.is_integer()):
+        raise _misfit(path, f"an integer ({kind})", value)
+    try:
+        number = int(value) if isinstance(value, float) else operator.index(value)
+    except (TypeError, OverflowError):
+        raise _misfit(path, f"an integer ({kind})", value) from None
+    least, most = _range(kind)
+    if not least <= number <= most:
+        raise _misfit(path, f"{least} to {most} ({kind})", value)
+    return number
+
+
+def _writing_array(shape: ArrayOf, path: str) -> _Read:
+    size, is_octets = shape.size, _is_octets(shape)
+    write = _writing(shape.element, f"{path}[]")
+    wants_numbers = isinstance(shape.element, Primitive) and shape.element.kind in _FORMATS
+
+    def write_array(value: Any) -> Any:
+        if is_octets and isinstance(value, bytes | bytearray | memoryview):
+            _require_size(path, size, value)
+            return pybase64.b64encode(value).decode()
+        if isinstance(value, np.ndarray | array | memoryview) and wants_numbers:
+            value = value.tolist()
+        if not isinstance(value, Sequence) or isinstance(value, str | bytes | bytearray):
+            raise _misfit(path, "an array", value)
+        _require_size(path, size, value)
+        items = [write(item) for item in value]
+        return pybase64.b64encode(bytes(items)).decode() if is_octets else items
+
+    return write_array

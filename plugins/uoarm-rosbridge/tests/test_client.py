@@ -1,0 +1,316 @@
+"""The client's bridge, case by case: before a server of ours, and one that answers as written."""
+
+from __future__ import annotations
+
+import json
+import re
+import threading
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+import trustme
+from ros import Serve, eventually, url
+from uoarm_rosbridge.client._options import mistake
+from uoarm_rosbridge.client._types import read_types, reader, structure_of, writer
+from websockets.sync.server import ServerConnection, serve
+
+from uoarm.bridge import Bridge, HealthEvent, Registry
+from uoarm.errors import BridgeError, ConfigurationError, FailureReason, MessageError
+from uoarm.model import BridgeSpec, Endpoint, Health, Role
+from uoarm.server import hash_token, make_token
+from uoarm.testing import Collector, patience
+
+STRING = {
+    "type": "std_msgs/String", "fieldnames": ["data"], "fieldtypes": ["string"],
+    "fieldarraylen": [-1], "examples": [""], "constnames": [], "constvalues": [],
+}  # fmt: skip
+ACCESS = """
+version: 1
+roles: {{driver: {{see: ["*"], request: ["*"], send: ["*"]}}}}
+tokens: [{{name: robot, role: driver, sha256: {token}}}]
+"""
+
+
+class Played:
+    """A server that answers rosapi as it is written here, and keeps what came."""
+
+    def __init__(self, answers: Mapping[str, object]) -> None:
+        self._answers = answers
+        self.came: list[Any] = []
+        self.sockets: list[ServerConnection] = []
+        self.changed = threading.Condition()
+        self._server = serve(self._talk, "127.0.0.1", 0)
+        self.url = f"ws://127.0.0.1:{self._server.socket.getsockname()[1]}"
+        self._thread = threading.Thread(target=self._server.serve_forever)
+        self._thread.start()
+
+    def _talk(self, socket: ServerConnection) -> None:
+        self.sockets.append(socket)
+        for text in socket:
+            fields = json.loads(text)
+            self.came.append(fields)
+            if fields["op"] == "call_service":
+                name = fields["service"].rpartition("/")[2]
+                is_known = name in self._answers
+                values = self._answers.get(name, f"there is no service {name}")
+                answer = {
+                    "op": "service_response", "id": fields["id"], "values": values,
+                    "result": is_known,
+                }  # fmt: skip
+                socket.send(json.dumps(answer))
+            self.on(socket, fields)
+
+    def on(self, socket: ServerConnection, fields: Any) -> None:
+        """Say more to an operation; a test replaces it."""
+
+    def close(self) -> None:
+        self._server.shutdown()
+        self._thread.join(patience())
+
+
+ANSWERS = {
+    "topic_type": {"type": "std_msgs/String"},
+    "message_details": {"typedefs": [STRING]},
+    "publishers": {"publishers": ["/talker"]},
+    "subscribers": {"subscribers": ["/listener"]},
+    "get_time": {"time": {"secs": 1, "nsecs": 2}},
+}
+TALK = Endpoint("far", "talker", Role.OUTPUT, ("/chatter",))
+LISTEN = Endpoint("far", "listener", Role.INPUT, ("/chatter",))
+
+
+@pytest.fixture
+def played() -> Iterator[Played]:
+    server = Played(ANSWERS)
+    yield server
+    server.close()
+
+
+@contextmanager
+def bridge_to(address: str, **options: object) -> Iterator[Bridge]:
+    given = {"url": address, "check": 0.1, "wait": min(patience(), 60), **options}
+    bridge = Registry().create(BridgeSpec("far", "rosbridge", given))
+    try:
+        yield bridge
+    finally:
+        bridge.close()
+
+
+def seen(bridge: Bridge) -> list[HealthEvent]:
+    events: list[HealthEvent] = []
+    bridge.watch(events.append)
+    return events
+
+
+def asked(played: Played, op: str) -> list[Any]:
+    return [fields for fields in played.came if fields["op"] == op]
+
+
+def test_auth_comes_first_and_on_every_connection_anew(played: Played, tmp_path: Path) -> None:
+    secret = tmp_path / "secret"
+    secret.write_text("kiwi\n")
+    auth = {"secret_file": str(secret), "client": "10.0.0.1", "dest": "robot"}
+    with bridge_to(played.url, auth=auth) as bridge:
+        bridge.describe(TALK)
+        assert played.came[0]["op"] == "auth"
+        assert played.came[0]["end"] > played.came[0]["t"]
+        assert len(played.came[0]["mac"]) == len("f" * 128)
+        played.sockets[0].close()
+        eventually(lambda: len(asked(played, "auth")) > 1, "auth on a new connection")
+    first, second = asked(played, "auth")[:2]
+    assert first["rand"] != second["rand"]
+    assert "kiwi" not in json.dumps(played.came)
+
+
+def test_a_secret_goes_nowhere_in_the_clear(tmp_path: Path) -> None:
+    secret = tmp_path / "secret"
+    secret.write_text("kiwi")
+    with (
+        pytest.raises(ConfigurationError, match="in the clear: use wss://"),
+        bridge_to("ws://robot.example:9090", token_file=str(secret)),
+    ):
+        pass
+
+
+def test_tls_is_spoken_and_the_token_shown(serve: Serve, tmp_path: Path) -> None:
+    authority, token = trustme.CA(), make_token()
+    certificate, trusted, secret = (tmp_path / name for name in ("own.pem", "ca.pem", "token"))
+    authority.cert_pem.write_to_path(trusted)
+    issued = authority.issue_cert("localhost", "127.0.0.1")
+    issued.private_key_and_cert_chain_pem.write_to_path(certificate)
+    access = tmp_path / "access.yaml"
+    access.write_text(ACCESS.format(token=hash_token(token)))
+    secret.write_text(token)
+    address = url(serve(certificate=certificate, access=access)).replace("ws://", "wss://")
+    source = Endpoint("far", "numbers", Role.OUTPUT, ("/uoarm/numbers",))
+    with bridge_to(address, tls={"ca": str(trusted)}, token_file=str(secret)) as bridge:
+        assert bridge.describe(source).message is not None
+    refused = (
+        ({"tls": {"ca": str(trusted)}}, "401: is the token right"),
+        ({"token_file": str(secret)}, "certificate verify failed"),
+    )
+    for options, why in refused:
+        with bridge_to(address, **options) as bridge, pytest.raises(BridgeError, match=why):
+            bridge.describe(source)
+
+
+def test_a_message_of_a_topic_comes_once_to_each_source(played: Played) -> None:
+    first, second = Collector(), Collector()
+    with bridge_to(played.url) as bridge:
+        structure = bridge.describe(TALK).message
+        assert structure is not None
+        sources = [bridge.open_source(TALK, structure, to.deliver) for to in (first, second)]
+        assert len(asked(played, "subscribe")) == 1  # the server sends one message to one client
+        message = {"op": "publish", "topic": "/chatter", "msg": {"data": "Kia ora"}}
+        played.sockets[0].send(json.dumps(message))
+        assert first.wait(1) == second.wait(1) == [{"data": "Kia ora"}]
+        sources[0].close()
+        assert not asked(played, "unsubscribe")
+        sources[1].close()
+        eventually(lambda: len(asked(played, "unsubscribe")) == 1, "the topic is let go")
+
+
+def test_what_the_server_refuses_is_said(played: Played) -> None:
+    def refuse(socket: ServerConnection, fields: Any) -> None:
+        if fields["op"] == "publish":
+            status = {"op": "status", "level": "error", "msg": "denied", "id": fields["id"]}
+            socket.send(json.dumps(status))
+
+    played.on = refuse  # type: ignore[method-assign]  # what a test replaces
+    with bridge_to(played.url) as bridge:
+        events = seen(bridge)
+        structure = bridge.describe(LISTEN).message
+        assert structure is not None
+        sink = bridge.open_sink(LISTEN, structure)
+        sink.send({"data": "x"})
+        eventually(lambda: events, "a refused message is reported")
+        assert events[0].health is Health.DEGRADED
+        assert events[0].cause == "/chatter: the server says: denied"
+        assert sink.facts()["refused_by_server"] == 1
+
+
+def test_an_advertisement_that_is_refused_opens_nothing(played: Played) -> None:
+    def refuse(socket: ServerConnection, fields: Any) -> None:
+        if fields["op"] == "advertise":
+            status = {"op": "status", "level": "error", "msg": "glob", "id": fields["id"]}
+            socket.send(json.dumps(status))
+
+    played.on = refuse  # type: ignore[method-assign]  # what a test replaces
+    with bridge_to(played.url) as bridge:
+        structure = bridge.describe(LISTEN).message
+        assert structure is not None
+        with pytest.raises(BridgeError, match="advertised: glob") as caught:
+            bridge.open_sink(LISTEN, structure)
+        assert caught.value.reason is FailureReason.REFUSED
+
+
+def test_a_server_without_rosapi_is_named(played: Played) -> None:
+    played._answers = {}
+    with bridge_to(played.url) as bridge, pytest.raises(BridgeError, match="does rosapi run there"):
+        bridge.describe(TALK)
+
+
+def test_a_server_that_is_not_there_is_named() -> None:
+    with bridge_to("ws://127.0.0.1:1") as bridge:
+        with pytest.raises(BridgeError, match=r"no connection to ws://127\.0\.0\.1:1: ") as caught:
+            bridge.describe(TALK)
+        assert caught.value.reason is FailureReason.UNAVAILABLE
+
+
+HEADER = {
+    "type": "std_msgs/Header", "fieldnames": ["seq", "stamp", "frame_id"],
+    "fieldtypes": ["uint32", "time", "string"], "fieldarraylen": [-1, -1, -1],
+}  # fmt: skip
+ONE = {
+    "type": "x_msgs/All", "fieldnames": ["header", "pixels", "small", "letter", "gaps", "for"],
+    "fieldtypes": ["std_msgs/Header", "uint8", "byte", "char", "duration", "float32"],
+    "fieldarraylen": [-1, 0, -1, -1, 2, 0], "constnames": ["MOST"], "constvalues": ["3"],
+}  # fmt: skip
+ONE_VALUE = {
+    "header": {"seq": 1, "stamp": {"secs": 2, "nsecs": 3}, "frame_id": "map"},
+    "pixels": b"\0\xff", "small": -1, "letter": 200, "gaps": [{"secs": -1, "nsecs": 0}] * 2,
+    "for": [0.5, 1.5],
+}  # fmt: skip
+
+
+def test_types_of_ros_1_are_those_of_ros_1() -> None:
+    made = read_types("x_msgs/All", [ONE, HEADER])
+    schema: Any = structure_of(made).schema
+    small = schema["properties"]["small"]
+    assert (small["minimum"], small["maximum"]) == (-128, 127)
+    assert schema["properties"]["pixels"]["x-octets"] is True
+    assert schema["x-constants"] == {"MOST": 3}
+    written = json.loads(json.dumps(writer(made)(ONE_VALUE)))
+    assert written["pixels"] == "AP8="
+    read = reader(made)(written)
+    assert {**read, "for": list(read["for"])} == ONE_VALUE
+
+
+def test_types_of_ros_2_are_those_of_ros_2() -> None:
+    time = {
+        "type": "builtin_interfaces/Time", "fieldnames": ["sec", "nanosec"],
+        "fieldtypes": ["int32", "uint32"], "fieldarraylen": [-1, -1],
+    }  # fmt: skip
+    two = {
+        "type": "x_msgs/All", "fieldnames": ["stamp", "one", "wide", "yes"],
+        "fieldtypes": ["builtin_interfaces/Time", "octet", "double", "boolean"],
+        "fieldarraylen": [-1, -1, -1, -1],
+    }  # fmt: skip
+    made = read_types("x_msgs/msg/All", [two, time])
+    schema: Any = structure_of(made).schema
+    assert schema["properties"]["stamp"]["x-type"] == "builtin_interfaces/msg/Time"
+    value = {"stamp": {"sec": -1, "nanosec": 2}, "one": 255, "wide": 0.5, "yes": True}
+    assert reader(made)(writer(made)(value)) == value
+
+
+@pytest.mark.parametrize(
+    ("change", "where"),
+    [
+        ({"small": 128}, r"\$\.small: expected -128 to 127"),
+        ({"gaps": []}, r"\$\.gaps: expected 2 elements"),
+        ({"for": [1e39]}, r"\$\.for\[\]: expected at most"),
+        ({"for": [float("nan")]}, r"\$\.for\[\]: expected a finite number"),
+        ({"more": 1}, r"\$: there is no member 'more'"),
+        ({"header": None}, r"\$\.header: expected an object"),
+    ],
+)
+def test_what_does_not_fit_is_refused_with_its_place(change: Any, where: str) -> None:
+    write = writer(read_types("x_msgs/All", [ONE, HEADER]))
+    with pytest.raises(MessageError, match=where):
+        write({**ONE_VALUE, **change})
+
+
+@pytest.mark.parametrize(
+    "typedefs",
+    [
+        None,
+        [],
+        [{}],
+        [{"type": "a/A", "fieldnames": ["x"], "fieldtypes": [], "fieldarraylen": []}],
+        [{"type": "a/A", "fieldnames": ["x"], "fieldtypes": ["a/A"], "fieldarraylen": [-1]}],
+        [{"type": "a/A", "fieldnames": ["x"], "fieldtypes": ["a/B"], "fieldarraylen": [-1]}],
+        [{"type": "a/A", "fieldnames": [1], "fieldtypes": [1], "fieldarraylen": [-1]}],
+    ],
+)
+def test_descriptions_that_are_none_are_refused(typedefs: object) -> None:
+    with pytest.raises(BridgeError, match="as nothing that can be used"):
+        read_types("a/A", typedefs)
+
+
+@pytest.mark.parametrize(
+    ("address", "options", "why"),
+    [
+        ((), {}, "expected .name. or .name, type."),
+        (("/a b",), {}, "is not a name of ROS"),
+        (("/a", "String"), {}, "is not a type of ROS"),
+        (("/a",), {"queue": 0}, "option; queue; 0 is less than"),
+        (("/a",), {"speed": 1}, "'speed' was unexpected"),
+    ],
+)
+def test_addresses_are_checked_in_words(
+    address: tuple[str, ...], options: dict[str, object], why: str
+) -> None:
+    assert re.search(why, mistake(address, options))

@@ -1,0 +1,184 @@
+"""The client's bridge passes the suite that every bridge passes, before a server of ours."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+import echoes
+import pytest
+from ros import Ros
+
+from uoarm import RobotManager
+from uoarm.config import loads
+from uoarm.model import BridgeSpec, Endpoint, Message, Role
+from uoarm.server import Settings, serve_in_thread
+from uoarm.testing import patience
+from uoarm.testing.conformance import BridgeConformance, Pair, Retained, Served, Victim, World
+
+# Pings of websockets draw numbers beside what hypothesis draws.
+pytestmark = pytest.mark.filterwarnings("ignore:Do not use the `random` module")
+KINDS: tuple[str, ...] = (
+    "between",
+    "scalars",
+    "arrays",
+    "image",
+)  # the first is a topic between clients
+SCALARS = "test_msgs/msg/Scalars"
+
+
+class ServedRobot:
+    """A robot before which a server can be ended, and be there again on the same port."""
+
+    def __init__(self) -> None:
+        echoes.release.clear()
+        here = str(Path(__file__).parent / "robot.yaml")
+        self._manager = RobotManager(loads(echoes.CONFIGURATION, origin=here))
+        self._serving = ExitStack()
+        self.port = 0
+
+    def start(self) -> None:
+        server = self._serving.enter_context(
+            serve_in_thread(self._manager, Settings(port=self.port))
+        )
+        self.port = server.ports[0]
+
+    def stop(self) -> None:
+        self._serving.close()
+
+    def close(self) -> None:
+        self.stop()
+        echoes.release.set()
+        self._manager.close()
+
+
+class ServerWorld(World):
+    """Functions of a robot as topics and services of rosbridge."""
+
+    def __init__(self, robot: ServedRobot) -> None:
+        self._robot = robot
+        self._url = f"ws://127.0.0.1:{robot.port}/rosbridge"
+        self._clients: list[Ros] = []
+
+    def spec(self) -> BridgeSpec:
+        options = {"url": self._url, "check": 0.2, "wait": min(patience(), 60)}
+        return BridgeSpec("far", "rosbridge", options)
+
+    def endpoint(self, name: str, role: Role, *kind: str) -> Endpoint:
+        return self.at(f"/uoarm/{name}", role, *kind)
+
+    def at(self, name: str, role: Role, *kind: str, **options: object) -> Endpoint:
+        return Endpoint("far", f"{name} component", role, (name, *kind), options=options)
+
+    def pair(self, kind: str) -> Pair:
+        if kind == "between":
+            topic, free = f"/robot/{kind}", {"peer": "optional", "queue": 10_000}
+            return Pair(
+                self.at(topic, Role.INPUT, SCALARS, **free),
+                self.at(topic, Role.OUTPUT, SCALARS, **free),
+            )
+        return Pair(self.endpoint(kind, Role.INPUT), self.endpoint(kind, Role.OUTPUT))
+
+    def carried(self, kind: str, message: Message) -> Message:
+        """Return what comes of a number: it is a double there."""
+        return _rounded(message) if kind != "image" else message
+
+    def missing(self) -> Endpoint:
+        return self.endpoint("nowhere", Role.OUTPUT)
+
+    def samples(self, kind: str) -> Sequence[Message]:
+        if kind == "image":
+            return [{"width": 1024, "data": bytes(range(256)) * 8192}]
+        return []
+
+    def client(self) -> Ros:
+        """Connect a client that plays a node behind the server."""
+        self._clients.append(Ros(self._url))
+        return self._clients[-1]
+
+    def victim(self) -> Victim:
+        return self.victims()[0]
+
+    def victims(self) -> Sequence[Victim]:
+        made = []
+        for name in ("first", "second"):
+            client = self.client()
+            client.send(op="advertise", topic=f"/robot/{name}", type=SCALARS)
+            client.call("/rosapi/get_time")
+            source = self.at(f"/robot/{name}", Role.OUTPUT)
+            made.append(Victim(source, client.socket.close))
+        return made
+
+    def unreadable(self, kind: str) -> Callable[[], object] | None:
+        if kind != "between":  # of a function everything is checked before it is sent
+            return None
+        client, topic = self.client(), f"/robot/{kind}"
+        return lambda: client.send(op="publish", topic=topic, type=SCALARS, msg={"flag": 1})
+
+    def retained(self) -> Retained:
+        client = self.client()
+
+        def emit() -> Message:
+            client.call("/rosapi/set_param", {"name": "/robot/speed", "value": "7"})
+            return 7
+
+        client.call("/rosapi/set_param", {"name": "/robot/speed", "value": "6"})
+        return Retained(self.at("/robot/speed", Role.OUTPUT, "parameter"), emit)
+
+    def close(self) -> None:
+        for client in self._clients:
+            client.socket.close()
+
+    def broken(self) -> bool:
+        self._robot.stop()
+        return True
+
+    def mended(self) -> None:
+        self._robot.start()
+
+    def served(self) -> Served:
+        more = [
+            ({"data": data}, {"success": data, "message": f"data is {data}"})
+            for data in (True, False)
+        ]
+        request, reply = more[0]
+        names = ("set", "failing", "silent")
+        first, failing, silent = (self.endpoint(name, Role.SERVICE) for name in names)
+        return Served(first, request, reply, failing, silent, more)
+
+    def servable(self) -> tuple[Endpoint, Endpoint]:
+        served = self.at("/robot/offered", Role.SERVICE, "std_srvs/srv/SetBool")
+        return served, self.at("/robot/offered", Role.SERVICE)
+
+
+class TestRosbridgeClient(BridgeConformance):
+    """The whole suite."""
+
+    kinds = KINDS
+
+    @pytest.fixture
+    def world(self) -> Iterator[World]:
+        robot = ServedRobot()
+        robot.start()
+        made = ServerWorld(robot)
+        yield made
+        made.close()
+        robot.close()
+
+
+class TestInAHost(TestRosbridgeClient):
+    """The whole suite with the bridge in a process of its own."""
+
+    hosted = True
+    kinds = ("between", "scalars")
+
+
+def _rounded(value: Any) -> Any:
+    if isinstance(value, dict):
+        exact = ("small", "signed", "wide")
+        return {key: item if key in exact else _rounded(item) for key, item in value.items()}
+    if isinstance(value, list):
+        return [_rounded(item) for item in value]
+    return float(value) if type(value) is int else value
