@@ -79,8 +79,15 @@ _CONSTANTS = {
 }
 
 
+# A worker thread of what a fixture of several tests holds waits that long for the next call: the
+# check of what a test left behind waits for its end.
+_IDLE_SECONDS = 0.1
+
+
 def lengthen(seconds: float) -> None:
     """Have the limits that nobody states last so long, of what tests have imported."""
+    if (workers := sys.modules.get("uoarm._workers")) is not None:
+        _set_default(workers.WorkerPool.__init__, "idle_seconds", _IDLE_SECONDS)
     for module, constants in _CONSTANTS.items():
         for name in constants:
             if module in sys.modules:

@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 import pytest
+from tests.server.conftest import Serve
 from tests.server.hostile import HOSTILE, Hostile
 from tests.server.talk import Talk
 
-from uoarm.server import Server
+from uoarm.server import Limits
+
+UNPACED = Limits(elements_per_second=1e9)
+"""At what pace values are read, test_intake.py has."""
 
 
 @pytest.mark.parametrize("hostile", HOSTILE.values(), ids=HOSTILE.keys())
-def test_it_is_refused_and_the_session_goes_on(server: Server, hostile: Hostile) -> None:
+def test_it_is_refused_and_the_session_goes_on(serve: Serve, hostile: Hostile) -> None:
+    server = serve(UNPACED)
     url = f"ws://127.0.0.1:{server.ports[0]}/uoarm"
     with Talk(url, binary=hostile.form == "cbor") as client:
         for frame in hostile.frames():

@@ -20,7 +20,7 @@ assert.equal(numbers.lost, 0);
 assert.deepEqual(await robot.call("add", { a: 1, b: 2 }), { value: 3 });
 robot.close();
 
-const other = await connect(url, { binary: form === "cbor", timeout, resume: false });
+const other = await connect(url, { binary: form === "cbor", timeout, resume: false, reconnect: 0.5 });
 const stream = await other.request("numbers");
 say("end");
 await assert.rejects(stream.get(), { code: "closed" });
