@@ -51,7 +51,13 @@ def names(chain: Chain, frame: Frame) -> list[str | None]:
     return [person["name"] for person in recognise(detect(frame))["persons"]]
 
 
-@pytest.mark.parametrize("detector", [HogDetector(), HaarDetector()])
+@pytest.fixture(scope="module", params=[HogDetector, HaarDetector])
+def detector(request: pytest.FixtureRequest) -> Detector:
+    """Built where it is used: to read a model takes longer than all that is collected."""
+    built: Detector = request.param()
+    return built
+
+
 @pytest.mark.parametrize(
     ("name", "inside"), [("obama", (300, 440)), ("biden", (590, 370)), ("passenger", (90, 65))]
 )
@@ -64,7 +70,6 @@ def test_detectors_find_the_one_face(
     assert boxes[0]["y"] < inside[1] < boxes[0]["y"] + boxes[0]["height"]
 
 
-@pytest.mark.parametrize("detector", [HogDetector(), HaarDetector()])
 def test_detectors_find_nobody_in_an_empty_picture(detector: Detector) -> None:
     assert detector(EMPTY)["boxes"] == []
 
