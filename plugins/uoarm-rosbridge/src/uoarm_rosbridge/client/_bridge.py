@@ -71,7 +71,11 @@ class RosbridgeBridge(Bridge):
         self._given = client_options(name, options)
         self._connection = ServerConnection(name, self._given, self.report)
         self._connection.watchers = (self._changed,)
+        # rosbridge_suite works through what a client sends in order, and waits for each reply: a
+        # call has a connection of its own, so that it holds up no message and no question.
+        self._calls = ServerConnection(name, self._given, lambda *_: None)
         self._types: dict[tuple[str, str], RosType] = {}
+        self._kinds: dict[Endpoint, str] = {}
         self._channels: WeakSet[Channel] = WeakSet()
         # Guards what is open and what was lost, between steps, the connection and the watch.
         self._table_lock = threading.Lock()
@@ -237,29 +241,32 @@ class RosbridgeBridge(Bridge):
         try:
             if address.is_action:
                 return self._call_action(endpoint, address, message, deadline, timeout)
-            kind = self._service_kind(endpoint, address)
+            kind = self._kinds.get(endpoint) or self._service_kind(endpoint, address)
             request, reply = self._service_types(kind)
             fields = {
-                "op": "call_service", "id": self._connection.new_id("call"), "type": kind,
+                "op": "call_service", "id": self._calls.new_id("call"), "type": kind,
                 "service": _full(address.name), "args": writer(request)(message),
                 "timeout": timeout,
             }  # fmt: skip
             answer = self._request(endpoint, fields, deadline, timeout)
         except BridgeError as error:
+            self._kinds.pop(endpoint, None)
             if error.reason in {FailureReason.UNAVAILABLE, FailureReason.NOT_FOUND}:
                 self._remember(endpoint)
             raise
         del structures
         if answer.get("result") is False:
+            self._kinds.pop(endpoint, None)
             text = str(answer.get("values"))[:1000]
             raise BridgeError(f"{endpoint}: the service failed: {text}")
+        self._kinds[endpoint] = kind
         return reader(reply)(answer.get("values") or {})
 
     def _request(
         self, endpoint: Endpoint, fields: dict[str, Any], deadline: float, timeout: float
     ) -> Fields:
         try:
-            return self._connection.request(fields, max(0.0, deadline - time.monotonic()))
+            return self._calls.request(fields, max(0.0, deadline - time.monotonic()))
         except BridgeTimeoutError:
             text = f"{endpoint}: no reply within {timeout:g} s"
             raise BridgeTimeoutError(text) from None
@@ -273,18 +280,18 @@ class RosbridgeBridge(Bridge):
         timeout: float,
     ) -> Message:
         kinds = self._action_types(address)
-        name, identity = _full(address.name), self._connection.new_id("goal")
+        name, identity = _full(address.name), self._calls.new_id("goal")
         cancel = {"op": "cancel_action_goal", "id": identity, "action": name}
         fields = {
             "op": "send_action_goal", "id": identity, "action": name, "action_type": address.type,
             "args": message if kinds is None else writer(kinds[0])(message), "feedback": False,
         }  # fmt: skip
         try:
-            with self.cancelling(lambda: self._connection.send(cancel)):
+            with self.cancelling(lambda: self._calls.send(cancel)):
                 answer = self._request(endpoint, fields, deadline, timeout)
         except BridgeTimeoutError:
             with suppress(BridgeError):
-                self._connection.send(cancel)
+                self._calls.send(cancel)
             raise
         values, status = answer.get("values"), answer.get("status")
         if answer.get("result") is False or status != _SUCCEEDED:
@@ -352,6 +359,7 @@ class RosbridgeBridge(Bridge):
     def _close(self) -> None:
         self._closing.set()
         self._poked.set()
+        self._calls.close()
         self._connection.close()
         self._watch.join(_JOIN_SECONDS)
 
@@ -386,6 +394,7 @@ class RosbridgeBridge(Bridge):
         """Take note of a break, or of its end; in the connection's thread."""
         if not cause:
             self._types.clear()
+            self._kinds.clear()
             self._is_new = True
             self._poked.set()
             return

@@ -164,10 +164,13 @@ def _constants(typedef: Mapping[str, Any]) -> dict[str, object]:
     names, values = typedef.get("constnames"), typedef.get("constvalues")
     if not isinstance(names, list) or not isinstance(values, list) or len(names) != len(values):
         return {}
+    # What the Python of ROS 2 has beside constants is listed, too: fields, and the types of fields
+    # with their addresses in memory.
+    no_constants = {"SLOT_TYPES", *(name.removeprefix("_") for name in typedef["fieldnames"])}
     return {
         name: _constant(value)
         for name, value in zip(names, values, strict=True)
-        if isinstance(name, str) and isinstance(value, str)
+        if isinstance(name, str) and isinstance(value, str) and name not in no_constants
     }
 
 

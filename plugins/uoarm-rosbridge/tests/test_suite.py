@@ -1,0 +1,189 @@
+"""The client's bridge before a real rosbridge_suite of ROS 2 with rosapi, where one runs.
+
+UOARM_ROSBRIDGE_SUITE is its address; it must be in this ROS_DOMAIN_ID, on the same machine.
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from ros import eventually
+
+from uoarm.bridge import Bridge, Registry
+from uoarm.errors import BridgeError
+from uoarm.model import BridgeSpec, Endpoint, Message, MessageStructure, Role
+from uoarm.testing import Background, Collector, patience
+
+ADDRESS = os.environ.get("UOARM_ROSBRIDGE_SUITE", "")
+pytestmark = pytest.mark.skipif(
+    not ADDRESS or find_spec("rclpy") is None,
+    reason="no rosbridge_suite: UOARM_ROSBRIDGE_SUITE=ws://HOST:PORT, and rclpy, are needed",
+)
+WIDTH, HEIGHT = 64, 48
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _node() -> Iterator[None]:
+    script = str(Path(__file__).parent / "node_of_ros2.py")
+    with subprocess.Popen([sys.executable, script], stdout=subprocess.PIPE) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == b"ready\n"
+        yield
+        process.kill()
+
+
+@pytest.fixture
+def bridge() -> Iterator[Bridge]:
+    options = {"url": ADDRESS, "check": 0.2, "wait": min(patience(), 60)}
+    made = Registry().create(BridgeSpec("far", "rosbridge", options))
+    eventually(lambda: is_there(made, at(Role.OUTPUT, "/behind/scan")), "the node is there")
+    yield made
+    made.close()
+
+
+def at(role: Role, *address: str, **options: object) -> Endpoint:
+    return Endpoint("far", "behind", role, address, options=options)
+
+
+def is_there(bridge: Bridge, endpoint: Endpoint) -> bool:
+    try:
+        bridge.describe(endpoint)
+    except BridgeError:
+        return False
+    return True
+
+
+def stream(bridge: Bridge, endpoint: Endpoint) -> MessageStructure:
+    structure = bridge.describe(endpoint).message
+    assert structure is not None
+    return structure
+
+
+def schema_of(bridge: Bridge, endpoint: Endpoint) -> Any:
+    return stream(bridge, endpoint).schema
+
+
+def test_types_are_those_of_ros_2_and_stay_the_same(bridge: Bridge) -> None:
+    schema = schema_of(bridge, at(Role.OUTPUT, "/behind/picture"))
+    assert schema["x-type"] == "sensor_msgs/msg/Image"
+    stamp = schema["properties"]["header"]["properties"]["stamp"]
+    assert stamp["x-type"] == "builtin_interfaces/msg/Time"
+    assert schema["properties"]["data"]["x-octets"] is True
+    assert "x-constants" not in schema  # rosapi lists fields, and addresses of memory, as such
+
+
+@pytest.mark.parametrize("compression", ["cbor", "none"])
+def test_messages_come_with_their_types(compression: str) -> None:
+    options = {"url": ADDRESS, "wait": min(patience(), 60), "compression": compression}
+    bridge = Registry().create(BridgeSpec("far", "rosbridge", options))
+    pictures, scans = Collector(), Collector()
+    for name, to in (("picture", pictures), ("scan", scans)):
+        source = at(Role.OUTPUT, f"/behind/{name}")
+        eventually(lambda source=source: is_there(bridge, source), "the node is there")  # type: ignore[misc]
+        bridge.open_source(source, stream(bridge, source), to.deliver)
+    picture: Any = pictures.wait(1)[0]
+    assert picture["data"] == bytes(index % 256 for index in range(WIDTH * HEIGHT))
+    assert (picture["width"], picture["header"]["stamp"]) == (WIDTH, {"sec": 0, "nanosec": 0})
+    scan: Any = scans.wait(1)[0]
+    assert scan["ranges"].dtype == np.float32
+    # JSON has no word for what is not finite: null, whichever it was
+    last = [np.inf, np.nan] if compression == "cbor" else [np.nan, np.nan]
+    assert np.array_equal(scan["ranges"], np.array([0.5, *last], np.float32), equal_nan=True)
+    bridge.close()
+
+
+def test_what_is_sent_comes_back_in_order(bridge: Bridge) -> None:
+    asked, echoed = at(Role.INPUT, "/behind/asked"), at(Role.OUTPUT, "/behind/echoed")
+    collector = Collector()
+    structure = stream(bridge, asked)
+    bridge.open_source(echoed, structure, collector.deliver)
+    sink = bridge.open_sink(asked, structure)
+
+    def has_come() -> bool:  # ROS connects nodes in its own time, of which rosbridge says nothing
+        sink.send({"data": "first"})
+        return bool(collector.messages)
+
+    eventually(has_come, "the topics are connected")
+    sent: list[Message] = [{"data": f"Kia ora ä {number}"} for number in range(200)]
+    for message in sent:  # one at a time: of a burst the server loses some, and does not say so
+        sink.send(message)
+        eventually(lambda message=message: collector.messages[-1] == message, "it comes")  # type: ignore[misc]
+    assert [message for message in collector.messages if message != {"data": "first"}] == sent
+    assert sink.drain(patience())
+
+
+def test_services_are_called_and_served(bridge: Bridge) -> None:
+    for data in (True, False):
+        reply = bridge.call(at(Role.SERVICE, "/behind/set"), {"data": data})
+        assert reply == {"success": data, "message": f"data is {data}"}
+    offered = at(Role.SERVICE, "/ours/set", "std_srvs/srv/SetBool", peer="optional")
+    channel = bridge.serve(offered, lambda request: {"success": request["data"], "message": "ours"})
+    called = at(Role.SERVICE, "/ours/set")
+    eventually(lambda: is_there(bridge, called), "the service is there")
+    assert bridge.call(called, {"data": True}) == {"success": True, "message": "ours"}
+    channel.close()
+
+
+def test_a_call_that_lasts_holds_up_no_message(bridge: Bridge) -> None:
+    """rosbridge_suite waits for the reply before it reads what a client sends next."""
+    asked = at(Role.INPUT, "/behind/asked")
+    gate = Collector()
+
+    def answer(request: Any) -> Message:
+        gate.wait(1)
+        return {"success": request["data"], "message": ""}
+
+    offered = at(Role.SERVICE, "/ours/slow", "std_srvs/srv/SetBool", peer="optional")
+    channel = bridge.serve(offered, answer)
+    called = at(Role.SERVICE, "/ours/slow")
+    eventually(lambda: is_there(bridge, called), "the service is there")
+    calling = Background(lambda: bridge.call(called, {"data": True}, timeout=patience()))
+    sink = bridge.open_sink(asked, stream(bridge, asked))  # asks rosapi, too
+    sink.send({"data": "x"})
+    assert sink.drain(patience())
+    gate.deliver({})
+    assert calling.result(patience()) == {"success": True, "message": ""}
+    channel.close()
+
+
+def test_an_action_is_a_call(bridge: Bridge) -> None:
+    count = at(Role.SERVICE, "/behind/count", "test_msgs/action/Fibonacci")
+    assert "declare `structure`" in bridge.describe(count).hint
+    assert bridge.call(count, {"order": 4}) == {"sequence": [0, 1, 1, 2]}
+    with pytest.raises(BridgeError, match="the goal was aborted"):
+        bridge.call(count, {"order": -1})
+
+
+def test_parameters_are_read_watched_and_set(bridge: Bridge) -> None:
+    speed, collector = at(Role.OUTPUT, "/behind:speed", "parameter"), Collector()
+    structure = stream(bridge, speed)
+    sink = bridge.open_sink(at(Role.INPUT, "/behind:speed", "parameter"), structure)
+    sink.send(7)
+    bridge.open_source(speed, structure, collector.deliver)
+    assert collector.wait(1) == [7]
+    sink.send(9)
+    assert collector.wait(2) == [7, 9]
+
+
+def test_every_node_is_discovered_with_structures(bridge: Bridge) -> None:
+    found = {component.name: component for component in bridge.discover()}
+    ports = {endpoint.address[0]: made for endpoint, made in found["/behind"].endpoints}
+    assert ports["/behind/scan"].message is not None
+    assert ports["/behind/set"].reply is not None
+
+
+def test_what_is_not_there_is_named(bridge: Bridge) -> None:
+    with pytest.raises(BridgeError, match="no node publishes it"):
+        bridge.describe(at(Role.OUTPUT, "/nowhere"))
+    with pytest.raises(BridgeError, match="no node subscribes to /cmd_vel"):
+        bridge.describe(at(Role.INPUT, "/cmd_vel", "geometry_msgs/msg/Twist"))
+    with pytest.raises(BridgeError, match="has the type std_msgs/msg/String"):
+        bridge.describe(at(Role.OUTPUT, "/behind/echoed", "std_msgs/msg/Int8"))
