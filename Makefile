@@ -18,7 +18,7 @@ WANTS_ROS = @$(BIN)/python -c 'import platform, sys; \
   sys.exit(here != ("Linux", "x86_64") and "this needs ROS 2 from PyPI, which is there for Linux on x86_64, not for %s on %s; make demo and make live do without" % here)'
 
 .DELETE_ON_ERROR:
-.PHONY: attack demo live drive healthbot healthbot-tables warehouse plots test test-core test-long coverage changelog matrix lint types docs check bench fuzz mutation wheels smoke interop-rtm clean
+.PHONY: attack demo live drive healthbot healthbot-tables warehouse mixed plots test test-core test-long coverage changelog matrix lint types docs check bench fuzz mutation wheels smoke interop-rtm clean
 
 demo: $(VENV)/.demo  ## the paper's example on real footage
 	$(BIN)/python examples/vision/demo.py $(ARGS)
@@ -37,6 +37,9 @@ healthbot-tables: $(VENV)/.healthbot  ## the paper's evaluation as tables; takes
 
 warehouse: $(VENV)/.warehouse  ## another domain: mobile robots of several frameworks carry boxes
 	$(BIN)/python examples/warehouse/warehouse.py $(ARGS)
+
+mixed: $(VENV)/.mixed  ## ROS 1, ROS 2 and MQTT in one application; a camera is killed and comes back
+	$(BIN)/python examples/mixed/mixed.py $(ARGS)
 
 plots: $(VENV)/.healthbot  ## plots of the figures that healthbot-tables recorded
 	$(BIN)/python -m pip install --quiet -e '.[plots]'
@@ -129,6 +132,13 @@ $(VENV)/.warehouse: pyproject.toml $(wildcard plugins/*/pyproject.toml) | $(BIN)
 	$(BIN)/python -m pip install --progress-bar on -e '.[server,hosts]' \
 	  -e 'plugins/uoarm-ros2[jazzy]' ros-jazzy-test-msgs -e plugins/uoarm-rtm -e plugins/uoarm-mqtt \
 	  -e plugins/uoarm-vda5050 -e plugins/uoarm-rocos -e plugins/uoarm-rosbridge
+	@touch $@
+
+$(VENV)/.mixed: pyproject.toml $(wildcard plugins/*/pyproject.toml) | $(BIN)/python
+	$(WANTS_ROS)
+	@echo "Installing uoarm and its bridges to ROS 1, ROS 2 and MQTT into $(VENV) (once) ..."
+	$(BIN)/python -m pip install --progress-bar on -e . -e 'plugins/uoarm-ros2[jazzy]' \
+	  -e plugins/uoarm-ros1 -e plugins/uoarm-mqtt
 	@touch $@
 
 $(VENV)/.core: pyproject.toml | $(BIN)/python

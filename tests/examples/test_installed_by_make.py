@@ -21,9 +21,11 @@ FOLDERS = {
     "live": ("vision",),
     "drive": ("drive",),
     "healthbot": ("healthbot", "vision", "vitals"),
+    "mixed": ("mixed",),
     "warehouse": ("warehouse", "healthbot/healthbot_scene"),
 }
 DRAW = ("plots.py", "drawing.py")  # with what `make plots` installs
+OF_DEBIAN = ("rospy",)  # what Debian's own Python runs
 STATED = {"dlib": ["dlib-bin"]}  # whose metadata names another module
 
 
@@ -75,7 +77,7 @@ def imported(folder: Path) -> Iterator[str]:
                 case _:
                     continue
             tops = {name.partition(".")[0] for name in found}
-            yield from tops - own - sys.stdlib_module_names - {"tests", "vision_demo"}
+            yield from tops - own - sys.stdlib_module_names - {"tests", "vision_demo", *OF_DEBIAN}
 
 
 def lacking(modules: Iterator[str] | set[str], installed: set[str]) -> set[str]:

@@ -120,6 +120,7 @@ MODULES = {
     "tests/examples/test_vision_*.py": ("vision",),
     "tests/examples/test_records.py": ("records",),
     "tests/examples/test_healthbot.py": HEALTHBOT,
+    "tests/examples/test_mixed.py": ("ros2", "ros1", "mqtt", "mosquitto"),
     "tests/examples/test_warehouse.py": ("ros2", "rtm", "vda5050", "mosquitto"),
     "tests/examples/test_warehouse_broker.py": ("rtm", "mosquitto"),
     "plugins/uoarm-ros2/tests/test_rosbridge.py": ("ros2", "rosbridge"),

@@ -15,7 +15,7 @@ from uoarm import RobotManager
 from uoarm.config import loads
 from uoarm.model import BridgeSpec, Endpoint, Message, Role
 from uoarm.server import Settings, serve_in_thread
-from uoarm.testing import patience
+from uoarm.testing import patience, wait
 from uoarm.testing.conformance import BridgeConformance, Pair, Retained, Served, Victim, World
 
 # Pings of websockets draw numbers beside what hypothesis draws.
@@ -44,6 +44,16 @@ class ServedRobot:
             serve_in_thread(self._manager, Settings(port=self.port))
         )
         self.port = server.ports[0]
+        # What a function's type is a server knows when it has looked.
+        with Ros(f"ws://127.0.0.1:{self.port}/rosbridge") as client:
+            asked = {"op": "call_service", "id": "1", "service": "/rosapi/message_details"}
+            fields = {**asked, "args": {"type": SCALARS}}
+
+            def knows_types() -> bool:
+                client.send(**fields)
+                return client.receive()["result"] is True
+
+            wait(knows_types, "the server does not know the types of its functions")
 
     def stop(self) -> None:
         self._serving.close()

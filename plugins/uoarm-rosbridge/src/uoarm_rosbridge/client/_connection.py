@@ -164,9 +164,11 @@ class ServerConnection:
         answer = self.request(fields, self.options.wait)
         values = answer.get("values")
         if answer.get("result") is False or not isinstance(values, dict):
+            why = str(values)[:300]
+            is_missing = "does not exist" in why or "no service" in why
+            hint = ": does rosapi run there?" if is_missing else ""
             text = (
-                f"bridge {self._name!r}: {self.options.url}: /rosapi/{service} failed: "
-                f"{str(values)[:300]}: does rosapi run there?"
+                f"bridge {self._name!r}: {self.options.url}: /rosapi/{service} failed: {why}{hint}"
             )
             raise BridgeError(text, FailureReason.UNSUPPORTED)
         return values

@@ -1,0 +1,29 @@
+"""ROS 1, ROS 2 and MQTT serve one application; a camera is killed, replaced and returned to."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from uoarm.testing import patience
+
+SCRIPT = Path(__file__).parents[2] / "examples" / "mixed" / "mixed.py"
+
+
+@pytest.mark.parametrize("alone", [(), ("--alone",)], ids=["as it comes", "without rospy"])
+def test_the_camera_is_replaced_and_returned_to(alone: tuple[str, ...]) -> None:
+    """Where rospy is not installed, both are the same."""
+    words = [sys.executable, str(SCRIPT), "--times", "1", "--patience", str(patience()), *alone]
+    done = subprocess.run(words, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    lines = done.stdout.splitlines()
+    assert lines[0].startswith("ROS 1: no rospy here" if alone else "ROS 1: ")
+    assert [line.partition(" after ")[0] for line in lines[1:]] == [
+        "the application gets pictures of ROS 1, and temperatures of MQTT",
+        "kill -9: ROS 2 takes over",
+        "it was started again: ROS 1 is back",
+        "all is ended",
+    ]
