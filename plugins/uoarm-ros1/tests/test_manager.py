@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -13,6 +15,7 @@ from peers import Master, Peer
 from uoarm import RobotManager
 from uoarm.config import loads
 from uoarm.model import ConnectionState, OfferState
+from uoarm.server import Settings, serve_in_thread
 from uoarm.testing import MemoryBridge, patience, slowness, wait
 
 NUMBER = {
@@ -235,3 +238,60 @@ def test_the_base_stops_when_the_manager_is_killed(
         driver.kill()
         driver.communicate()
     lasting.wait_for("came", lambda came: came[-1] == ZERO, topic=topic)
+
+
+CLIENT = """
+import asyncio, sys
+from uoarm.client import connect
+
+async def main():
+    still = {"x": 0.0, "y": 0.0, "z": 0.0}
+    async with connect(sys.argv[1]) as robot:
+        base = await robot.request("drive")
+        async with base.hold({"linear": {**still, "x": 1.0}, "angular": still}):
+            print("sent", flush=True)
+            await asyncio.Event().wait()
+
+asyncio.run(main())
+"""
+
+
+def test_the_base_stops_when_the_client_is_killed(master: Master, lasting: Peer) -> None:
+    """What it held expires: its session outlives it for half a minute, its command does not."""
+    topic = "/abandoned/cmd_vel"
+    lasting.do("subscribe", topic=topic, type="geometry_msgs/Twist")
+    text = robot(master, TWIST.format(topic=topic, lifetime=0.2 * slowness(), stop=STOP))
+    with (
+        RobotManager(loads(text)) as manager,
+        serve_in_thread(manager, Settings(port=0)) as server,
+        subprocess.Popen(
+            [sys.executable, "-c", CLIENT, f"ws://127.0.0.1:{server.ports[0]}/"],
+            stdout=subprocess.PIPE,
+        ) as client,
+    ):
+        try:
+            assert client.stdout is not None
+            assert client.stdout.readline() == b"sent\n"
+            lasting.wait_for("came", lambda came: FORWARD in came, topic=topic)
+        finally:
+            client.kill()
+        lasting.wait_for("came", lambda came: came[-1] == ZERO, topic=topic)
+
+
+def test_the_base_can_see_that_the_host_was_killed(master: Master, lasting: Peer) -> None:
+    """Nothing of uoarm is left that could send a stop: the end of the connection says so."""
+    topic = "/hostless/cmd_vel"
+    lasting.do("subscribe", topic=topic, type="geometry_msgs/Twist")
+    functions = TWIST.format(topic=topic, lifetime=60, stop=STOP)
+    host = f", host: {{silence: {patience()}, start: {patience()}}}"
+    with RobotManager(loads(robot(master, functions, host=host))) as manager:
+        connection = manager.request("drive")
+        connection.send(FORWARD)
+        lasting.wait_for("came", lambda came: came == [FORWARD], topic=topic)
+        (process,) = [bridge.process for bridge in manager.status().bridges]
+        assert process is not None
+        assert lasting.do("writers", topic=topic) == 1
+        os.kill(process, signal.SIGKILL)
+        lasting.wait_for("writers", lambda count: count == 0, topic=topic)
+        wait(lambda: connection.state is ConnectionState.FAILED, "the connection ends")
+        assert lasting.do("came", topic=topic) == [FORWARD]

@@ -123,6 +123,15 @@ def subscribe(topic, type):
     )
 
 
+def writers(topic):
+    """Return how many connections the subscription to a topic has: what a base can look at."""
+    return sum(
+        kept.get_num_connections()
+        for kept in KEPT
+        if isinstance(kept, rospy.Subscriber) and kept.resolved_name == topic
+    )
+
+
 def echo(topic, to, type):
     out = rospy.Publisher(to, message_class(type), queue_size=1000)
     KEPT.append((out, rospy.Subscriber(topic, message_class(type), out.publish)))
