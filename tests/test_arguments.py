@@ -34,7 +34,7 @@ PUBLIC: list[tuple[Any, ...]] = [
     (AsyncRobotManager, "__init__", "from_file", "request", "call", "listen"),
     (uoarm.AsyncConnection, "subscribe", "hold"),
     (remote, "connect"),
-    (remote.Client, "request", "call", "resolve", "configure", "rollback"),
+    (remote.RemoteRobot, "request", "call", "resolve", "configure", "rollback"),
     (RemoteStream, "get", "send", "stop", "hold"),
     (config, "load", "loads", "inspect"),
     (local, "structure"),
@@ -136,7 +136,7 @@ def test_what_stands_for_a_type_is_taken() -> None:
 def test_names_of_functions_and_their_words_stay() -> None:
     assert RobotManager.request.__name__ == "request"
     assert "Resolve a function" in str(RobotManager.request.__doc__)
-    assert inspect.iscoroutinefunction(remote.Client.call)
+    assert inspect.iscoroutinefunction(remote.RemoteRobot.call)
 
 
 @pytest.mark.parametrize("hint", [Any, object, "T", type[int]])

@@ -21,7 +21,7 @@ from uoarm._whole_file import write_whole
 from uoarm.cli import main
 from uoarm.config import loads
 from uoarm.errors import ConfigurationError, UoarmError, UsageError
-from uoarm.server.http._own_certificate import own_certificate
+from uoarm.server.http._listener import own_certificate
 from uoarm.testing import patience
 
 HOSTED = """

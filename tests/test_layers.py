@@ -96,7 +96,7 @@ WITHIN = {
         {"session"},
         {"front_end"},
         {"http"},
-        {"_settings"},
+        {"_options"},
         {"_server"},
         {"_running"},
         {"__init__"},

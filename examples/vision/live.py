@@ -64,7 +64,7 @@ def serve(port: int, console: Console) -> None:
     from vision_demo.run import enrol_persons, fetch  # noqa: PLC0415 - needs the extras
 
     from uoarm import RobotManager  # noqa: PLC0415
-    from uoarm.server import Settings, run  # noqa: PLC0415 - needs the extra `server`
+    from uoarm.server import ServerOptions, run  # noqa: PLC0415 - needs the extra `server`
 
     if listens(port):
         text = f"port {port} is in use, perhaps by another make live; take another with"
@@ -74,7 +74,7 @@ def serve(port: int, console: Console) -> None:
     with RobotManager(endless(HERE / "robot.yaml")) as robot:
         enrol_persons(robot.resolve("faceRecognition"), footage, console)
         with robot.request("faceRecognition", on_message=ignore):
-            run(robot, Settings(port=port), partial(tell, console))
+            run(robot, ServerOptions(port=port), partial(tell, console))
 
 
 def tell(console: Console, server: Server) -> None:

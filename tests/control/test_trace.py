@@ -29,7 +29,7 @@ from uoarm.client import ServerError
 from uoarm.config import loads
 from uoarm.errors import BridgeError, CommandRefusedError, FailureReason, UoarmError
 from uoarm.model import ConnectionState, FailoverPolicy, Health, Plan
-from uoarm.server.access._request_head import RefusedError, WrongTokenError
+from uoarm.server.access._admission import RefusedError, WrongTokenError
 from uoarm.testing import MemoryBridge, wait
 
 NUMBER = {"type": "integer"}

@@ -85,7 +85,7 @@ def test_the_base_drives_while_a_button_is_held(drive: Drive) -> None:
             f"(() => {{ {middle}; return {{x: x + width / 2, y: y + height / 2}}; }})()"
         )
         press = {"button": "left", "clickCount": 1, **place}
-        browser.tell("Input.dispatchMouseEvent", type="mousePressed", **press)
+        browser.command("Input.dispatchMouseEvent", type="mousePressed", **press)
         wait(lambda: drive.moves()[-1] == "driving at 0.30 m/s")
         browser.until("document.getElementById('place').textContent.includes('at 0.30 m/s')")
         terminal = [sys.executable, str(EXAMPLE / "terminal.py"), "--url", robot]
@@ -93,7 +93,7 @@ def test_the_base_drives_while_a_button_is_held(drive: Drive) -> None:
         assert refused.returncode == 1
         assert "holds its lease" in refused.stderr
         assert drive.moves() == ["standing still", "driving at 0.30 m/s"]
-        browser.tell("Input.dispatchMouseEvent", type="mouseReleased", **press)
+        browser.command("Input.dispatchMouseEvent", type="mouseReleased", **press)
         wait(lambda: drive.moves() == ["standing still", "driving at 0.30 m/s", "standing still"])
         assert browser.js("document.getElementById('told').textContent") == ""
     driven = subprocess.run([*terminal, "--seconds", "0.5"], check=False)

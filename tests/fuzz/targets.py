@@ -37,7 +37,7 @@ from uoarm.model import (
     read_control,
     scan_json,
 )
-from uoarm.server.access._request_head import RefusedError, read_head
+from uoarm.server.access._admission import RefusedError, read_head
 
 BUDGET = Budget(octets=65_536, elements=200, depth=12, dimensions=4)
 _LONGEST_ERROR = 2000
@@ -240,9 +240,8 @@ def _web() -> Mapping[str, Target]:
     if find_spec("uoarm_rosbridge") is None:
         return {}
     from uoarm_rosbridge._cdr import serialiser
-    from uoarm_rosbridge._fragments import Fragments
     from uoarm_rosbridge._subscription import read_wish
-    from uoarm_rosbridge._wire import check_fields, read_operation
+    from uoarm_rosbridge._wire import Fragments, check_fields, read_operation
 
     laid_out = MessageStructure(
         {

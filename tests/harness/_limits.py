@@ -22,7 +22,7 @@ _LIMITS: dict[str, dict[str, tuple[str, ...]]] = {
     "uoarm.client": {
         "connect": ("timeout",),
         "trust_fingerprint": ("timeout",),
-        "Client.call": ("timeout",),
+        "RemoteRobot.call": ("timeout",),
     },
     "uoarm.server": {
         "Limits": (
@@ -62,7 +62,7 @@ _CONSTANTS = {
     "uoarm.local._bridge": ("_HANDLER_SECONDS",),
     "uoarm.server._running": ("_START_SECONDS",),
     "uoarm.server.session._discoveries": ("_ASK_SECONDS", "_GRACE_SECONDS"),
-    "uoarm.server.streams._known_structures": ("_WAIT_SECONDS",),
+    "uoarm.server.streams._known": ("_WAIT_SECONDS",),
     "uoarm_mqtt._link": ("_STEP_SECONDS", "_CONNECT_SECONDS", "_GOODBYE_SECONDS"),
     "uoarm_rocos._bridge": ("_OPEN_SECONDS",),
     "uoarm_rocos._line": ("_OPEN_SECONDS",),

@@ -113,7 +113,7 @@ SERVED = """
 import os, signal, sys, threading
 from uoarm import RobotManager
 from uoarm.config import loads
-from uoarm.server import Settings, run
+from uoarm.server import ServerOptions, run
 
 def work():
     pid = os.fork()
@@ -126,7 +126,7 @@ def work():
     os.kill(os.getpid(), signal.SIGTERM)
 
 with RobotManager(loads("{version: 1, bridges: {}, functions: {}}")) as robot:
-    run(robot, Settings(port=0), ready=lambda _: threading.Thread(target=work).start())
+    run(robot, ServerOptions(port=0), ready=lambda _: threading.Thread(target=work).start())
     print("served")
 """
 

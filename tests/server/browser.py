@@ -78,12 +78,12 @@ class Browser:
             target = self._attach()
             self._session = target
             for domain in ("Page", "Runtime", "Network", "Log"):
-                self.tell(f"{domain}.enable")
+                self.command(f"{domain}.enable")
         except BaseException:
             self._stack.close()
             raise
 
-    def tell(self, method: str, **parameters: Any) -> dict[str, Any]:
+    def command(self, method: str, **parameters: Any) -> dict[str, Any]:
         """Send one command and return its result."""
         number = next(self._ids)
         message = {"id": number, "method": method, "params": parameters}
@@ -98,7 +98,7 @@ class Browser:
 
     def js(self, expression: str) -> Any:
         """Return the value of an expression in the page."""
-        reports = self.tell(
+        reports = self.command(
             "Runtime.evaluate", expression=expression, returnByValue=True, awaitPromise=True
         )
         assert "exceptionDetails" not in reports, (expression, reports["exceptionDetails"])
@@ -124,14 +124,14 @@ class Browser:
         ]
         if len(others) < len(self.complaints):
             self.complaints[:] = others
-            self.tell("Page.reload")
+            self.command("Page.reload")
 
     def go(self, url: str) -> None:
-        self.tell("Page.navigate", url="about:blank")
-        self.tell("Page.navigate", url=url)
+        self.command("Page.navigate", url="about:blank")
+        self.command("Page.navigate", url=url)
 
     def show(self, width: int, height: int, *, phone: bool = False, dark: bool = False) -> None:
-        self.tell(
+        self.command(
             "Emulation.setDeviceMetricsOverride",
             width=width,
             height=height,
@@ -139,26 +139,28 @@ class Browser:
             mobile=phone,
         )
         scheme = {"name": "prefers-color-scheme", "value": "dark" if dark else "light"}
-        self.tell("Emulation.setEmulatedMedia", features=[scheme])
+        self.command("Emulation.setEmulatedMedia", features=[scheme])
 
     def click(self, selector: str, text: str = "") -> None:
         """Press the middle of the first visible element that a selector and a text find."""
         place = self.until(f"({_FIND})({json.dumps(selector)}, {json.dumps(text)})")
         for kind in ("mousePressed", "mouseReleased"):
-            self.tell("Input.dispatchMouseEvent", type=kind, button="left", clickCount=1, **place)
+            self.command(
+                "Input.dispatchMouseEvent", type=kind, button="left", clickCount=1, **place
+            )
 
     def press(self, key: str) -> None:
         code, text = KEYS.get(key, (ord(key[0].upper()), key))
         given = {"key": key, "windowsVirtualKeyCode": code}
-        self.tell("Input.dispatchKeyEvent", type="keyDown", text=text, **given)
-        self.tell("Input.dispatchKeyEvent", type="keyUp", **given)
+        self.command("Input.dispatchKeyEvent", type="keyDown", text=text, **given)
+        self.command("Input.dispatchKeyEvent", type="keyUp", **given)
 
     def write(self, text: str) -> None:
         """Put text where the keyboard is."""
-        self.tell("Input.insertText", text=text)
+        self.command("Input.insertText", text=text)
 
     def picture(self, path: Path) -> None:
-        data = self.tell("Page.captureScreenshot", format="png")["data"]
+        data = self.command("Page.captureScreenshot", format="png")["data"]
         path.write_bytes(base64.b64decode(data))
 
     def __enter__(self) -> Self:
@@ -183,22 +185,22 @@ class Browser:
         return self._stack.enter_context(connect(url, max_size=None, compression=None))
 
     def _attach(self) -> str:
-        target = self.tell("Target.createTarget", url="about:blank")["targetId"]
-        session: str = self.tell("Target.attachToTarget", targetId=target, flatten=True)[
+        target = self.command("Target.createTarget", url="about:blank")["targetId"]
+        session: str = self.command("Target.attachToTarget", targetId=target, flatten=True)[
             "sessionId"
         ]
         return session
 
-    def _note(self, told: dict[str, Any]) -> None:
-        parameters = told.get("params", {})
-        if told.get("method") == "Network.requestWillBeSent":
+    def _note(self, event: dict[str, Any]) -> None:
+        parameters = event.get("params", {})
+        if event.get("method") == "Network.requestWillBeSent":
             self.requests.append(parameters["request"]["url"])
-        elif told.get("method") == "Network.webSocketCreated":
+        elif event.get("method") == "Network.webSocketCreated":
             self.requests.append(parameters["url"])
-        elif told.get("method") == "Runtime.exceptionThrown":
+        elif event.get("method") == "Runtime.exceptionThrown":
             details = parameters["exceptionDetails"]
             self.complaints.append(details.get("exception", {}).get("description", str(details)))
-        elif told.get("method") == "Log.entryAdded" and parameters["entry"]["level"] == "error":
+        elif event.get("method") == "Log.entryAdded" and parameters["entry"]["level"] == "error":
             self.complaints.append(
                 f"{parameters['entry']['text']} {parameters['entry'].get('url')}"
             )

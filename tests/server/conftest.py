@@ -15,7 +15,7 @@ from websockets.asyncio.server import ServerConnection
 
 from uoarm import RobotManager
 from uoarm.config import loads
-from uoarm.server import Limits, Server, Settings, serve_in_thread
+from uoarm.server import Limits, Server, ServerOptions, serve_in_thread
 from uoarm.server.front_end import FrontEnd
 
 Serve = Callable[..., Server]
@@ -43,7 +43,7 @@ def serve(robot: RobotManager) -> Iterator[Serve]:
             front_ends: Sequence[FrontEnd] | None = None,
             **settings: Any,
         ) -> Server:
-            chosen = Settings(port=0, limits=limits or Limits(), **settings)
+            chosen = ServerOptions(port=0, limits=limits or Limits(), **settings)
             return stack.enter_context(serve_in_thread(robot, chosen, front_ends=front_ends))
 
         yield start

@@ -21,16 +21,16 @@ from uoarm.server.front_end import (
     Feed,
     FeedKey,
     FrontEnd,
-    Held,
     Lane,
     MakeSession,
+    MemoryUse,
     Operation,
     Session,
     code_of,
+    error_text,
     hookimpl,
     read_message,
     read_text,
-    tell_error,
 )
 
 __all__ = ["LINES", "uoarm_front_ends"]
@@ -95,7 +95,7 @@ class Lines:
             self._tasks.add(asyncio.ensure_future(_quit()))
             return
         try:
-            charge = self._client.account.charge(Held.ASKED, self._client.in_hand)
+            charge = self._client.account.charge(MemoryUse.ASKED, self._client.in_hand)
         except UoarmError as error:
             self._fail(error)
             return
@@ -111,7 +111,7 @@ class Lines:
         except Exception as error:  # noqa: BLE001 - told to the client
             self._fail(error)
         else:
-            self._client.outbox.tell(TEXT_FORM.write(reply), text=True)
+            self._client.outbox.reply(TEXT_FORM.write(reply), text=True)
 
     async def _open(self, name: str) -> None:
         try:
@@ -120,11 +120,11 @@ class Lines:
         except Exception as error:  # noqa: BLE001 - told to the client
             self._fail(error)
         else:
-            self._client.outbox.tell(b"open", text=True)
+            self._client.outbox.reply(b"open", text=True)
             self._feed.add(self)
 
     def _fail(self, error: BaseException) -> None:
-        self._client.outbox.tell(f"{code_of(error)}: {tell_error(error)}".encode(), text=True)
+        self._client.outbox.reply(f"{code_of(error)}: {error_text(error)}".encode(), text=True)
 
 
 def _write(number: int, message: object) -> bytes:

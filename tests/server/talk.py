@@ -29,7 +29,7 @@ from uoarm.testing import patience, wait
 SECONDS = patience()
 # The server's thread makes random ping payloads while hypothesis draws in this one.
 BESIDE = pytest.mark.filterwarnings("ignore:Do not use the .random. module")
-TOLD = {
+REPORTS = {
     op: Draft202012Validator({**protocol_schema(), "$ref": f"#/$defs/tell.{op}"})
     for op in ("Reply", "Error", "Data", "Status")
 }
@@ -135,7 +135,7 @@ class Talk:
         return [self.next(connection)["jsonMessage"] for _ in range(count)]
 
     @property
-    def unheard(self) -> list[str | None]:
+    def unanswered(self) -> list[str | None]:
         """Ids of answers that came and that nobody asked for yet."""
         return list(self._answers)
 
@@ -160,7 +160,7 @@ class Talk:
             report = read_binary(frame, Spending(Budget()))
         else:
             report = json.loads(frame)
-        TOLD[report["op"]].validate(report)
+        REPORTS[report["op"]].validate(report)
         if report["op"] in {"Reply", "Error"}:
             assert report.get("id") not in self._answers, "a second answer"
             self._answers[report.get("id")] = report

@@ -23,8 +23,7 @@ from uoarm.errors import ConfigurationError
 from uoarm.model import StatusEvent
 from uoarm.server import Server, hash_token, make_token
 from uoarm.server.access._access_file import BUDGET, read_access
-from uoarm.server.access._policy import AccessPolicy, Grant
-from uoarm.server.access._role import Operation, Role
+from uoarm.server.access._role import AccessPolicy, AccessRole, Grant, Operation
 from uoarm.testing import patience
 
 Write = Callable[..., Path]
@@ -77,7 +76,7 @@ def status_of(action: Callable[[], object]) -> int:
     return refused.value.response.status_code
 
 
-def test_without_a_token_nobody_comes_in(guarded: Server) -> None:
+def test_without_a_token_no_client_is_admitted(guarded: Server) -> None:
     assert status_of(lambda: Talk(url(guarded))) == 401
     headers = {"Authorization": f"Bearer {make_token()}"}
     assert status_of(lambda: Talk(url(guarded), additional_headers=headers)) == 401
@@ -130,7 +129,7 @@ def test_no_error_names_a_function_that_the_role_does_not_see(guarded: Server, o
             assert hidden not in text["text"].replace(guess, "")
 
 
-def test_changes_of_what_one_may_not_see_are_not_told(guarded: Server) -> None:
+def test_changes_of_what_one_may_not_see_are_not_reported(guarded: Server) -> None:
     with enter(guarded, "driver") as driver, enter(guarded, "viewer") as viewer:
         driver.ask("Status", "watch")
         viewer.open("numbers")
@@ -139,7 +138,7 @@ def test_changes_of_what_one_may_not_see_are_not_told(guarded: Server) -> None:
         assert driver.next("change")["jsonMessage"]["subject"] == f"connection {echo}"
 
 
-def test_changes_heard_after_the_end_are_told_to_whoever_may_see_the_function(
+def test_changes_after_the_end_are_reported_to_roles_that_see_the_function(
     robot: RobotManager, guarded: Server
 ) -> None:
     go_on = threading.Event()
@@ -158,7 +157,7 @@ def test_changes_heard_after_the_end_are_told_to_whoever_may_see_the_function(
         end()
 
 
-def test_changes_of_what_the_application_itself_opens_and_kills_at_once_are_told(
+def test_changes_of_what_the_application_itself_opens_and_kills_at_once_are_reported(
     robot: RobotManager, guarded: Server
 ) -> None:
     go_on = threading.Event()
@@ -330,7 +329,7 @@ TOKEN = f"version: 1\nroles: {{a: {{}}}}\ntokens: [{{role: a, sha256: {'a' * 64}
         ("version: 1\nroles: !!python/object:os.system {}", "tag"),
     ],
 )
-def test_mistakes_of_the_access_file_are_told_with_their_place(
+def test_mistakes_of_the_access_file_are_reported_with_their_place(
     tmp_path: Path, text: str, said: str
 ) -> None:
     path = tmp_path / "access.yaml"
@@ -406,7 +405,7 @@ def test_no_access_file_at_all_crashes_the_reader(data: bytes) -> None:
 
 
 def test_a_grant_ends_when_it_expires() -> None:
-    role = Role("r", {Operation.SEE: ("*",)})
+    role = AccessRole("r", {Operation.SEE: ("*",)})
     end = datetime(2030, 1, 1, tzinfo=timezone.utc)
     book = AccessPolicy({hash_token("t"): Grant("g", role, end)})
     assert book.grant_of(hash_token("t"), end - timedelta(seconds=1)) is not None

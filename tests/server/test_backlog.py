@@ -21,9 +21,8 @@ from uoarm.errors import MessageError
 from uoarm.model import message_octets
 from uoarm.server import Limits
 from uoarm.server.streams import _feed_registry
-from uoarm.server.streams._backlog import Backlog
-from uoarm.server.streams._feed import Envelope, Feed
-from uoarm.server.streams._loop_mailbox import LoopMailbox
+from uoarm.server.streams._feed import Envelope, Feed, FeedBacklog
+from uoarm.server.streams._workers import LoopMailbox
 from uoarm.testing import patience
 
 FRESH = 16
@@ -38,7 +37,7 @@ class Path:
     every: float
     now: float = 0.0
     waiting: deque[float] = field(factory=deque)
-    backlog: Backlog = field(factory=Backlog)
+    backlog: FeedBacklog = field(factory=FeedBacklog)
     ages: list[float] = field(factory=list)
     lost: list[float] = field(factory=list)
     _due: float = 0.0
@@ -133,7 +132,7 @@ def is_let_go(looks: list[tuple[float, int, float]]) -> bool:
 def test_every_order_of_looks_lets_go_of_what_stood_for_a_second_and_is_late() -> None:
     kinds = (0, 0.0), (FRESH, 0.75), (FRESH + 1, 0.05), (FRESH + 1, 0.25), (FRESH + 1, 1.5)
     for chosen in itertools.product(kinds, repeat=6):
-        backlog, looks = Backlog(), list[tuple[float, int, float]]()
+        backlog, looks = FeedBacklog(), list[tuple[float, int, float]]()
         for place, (waiting, age) in enumerate(chosen):
             now = place / 2
             looks.append((now, waiting, age))

@@ -33,7 +33,7 @@ def resident() -> int:
     return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
 
 
-def test_a_client_that_never_reads_costs_bounded_memory_and_starves_nobody(serve: Serve) -> None:
+def test_a_client_that_never_reads_costs_bounded_memory_and_starves_no_other(serve: Serve) -> None:
     for_ever = 100 * patience()
     server = serve(Limits(queue_bytes=8_000_000, stall_seconds=for_ever, ping_seconds=for_ever))
     picture = {"width": 1, "data": os.urandom(200_000)}
@@ -128,11 +128,11 @@ def _opened(server: Server) -> socket.socket:
         plain.sendall(frame(b'{"op":"Request","type":"numbers","id":"1"}'))
         plain.sendall(frame(b'{"op":"Request","type":"picture","id":"2"}'))
         plain.sendall(frame(b'{"op":"Call","type":"slow","jsonMessage":{"value":1},"id":"3"}'))
-        told = b""
+        received = b""
         with suppress(ConnectionError):
             while part := plain.recv(65536):
-                told += part
-                if told.count(b'"op":"Reply"') == 2:
+                received += part
+                if received.count(b'"op":"Reply"') == 2:
                     return plain
         plain.close()
 
@@ -161,10 +161,10 @@ def test_killing_for_everyone_tells_everyone(talk: Connect) -> None:
     owner, operator = talk(), talk()
     connection = owner.open("numbers")
     operator.ask("Kill", connection, {"everyone": True})
-    told = owner.next("connection")["jsonMessage"]
-    assert (told["connection"], told["state"]) == (connection, "closed")
+    received = owner.next("connection")["jsonMessage"]
+    assert (received["connection"], received["state"]) == (connection, "closed")
     who = f"killed by session {operator.hello['session']} (local)"
-    assert told["cause"] == who
+    assert received["cause"] == who
     past = owner.ask("Status", "watch")["past"]
     assert [one["cause"] for one in past if one["change"] == "closed"] == [who]
     assert operator.refused("Kill", connection, {"everyone": True})["code"] == "unknown"
@@ -175,10 +175,10 @@ def test_who_gave_a_connection_back_is_said(talk: Connect, robot: RobotManager) 
     watcher.ask("Status", "watch")
 
     def end_of(connection: str) -> str:
-        while (told := watcher.next("change")["jsonMessage"])["change"] != "closed":
+        while (received := watcher.next("change")["jsonMessage"])["change"] != "closed":
             pass
-        assert told["subject"] == f"connection {connection}"
-        cause: str = told["cause"]
+        assert received["subject"] == f"connection {connection}"
+        cause: str = received["cause"]
         return cause
 
     connection = killing.open("numbers")
@@ -203,8 +203,8 @@ def test_what_the_application_itself_opened_can_be_killed_too(
         assert own.ended
         assert list(own) == []
         assert own.cause.startswith("killed by session ")
-    told = operator.refused("Kill", own.id, {"everyone": True})
-    assert told["code"] == "unknown"
+    received = operator.refused("Kill", own.id, {"everyone": True})
+    assert received["code"] == "unknown"
 
 
 def test_a_message_that_is_too_long_ends_the_connection_plainly(serve: Serve) -> None:
@@ -320,11 +320,11 @@ def test_every_wild_message_has_one_answer(server: Server, message: object, bina
     with Talk(url(server), binary=binary) as client:
         client.raw(write_binary(message) if binary else json.dumps(message))
         try:
-            told = client.answer("9")
+            received = client.answer("9")
         except KeyError:
             pytest.fail("no answer")
-        assert told["op"] in {"Reply", "Error"}
-        assert told.get("jsonMessage", {}) is None or "internal" not in str(told)
+        assert received["op"] in {"Reply", "Error"}
+        assert received.get("jsonMessage", {}) is None or "internal" not in str(received)
         assert client.ask("List")
 
 

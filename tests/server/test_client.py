@@ -24,11 +24,11 @@ from uoarm import (
     ResolutionError,
     UsageError,
 )
-from uoarm.client import Client, RemoteStream, ServerError, connect
+from uoarm.client import RemoteRobot, RemoteStream, ServerError, connect
 from uoarm.server import Limits, Server, hash_token
 from uoarm.testing import patience, slowness
 
-Work = Callable[[Client], Awaitable[None]]
+Work = Callable[[RemoteRobot], Awaitable[None]]
 FORMS = pytest.mark.parametrize("binary", [False, True], ids=["json", "cbor"])
 
 
@@ -43,7 +43,7 @@ def run(server: Server, work: Work, *, binary: bool = True, token: str | None = 
 
 @FORMS
 def test_messages_come_and_gaps_are_counted(server: Server, binary: bool) -> None:
-    async def work(client: Client) -> None:
+    async def work(client: RemoteRobot) -> None:
         stream = await client.request("numbers", queue=QueuePolicy(length=100))
         script.put({"value": 1}, {"value": object()}, {"value": 3}, END)
         assert [message["value"] async for message in stream] == [1, 3]
@@ -64,9 +64,9 @@ def test_messages_come_and_gaps_are_counted(server: Server, binary: bool) -> Non
 def test_a_silence_says_what_was_refused_last(
     server: Server, monkeypatch: pytest.MonkeyPatch, function: str, why: str
 ) -> None:
-    monkeypatch.setattr("uoarm.client._client._TROUBLE_SECONDS", patience())
+    monkeypatch.setattr("uoarm.client._client._DIAGNOSIS_SECONDS", patience())
 
-    async def work(client: Client) -> None:
+    async def work(client: RemoteRobot) -> None:
         stream = await client.request(function)
         script.put({"value": 1}, {"value": object()})
         await stream.get(patience())
@@ -80,7 +80,7 @@ def test_a_silence_says_what_was_refused_last(
 
 @FORMS
 def test_messages_are_sent_in_order(server: Server, binary: bool) -> None:
-    async def work(client: Client) -> None:
+    async def work(client: RemoteRobot) -> None:
         async with await client.request("echo") as echo:
             assert echo.inputs == ("default",)
             await asyncio.gather(*(echo.send({"value": value}) for value in range(50)))
@@ -108,7 +108,7 @@ class Picture:
 
 @FORMS
 def test_messages_come_and_go_as_types_of_the_client(server: Server, binary: bool) -> None:
-    async def work(client: Client) -> None:
+    async def work(client: RemoteRobot) -> None:
         async with await client.request("picture", as_type=Picture) as pictures:
             assert_type(pictures, RemoteStream[Picture])
             script.put({"width": 1, "data": b"\x00\xff"})
@@ -129,7 +129,7 @@ def test_messages_come_and_go_as_types_of_the_client(server: Server, binary: boo
 
 
 def test_octets_stay_octets(server: Server) -> None:
-    async def work(client: Client) -> None:
+    async def work(client: RemoteRobot) -> None:
         stream = await client.request("picture")
         script.put({"width": 1, "data": bytes(10_000)})
         assert (await stream.get(patience()))["data"] == bytes(10_000)
@@ -138,7 +138,7 @@ def test_octets_stay_octets(server: Server) -> None:
 
 
 def test_calls_and_their_errors(server: Server) -> None:
-    async def work(client: Client) -> None:
+    async def work(client: RemoteRobot) -> None:
         assert await client.call("add", {"a": 1, "b": 2}) == {"value": 3}
         with pytest.raises(BridgeError, match="cannot do 5"):
             await client.call("broken", {"value": 5})
@@ -155,7 +155,7 @@ def test_calls_and_their_errors(server: Server) -> None:
 
 
 def test_a_slow_call_holds_up_nothing(server: Server) -> None:
-    async def work(client: Client) -> None:
+    async def work(client: RemoteRobot) -> None:
         slow = asyncio.ensure_future(client.call("slow", {"value": 1}))
         assert await client.call("add", {"a": 1, "b": 2}) == {"value": 3}
         script.gate.set()
@@ -165,7 +165,7 @@ def test_a_slow_call_holds_up_nothing(server: Server) -> None:
 
 
 def test_looking_around(server: Server) -> None:
-    async def work(client: Client) -> None:
+    async def work(client: RemoteRobot) -> None:
         assert {"numbers", "add"} <= {function["name"] for function in await client.functions()}
         assert "numbers" in (await client.resolve("doubled"))["text"]
         assert client.hello["protocol"] == 1
@@ -176,7 +176,7 @@ def test_looking_around(server: Server) -> None:
 
 
 def test_changes_are_watched(server: Server) -> None:
-    async def work(client: Client) -> None:
+    async def work(client: RemoteRobot) -> None:
         async def changes() -> list[str]:
             seen: list[str] = []
             async for event in client.watch():
@@ -197,7 +197,7 @@ def test_changes_are_watched(server: Server) -> None:
 def test_when_the_server_closes_everything_that_waits_fails(serve: Serve) -> None:
     server = serve(Limits(message_bytes=2000))
 
-    async def work(client: Client) -> None:
+    async def work(client: RemoteRobot) -> None:
         stream = await client.request("numbers")
         slow = asyncio.ensure_future(client.call("slow", {"value": 1}))
         await client.status()
@@ -221,7 +221,7 @@ def test_a_token_is_shown_and_a_denial_has_its_code(serve: Serve, tmp_path: Path
     )
     server = serve(access=access)
 
-    async def work(client: Client) -> None:
+    async def work(client: RemoteRobot) -> None:
         with pytest.raises(ServerError) as denied:
             await client.request("numbers")
         assert denied.value.code == "denied"

@@ -92,7 +92,7 @@ def test_only_who_has_that_right_too_writes_the_file(guarded: Server) -> None:
         assert owner.ask("Configure", message={"text": MORE, "keep": False})["is_applied"]
 
 
-def test_what_bridges_see_is_told_to_who_sees_all_and_taken_by_who_may_change(
+def test_discoveries_are_for_roles_that_see_all_and_taken_by_roles_that_may_configure(
     guarded: Server,
 ) -> None:
     with enter(guarded, "viewer") as viewer:
@@ -125,14 +125,14 @@ def test_who_has_not_is_denied_and_learns_nothing(guarded: Server) -> None:
             assert viewer.refused("Configure", message=asked)["code"] == "denied"
 
 
-def test_without_an_access_file_nobody_may(serve: Serve) -> None:
+def test_without_an_access_file_no_client_may(serve: Serve) -> None:
     with Talk(url(serve())) as local:
         refused = local.refused("Configure", message={"text": MORE})
         assert refused["code"] == "denied"
         assert "may not configure" in refused["text"]
 
 
-def test_what_is_wrong_or_in_the_way_is_told_and_nothing_changes(guarded: Server) -> None:
+def test_what_is_wrong_or_in_the_way_is_reported_and_nothing_changes(guarded: Server) -> None:
     with enter(guarded, "keeper") as keeper:
         numbers = keeper.open("numbers")
         refused = keeper.refused("Configure", message={"text": "version: 1\nfunktions: {}\n"})

@@ -90,10 +90,10 @@ def test_thousands_of_small_messages_in_one_segment_are_all_answered_in_order(
         sending = threading.Thread(target=plain.sendall, args=(b"".join(asked),), daemon=True)
         sending.start()
         plain.settimeout(patience())
-        told = b""
-        while told.count(b'"op":"Error"') < 2000:
-            told += plain.recv(65536)
-        ids = [int(part.split(b'"')[1]) for part in told.split(b'"id"')[1:]]
+        received = b""
+        while received.count(b'"op":"Error"') < 2000:
+            received += plain.recv(65536)
+        ids = [int(part.split(b'"')[1]) for part in received.split(b'"id"')[1:]]
         assert ids == list(range(2000))
         assert other.ask("List")
 
@@ -146,8 +146,8 @@ def test_frames_of_every_length_arrive_whole_and_in_order(deflate: bool) -> None
         assert isinstance(socket, TurnConnection)
         await socket.send_frames(FRAMES)
 
-    told = [frame.decode() if text else frame for frame, text in FRAMES]
-    assert received_from(send, deflate=deflate) == told
+    received = [frame.decode() if text else frame for frame, text in FRAMES]
+    assert received_from(send, deflate=deflate) == received
 
 
 @pytest.mark.skipif(not hasattr(socket, "TCP_NOTSENT_LOWAT"), reason="the kernel has no such limit")

@@ -15,7 +15,7 @@ from tests.server.talk import eventually
 from uoarm import RobotManager
 from uoarm.bridge import BridgeType, Registry
 from uoarm.config import load, loads
-from uoarm.server import Server, Settings, hash_token, serve_in_thread
+from uoarm.server import Server, ServerOptions, hash_token, serve_in_thread
 from uoarm.testing import MemoryBridge, free_port, patience
 
 MOVES = """
@@ -304,7 +304,7 @@ class TestEmergencyStop:
         browser.until("!document.querySelector('.stopped')")
         assert not robot.is_stopped
 
-    def test_who_may_not_is_told_that_nothing_was_stopped(
+    def test_a_client_without_the_right_gets_an_error_and_nothing_is_stopped(
         self, browser: Browser, serve: Serve, robot: RobotManager, tmp_path: Path
     ) -> None:
         access = tmp_path / "access.yaml"
@@ -481,7 +481,7 @@ class TestConfiguration:
         assert browser.js("document.documentElement.scrollWidth") <= width
         assert browser.js(CONTRAST) == []
 
-    def test_mistakes_are_told_as_everywhere_and_nothing_changes(
+    def test_mistakes_are_reported_as_everywhere_and_nothing_changes(
         self, editing: Browser, robot: RobotManager
     ) -> None:
         editing.click(".editor textarea")
@@ -560,7 +560,7 @@ tokens:
 
 
 def test_the_page_comes_back_when_the_server_does(browser: Browser, robot: RobotManager) -> None:
-    with serve_in_thread(robot, Settings(port=0)) as first:
+    with serve_in_thread(robot, ServerOptions(port=0)) as first:
         port = first.ports[0]
         browser.go(f"http://127.0.0.1:{port}/#/graph/function/camera/use")
         browser.click(".button.main", "Watch")
@@ -568,7 +568,7 @@ def test_the_page_comes_back_when_the_server_does(browser: Browser, robot: Robot
     browser.until("document.querySelector('.link-state.closed')")
     browser.until(says(".panel .notice", "broke"))
     front.put(END)  # for the camera that was watched: it waits for a picture still
-    with serve_in_thread(robot, Settings(port=port)):
+    with serve_in_thread(robot, ServerOptions(port=port)):
         browser.until(says(".panel .facts", "1 time; what was missed is not known"))
         front.take((1, 2, 3))
         browser.until("document.querySelector('.picture canvas')")
@@ -577,7 +577,7 @@ def test_the_page_comes_back_when_the_server_does(browser: Browser, robot: Robot
         eventually(lambda: robot.status().connections == (), "the connection is given back")
         front.put(END)
     browser.until("document.querySelector('.link-state.closed')")
-    with serve_in_thread(robot, Settings(port=port)):
+    with serve_in_thread(robot, ServerOptions(port=port)):
         browser.until("document.querySelector('.link-state.open')")
         browser.click(".button.main", "Watch")
         browser.until(says(".panel", "No message yet"))

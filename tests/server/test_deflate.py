@@ -69,7 +69,7 @@ async def list_many(socket: Counting) -> tuple[str, int, Any]:
     return extensions(socket), socket.octets - before, report
 
 
-def test_nothing_is_compressed_unless_the_server_is_told_to(server: Server) -> None:
+def test_nothing_is_compressed_unless_the_server_is_configured_to(server: Server) -> None:
     negotiated, octets, report = talking(server, list_many)
     assert negotiated == ""
     assert octets > len(json.dumps(report, separators=(",", ":")))
@@ -100,8 +100,10 @@ def test_messages_of_every_kind_pass_there_and_back(serve: Serve) -> None:
     async def parrot(socket: Counting) -> list[str]:
         got = []
         for text in texts:
-            told = await asked(socket, op="Call", type="parrot", id="1", jsonMessage={"text": text})
-            got.append(told["jsonMessage"]["text"])
+            received = await asked(
+                socket, op="Call", type="parrot", id="1", jsonMessage={"text": text}
+            )
+            got.append(received["jsonMessage"]["text"])
         return got
 
     assert talking(serve(deflate=True), parrot) == texts

@@ -21,7 +21,7 @@ from uoarm.model import Message
 from uoarm.server import Limits
 from uoarm.server.streams._encoder import Encoder, takes_long
 from uoarm.server.streams._feed import Envelope, Feed
-from uoarm.server.streams._loop_mailbox import LoopMailbox
+from uoarm.server.streams._workers import LoopMailbox
 from uoarm.testing import patience
 
 LONG = [0.5] * 5_000

@@ -21,10 +21,9 @@ from websockets.typing import Subprotocol
 from uoarm import RobotManager
 from uoarm.errors import ConfigurationError
 from uoarm.server import Limits, Server
-from uoarm.server.front_end import Backend, Client, FrontEnd, Held, MakeSession, Session
-from uoarm.server.http import _front_ends
-from uoarm.server.http._front_ends import FrontEnds
-from uoarm.server.http._handshake import OWN_PATHS
+from uoarm.server.front_end import Backend, Client, FrontEnd, MakeSession, MemoryUse, Session
+from uoarm.server.http import _handshake
+from uoarm.server.http._handshake import OWN_PATHS, FrontEnds
 
 ADD = 'call add {"a": 1, "b": 2}'
 
@@ -40,7 +39,7 @@ def enter(
     return made
 
 
-def told(client: ClientConnection) -> str:
+def received(client: ClientConnection) -> str:
     return str(client.recv(timeout=SECONDS))
 
 
@@ -51,20 +50,20 @@ def point(value: str) -> EntryPoint:
 def test_an_installed_front_end_is_found_and_served(
     serve: Serve, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(_front_ends, "entry_points", lambda group: [point(lines.__name__)])
+    monkeypatch.setattr(_handshake, "entry_points", lambda group: [point(lines.__name__)])
     server = serve()
     assert server.front_ends == (LINES,)
     with enter(server) as client:
         client.send(ADD)
-        assert told(client) == '{"value":3}'
+        assert received(client) == '{"value":3}'
 
 
 def test_messages_of_a_function_come_in_its_form(serve: Serve, robot: RobotManager) -> None:
     with enter(serve(front_ends=[LINES])) as client:
         client.send("open numbers")
-        assert told(client) == "open"
+        assert received(client) == "open"
         script.put({"value": 1}, {"value": 2}, END)
-        assert [told(client) for _ in range(3)] == [
+        assert [received(client) for _ in range(3)] == [
             '1 {"value": 1}', '2 {"value": 2}', "ended closed",
         ]  # fmt: skip
     eventually(lambda: not robot.status().connections, "the function is closed")
@@ -75,7 +74,7 @@ def test_what_a_client_of_it_holds_is_counted_and_let_go(serve: Serve) -> None:
     with enter(server, close_timeout=0.1) as client:  # its goodbye waits behind what it sent
         for _ in range(100):
             client.send('call slow {"value": 1}' + " " * 400)
-        assert told(client).startswith("limit: ")
+        assert received(client).startswith("limit: ")
         assert server.held_octets > 1500
     eventually(lambda: server.held_octets == 0, "everything was let go")
 
@@ -85,7 +84,7 @@ def test_its_own_port_has_its_endpoint_on_every_path(serve: Serve) -> None:
     for path in ("/", "/lines", "/anything"):
         with connect(f"ws://127.0.0.1:{server.ports[1]}{path}") as client:
             client.send(ADD)
-            assert told(client) == '{"value":3}'
+            assert received(client) == '{"value":3}'
 
 
 @pytest.mark.parametrize(
@@ -123,11 +122,11 @@ def test_a_session_that_fails_ends_its_connection_and_is_named(
     with enter(server) as other, enter(server) as client:
         client.send(line)
         with pytest.raises(ConnectionClosed) as closed:
-            told(client)
+            received(client)
         assert closed.value.rcvd is not None
         assert closed.value.rcvd.code == 1011
         other.send(ADD)
-        assert told(other) == '{"value":3}'
+        assert received(other) == '{"value":3}'
     assert [
         record.message for record in caplog.records if "tests.server.lines failed" in record.message
     ]
@@ -140,7 +139,7 @@ def test_a_task_that_it_leaves_behind_ends_nothing_when_it_quits(
         for _ in range(3):
             client.send("leave")
             client.send(ADD)
-            assert told(client) == '{"value":3}'
+            assert received(client) == '{"value":3}'
     assert "a task that a front end left behind raised" in caplog.text
 
 
@@ -151,12 +150,12 @@ def test_a_listener_that_fails_is_handed_nothing_more_and_the_others_go_on(
     server = serve(front_ends=[LINES])
     with enter(server) as failing, Talk(f"ws://127.0.0.1:{server.ports[0]}/") as talk:
         failing.send("open numbers")
-        assert told(failing) == "open"
+        assert received(failing) == "open"
         connection = talk.open("numbers")
         opened(robot, 1)
         script.put(fatal, {"value": 14})
         assert talk.data(connection, 2) == [fatal, {"value": 14}]
-        assert told(failing) == "ended failed"
+        assert received(failing) == "ended failed"
     assert "a listener of tests.server.lines failed" in caplog.text
 
 
@@ -164,7 +163,7 @@ class Failing:
     """A session whose end fails."""
 
     def __init__(self, client: Client) -> None:
-        client.account.hold(Held.DATA).resize(1000)
+        client.account.hold(MemoryUse.DATA).resize(1000)
 
     def octets(self, frame: str | bytes) -> int:
         return len(frame)
@@ -217,7 +216,7 @@ def test_one_that_does_not_start_is_left_out_and_logged(
         enter(server, "/broken")
     with enter(server) as client:
         client.send(ADD)
-        assert told(client) == '{"value":3}'
+        assert received(client) == '{"value":3}'
     with pytest.raises(ConfigurationError, match="'broken': no licence"):
         serve(front_ends=[broken], front_end_ports={"broken": 0})
 
@@ -227,7 +226,7 @@ def test_a_client_whose_session_cannot_be_made_is_sent_away_and_holds_nothing(
 ) -> None:
     server = serve(front_ends=[evolve(LINES, start=_start_refusing)])
     with enter(server) as client, pytest.raises(ConnectionClosed) as closed:
-        told(client)
+        received(client)
     assert closed.value.rcvd is not None
     assert closed.value.rcvd.code == 1011
     assert "no licence" in caplog.text
@@ -258,11 +257,11 @@ def test_a_path_that_is_none_is_refused(path: str) -> None:
         evolve(LINES, path=path)
 
 
-def test_a_plugin_that_cannot_be_loaded_hurts_nobody_else(
+def test_a_plugin_that_cannot_be_loaded_affects_no_other(
     monkeypatch: pytest.MonkeyPatch, serve: Serve, caplog: pytest.LogCaptureFixture
 ) -> None:
     points = [point("no_such_module"), point("json"), point(lines.__name__)]
-    monkeypatch.setattr(_front_ends, "entry_points", lambda group: points)
+    monkeypatch.setattr(_handshake, "entry_points", lambda group: points)
     with caplog.at_level(logging.WARNING, "uoarm.server"):
         server = serve()
     assert server.front_ends == (LINES,)

@@ -21,7 +21,7 @@ def test_it_is_refused_and_the_session_goes_on(serve: Serve, hostile: Hostile) -
         for frame in hostile.frames():
             client.raw(frame)
         client.ask("List")
-        errors = [client.answer(identity) for identity in client.unheard]
+        errors = [client.answer(identity) for identity in client.unanswered]
     assert [error["op"] for error in errors] == ["Error"] * hostile.errors
     for error in errors:
         assert error["jsonMessage"]["code"] in {"unreadable", "limit", "unknown"}

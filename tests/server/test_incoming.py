@@ -22,7 +22,13 @@ from websockets.sync.client import connect
 
 from uoarm.server import Limits, Server
 from uoarm.server.http import HandshakeHandler
-from uoarm.server.session._incoming import DEFLATE, Incoming, IncomingError, Turn, Turns
+from uoarm.server.session._incoming import (
+    DEFLATE,
+    IncomingError,
+    IncomingFrames,
+    ParsingTurns,
+    Turn,
+)
 from uoarm.testing import patience, slowness
 
 MEGABYTE = 1_000_000
@@ -56,7 +62,7 @@ def pieces(content: bytes, lengths: list[int], *, deflate: bool) -> list[Frame]:
     return parsed(*frames)
 
 
-def messages(incoming: Incoming) -> list[bytes]:
+def messages(incoming: IncomingFrames) -> list[bytes]:
     taken = []
     while incoming.is_packed:
         incoming.unpack()
@@ -76,7 +82,7 @@ CONTENT = st.one_of(
 def test_messages_come_whole_and_in_order_and_leave_nothing(
     sent: list[tuple[bytes, list[int], bool]],
 ) -> None:
-    incoming = Incoming(MEGABYTE)
+    incoming = IncomingFrames(MEGABYTE)
     for content, lengths, deflate in sent:
         for piece in pieces(content, lengths, deflate=deflate):
             incoming.add(piece)
@@ -86,7 +92,7 @@ def test_messages_come_whole_and_in_order_and_leave_nothing(
 
 
 def test_what_is_packed_is_unpacked_64_kib_at_a_time() -> None:
-    incoming = Incoming(16 * MEGABYTE)
+    incoming = IncomingFrames(16 * MEGABYTE)
     letters = b"".join(b"%d," % number for number in range(3_000_000))[: 16 * MEGABYTE]
     [bomb] = pieces(letters, [], deflate=True)
     incoming.add(bomb)
@@ -109,7 +115,7 @@ def test_what_is_too_long_unpacked_is_unpacked_no_further(
     most: int, said: str, lengths: list[int]
 ) -> None:
     """15 KB never become 16 MB: whoever makes the server work has to send something for it."""
-    incoming = Incoming(most)
+    incoming = IncomingFrames(most)
     for piece in pieces(bytes(14 * MEGABYTE), lengths, deflate=True):
         incoming.add(piece)
     with pytest.raises(IncomingError, match=said) as caught:
@@ -119,7 +125,7 @@ def test_what_is_too_long_unpacked_is_unpacked_no_further(
 
 
 def test_a_message_that_is_not_compressed_as_it_says_is_refused() -> None:
-    incoming = Incoming(MEGABYTE)
+    incoming = IncomingFrames(MEGABYTE)
     incoming.add(parsed(Frame(Opcode.TEXT, b"\xff\xff\xff", rsv1=True))[0])
     with pytest.raises(IncomingError, match="decompression failed") as caught:
         incoming.unpack()
@@ -130,7 +136,7 @@ def test_what_follows_the_last_block_of_a_message_is_dropped() -> None:
     """RFC 7692, 7.2.3.4: a block may say that it is the last; what comes then costs nothing."""
     packer = zlib.compressobj(wbits=-15)
     ended = packer.compress(b"Hello") + packer.flush()
-    incoming = Incoming(MEGABYTE)
+    incoming = IncomingFrames(MEGABYTE)
     first = Frame(Opcode.BINARY, ended + b"\x00", fin=False, rsv1=True)
     more = [Frame(Opcode.CONT, bytes(50_000), fin=False) for _ in range(50)]
     for item in parsed(first, *more, Frame(Opcode.CONT, b"")):
@@ -142,7 +148,7 @@ def test_what_follows_the_last_block_of_a_message_is_dropped() -> None:
 
 
 def test_fragments_without_content_leave_nothing() -> None:
-    incoming = Incoming(MEGABYTE)
+    incoming = IncomingFrames(MEGABYTE)
     for number in range(10_000):
         incoming.add(Frame(Opcode.CONT if number else Opcode.TEXT, b"", fin=False))
     assert incoming.octets == 0
@@ -160,7 +166,7 @@ def served(*asking: tuple[int, int]) -> list[int]:
     """Return in which order connections work that ask, by name and how often each goes on."""
 
     async def serve() -> list[int]:
-        turns, order, left = Turns(), [], dict(asking)
+        turns, order, left = ParsingTurns(), [], dict(asking)
         done = asyncio.Event()
 
         def work(name: int) -> bool:
@@ -189,7 +195,7 @@ def test_who_has_had_least_of_the_loop_goes_first() -> None:
 
 def test_who_was_idle_has_saved_up_nothing_and_waits_for_no_flood() -> None:
     async def serve() -> list[str]:
-        turns, order = Turns(), []
+        turns, order = ParsingTurns(), []
         done = asyncio.Event()
 
         def flood(name: str) -> bool:
@@ -219,7 +225,7 @@ def test_who_was_idle_has_saved_up_nothing_and_waits_for_no_flood() -> None:
 
 def test_who_is_connected_goes_before_a_burst_of_those_who_come() -> None:
     async def serve() -> list[str]:
-        turns, order = Turns(), []
+        turns, order = ParsingTurns(), []
         done = asyncio.Event()
 
         def work(name: str, seconds: float) -> bool:
@@ -244,13 +250,13 @@ def test_who_is_connected_goes_before_a_burst_of_those_who_come() -> None:
     assert asyncio.run(serve()).index("known") <= 1
 
 
-def test_what_the_machine_does_meanwhile_is_nobodys() -> None:
+def test_what_the_machine_does_meanwhile_counts_for_no_connection() -> None:
     def work() -> bool:
         time.sleep(0.05)
         return False
 
     async def serve() -> float:
-        turns, turn = Turns(), Turn(work)
+        turns, turn = ParsingTurns(), Turn(work)
         turns.ask(turn)
         return turn.used
 
@@ -259,7 +265,7 @@ def test_what_the_machine_does_meanwhile_is_nobodys() -> None:
 
 def test_handshakes_of_an_address_take_turns_with_those_of_others() -> None:
     async def serve() -> list[str]:
-        turns, order = Turns(), list[str]()
+        turns, order = ParsingTurns(), list[str]()
         ticks: list[int] = []
 
         async def come(host: str) -> None:
@@ -283,7 +289,7 @@ def test_handshakes_of_an_address_take_turns_with_those_of_others() -> None:
 
 def test_what_takes_a_while_at_the_end_of_many_is_done_one_after_another() -> None:
     async def serve() -> list[int]:
-        turns, ticks, done = Turns(), list[int](), list[None]()
+        turns, ticks, done = ParsingTurns(), list[int](), list[None]()
 
         def end() -> None:
             done.append(None)

@@ -16,7 +16,7 @@ from tests.server.conftest import Serve
 from tests.server.talk import Talk, eventually, frame, open_socket
 
 from uoarm.server import Limits, Server
-from uoarm.server.session._intake import Decoder, RateLimiter
+from uoarm.server.session._incoming import FrameDecoder, RateLimiter
 from uoarm.testing import patience
 
 MESSAGES = st.lists(
@@ -62,7 +62,7 @@ def test_others_are_served_while_something_heavy_is_decoded() -> None:
     """Also when that never ends: each decoding here waits for what the loop does meanwhile."""
 
     async def serve() -> list[str]:
-        decoder, loop, done = Decoder(), asyncio.get_running_loop(), []
+        decoder, loop, done = FrameDecoder(), asyncio.get_running_loop(), []
         gate = threading.Event()
 
         def heavy() -> str:

@@ -20,7 +20,7 @@ from tests.server.test_serving import figures
 
 from uoarm.server import Limits, Server, hash_token
 from uoarm.server.session._session_store import ReplyCache
-from uoarm.server.streams._memory import Memory
+from uoarm.server.streams._memory import ServerMemory
 
 
 def test_a_key_is_for_a_session_that_is_kept_and_comes_first(talk: Connect) -> None:
@@ -53,7 +53,7 @@ def test_a_session_is_taken_up_message_by_message(talk: Connect) -> None:
     second.ask("Kill", connection)
 
 
-def test_an_answer_that_waits_is_not_told_twice(server: Server, between: Between) -> None:
+def test_an_answer_that_waits_is_not_sent_twice(server: Server, between: Between) -> None:
     proxy = between(server)
     url = f"ws://127.0.0.1:{proxy.port}/"
     with Talk(url) as first:
@@ -70,7 +70,7 @@ def test_an_answer_that_waits_is_not_told_twice(server: Server, between: Between
         second.ask("Resume", message={"key": key, "waiting": [call]})
         assert second.answer(call)["jsonMessage"] == {"value": 1}
         second.ask("List")
-        assert not second.unheard
+        assert not second.unanswered
 
 
 def test_another_s_session_is_not_taken_up(serve: Serve, tmp_path: Path) -> None:
@@ -99,7 +99,7 @@ tokens: [{{name: one, role: all, sha256: {one}}}, {{name: other, role: all, sha2
 def test_kept_answers_are_bounded_and_the_newest(
     steps: list[tuple[str, int, bool]], most: int, most_bytes: int
 ) -> None:
-    answers = ReplyCache(most, most_bytes, Memory(10**6, 10**6).open())
+    answers = ReplyCache(most, most_bytes, ServerMemory(10**6, 10**6).open())
     newest: dict[str, bytes] = {}
     for identity, size, begins in steps:
         if begins:

@@ -88,7 +88,7 @@ def lease(robot: RobotManager) -> LeaseStatus:
     return found
 
 
-def test_one_client_commands_and_the_other_is_told_which(
+def test_one_client_commands_and_the_other_learns_which(
     guarded: Server, robot: RobotManager, base: Taker, caplog: pytest.LogCaptureFixture
 ) -> None:
     caplog.set_level(logging.INFO, "uoarm.audit")
@@ -113,14 +113,14 @@ def test_one_client_commands_and_the_other_is_told_which(
         wait(lambda: lease(robot).holder is None)
 
     def audited() -> list[str]:
-        told = (json.loads(record.getMessage()).get("lease", "") for record in caplog.records)
-        return [item for item in told if item]
+        leases = (json.loads(record.getMessage()).get("lease", "") for record in caplog.records)
+        return [item for item in leases if item]
 
     wait(lambda: audited()[-1:] == [f"base.default: {fenced} gave its lease back"])
     assert audited()[0] == f"base.default: {holder} holds its lease"
 
 
-def test_a_client_stops_what_it_moves_and_what_it_may_not_stop_is_told(
+def test_a_client_stops_what_it_moves_and_what_it_may_not_stop_is_reported(
     guarded: Server, base: Taker
 ) -> None:
     with enter(guarded, "driver") as driver:

@@ -13,7 +13,7 @@ from websockets.asyncio.client import ClientConnection
 from websockets.exceptions import ConnectionClosedError
 
 from uoarm._wire import TEXT_FORM
-from uoarm.client import Client
+from uoarm.client import RemoteRobot
 from uoarm.client._link import Link, Take
 from uoarm.errors import MessageError
 from uoarm.model import StatusEvent, to_json
@@ -27,24 +27,24 @@ RESUMED = {"op": "Reply", "id": "resume"}
 class Socket:
     """A connection that tells what it is given, then drops."""
 
-    def __init__(self, *told: Mapping[str, Any]) -> None:
+    def __init__(self, *messages: Mapping[str, Any]) -> None:
         self.sent: list[dict[str, Any]] = []
-        self._told = deque(json.dumps(mapping) for mapping in told)
+        self._messages = deque(json.dumps(mapping) for mapping in messages)
 
     async def send(self, frame: bytes, text: bool) -> None:
         assert text
         self.sent.append(json.loads(frame))
 
     async def recv(self) -> str:
-        return self._told.popleft()
+        return self._messages.popleft()
 
     async def __aiter__(self) -> AsyncIterator[str]:
-        while self._told:
-            yield self._told.popleft()
+        while self._messages:
+            yield self._messages.popleft()
         raise ConnectionClosedError(None, None)
 
 
-def _ignore(told: Mapping[str, Any]) -> None:
+def _ignore(messages: Mapping[str, Any]) -> None:
     """Take what the server tells."""
 
 
@@ -100,23 +100,25 @@ def test_of_more_than_can_be_asked_for_the_rest_fails() -> None:
     async def work() -> None:
         failing = asyncio.get_running_loop().create_future()
         failing.set_exception(OSError("refused"))
-        after, told = Socket(HELLO, RESUMED), list[Mapping[str, Any]]()
-        link = begin(Socket(KEPT), after, again=failing, take=told.append)
+        after, messages = Socket(HELLO, RESUMED), list[Mapping[str, Any]]()
+        link = begin(Socket(KEPT), after, again=failing, take=messages.append)
         await link.start(resume=True)
         for number in range(5000):
             await link.send({"op": "List", "id": str(number)})
         await link.run()
         waiting = after.sent[0]["jsonMessage"]["waiting"]
         assert waiting == [str(number) for number in range(4096)]
-        assert [mapping["id"] for mapping in told] == [str(number) for number in range(4096, 5000)]
-        assert {(mapping["op"], mapping["jsonMessage"]["code"]) for mapping in told} == {
+        assert [mapping["id"] for mapping in messages] == [
+            str(number) for number in range(4096, 5000)
+        ]
+        assert {(mapping["op"], mapping["jsonMessage"]["code"]) for mapping in messages} == {
             ("Error", "closed")
         }
 
     asyncio.run(asyncio.wait_for(work(), patience()))
 
 
-def test_changes_that_nobody_takes_are_the_newest() -> None:
+def test_changes_that_are_not_taken_are_the_newest() -> None:
     async def work() -> None:
         changes = (
             {"op": "Status", "type": "change", "jsonMessage": change(number)}
@@ -127,7 +129,7 @@ def test_changes_that_nobody_takes_are_the_newest() -> None:
         async def opening() -> ClientConnection:
             return cast("ClientConnection", socket)
 
-        client = Client(opening, TEXT_FORM)
+        client = RemoteRobot(opening, TEXT_FORM)
         await client.start(resume=False)
         watching = client.watch()
         first = asyncio.ensure_future(anext(watching))

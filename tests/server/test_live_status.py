@@ -17,9 +17,9 @@ from tests.server.robot import END, script
 
 from uoarm import RobotManager
 from uoarm.cli import main
-from uoarm.server import Server, Settings, serve_in_thread
-from uoarm.server.access import Operation, Role, RoleViews
-from uoarm.server.session._view import visible_status
+from uoarm.server import Server, ServerOptions, serve_in_thread
+from uoarm.server.access import AccessRole, Operation, RoleViews
+from uoarm.server.session._views import visible_status
 from uoarm.testing import free_port, patience
 
 
@@ -76,15 +76,15 @@ def test_what_is_no_address_of_a_server_is_wrong_usage() -> None:
 
 def test_other_machines_are_shown_to_who_may_see_a_function_there(tmp_path: Path) -> None:
     file = machines.robot(tmp_path, free_port())
-    somebody = Role("guest", {Operation.SEE: ("ticks",)})
-    nobody = Role("nobody", {Operation.SEE: ("other",)})
+    guest = AccessRole("guest", {Operation.SEE: ("ticks",)})
+    stranger = AccessRole("nobody", {Operation.SEE: ("other",)})
     with RobotManager.from_file(file) as robot:
         status = robot.status()
         views = RoleViews(lambda: robot.config)
-        assert not visible_status(status, views.of(nobody)).machines
-        (shown,) = visible_status(status, views.of(somebody)).machines
+        assert not visible_status(status, views.of(stranger)).machines
+        (shown,) = visible_status(status, views.of(guest)).machines
         assert shown.cause == "waiting for its bridge far"
-        with serve_in_thread(robot, Settings(port=0)) as server:
+        with serve_in_thread(robot, ServerOptions(port=0)) as server:
             live = CliRunner().invoke(main, ["status", "--url", url_of(server)])
     assert "machines: 1" in live.output
     (of_machine,) = re.findall(r"^  arm .*", live.output, re.MULTILINE)

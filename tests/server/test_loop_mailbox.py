@@ -9,7 +9,7 @@ from typing import NoReturn
 
 import pytest
 
-from uoarm.server.streams._loop_mailbox import LoopMailbox
+from uoarm.server.streams._workers import LoopMailbox
 from uoarm.testing import patience
 
 

@@ -15,7 +15,7 @@ from tests.server.talk import Talk
 
 from uoarm import RobotManager
 from uoarm.config import loads
-from uoarm.server import Server, Settings, serve_in_thread
+from uoarm.server import Server, ServerOptions, serve_in_thread
 from uoarm.server._running import _short_collections
 from uoarm.testing import patience
 
@@ -51,7 +51,7 @@ def large() -> Iterator[RobotManager]:
 def crowded(
     large: RobotManager, longest_step: Callable[[str], float]
 ) -> Iterator[tuple[Server, Callable[[], float]]]:
-    with _short_collections(), serve_in_thread(large, Settings(port=0)) as server:
+    with _short_collections(), serve_in_thread(large, ServerOptions(port=0)) as server:
         yield server, lambda: longest_step("uoarm-serve")
 
 

@@ -112,13 +112,13 @@ def test_a_name_that_is_given_twice_is_refused_in_both_forms(talk: Connect) -> N
     assert "uplicate" in client.answer(None)["jsonMessage"]["text"]
 
 
-def test_what_a_service_raises_is_told(talk: Connect) -> None:
+def test_what_a_service_raises_is_reported(talk: Connect) -> None:
     error = talk().refused("Call", "broken", {"value": 9})
     assert error["code"] == "bridge"
     assert "cannot do 9" in error["text"]
 
 
-def test_a_service_that_quits_is_told_and_ends_nothing(talk: Connect) -> None:
+def test_a_service_that_quits_is_reported_and_ends_nothing(talk: Connect) -> None:
     client = talk()
     for number, kind in enumerate(
         ["SystemExit", "CancelledError", "KeyboardInterrupt", "GeneratorExit"]
@@ -172,7 +172,7 @@ def test_what_cannot_be_resolved_is_explained(talk: Connect, op: str) -> None:
     assert "nothing" in error["text"]
 
 
-def test_a_name_that_nobody_knows(talk: Connect) -> None:
+def test_an_unknown_name(talk: Connect) -> None:
     assert talk().refused("Request", "numbrs")["code"] == "resolution"
 
 
@@ -189,7 +189,7 @@ def test_every_wrong_message_has_its_error(talk: Connect, binary: bool) -> None:
     assert client.ask("List")
 
 
-def test_asking_twice_for_one_function_is_told(talk: Connect) -> None:
+def test_asking_twice_for_one_function_is_reported(talk: Connect) -> None:
     client = talk()
     client.open("numbers")
     assert client.refused("Request", "numbers")["code"] == "usage"
@@ -214,7 +214,7 @@ def test_one_connection_serves_all_clients_and_the_last_one_closes_it(
     eventually(lambda: connections(robot) == 0, "the last client's connection is closed")
 
 
-def test_the_end_of_a_source_is_told_after_its_last_message(talk: Connect) -> None:
+def test_the_end_of_a_source_is_reported_after_its_last_message(talk: Connect) -> None:
     client = talk()
     connection = client.open("numbers")
     script.put({"value": 1}, END)
@@ -225,7 +225,7 @@ def test_the_end_of_a_source_is_told_after_its_last_message(talk: Connect) -> No
     assert "finished" in report["cause"]
 
 
-def test_the_death_of_a_component_is_told_with_its_cause(talk: Connect) -> None:
+def test_the_death_of_a_component_is_reported_with_its_cause(talk: Connect) -> None:
     client = talk()
     connection = client.open("numbers")
     script.put(RuntimeError("lens fell off"))
@@ -236,7 +236,7 @@ def test_the_death_of_a_component_is_told_with_its_cause(talk: Connect) -> None:
     assert client.open("numbers") != connection
 
 
-def test_changes_are_told_to_those_who_watch(talk: Connect) -> None:
+def test_changes_are_reported_to_watchers(talk: Connect) -> None:
     watcher, other = talk(), talk()
     assert watcher.ask("Status", "watch")["connections"] == []
     connection = other.open("numbers")
@@ -272,7 +272,7 @@ def test_a_client_can_ask_for_fewer_messages(talk: Connect) -> None:
     assert client.ask("Status")["own"][0]["left_out"] == 49
 
 
-def test_a_message_without_a_form_is_a_gap_that_is_told(talk: Connect) -> None:
+def test_a_message_without_a_form_is_a_reported_gap(talk: Connect) -> None:
     client = talk()
     connection = client.open("numbers")
     script.put({"value": 1}, {"value": object()}, {"value": 3})

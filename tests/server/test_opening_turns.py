@@ -5,9 +5,7 @@ from __future__ import annotations
 import asyncio
 import threading
 
-from uoarm.server.streams._loop_mailbox import LoopMailbox
-from uoarm.server.streams._opening_turns import OpeningTurns
-from uoarm.server.streams._workers import Workers
+from uoarm.server.streams._workers import LoopMailbox, OpeningTurns, Workers
 from uoarm.testing import patience
 
 LIMIT = 8
@@ -60,7 +58,7 @@ def test_one_that_began_just_now_is_not_taken_for_waiting() -> None:
     assert begin_all(turns, LOOK, 1) == 1
 
 
-def test_what_hangs_keeps_nobody_behind_it_waiting() -> None:
+def test_what_hangs_keeps_nothing_behind_it_waiting() -> None:
     gate = threading.Event()
 
     async def work() -> None:

@@ -24,8 +24,8 @@ from tests.server.test_serving import ROOT
 from websockets.exceptions import WebSocketException
 
 from uoarm import RobotManager
-from uoarm.server import Server, Settings
-from uoarm.server.http._listener import Listener, NoRoomError, connections_possible, listen
+from uoarm.server import Server, ServerOptions
+from uoarm.server.http._listener import ListeningSocket, NoRoomError, connections_possible, listen
 from uoarm.testing import ManualClock, patience
 
 FILES = 64
@@ -33,7 +33,7 @@ LEFT = 8
 HALF_OPEN = 200
 
 
-def test_half_open_sockets_beyond_all_descriptors_are_told_once_and_outlived(
+def test_half_open_sockets_beyond_all_descriptors_are_logged_once_and_outlived(
     tmp_path: Path,
 ) -> None:
     file = tmp_path / "robot.yaml"
@@ -96,7 +96,7 @@ def test_failures_in_a_pause_are_not_tried_and_those_in_silence_are_counted(
 
     monkeypatch.setattr(socket.socket, "accept", full)
     clock = ManualClock()
-    with Listener(socket.AF_INET, socket.SOCK_STREAM, clock=clock) as listener:
+    with ListeningSocket(socket.AF_INET, socket.SOCK_STREAM, clock=clock) as listener:
         for second in range(121):
             with pytest.raises(NoRoomError):
                 listener.accept()
@@ -126,7 +126,7 @@ def test_a_server_that_stops_in_a_pause_says_nothing_more(
 
     async def stop_in_a_pause() -> None:
         loop = asyncio.get_running_loop()
-        server = Server(robot, Settings(port=0))
+        server = Server(robot, ServerOptions(port=0))
         await server.start()
         loop.set_exception_handler(lambda _, context: reports.append(context))
         with socket.create_connection(("127.0.0.1", server.ports[0]), timeout=patience()):
@@ -148,7 +148,7 @@ def test_other_failures_are_passed_on(monkeypatch: pytest.MonkeyPatch) -> None:
         raise ConnectionAbortedError(errno.ECONNABORTED, "gone")
 
     monkeypatch.setattr(socket.socket, "accept", gone)
-    with Listener(socket.AF_INET, socket.SOCK_STREAM) as listener:
+    with ListeningSocket(socket.AF_INET, socket.SOCK_STREAM) as listener:
         for _ in range(2):
             with pytest.raises(ConnectionAbortedError):
                 listener.accept()

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from uoarm.model import OverflowPolicy, QueuePolicy
-from uoarm.server.streams._memory import Memory
+from uoarm.server.streams._memory import ServerMemory
 from uoarm.server.streams._outbox import Lane, Outbox
 from uoarm.testing import patience
 
@@ -39,7 +39,7 @@ def test_replies_overtake_data_and_streams_take_turns() -> None:
         for frame in (b"a1", b"a2", b"a3"):
             outbox.put(one, frame)
         outbox.put(two, b"b1")
-        outbox.tell(b"reply", text=True)
+        outbox.reply(b"reply", text=True)
         assert await drain(outbox) == [b"reply", b"a1", b"b1", b"a2", b"a3"]
         assert (one.sent, two.sent) == (3, 1)
 
@@ -148,13 +148,13 @@ def test_the_pieces_of_a_last_message_are_not_dropped() -> None:
     run(work())
 
 
-def test_too_many_replies_are_not_dropped_but_told() -> None:
+def test_too_many_replies_are_not_dropped_but_reported() -> None:
     async def work() -> None:
         outbox = Outbox(1000, 10)
         for _ in range(10):
-            outbox.tell(b"r", text=True)
+            outbox.reply(b"r", text=True)
         assert not outbox.overflowed
-        outbox.tell(b"r", text=True)
+        outbox.reply(b"r", text=True)
         assert outbox.overflowed
 
     run(work())
@@ -210,12 +210,12 @@ def test_small_messages_of_others_pass_between_the_pieces_of_a_large_one() -> No
 
 def test_small_frames_are_taken_together_and_held_until_they_are_written() -> None:
     async def work() -> None:
-        account = Memory(10_000, 10_000).open()
+        account = ServerMemory(10_000, 10_000).open()
         outbox = Outbox(1000, 10, account)
         many = lane(10)
         for number in range(4):
             outbox.put(many, b"%d" % number * 10)
-        outbox.tell(b"reply", text=True)
+        outbox.reply(b"reply", text=True)
         frames = await outbox.next(26)  # the reply, two whole messages, and one that passes it
         assert [frame[:1] for frame, _ in frames] == [b"r", b"0", b"1", b"2"]
         assert (many.sent, account.held) == (3, 45)
@@ -236,7 +236,7 @@ def test_it_is_emptied_once_more_for_what_came_since() -> None:
 
         taking = asyncio.ensure_future(take())
         for frame in (b"first", b"second"):
-            outbox.tell(frame, text=True)
+            outbox.reply(frame, text=True)
             await outbox.emptied()
             assert taken[-1] == frame
         taking.cancel()
@@ -272,7 +272,7 @@ def test_data_waits_for_a_client_that_reads_slowly_and_replies_do_not() -> None:
         reading = asyncio.ensure_future(outbox.next())
         await asyncio.sleep(0)
         assert not reading.done()
-        outbox.tell(b"reply", text=True)
+        outbox.reply(b"reply", text=True)
         assert await reading == [(b"reply", True)]
         now = 1.25
         assert outbox.unread_seconds() == 0.25
@@ -326,7 +326,7 @@ def test_every_message_is_sent_waits_or_is_counted(plan: list[tuple[str, int]]) 
             elif step == "renew":
                 outbox.renew()
             elif step == "reply":
-                outbox.tell(b"r", text=False)
+                outbox.reply(b"r", text=False)
             elif not outbox.empty:
                 frames = await outbox.next(number)
                 assert sum(len(frame) for frame, _ in frames[:-1]) < number

@@ -63,8 +63,8 @@ def test_who_watches_learns_what_went_before(talk: Connect) -> None:
     client = talk()
 
     def past() -> list[dict[str, Any]]:
-        told: list[dict[str, Any]] = client.ask("Status", "watch")["past"]
-        return told
+        received: list[dict[str, Any]] = client.ask("Status", "watch")["past"]
+        return received
 
     eventually(lambda: len(past()) == 2, "both changes are remembered")
     opening, running = past()

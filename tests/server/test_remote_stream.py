@@ -15,13 +15,13 @@ async def _never(*_: object, **__: object) -> Any:
     raise AssertionError("nothing is asked here")
 
 
-async def _trouble(connection: str) -> str:
+async def _diagnose(connection: str) -> str:
     return f"; nobody feeds {connection}"
 
 
 def _stream() -> RemoteStream:
     opened = {"connection": "c1", "inputs": [], "warnings": []}
-    return RemoteStream(opened, {}, _never, _trouble, 8)
+    return RemoteStream(opened, {}, _never, _diagnose, 8)
 
 
 def test_nothing_in_time_is_a_timeout() -> None:
@@ -34,12 +34,12 @@ def test_nothing_in_time_is_a_timeout() -> None:
 
 def test_what_comes_while_it_is_asked_why_nothing_came_is_given() -> None:
     async def play() -> object:
-        async def trouble(_: str) -> str:
+        async def diagnose(_: str) -> str:
             stream.take(1, 5)
             return "; nothing came"
 
         stream = RemoteStream(
-            {"connection": "c1", "inputs": [], "warnings": []}, {}, _never, trouble, 8
+            {"connection": "c1", "inputs": [], "warnings": []}, {}, _never, diagnose, 8
         )
         return await stream.get(0.01)
 

@@ -67,7 +67,7 @@ def test_its_own_certificate_is_known_by_its_fingerprint(
 
 
 @pytest.mark.needs("node")
-def test_the_javascript_client_trusts_what_node_is_told_to_trust(
+def test_the_javascript_client_trusts_what_node_is_set_to_trust(
     serve: Serve, access: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))

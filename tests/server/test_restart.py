@@ -14,8 +14,8 @@ from tests.server.robot import script
 from tests.server.talk import SECONDS, eventually
 
 from uoarm import ConnectionClosedError, RobotManager
-from uoarm.client import Client, connect
-from uoarm.server import Limits, Server, Settings, serve_in_thread
+from uoarm.client import RemoteRobot, connect
+from uoarm.server import Limits, Server, ServerOptions, serve_in_thread
 from uoarm.testing import slowness
 
 Restart = Callable[[], Awaitable[None]]
@@ -33,7 +33,7 @@ class Restarting:
 
     @contextmanager
     def _serve(self, port: int) -> Iterator[Server]:
-        with serve_in_thread(self._robot, Settings(port=port, limits=Limits())) as server:
+        with serve_in_thread(self._robot, ServerOptions(port=port, limits=Limits())) as server:
             yield server
 
     def stop(self) -> None:
@@ -52,7 +52,7 @@ def restarting(robot: RobotManager) -> Iterator[Restarting]:
 
 
 def run(
-    restarting: Restarting, work: Callable[[Client], Awaitable[None]], **options: object
+    restarting: Restarting, work: Callable[[RemoteRobot], Awaitable[None]], **options: object
 ) -> None:
     async def within() -> None:
         url = f"ws://127.0.0.1:{restarting.port}/"
@@ -76,7 +76,7 @@ async def until(condition: Callable[[], bool]) -> None:
 def test_a_stream_goes_on_after_a_restart_with_a_gap_that_is_marked(
     restarting: Restarting, binary: bool, resume: bool
 ) -> None:
-    async def work(client: Client) -> None:
+    async def work(client: RemoteRobot) -> None:
         stream = await client.request("numbers")
         script.put({"value": 1})
         assert await stream.get() == {"value": 1}
@@ -92,7 +92,7 @@ def test_a_stream_goes_on_after_a_restart_with_a_gap_that_is_marked(
 
 
 def test_what_waits_for_an_answer_fails_and_nothing_is_done_twice(restarting: Restarting) -> None:
-    async def work(client: Client) -> None:
+    async def work(client: RemoteRobot) -> None:
         slow = asyncio.ensure_future(client.call("slow", {"value": 1}))
         await client.status()
         await restart(restarting)
@@ -130,7 +130,7 @@ def test_what_was_asked_during_a_drop_is_not_done_by_the_session_after(
 def test_a_command_of_before_reaches_nothing_of_after(restarting: Restarting) -> None:
     """Names of connections are the server's: one of before may be another's after."""
 
-    async def work(client: Client) -> None:
+    async def work(client: RemoteRobot) -> None:
         stream = await client.request("echo")
         await asyncio.to_thread(restarting.stop)
         await until(lambda: client.restarts == 1)
@@ -147,7 +147,7 @@ def test_a_command_of_before_reaches_nothing_of_after(restarting: Restarting) ->
 
 
 def test_changes_go_on(restarting: Restarting) -> None:
-    async def work(client: Client) -> None:
+    async def work(client: RemoteRobot) -> None:
         changes = client.watch()
         first = asyncio.ensure_future(anext(changes))
         await client.status()
@@ -163,8 +163,8 @@ def test_changes_go_on(restarting: Restarting) -> None:
     run(restarting, work)
 
 
-def test_it_fails_where_it_is_told_not_to_reconnect(restarting: Restarting) -> None:
-    async def work(client: Client) -> None:
+def test_it_fails_where_reconnecting_is_off(restarting: Restarting) -> None:
+    async def work(client: RemoteRobot) -> None:
         stream = await client.request("numbers")
         await asyncio.to_thread(restarting.stop)
         with pytest.raises(ConnectionClosedError):
@@ -177,7 +177,7 @@ def test_it_fails_where_it_is_told_not_to_reconnect(restarting: Restarting) -> N
 
 
 def test_it_fails_with_the_cause_when_no_server_comes_back(restarting: Restarting) -> None:
-    async def work(client: Client) -> None:
+    async def work(client: RemoteRobot) -> None:
         stream = await client.request("numbers")
         await asyncio.to_thread(restarting.stop)
         with pytest.raises(ConnectionClosedError, match="connecting again failed"):
@@ -188,7 +188,7 @@ def test_it_fails_with_the_cause_when_no_server_comes_back(restarting: Restartin
 
 
 def test_a_loop_that_ends_because_of_a_kill_has_its_cause(restarting: Restarting) -> None:
-    async def work(client: Client) -> None:
+    async def work(client: RemoteRobot) -> None:
         stream = await client.request("numbers")
         connection = restarting.server._robot.connections()[0]
         killing = asyncio.to_thread(connection.kill)

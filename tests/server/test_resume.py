@@ -20,7 +20,7 @@ from tests.server.talk import BESIDE, SECONDS, eventually
 from tests.server.test_serving import figures, page
 
 from uoarm import ConnectionClosedError, QueuePolicy, RobotManager
-from uoarm.client import Client, connect
+from uoarm.client import RemoteRobot, connect
 from uoarm.model import Message
 from uoarm.server import Limits, Server
 from uoarm.testing import slowness
@@ -29,7 +29,7 @@ CLIENTS = Path(__file__).parent / "clients"
 FORMS = pytest.mark.parametrize("binary", [False, True], ids=["json", "cbor"])
 
 
-def run(proxy: Proxy, work: Callable[[Client], Awaitable[None]], **options: Any) -> None:
+def run(proxy: Proxy, work: Callable[[RemoteRobot], Awaitable[None]], **options: Any) -> None:
     async def within() -> None:
         async with connect(f"ws://127.0.0.1:{proxy.port}/", **options) as client:
             await asyncio.wait_for(work(client), SECONDS)
@@ -42,7 +42,7 @@ async def until(condition: Callable[[], bool]) -> None:
 
 
 @asynccontextmanager
-async def resumed(client: Client) -> AsyncIterator[None]:
+async def resumed(client: RemoteRobot) -> AsyncIterator[None]:
     """Wait after the block until the session goes on."""
     before = client.resumed
     yield
@@ -53,7 +53,7 @@ async def resumed(client: Client) -> AsyncIterator[None]:
 def test_a_stream_goes_on_where_it_was(server: Server, between: Between, binary: bool) -> None:
     proxy = between(server)
 
-    async def work(client: Client) -> None:
+    async def work(client: RemoteRobot) -> None:
         stream = await client.request("numbers")
         for start in (0, 3, 6):
             script.put({"value": start})
@@ -78,7 +78,7 @@ def test_what_a_full_queue_lost_meanwhile_is_a_gap_and_counted(
 ) -> None:
     proxy = between(server)
 
-    async def work(client: Client) -> None:
+    async def work(client: RemoteRobot) -> None:
         stream = await client.request("numbers", queue=QueuePolicy(length=2))
         script.put({"value": 0})
         assert await stream.get() == {"value": 0}
@@ -102,10 +102,10 @@ def clients(server: Server) -> int:
     return count
 
 
-def test_an_answer_that_came_meanwhile_is_heard(server: Server, between: Between) -> None:
+def test_an_answer_that_came_meanwhile_is_received(server: Server, between: Between) -> None:
     proxy = between(server)
 
-    async def work(client: Client) -> None:
+    async def work(client: RemoteRobot) -> None:
         calling = asyncio.ensure_future(client.call("slow", {"value": 7}))
         await client.status()
         async with resumed(client):
@@ -117,10 +117,10 @@ def test_an_answer_that_came_meanwhile_is_heard(server: Server, between: Between
     run(proxy, work)
 
 
-def test_an_answer_that_was_lost_on_the_way_is_told_again(server: Server, between: Between) -> None:
+def test_an_answer_that_was_lost_on_the_way_is_sent_again(server: Server, between: Between) -> None:
     proxy = between(server)
 
-    async def work(client: Client) -> None:
+    async def work(client: RemoteRobot) -> None:
         await client.status()
         proxy.hold(to_client=True)
         before = answered(server)
@@ -140,12 +140,12 @@ def answered(server: Server) -> int:
 
 
 @FORMS
-def test_an_end_that_was_lost_on_the_way_is_told_again(
+def test_an_end_that_was_lost_on_the_way_is_sent_again(
     server: Server, between: Between, binary: bool
 ) -> None:
     proxy = between(server)
 
-    async def work(client: Client) -> None:
+    async def work(client: RemoteRobot) -> None:
         stream = await client.request("numbers")
         script.put({"value": 1})
         assert await stream.get() == {"value": 1}
@@ -161,10 +161,12 @@ def test_an_end_that_was_lost_on_the_way_is_told_again(
     run(proxy, work, binary=binary)
 
 
-def test_what_never_arrived_is_told_and_not_done_twice(server: Server, between: Between) -> None:
+def test_what_never_arrived_is_reported_and_not_done_twice(
+    server: Server, between: Between
+) -> None:
     proxy = between(server)
 
-    async def work(client: Client) -> None:
+    async def work(client: RemoteRobot) -> None:
         async with await client.request("echo") as echo:
             proxy.hold(to_server=True)
             sending = asyncio.ensure_future(echo.send({"value": 1}))
@@ -182,7 +184,7 @@ def test_what_never_arrived_is_told_and_not_done_twice(server: Server, between: 
 def test_what_is_asked_while_it_is_down_waits(server: Server, between: Between) -> None:
     proxy = between(server)
 
-    async def work(client: Client) -> None:
+    async def work(client: RemoteRobot) -> None:
         await client.status()
         async with resumed(client):
             proxy.cut(admit=False)
@@ -198,7 +200,7 @@ def test_what_is_asked_while_it_is_down_waits(server: Server, between: Between) 
 def test_a_server_that_has_not_noticed_the_drop_lets_go(server: Server, between: Between) -> None:
     proxy = between(server)
 
-    async def work(client: Client) -> None:
+    async def work(client: RemoteRobot) -> None:
         stream = await client.request("numbers")
         async with resumed(client):
             proxy.cut(server=False)
@@ -212,7 +214,7 @@ def test_a_server_that_has_not_noticed_the_drop_lets_go(server: Server, between:
 def test_changes_are_watched_over_a_drop(server: Server, between: Between) -> None:
     proxy = between(server)
 
-    async def work(client: Client) -> None:
+    async def work(client: RemoteRobot) -> None:
         changes = client.watch()
         first = asyncio.ensure_future(anext(changes))
         await client.status()  # asked before the request, as the watch is
@@ -234,7 +236,7 @@ def test_a_session_ends_when_its_time_is_over(
     server = serve(Limits(resume_seconds=0.2))
     proxy = between(server)
 
-    async def work(client: Client) -> None:
+    async def work(client: RemoteRobot) -> None:
         stream = await client.request("numbers")
         proxy.cut(admit=False)
         await until(lambda: not robot.status().connections)
@@ -252,7 +254,7 @@ def test_sessions_without_a_connection_are_limited(
     server = serve(Limits(kept_sessions=1))
     first, second = between(server), between(server)
 
-    async def work(one: Client) -> None:
+    async def work(one: RemoteRobot) -> None:
         async with connect(f"ws://127.0.0.1:{second.port}/", reconnect=0) as other:
             streams = await one.request("numbers"), await other.request("echo")
             first.cut(admit=False)
@@ -280,7 +282,7 @@ def test_where_one_side_does_not_want_it_a_drop_is_the_end(
     limits = Limits() if keeping == "server" else Limits(resume_seconds=0)
     proxy = between(serve(limits))
 
-    async def work(client: Client) -> None:
+    async def work(client: RemoteRobot) -> None:
         stream = await client.request("numbers")
         proxy.cut()
         with pytest.raises(ConnectionClosedError):
@@ -293,7 +295,7 @@ def test_where_one_side_does_not_want_it_a_drop_is_the_end(
 def test_a_client_that_says_goodbye_leaves_nothing(
     server: Server, between: Between, robot: RobotManager
 ) -> None:
-    async def work(client: Client) -> None:
+    async def work(client: RemoteRobot) -> None:
         await client.request("numbers")
 
     run(between(server), work)
@@ -303,7 +305,7 @@ def test_a_client_that_says_goodbye_leaves_nothing(
 def test_a_drop_takes_nothing_from_what_was_counted(server: Server, between: Between) -> None:
     proxy = between(server)
 
-    async def work(client: Client) -> None:
+    async def work(client: RemoteRobot) -> None:
         await client.status()
         proxy.cut(admit=False)
         await until(lambda: "uoarm_serve_kept_sessions 1.0" in figures(server))
@@ -319,7 +321,7 @@ def test_a_link_that_jams_is_a_drop_for_a_session_that_is_kept(
     server = serve(Limits(stall_seconds=slowness()))
     proxy = between(server)
 
-    async def work(client: Client) -> None:
+    async def work(client: RemoteRobot) -> None:
         stream = await client.request("picture", queue=QueuePolicy(length=2))
         script.put({"width": 0, "data": b""})
         assert (await stream.get())["width"] == 0
@@ -336,10 +338,10 @@ def test_a_link_that_jams_is_a_drop_for_a_session_that_is_kept(
     run(proxy, work)
 
 
-def test_what_was_answered_is_not_told_again(server: Server, between: Between) -> None:
+def test_what_was_answered_is_not_sent_again(server: Server, between: Between) -> None:
     proxy = between(server)
 
-    async def work(client: Client) -> None:
+    async def work(client: RemoteRobot) -> None:
         for number in range(100):
             await client.call("add", {"a": number, "b": 0})
         before = answered(server)
@@ -360,7 +362,7 @@ def test_whatever_is_cut_nothing_comes_twice_or_without_being_counted(
     eventually(lambda: not robot.status().connections, "what was before is closed")
     script.reset()
 
-    async def work(client: Client) -> None:
+    async def work(client: RemoteRobot) -> None:
         stream = await client.request("numbers")
         calls: list[asyncio.Future[Message]] = []
         last = 0
@@ -388,7 +390,7 @@ def test_whatever_is_cut_nothing_comes_twice_or_without_being_counted(
         run(proxy, work)
 
 
-async def answer_of(client: Client) -> object:
+async def answer_of(client: RemoteRobot) -> object:
     """Return the status, or the error that it did not arrive."""
     try:
         return await client.status()

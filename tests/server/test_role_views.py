@@ -23,8 +23,8 @@ from uoarm.model import (
     StatusEvent,
     StatusMap,
 )
-from uoarm.server.access import Operation, Role, RoleView, RoleViews
-from uoarm.server.session._view import visible_status
+from uoarm.server.access import AccessRole, Operation, RoleView, RoleViews
+from uoarm.server.session._views import visible_status
 
 ROBOT: Robot = loads(
     """
@@ -43,9 +43,9 @@ functions:
 """,
     "robot.yaml",
 )
-ALL = Role("all", everything=frozenset(Operation))
-GUEST = Role("guest", {Operation.SEE: ("public", "p?b*")})
-BLIND = Role("blind", {})
+ALL = AccessRole("all", everything=frozenset(Operation))
+GUEST = AccessRole("guest", {Operation.SEE: ("public", "p?b*")})
+BLIND = AccessRole("blind", {})
 CAUSE = "component 'hidden-one' of secret: bridge 'vault' is gone"
 ROUTE = RouteStatus("hidden-one.default", "front.default", 1, 1, last_error=CAUSE)
 STATUS = StatusMap(
@@ -80,7 +80,7 @@ STATUS = StatusMap(
 PARTS = [attribute.name for attribute in fields(StatusMap)]
 
 
-def view(role: Role) -> RoleView:
+def view(role: AccessRole) -> RoleView:
     return RoleViews(lambda: ROBOT).of(role)
 
 
@@ -139,7 +139,7 @@ def test_names_of_a_moment_ago_are_hidden_still() -> None:
 
 @pytest.mark.parametrize("pattern", ["*", "?", "[!s]*", "[*]", "", "all"])
 def test_no_pattern_gives_what_is_of_no_function(pattern: str) -> None:
-    role = Role("r", dict.fromkeys(Operation, (pattern,)))
+    role = AccessRole("r", dict.fromkeys(Operation, (pattern,)))
     for operation in Operation:
         assert not role.allows_all(operation)
         assert not role.allows(operation, "")

@@ -32,7 +32,7 @@ from websockets.typing import Origin
 from uoarm import RobotManager
 from uoarm.cli import _serve
 from uoarm.errors import ConfigurationError
-from uoarm.server import Limits, Server, Settings, fingerprint_of, run, serve_in_thread
+from uoarm.server import Limits, Server, ServerOptions, fingerprint_of, run, serve_in_thread
 from uoarm.testing import Census, patience, wait
 
 ROOT = Path(__file__).parents[2]
@@ -172,12 +172,12 @@ def test_it_says_where_the_page_is(start: Start) -> None:
     ("host", "here"),
     [("0.0.0.0", "127.0.0.1"), ("", "127.0.0.1"), ("::", "[::1]"), ("0::0", "[::1]")],
 )
-def test_of_every_address_those_are_told_that_can_be_opened(
+def test_of_every_address_those_are_reported_that_can_be_opened(
     host: str, here: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     server = create_autospec(Server, instance=True, ports=(9080, 9090), front_ends=())
     ports, authority = {"rosbridge": 0}, Path("ca.pem")
-    settings = Settings(host, front_end_ports=ports, access=Path("access.yaml"))
+    settings = ServerOptions(host, front_end_ports=ports, access=Path("access.yaml"))
     _serve.say(server, settings)
     out, err = capsys.readouterr()
     assert out.splitlines() == [
@@ -198,7 +198,7 @@ def test_of_every_address_those_are_told_that_can_be_opened(
     assert "listening on" not in named
 
 
-def test_a_port_that_is_taken_is_told_in_one_line(start: Start) -> None:
+def test_a_port_that_is_taken_is_reported_in_one_line(start: Start) -> None:
     _, port = start()
     second, _ = start("--port", str(port))
     _, err = second.communicate(timeout=patience())
@@ -226,13 +226,13 @@ def test_off_loopback_it_refuses_to_start_without_an_access_file(start: Start) -
 @pytest.mark.parametrize("host", ["0.0.0.0", "::", "192.168.1.2", "robot.example"])
 def test_no_address_off_loopback_is_taken_for_loopback(robot: RobotManager, host: str) -> None:
     with pytest.raises(ConfigurationError, match="other machines"):
-        serve_in_thread(robot, Settings(host=host)).__enter__()
+        serve_in_thread(robot, ServerOptions(host=host)).__enter__()
 
 
 def test_a_server_can_be_started_and_stopped_again(serve: Serve, robot: RobotManager) -> None:
     for _ in range(3):
         with (
-            serve_in_thread(robot, Settings(port=0)) as server,
+            serve_in_thread(robot, ServerOptions(port=0)) as server,
             Talk(f"ws://127.0.0.1:{server.ports[0]}/") as client,
         ):
             client.open("numbers")
@@ -249,11 +249,11 @@ def test_a_server_whose_start_hangs_is_an_error_and_leaves_no_thread(
     monkeypatch.setattr("uoarm.server._running._START_SECONDS", 0.01)
     census = Census()
     with pytest.raises(TimeoutError, match="does not listen"):
-        serve_in_thread(robot, Settings(port=0)).__enter__()
+        serve_in_thread(robot, ServerOptions(port=0)).__enter__()
     census.check()
 
 
-def test_a_server_that_does_not_end_is_told(
+def test_a_server_that_does_not_end_is_reported(
     robot: RobotManager, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     go_on, stop = threading.Event(), Server.stop
@@ -264,7 +264,7 @@ def test_a_server_that_does_not_end_is_told(
 
     monkeypatch.setattr(Server, "stop", keep_the_loop)
     monkeypatch.setattr("uoarm.server._running._END_SECONDS", 0.01)
-    with serve_in_thread(robot, Settings(port=0, limits=Limits(stop_seconds=0.01))):
+    with serve_in_thread(robot, ServerOptions(port=0, limits=Limits(stop_seconds=0.01))):
         pass
     assert "the server has not ended" in caplog.text
     go_on.set()
@@ -289,7 +289,7 @@ def test_the_switch_interval_is_short_while_it_serves(robot: RobotManager) -> No
         during.append(sys.getswitchinterval())
         signal.raise_signal(signal.SIGTERM)
 
-    run(robot, Settings(port=0), ready)
+    run(robot, ServerOptions(port=0), ready)
     assert during[0] < before / 5
     assert sys.getswitchinterval() == before
 
@@ -308,7 +308,7 @@ def test_a_signal_while_its_loop_closes_is_no_exception(
     monkeypatch.setattr(BaseSelectorEventLoop, "close", close_late)
     monkeypatch.setattr(sys, "unraisablehook", reports.append)
     monkeypatch.setitem(sys.modules, "uvloop", None)  # another loop
-    run(robot, Settings(port=0), lambda _: signal.raise_signal(signal.SIGTERM))
+    run(robot, ServerOptions(port=0), lambda _: signal.raise_signal(signal.SIGTERM))
     assert not reports
 
 

@@ -21,8 +21,7 @@ from websockets.sync.client import connect
 from uoarm.server import Limits, Server
 from uoarm.server._failures import BusyError
 from uoarm.server.streams import Shares, acting
-from uoarm.server.streams._loop_mailbox import LoopMailbox
-from uoarm.server.streams._workers import Workers
+from uoarm.server.streams._workers import LoopMailbox, Workers
 from uoarm.testing import patience
 
 

@@ -12,9 +12,8 @@ from tests.server.test_role_views import ALL, BLIND, GUEST, ROBOT, STATUS
 from uoarm._wire import BINARY_FORM, TEXT_FORM, Form, read_binary, read_text
 from uoarm.client._client import _merged_status
 from uoarm.model import Budget, RouteStatus, Spending, StatusMap, to_json
-from uoarm.server.access import Role, RoleViews
-from uoarm.server.session._status_views import StatusQuestion, StatusViews
-from uoarm.server.session._view import visible_status
+from uoarm.server.access import AccessRole, RoleViews
+from uoarm.server.session._views import StatusQuestion, StatusViews, visible_status
 from uoarm.testing import ManualClock
 
 VIEWS = RoleViews(lambda: ROBOT)
@@ -30,7 +29,7 @@ class Robot:
         self.views = StatusViews(lambda: self.status, list, VIEWS, self.clock)
 
     def ask(
-        self, since: int | None = None, *, role: Role = ALL, form: Form = TEXT_FORM
+        self, since: int | None = None, *, role: AccessRole = ALL, form: Form = TEXT_FORM
     ) -> dict[str, Any]:
         question = StatusQuestion(role, form, since)
         report = form.map_of(self.views.make([question])[question].fields)
@@ -74,7 +73,7 @@ CHANGES: Mapping[str, StatusMap] = {
 @pytest.mark.parametrize("form", [TEXT_FORM, BINARY_FORM], ids=lambda form: form.name)
 @pytest.mark.parametrize("change", CHANGES.values(), ids=CHANGES.keys())
 def test_what_is_known_with_what_has_changed_is_the_whole(
-    change: StatusMap, form: Form, role: Role
+    change: StatusMap, form: Form, role: AccessRole
 ) -> None:
     robot = Robot()
     known: Mapping[str, Any] = robot.ask(role=role, form=form)
@@ -86,13 +85,13 @@ def test_what_is_known_with_what_has_changed_is_the_whole(
         assert plain(known) == plain(to_json(visible_status(status, VIEWS.of(role))))
 
 
-def test_what_has_not_changed_is_not_told() -> None:
+def test_what_has_not_changed_is_not_reported() -> None:
     robot = Robot()
     reports = robot.ask(robot.ask()["version"])
     assert not reports.keys() & {attribute.name for attribute in fields(StatusMap)}
 
 
-def test_the_age_of_a_route_alone_is_not_told_and_known_all_the_same() -> None:
+def test_the_age_of_a_route_alone_is_not_reported_and_known_all_the_same() -> None:
     robot = Robot()
     robot.status = evolve(STATUS, routes=(ROUTE,))
     known = robot.ask()

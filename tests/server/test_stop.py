@@ -22,7 +22,7 @@ from uoarm.cli import main
 from uoarm.client import ServerError, connect
 from uoarm.config import loads
 from uoarm.model import Message
-from uoarm.server import Limits, Server, Settings, hash_token, make_token
+from uoarm.server import Limits, Server, ServerOptions, hash_token, make_token
 from uoarm.testing import MemoryBridge, patience, wait
 from uoarm.testing._memory_components import Taker
 
@@ -102,7 +102,9 @@ def enter(server: Server, name: str) -> Talk:
     return Talk(url(server), additional_headers={"Authorization": f"Bearer {TOKENS[name]}"})
 
 
-def test_a_stop_is_told_truly_and_only_who_may_releases(guarded: Server, base: Taker) -> None:
+def test_a_stop_is_reported_as_it_is_and_only_a_role_with_the_right_releases(
+    guarded: Server, base: Taker
+) -> None:
     with enter(guarded, "driver") as driver, enter(guarded, "keeper") as keeper:
         drive = driver.open("drive")
         driver.ask("Data", drive, 5)
@@ -228,5 +230,5 @@ def test_the_command_line_says_who_has_not_stopped(
 @pytest.mark.parametrize("command", ["stop", "apply", "history"])
 def test_who_names_no_server_asks_the_one_that_serve_starts_here(command: str) -> None:
     found = {parameter.name: parameter.default for parameter in main.commands[command].params}
-    settings = Settings()
+    settings = ServerOptions()
     assert found["url"] == f"ws://{settings.host}:{settings.port}/"

@@ -20,7 +20,7 @@ from websockets.sync.client import connect
 
 from uoarm.errors import ConfigurationError
 from uoarm.server import Limits, Server, fingerprint_of, hash_token
-from uoarm.server.http._own_certificate import own_certificate
+from uoarm.server.http._listener import own_certificate
 
 ACCESS = """
 version: 1
@@ -187,7 +187,7 @@ def test_a_key_that_others_can_read_is_refused(tmp_path: Path) -> None:
         own_certificate(tmp_path, ())
 
 
-def test_a_place_that_cannot_be_written_is_told(tmp_path: Path) -> None:
+def test_a_place_that_cannot_be_written_is_reported(tmp_path: Path) -> None:
     (tmp_path / "tls").write_text("a file")
     with pytest.raises(ConfigurationError, match="own certificate"):
         own_certificate(tmp_path / "tls", ())

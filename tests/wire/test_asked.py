@@ -69,7 +69,7 @@ def test_an_error_names_the_field(message: dict[str, Any], said: str) -> None:
 
 
 @pytest.mark.parametrize("identity", [None, 5, "", "x" * 129, ["1"]])
-def test_only_an_id_that_can_be_told_back_is_salvaged(identity: object) -> None:
+def test_only_an_id_that_can_be_sent_back_is_salvaged(identity: object) -> None:
     assert salvage_id({"id": identity}) is None
     assert salvage_id({"id": "7", "op": 5}) == "7"
 

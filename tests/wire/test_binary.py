@@ -15,8 +15,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from uoarm._wire._binary import _ENCODERS, _encode_other, read_binary, write_binary
-from uoarm._wire._cbor_scan import scan_cbor
+from uoarm._wire._binary import _ENCODERS, _encode_other, read_binary, scan_cbor, write_binary
 from uoarm.errors import ControlMessageError, MessageError
 from uoarm.model import Budget, Spending
 

@@ -15,8 +15,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from jsonschema import Draft202012Validator
 
-from uoarm._wire._text import read_text, write_text
-from uoarm._wire._text_structure import make_reader, text_schema
+from uoarm._wire._text import make_reader, read_text, text_schema, write_text
 from uoarm.errors import ControlMessageError, MessageError
 from uoarm.local import Range
 from uoarm.model import Budget, Spending

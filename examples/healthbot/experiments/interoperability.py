@@ -9,7 +9,7 @@ from typing import Any
 
 from stage import head, stage, table
 
-from uoarm.client import Client, connect
+from uoarm.client import RemoteRobot, connect
 from uoarm.errors import UoarmError
 
 _FRAMEWORKS = {
@@ -60,7 +60,7 @@ def converted(plan: Mapping[str, Any]) -> str:
     return "; ".join([*edges, *([f"{direct} unchanged"] if direct else [])]) or "nothing to convert"
 
 
-async def first(robot: Client, name: str) -> str:
+async def first(robot: RemoteRobot, name: str) -> str:
     """Return how long the first message or reply took."""
     begun = time.monotonic()
     try:

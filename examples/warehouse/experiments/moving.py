@@ -19,7 +19,7 @@ from experiment import FRAMEWORKS, Row, Tables, figures, options, stage
 from warehouse_floor.layout import NODES
 from warehouse_floor.link import FloorLink
 
-from uoarm.client import Client, connect
+from uoarm.client import RemoteRobot, connect
 
 _VEHICLES: Final = {
     "amr": ("Amr", ("n11", "home1")),
@@ -75,7 +75,7 @@ class Floor:
         return since
 
 
-async def to_the_wheel(robot: Client, floor: Floor, vehicle: str, count: int) -> list[float]:
+async def to_the_wheel(robot: RemoteRobot, floor: Floor, vehicle: str, count: int) -> list[float]:
     """Return the seconds from each command until the vehicle moves."""
     name, nodes = _VEHICLES[vehicle]
     found: list[float] = []
@@ -106,7 +106,7 @@ async def to_the_wheel(robot: Client, floor: Floor, vehicle: str, count: int) ->
     return found[1:]  # with the first one what is lazy comes up
 
 
-async def by_hand(robot: Client, floor: Floor, count: int) -> tuple[list[float], list[float]]:
+async def by_hand(robot: RemoteRobot, floor: Floor, count: int) -> tuple[list[float], list[float]]:
     """Return the seconds from each velocity until the vehicle moves, and until it stands again."""
     moved: list[float] = []
     stood: list[float] = []

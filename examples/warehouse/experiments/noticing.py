@@ -17,7 +17,7 @@ from typing import Final
 from experiment import Row, Stage, Tables, options, progress, stage
 from warehouse_scene.parts import newcomer
 
-from uoarm.client import Client, connect
+from uoarm.client import RemoteRobot, connect
 from uoarm.errors import UoarmError
 
 # The part, the function that uses it, and what the names of its components have in them.
@@ -35,14 +35,14 @@ _WINDOW: Final = 6.0
 Notices = list[tuple[float, str, str]]
 
 
-async def listen(robot: Client, notices: Notices) -> None:
+async def listen(robot: RemoteRobot, notices: Notices) -> None:
     """Note what the robot tells of its components and connections."""
     with suppress(UoarmError):
         async for event in robot.watch():
             notices.append((time.monotonic(), event.subject, event.change))
 
 
-async def running(robot: Client, function: str, *, limit: float) -> float | None:
+async def running(robot: RemoteRobot, function: str, *, limit: float) -> float | None:
     """Return after how many seconds a function is open and flows; None: not in time."""
     begun = time.monotonic()
     while time.monotonic() < begun + limit:
@@ -53,7 +53,7 @@ async def running(robot: Client, function: str, *, limit: float) -> float | None
     return None
 
 
-async def death(scene: Stage, robot: Client, notices: Notices, part: str) -> Row:
+async def death(scene: Stage, robot: RemoteRobot, notices: Notices, part: str) -> Row:
     """Kill a part and start it again; return what became of it."""
     function, name = _PARTS[part]
     if await running(robot, function, limit=2 * _LIMIT) is None:

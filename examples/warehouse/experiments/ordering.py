@@ -22,7 +22,7 @@ from experiment import FRAMEWORKS, Row, Tables, figures, options, progress, stag
 from warehouse_floor.link import FloorLink
 from warehouse_scene.placing import orders
 
-from uoarm.client import Client, connect
+from uoarm.client import RemoteRobot, connect
 
 _LOOK: Final = 0.005
 _MOVED: Final = 0.002
@@ -77,7 +77,7 @@ class Watched:
                     self._pose[name], self._since[name] = pose, now
             await asyncio.sleep(_LOOK)
 
-    async def see(self, robot: Client) -> None:
+    async def see(self, robot: RemoteRobot) -> None:
         """Go on until cancelled."""
         async for picture in await robot.request("floor"):
             self.picture = picture
@@ -107,7 +107,7 @@ class Watched:
         return found[0].removeprefix("transport").lower() if found else ""
 
 
-async def one(robot: Client, floor: Watched, order: dict[str, Any], found: Measured) -> None:
+async def one(robot: RemoteRobot, floor: Watched, order: dict[str, Any], found: Measured) -> None:
     """Place an order and follow it until its vehicle moves."""
     stood, begun = floor.stand(), time.monotonic()
     await robot.call("transport", order)

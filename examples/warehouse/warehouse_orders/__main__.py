@@ -18,7 +18,7 @@ from typing import Any, Final
 
 from warehouse_floor.layout import NODES
 
-from uoarm.client import Client, connect
+from uoarm.client import RemoteRobot, connect
 from uoarm.errors import UoarmError
 from warehouse_orders.coordinator import Command, Coordinator, Report
 from warehouse_orders.orders import Journal, Order, Reservation, Status, read_lines, replay
@@ -75,7 +75,7 @@ class Application:
                 print(f"no robot: {error}", flush=True)
             await asyncio.sleep(_AGAIN_SECONDS)
 
-    async def _with(self, robot: Client) -> None:
+    async def _with(self, robot: RemoteRobot) -> None:
         """Go on until the robot is gone."""
         shown = await robot.request("floor", receive=False)
         try:
@@ -102,7 +102,7 @@ class Application:
             await asyncio.gather(*self._tasks.values(), return_exceptions=True)
             self._tasks.clear()
 
-    async def _look(self, robot: Client) -> None:
+    async def _look(self, robot: RemoteRobot) -> None:
         """Open every vehicle that there is, and what takes its commands to its framework."""
         functions = await robot.functions()
         vehicles = [
@@ -124,7 +124,7 @@ class Application:
         else:
             work.close()
 
-    async def _hold(self, robot: Client, name: str) -> None:
+    async def _hold(self, robot: RemoteRobot, name: str) -> None:
         """Keep a function open of which nothing is read."""
         try:
             stream = await robot.request(name, receive=False, wait=_WAIT_SECONDS)
@@ -133,7 +133,7 @@ class Application:
         except UoarmError as error:
             self._report(name, error)
 
-    async def _hear(self, robot: Client, name: str) -> None:
+    async def _hear(self, robot: RemoteRobot, name: str) -> None:
         """Take what a vehicle says, as long as it can be had."""
         try:
             async with await robot.request(f"{name}.state", wait=_WAIT_SECONDS) as stream:
@@ -146,7 +146,7 @@ class Application:
         except UoarmError as error:
             self._report(name, error)
 
-    async def _weigh(self, robot: Client) -> None:
+    async def _weigh(self, robot: RemoteRobot) -> None:
         """Have every box weighed that arrived; one that cannot be is tried again later."""
         while box := self._weighing.due(self._coordinator.orders.values()):
             try:
@@ -158,7 +158,7 @@ class Application:
             await asyncio.to_thread(self._weighed.write, [line])
             self._weighing.take(box, found["mass"])
 
-    async def _light(self, robot: Client) -> None:
+    async def _light(self, robot: RemoteRobot) -> None:
         """Say again and again what the lamp shows."""
         try:
             async with await robot.request("lamp", receive=False, wait=_WAIT_SECONDS) as stream:

@@ -26,7 +26,7 @@ from uoarm import RobotManager
 from uoarm._wire import read_binary
 from uoarm.config import loads
 from uoarm.model import Budget, Spending
-from uoarm.server import Settings, serve_in_thread
+from uoarm.server import ServerOptions, serve_in_thread
 from uoarm.testing import patience
 
 SIZE = 921_600
@@ -62,7 +62,7 @@ def test_a_picture_of_ros_2_comes_out_as_ros_2_has_it(peer: Callable[..., Peer])
     robot = loads(CONFIGURATION, origin=str(Path(__file__).with_name("robot.yaml")))
     with (
         RobotManager(robot) as manager,
-        serve_in_thread(manager, Settings(port=0)) as server,
+        serve_in_thread(manager, ServerOptions(port=0)) as server,
         connect(f"ws://127.0.0.1:{server.ports[0]}/rosbridge", max_size=None) as client,
     ):
         wish = {"op": "subscribe", "topic": "/uoarm/pictures", "compression": "cbor-raw"}

@@ -19,7 +19,7 @@ from uoarm.bridge import Bridge
 from uoarm.cli import main
 from uoarm.config import loads
 from uoarm.model import Role
-from uoarm.server import Settings, serve_in_thread
+from uoarm.server import ServerOptions, serve_in_thread
 from uoarm.testing import patience
 
 ROBOT = f"""
@@ -131,7 +131,7 @@ def test_clients_of_rosbridge_share_messages_of_real_types() -> None:
     robot = loads(ROBOT, origin=str(Path(__file__).with_name("robot.yaml")))
     with (
         RobotManager(robot) as manager,
-        serve_in_thread(manager, Settings(port=0)) as server,
+        serve_in_thread(manager, ServerOptions(port=0)) as server,
         connect(f"ws://127.0.0.1:{server.ports[0]}/rosbridge") as client,
     ):
 

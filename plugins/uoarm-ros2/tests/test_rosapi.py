@@ -13,7 +13,7 @@ from websockets.sync.client import connect
 
 from uoarm import RobotManager
 from uoarm.config import loads
-from uoarm.server import Settings, serve_in_thread
+from uoarm.server import ServerOptions, serve_in_thread
 from uoarm.testing import patience
 
 pytest.importorskip("uoarm_rosbridge", reason="pip install -e plugins/uoarm-rosbridge")
@@ -59,7 +59,7 @@ def ask() -> Iterator[Send]:
     robot = loads(ROBOT, origin=str(Path(__file__).with_name("robot.yaml")))
     with (
         RobotManager(robot) as manager,
-        serve_in_thread(manager, Settings(port=0)) as server,
+        serve_in_thread(manager, ServerOptions(port=0)) as server,
         connect(f"ws://127.0.0.1:{server.ports[0]}/rosbridge") as client,
     ):
         for component in ("base", "imu", "flag", "fibonacci"):

@@ -11,7 +11,7 @@ from peers import DOMAIN, Peer
 
 from uoarm import RobotManager
 from uoarm.config import loads
-from uoarm.server import Settings, serve_in_thread
+from uoarm.server import ServerOptions, serve_in_thread
 
 CLIENT = Path(__file__).with_name("action_client.py")
 ADDRESS = "/fibonacci, test_msgs/action/Fibonacci"
@@ -39,7 +39,7 @@ def test_roslibpy_sends_goals_to_an_action(peer: Callable[..., Peer]) -> None:
     robot = loads(CONFIGURATION, origin=str(Path(__file__).with_name("robot.yaml")))
     with (
         RobotManager(robot) as manager,
-        serve_in_thread(manager, Settings(port=0)) as server,
+        serve_in_thread(manager, ServerOptions(port=0)) as server,
     ):
         url = f"ws://127.0.0.1:{server.ports[0]}/rosbridge"
         done = subprocess.run(
@@ -95,7 +95,7 @@ def test_fields_that_a_client_leaves_out_are_filled_as_by_rosbridge(
     robot = loads(FIELDS, origin=str(Path(__file__).with_name("robot.yaml")))
     with (
         RobotManager(robot) as manager,
-        serve_in_thread(manager, Settings(port=0)) as serving,
+        serve_in_thread(manager, ServerOptions(port=0)) as serving,
     ):
         url = f"ws://127.0.0.1:{serving.ports[0]}/rosbridge"
         done = subprocess.run(

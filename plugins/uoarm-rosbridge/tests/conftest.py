@@ -19,7 +19,7 @@ from ros import Enter, Ros, Serve, url
 
 from uoarm import RobotManager
 from uoarm.config import loads
-from uoarm.server import Limits, Server, Settings, serve_in_thread
+from uoarm.server import Limits, Server, ServerOptions, serve_in_thread
 
 # On a machine with other work everything is slow, which is no fault of what is drawn.
 _RELAXED = (HealthCheck.too_slow,)
@@ -51,7 +51,7 @@ def serve(robot: RobotManager) -> Iterator[Serve]:
     with ExitStack() as stack:
 
         def start(limits: Limits | None = None, **more: Any) -> Server:
-            chosen = Settings(port=0, limits=limits or Limits(), **more)
+            chosen = ServerOptions(port=0, limits=limits or Limits(), **more)
             return stack.enter_context(serve_in_thread(robot, chosen))
 
         yield start

@@ -72,7 +72,7 @@ def test_who_leaves_waits_no_longer(enter: Enter, robot: RobotManager, appear: A
     opened(robot, 0)
 
 
-def test_a_client_that_wants_errors_only_is_told_nothing(enter: Enter, appear: Appear) -> None:
+def test_a_client_that_wants_errors_only_gets_no_warning(enter: Enter, appear: Appear) -> None:
     client = enter()
     client.send(op="set_level", level="error")
     client.send(op="subscribe", topic="/uoarm/late")
@@ -93,12 +93,12 @@ def test_more_topics_than_threads_open_one_after_the_other(
         assert client.call("/rosapi/get_time")
 
 
-def test_types_of_what_appears_are_told_once_it_has(enter: Enter, appear: Appear) -> None:
+def test_types_of_what_appears_are_reported_once_it_has(enter: Enter, appear: Appear) -> None:
     client = enter()
 
     def types() -> dict[str, str]:
-        told = client.call("/rosapi/topics")
-        return dict(zip(told["topics"], told["types"], strict=True))
+        received = client.call("/rosapi/topics")
+        return dict(zip(received["topics"], received["types"], strict=True))
 
     eventually(lambda: types()["/uoarm/numbers"], "what can be had has its type")
     assert types()["/uoarm/late"] == ""

@@ -66,7 +66,7 @@ def test_what_comes_before_a_goal_is_accepted_is_not_lost(enter: Enter) -> None:
     assert result(client)["values"] == {"walked": Walker.HURRY}
 
 
-def test_feedback_that_cannot_be_written_is_told_once_and_is_no_result(enter: Enter) -> None:
+def test_feedback_that_cannot_be_written_is_reported_once_and_is_no_result(enter: Enter) -> None:
     client = enter()
     send(client, {"value": Walker.FAR}, feedback=True)
     status = client.receive()

@@ -9,7 +9,7 @@ from ros import Ros, url
 
 from uoarm import RobotManager
 from uoarm.config import loads
-from uoarm.server import Settings, serve_in_thread
+from uoarm.server import ServerOptions, serve_in_thread
 from uoarm.testing import MemoryBridge
 
 NUMBER = {"type": "object", "properties": {"data": {"type": "integer"}}}
@@ -34,33 +34,37 @@ def client() -> Iterator[Ros]:
     lab = MemoryBridge("lab", {})
     lab.emitter("/odom", NUMBER)
     robot = RobotManager(loads(ROBOT), bridges={"lab": lab})
-    with robot, serve_in_thread(robot, Settings(port=0)) as server, Ros(url(server)) as entered:
+    with (
+        robot,
+        serve_in_thread(robot, ServerOptions(port=0)) as server,
+        Ros(url(server)) as entered,
+    ):
         yield entered
 
 
 @pytest.mark.parametrize(
-    ("asked", "topic", "told"),
+    ("asked", "topic", "received"),
     [
         ("subscribe", "/odom", "/uoarm/odometry"),
         ("subscribe", "/heat", "/uoarm/drive/heat"),
         ("advertise", "/left", "/uoarm/drive/left"),
     ],
 )
-def test_a_topic_of_the_robot_s_framework_is_told_once(
-    client: Ros, asked: str, topic: str, told: str
+def test_a_topic_of_the_robot_s_framework_is_hinted_at_once(
+    client: Ros, asked: str, topic: str, received: str
 ) -> None:
     client.send(op=asked, topic=topic, type="std_msgs/Int32", id="one")
     assert client.receive() == {
         "op": "status",
         "level": "warning",
-        "msg": f"{topic}{BETWEEN}{told}",
+        "msg": f"{topic}{BETWEEN}{received}",
         "id": "one",
     }
     client.send(op=asked, topic=topic, type="std_msgs/Int32")
     assert client.call("/rosapi/get_time")["time"], "nothing more is told"
 
 
-def test_a_service_of_the_robot_s_framework_is_told(client: Ros) -> None:
+def test_a_service_of_the_robot_s_framework_is_hinted_at(client: Ros) -> None:
     client.send(op="call_service", service="/lamp", id="c")
     reports = client.receive()
     assert reports["result"] is False
@@ -70,7 +74,7 @@ def test_a_service_of_the_robot_s_framework_is_told(client: Ros) -> None:
     assert client.receive()["op"] == "call_service", "that of a client is called"
 
 
-def test_what_means_something_else_is_told_nothing(client: Ros) -> None:
+def test_what_means_something_else_gets_no_hint(client: Ros) -> None:
     client.send(op="advertise", topic="/odom", type="std_msgs/Int32")  # it takes nothing there
     client.send(op="subscribe", topic="/chatter", type="std_msgs/Int32")
     assert client.call("/rosapi/get_time")["time"]

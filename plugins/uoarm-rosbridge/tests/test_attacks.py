@@ -56,10 +56,10 @@ def test_it_is_refused_and_the_session_goes_on(
         for frame in frames():
             client.socket.send(frame)
         client.send(op="call_service", service="/rosapi/get_time", id="last")
-        told = [client.receive() for _ in range(2)]
-    assert [one["op"] for one in told] == ["status", "service_response"]
-    assert told[-1]["result"] is True
-    assert all(len(json.dumps(one)) < 600 for one in told)
+        received = [client.receive() for _ in range(2)]
+    assert [one["op"] for one in received] == ["status", "service_response"]
+    assert received[-1]["result"] is True
+    assert all(len(json.dumps(one)) < 600 for one in received)
 
 
 def resident() -> int:

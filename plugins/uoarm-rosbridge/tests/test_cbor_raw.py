@@ -83,7 +83,7 @@ def test_what_has_no_layout_is_refused_and_nothing_stays_open(
         opened(robot, 1)
 
 
-def test_a_message_that_does_not_fit_is_told_once(enter: Enter, robot: RobotManager) -> None:
+def test_a_message_that_does_not_fit_is_reported_once(enter: Enter, robot: RobotManager) -> None:
     client = enter()
     client.send(op="subscribe", topic="/uoarm/numbers", compression="cbor-raw")
     opened(robot, 1)

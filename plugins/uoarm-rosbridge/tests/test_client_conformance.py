@@ -14,7 +14,7 @@ from ros import Ros
 from uoarm import RobotManager
 from uoarm.config import loads
 from uoarm.model import BridgeSpec, Endpoint, Message, Role
-from uoarm.server import Settings, serve_in_thread
+from uoarm.server import ServerOptions, serve_in_thread
 from uoarm.testing import patience, wait
 from uoarm.testing.conformance import BridgeConformance, Pair, Retained, Served, Victim, World
 
@@ -41,7 +41,7 @@ class ServedRobot:
 
     def start(self) -> None:
         server = self._serving.enter_context(
-            serve_in_thread(self._manager, Settings(port=self.port))
+            serve_in_thread(self._manager, ServerOptions(port=self.port))
         )
         self.port = server.ports[0]
         # What a function's type is a server knows when it has looked.

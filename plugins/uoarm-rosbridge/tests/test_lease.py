@@ -13,7 +13,7 @@ from uoarm import RobotManager
 from uoarm.bridge import Registry
 from uoarm.config import loads
 from uoarm.model import LeaseHolder
-from uoarm.server import Server, Settings, hash_token, make_token, serve_in_thread
+from uoarm.server import Server, ServerOptions, hash_token, make_token, serve_in_thread
 from uoarm.testing import MemoryBridge, wait
 from uoarm.testing._memory_components import Taker
 
@@ -66,7 +66,7 @@ def server(robot: RobotManager, tmp_path: Path) -> Iterator[Server]:
     access = tmp_path / "access.yaml"
     hashes = {name: hash_token(token) for name, token in TOKENS.items()}
     access.write_text(ACCESS.format(**hashes), encoding="utf-8")
-    with serve_in_thread(robot, Settings(port=0, access=access)) as server:
+    with serve_in_thread(robot, ServerOptions(port=0, access=access)) as server:
         yield server
 
 

@@ -14,7 +14,7 @@ from uoarm import RobotManager
 from uoarm.server import Limits, Server
 from uoarm.server.streams import _feed_registry
 from uoarm.server.streams._feed import Feed
-from uoarm.server.streams._loop_mailbox import LoopMailbox
+from uoarm.server.streams._workers import LoopMailbox
 from uoarm.testing import patience
 
 
@@ -77,8 +77,13 @@ def test_a_latched_message_goes_with_the_client_that_published_it(enter: Enter) 
 def test_messages_held_back_for_a_slow_rate_are_bounded_in_octets(serve: Serve) -> None:
     server = serve(Limits(queue_bytes=500_000))
     with Ros(url(server)) as listener, Ros(url(server)) as publisher:
-        wish = {"op": "subscribe", "topic": "/t", "throttle_rate": 60_000, "queue_length": 50_000}
-        listener.send(**wish)
+        options = {
+            "op": "subscribe",
+            "topic": "/t",
+            "throttle_rate": 60_000,
+            "queue_length": 50_000,
+        }
+        listener.send(**options)
         listener.call("/rosapi/get_time", {})
         for _ in range(30):
             publisher.send(op="publish", topic="/t", msg={"data": "x" * 100_000})

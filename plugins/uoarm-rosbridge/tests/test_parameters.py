@@ -6,7 +6,7 @@ import json
 
 import pytest
 from ros import Enter
-from uoarm_rosbridge._parameters import Parameters
+from uoarm_rosbridge._hub import Parameters
 
 from uoarm.server.front_end import LimitError
 
@@ -25,7 +25,7 @@ def test_what_one_client_sets_another_reads(enter: Enter) -> None:
     assert setter.call("/rosapi/has_param", {"name": "drive"}) == {"exists": False}
 
 
-def test_what_nobody_set_is_null_or_has_the_default(enter: Enter) -> None:
+def test_what_was_never_set_is_null_or_has_the_default(enter: Enter) -> None:
     client = enter()
     absent = client.call("/rosapi/get_param", {"name": "x"})
     assert (absent["value"], absent["successful"]) == ("null", False)

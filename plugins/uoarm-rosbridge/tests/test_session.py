@@ -14,8 +14,8 @@ from components import END, script
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from ros import Enter, Ros, Serve, end, eventually, opened, url
-from uoarm_rosbridge._fragments import Fragments
-from uoarm_rosbridge._publication import Publication
+from uoarm_rosbridge._publication import ClientPublication
+from uoarm_rosbridge._wire import Fragments
 
 from uoarm import RobotManager
 from uoarm.errors import ControlMessageError
@@ -35,7 +35,9 @@ def test_a_function_is_a_topic(enter: Enter, robot: RobotManager) -> None:
 
 
 @pytest.mark.parametrize("op", ["subscribe", "advertise"])
-def test_another_type_than_that_of_ros_is_told(enter: Enter, robot: RobotManager, op: str) -> None:
+def test_another_type_than_that_of_ros_is_reported(
+    enter: Enter, robot: RobotManager, op: str
+) -> None:
     client = enter()
     text = client.refused(op=op, id="1", topic="/uoarm/typed", type="std_msgs/String")
     assert "has the type 'std_msgs/msg/Int32', not 'std_msgs/String'" in text
@@ -44,7 +46,7 @@ def test_another_type_than_that_of_ros_is_told(enter: Enter, robot: RobotManager
     opened(robot, 1)
 
 
-def test_another_type_than_that_of_the_publisher_is_told(enter: Enter) -> None:
+def test_another_type_than_that_of_the_publisher_is_reported(enter: Enter) -> None:
     client, publisher = enter(), enter()
     publisher.send(op="advertise", topic="/chatter", type="std_msgs/msg/String")
     publisher.send(op="publish", topic="/chatter", msg={"data": "a"}, latch=True)
@@ -74,10 +76,10 @@ def test_cbor_where_it_is_asked_for(enter: Enter, robot: RobotManager) -> None:
     assert client.messages(1) == [{"width": 1, "data": bytes(5000)}]
 
 
-def unpacked(told: dict[str, Any]) -> Any:
+def unpacked(received: dict[str, Any]) -> Any:
     cv2 = pytest.importorskip("cv2")
-    assert told["op"] == "png"
-    octets = np.frombuffer(base64.b64decode(told["data"]), np.uint8)
+    assert received["op"] == "png"
+    octets = np.frombuffer(base64.b64decode(received["data"]), np.uint8)
     picture = cv2.imdecode(octets, cv2.IMREAD_COLOR)
     assert picture is not None
     return json.loads(cv2.cvtColor(picture, cv2.COLOR_BGR2RGB).tobytes())
@@ -303,7 +305,7 @@ def test_a_slow_call_holds_up_nothing(enter: Enter) -> None:
         (b"\x80\x04", "a binary frame"),
     ],
 )
-def test_every_mistake_is_told(enter: Enter, frame: str | bytes, said: str) -> None:
+def test_every_mistake_is_reported(enter: Enter, frame: str | bytes, said: str) -> None:
     client = enter()
     client.socket.send(frame)
     status = client.receive()
@@ -312,7 +314,7 @@ def test_every_mistake_is_told(enter: Enter, frame: str | bytes, said: str) -> N
     assert client.call("/rosapi/get_time")["time"]["secs"] > 0
 
 
-def test_a_client_can_ask_not_to_be_told(enter: Enter) -> None:
+def test_a_client_can_ask_for_no_status(enter: Enter) -> None:
     client = enter()
     client.send(op="set_level", level="none")
     client.send(op="dance")
@@ -361,7 +363,7 @@ def test_clients_provide_services_to_one_another(enter: Enter) -> None:
         ("{", "the last answer of the client that provides it"),
     ],
 )
-def test_who_waits_in_vain_is_told_which_answer_was_refused(
+def test_a_client_that_waits_learns_which_answer_was_refused(
     enter: Enter, answer: str, why: str
 ) -> None:
     provider, caller = enter(), enter()
@@ -462,7 +464,7 @@ def test_the_level_of_status_messages_can_be_set_back(enter: Enter) -> None:
     assert "unknown op" in client.refused(op="dance", id="second")
 
 
-def test_the_end_of_a_function_is_told(enter: Enter, robot: RobotManager) -> None:
+def test_the_end_of_a_function_is_reported(enter: Enter, robot: RobotManager) -> None:
     client = enter()
     client.send(op="subscribe", id="s", topic="/uoarm/numbers")
     opened(robot, 1)
@@ -474,7 +476,7 @@ def test_the_end_of_a_function_is_told(enter: Enter, robot: RobotManager) -> Non
 
 
 @pytest.mark.parametrize("op", ["subscribe", "publish"])
-def test_an_opening_that_fails_as_nobody_foresaw_is_told(
+def test_an_opening_that_fails_unexpectedly_is_reported(
     enter: Enter, robot: RobotManager, monkeypatch: pytest.MonkeyPatch, op: str
 ) -> None:
     def fail(*asked: object, **options: object) -> NoReturn:
@@ -499,7 +501,7 @@ def test_an_input_whose_function_ended_leaves_nothing(enter: Enter, robot: Robot
 
 def publications() -> list[object]:
     gc.collect()
-    return [object_ for object_ in gc.get_objects() if isinstance(object_, Publication)]
+    return [object_ for object_ in gc.get_objects() if isinstance(object_, ClientPublication)]
 
 
 def test_rosapi_shows_functions_and_components(enter: Enter) -> None:

@@ -14,14 +14,14 @@ from hypothesis import strategies as st
 from ros import Ros, eventually, url
 from uoarm_rosbridge._arguments import read_arguments
 from uoarm_rosbridge._hub import Hub
-from uoarm_rosbridge._shared_publication import SharedPublication
+from uoarm_rosbridge._publication import SharedPublication
 
 from uoarm import RobotManager
 from uoarm.bridge import BridgeType, Registry
 from uoarm.config import loads
 from uoarm.errors import MessageError, UoarmError
 from uoarm.model import Message, MessageStructure, Options
-from uoarm.server import Limits, Settings, serve_in_thread
+from uoarm.server import Limits, ServerOptions, serve_in_thread
 from uoarm.server.front_end import Backend, Client, Envelope
 from uoarm.testing import MemoryBridge, patience
 
@@ -92,7 +92,7 @@ def pair(types: Types) -> Iterator[tuple[Ros, Ros]]:
     robot = loads("{version: 1, bridges: {named: {}}, functions: {}}", types=registry.types)
     with ExitStack() as stack:
         manager = stack.enter_context(RobotManager(robot, registry=registry))
-        settings = Settings(port=0, limits=Limits())
+        settings = ServerOptions(port=0, limits=Limits())
         server = stack.enter_context(serve_in_thread(manager, settings))
         speaker, listener = (stack.enter_context(Ros(url(server))) for _ in range(2))
         yield speaker, listener
@@ -141,7 +141,7 @@ def test_the_times_of_ros_1_are_understood(pair: tuple[Ros, Ros]) -> None:
 
 
 @pytest.mark.parametrize(
-    ("message", "told"),
+    ("message", "received"),
     [
         ({"linear": {"x": "fast"}}, f"$.linear.x: expected a {FLOAT}, got 'fast'"),
         ({"linear": {"x": None}}, "linear.x: expected a number, got nothing"),
@@ -149,8 +149,8 @@ def test_the_times_of_ros_1_are_understood(pair: tuple[Ros, Ros]) -> None:
         ({"other": 1}, "other: unknown field (known fields: linear, octets, stamp)"),
     ],
 )  # fmt: skip
-def test_what_does_not_fit_goes_nowhere_and_is_told(
-    pair: tuple[Ros, Ros], message: object, told: str
+def test_what_does_not_fit_goes_nowhere_and_is_reported(
+    pair: tuple[Ros, Ros], message: object, received: str
 ) -> None:
     speaker, listener = pair
     listen(listener)
@@ -158,11 +158,11 @@ def test_what_does_not_fit_goes_nowhere_and_is_told(
     publish(speaker, message, WHOLE)
     status = speaker.receive()
     assert (status["op"], status["level"], status["id"]) == ("status", "error", "0")
-    assert status["msg"] == f"message: /talk: {told}"
+    assert status["msg"] == f"message: /talk: {received}"
     assert listener.messages(1) == [WHOLE]
 
 
-def test_a_type_that_nobody_knows_is_not_checked(pair: tuple[Ros, Ros], types: Types) -> None:
+def test_an_unknown_type_is_not_checked(pair: tuple[Ros, Ros], types: Types) -> None:
     speaker, listener = pair
     listen(listener)
     speaker.send(op="advertise", topic="/talk", type="other/msg/Thing")
@@ -285,7 +285,7 @@ steps = st.lists(
 
 
 @given(steps, st.lists(st.integers(0, 5)), st.sampled_from(["geo/msg/Twist", "other", ""]))
-def test_each_message_goes_on_once_in_its_order_or_is_told(
+def test_each_message_goes_on_once_in_its_order_or_is_reported(
     steps: list[tuple[str, int, int]], pauses: list[int], kind: str
 ) -> None:
     world = World(iter(pauses))

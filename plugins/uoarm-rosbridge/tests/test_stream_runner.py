@@ -8,8 +8,7 @@ from typing import cast
 
 from attrs import define, field
 from components import CONFIGURATION
-from uoarm_rosbridge._goal import Goal
-from uoarm_rosbridge._stream_runner import StreamRunner
+from uoarm_rosbridge._runners import Goal, StreamRunner
 
 from uoarm import Connection
 from uoarm.config import loads
@@ -109,9 +108,9 @@ def test_what_came_early_is_forgotten_with_the_provider_that_sent_it() -> None:
     async def work() -> None:
         backend = Feeds(opened())
         runner = StreamRunner("walk", cast("Backend", backend))
-        heard: list[object] = []
+        received: list[object] = []
         for feedback in ("before", "after"):
-            runner.start(Goal({}, heard.append, lambda *_: None, lambda _: None))
+            runner.start(Goal({}, received.append, lambda *_: None, lambda _: None))
             await turns()
             backend.feeds["feedback"].take({"goal_id": "1", "feedback": feedback})
             await turns()
@@ -120,7 +119,7 @@ def test_what_came_early_is_forgotten_with_the_provider_that_sent_it() -> None:
                 backend.feeds = opened()
         backend.feeds["status"].take({"goal_id": "1", "status": "accepted"})
         await turns()
-        assert heard == ["after"]
+        assert received == ["after"]
 
     asyncio.run(asyncio.wait_for(work(), patience()))
 

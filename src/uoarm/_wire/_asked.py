@@ -33,7 +33,7 @@ _QUICK = {"op", "type", "id", "jsonMessage"}
 _MAX_ID = 128
 _MAX_NAME = 256
 _SHOWN = 200
-_MOST_TOLD = 5
+_MOST_REPORTED = 5
 # Of a control message without the message in it: the schema check takes its time, and quotes.
 _MAX_FIELDS = 64
 _MAX_OCTETS = 1_048_576
@@ -68,7 +68,7 @@ def check_asked(fields: Mapping[str, Any]) -> ControlMessage:
             ": ".join(
                 filter(None, (".".join(map(str, error.absolute_path)), error.message[:_SHOWN]))
             )
-            for error in islice(_validator(op).iter_errors(envelope), _MOST_TOLD)
+            for error in islice(_validator(op).iter_errors(envelope), _MOST_REPORTED)
         ]
         if reports:
             raise ControlMessageError(f"{op}: {'; '.join(reports)}")

@@ -7,12 +7,11 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, final
 
 from uoarm._wire._binary import join_list, join_map, read_binary, write_binary
-from uoarm._wire._text import read_text, write_text, write_text_parts
-from uoarm._wire._text_structure import make_reader, text_schema
+from uoarm._wire._text import make_reader, read_text, text_schema, write_text, write_text_parts
 from uoarm.errors import ControlMessageError, MessageError
 from uoarm.model import Message, Schema, Spending
 
-__all__ = ["BINARY_FORM", "FORMS", "TEXT_FORM", "Form", "write_or_tell"]
+__all__ = ["BINARY_FORM", "FORMS", "TEXT_FORM", "Form", "write_or_error"]
 
 
 class Form(ABC):
@@ -147,7 +146,7 @@ def _fields(value: Any) -> Mapping[str, Any]:
     raise ControlMessageError(f"expected an object, got {type(value).__name__}")
 
 
-def write_or_tell(form: Form, reply: Mapping[str, Any]) -> bytes:
+def write_or_error(form: Form, reply: Mapping[str, Any]) -> bytes:
     """Return an answer on the wire; where its message has no form, an Error that says so."""
     try:
         return form.write(reply)

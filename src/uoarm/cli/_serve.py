@@ -31,7 +31,7 @@ from uoarm.cli._shared import (
 from uoarm.errors import UoarmError
 
 if TYPE_CHECKING:
-    from uoarm.server import Server, Settings
+    from uoarm.server import Server, ServerOptions
 
 __all__ = [
     "cannot_listen",
@@ -135,8 +135,8 @@ def serve(
     stop_file = stop_file_of(file)
     with open_robot(file, stop_file) as manager:
         with needing("server"):
-            from uoarm.server import Settings, run  # noqa: PLC0415 - an extra, and slow
-        chosen = Settings(own_certificate=tls is not None, front_end_ports=ports, **settings)
+            from uoarm.server import ServerOptions, run  # noqa: PLC0415 - an extra, and slow
+        chosen = ServerOptions(own_certificate=tls is not None, front_end_ports=ports, **settings)
         if manager.is_stopped:
             click.echo(f"{_BEGINS_STOPPED}: {stop_file}", err=True)
         manager.offer(timeout=0)  # what fails is in the log and in the status
@@ -291,7 +291,7 @@ def _name_and_port(given: str) -> tuple[str, int]:
     return name, int(port)
 
 
-def say(server: Server, settings: Settings, *, err: bool = False) -> None:
+def say(server: Server, settings: ServerOptions, *, err: bool = False) -> None:
     """Tell where a server listens, as addresses that can be opened, and what clients need."""
     from uoarm.server import fingerprint_of  # noqa: PLC0415 - an extra, and slow
 

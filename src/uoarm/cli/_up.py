@@ -66,13 +66,13 @@ def up(
     """
     registry = Registry()
     with reporting(), needing("server"):
-        from uoarm.server import Settings, run  # noqa: PLC0415 - an extra, and slow
+        from uoarm.server import ServerOptions, run  # noqa: PLC0415 - an extra, and slow
 
         given = Robot({}, {}) if file is None else load(file, registry.types)
         robot = with_every_plugin(given, registry)
         stop_file = stop_file_of(file or "uoarm up")
         with RobotManager(robot, registry=registry, stop_file=stop_file) as manager:
-            chosen = Settings(host=host, port=port, access=access)
+            chosen = ServerOptions(host=host, port=port, access=access)
             follower = _Follower(manager, unfed=unfed, as_json=as_json)
             manager.offer(timeout=0)  # what fails is in the log and in the status
             try:

@@ -3,8 +3,8 @@
 Needs the packages of the extra `server`.
 """
 
-from uoarm.client._client import Client, ServerError, connect
+from uoarm.client._client import RemoteRobot, ServerError, connect
+from uoarm.client._link import trust_fingerprint
 from uoarm.client._stream import RemoteStream
-from uoarm.client._trust import trust_fingerprint
 
-__all__ = ["Client", "RemoteStream", "ServerError", "connect", "trust_fingerprint"]
+__all__ = ["RemoteRobot", "RemoteStream", "ServerError", "connect", "trust_fingerprint"]

@@ -24,10 +24,10 @@ from uoarm.client._link import LARGEST, Link, Open
 from uoarm.client._stream import RemoteStream
 from uoarm.model import Message, QueuePolicy, StatusEvent, ValidationMode, tell_trouble
 
-__all__ = ["Client", "ServerError", "connect"]
+__all__ = ["RemoteRobot", "ServerError", "connect"]
 
 _HELD = 1024
-_TROUBLE_SECONDS = 1.0
+_DIAGNOSIS_SECONDS = 1.0
 _Changes: TypeAlias = "asyncio.Queue[StatusEvent | None]"
 _KEYS: Mapping[str, Callable[[Mapping[str, Any]], Any]] = {
     "components": lambda entry: entry["name"],
@@ -77,7 +77,7 @@ async def connect(
     timeout: float = 10.0,
     resume: bool = True,
     reconnect: float = 60.0,
-) -> AsyncIterator[Client]:
+) -> AsyncIterator[RemoteRobot]:
     """Connect to a server for the length of a block.
 
     Args:
@@ -114,7 +114,7 @@ async def connect(
             **secured,
         )
 
-    client = Client(opening, form, reconnect)
+    client = RemoteRobot(opening, form, reconnect)
     await client.start(resume=resume)
     reading = asyncio.ensure_future(client.read())
     try:
@@ -127,7 +127,7 @@ async def connect(
 
 
 @final
-class Client:
+class RemoteRobot:
     """A robot elsewhere. Made by `connect`; all methods in the loop in which it was made."""
 
     def __init__(self, opening: Open, form: Form, reconnect: float = 0.0) -> None:
@@ -363,10 +363,10 @@ class Client:
         self._status = _merged_status(known, await self._ask("Status", **since))
         return self._status
 
-    async def _trouble(self, connection: str) -> str:
+    async def _diagnose(self, connection: str) -> str:
         """Say what keeps messages from coming, as far as the server says so at once."""
         with suppress(errors.UoarmError, asyncio.TimeoutError):
-            return tell_trouble(await result_within(_TROUBLE_SECONDS, self.status()), connection)
+            return tell_trouble(await result_within(_DIAGNOSIS_SECONDS, self.status()), connection)
         return ""
 
     async def watch(self) -> AsyncIterator[StatusEvent]:
@@ -401,7 +401,7 @@ class Client:
             self._fail(self._link.closed)
             for stream in {*self._streams.values(), *self._away}:
                 stream.finish("failed", self._link.closed)
-            self._tell_watchers(None)
+            self._notify_watchers(None)
 
     def _fail(self, cause: str) -> None:
         """Fail everything that waits for an answer, which will not come."""
@@ -475,17 +475,17 @@ class Client:
             if asked.answer.done() and not asked.answer.cancelled():
                 asked.answer.exception()  # it is seen, also where sending failed before
 
-    def _take(self, told: Mapping[str, Any]) -> None:
-        op, message = told["op"], told.get("jsonMessage")
+    def _take(self, received: Mapping[str, Any]) -> None:
+        op, message = received["op"], received.get("jsonMessage")
         if op == "Data":
-            stream = self._streams.get(told["type"])
+            stream = self._streams.get(received["type"])
             if stream is not None:
-                number = None if told.get("x-standing") else told["x-number"]
+                number = None if received.get("x-standing") else received["x-number"]
                 stream.take(number, message)
         elif op == "Status":
-            self._take_status(told["type"], message)
+            self._take_status(received["type"], message)
         else:
-            self._take_answer(told, message)
+            self._take_answer(received, message)
 
     def _take_status(self, kind: str, message: Message) -> None:
         if kind == "hello":
@@ -495,28 +495,28 @@ class Client:
             if stream is not None:
                 stream.finish(message["state"], message["cause"])
         elif kind == "change":
-            self._tell_watchers(StatusEvent(**message))
+            self._notify_watchers(StatusEvent(**message))
 
-    def _tell_watchers(self, change: StatusEvent | None) -> None:
+    def _notify_watchers(self, change: StatusEvent | None) -> None:
         for watcher in self._watchers:
             if watcher.full():
                 watcher.get_nowait()
             watcher.put_nowait(change)
 
-    def _take_answer(self, told: Mapping[str, Any], message: Message) -> None:
-        asked = self._asked.get(told.get("id", ""))
-        stream = self._streams.get(told.get("type", ""))
-        if told["op"] == "Error" and "id" not in told and stream is not None:
+    def _take_answer(self, received: Mapping[str, Any], message: Message) -> None:
+        asked = self._asked.get(received.get("id", ""))
+        stream = self._streams.get(received.get("type", ""))
+        if received["op"] == "Error" and "id" not in received and stream is not None:
             stream.refuse(message["text"])  # one of its messages could not be written
         if asked is None or asked.answer.done():
             return
-        if told["op"] == "Error":
+        if received["op"] == "Error":
             asked.answer.set_exception(_error(message["code"], message["text"]))
         elif asked.fields["op"] == "Request":
             # Made here, since the first message may follow before whoever asked has woken.
             stream = asked.renewed
             if stream is None:
-                stream = RemoteStream(message, asked.fields, self._ask, self._trouble, _HELD)
+                stream = RemoteStream(message, asked.fields, self._ask, self._diagnose, _HELD)
             else:
                 stream.renew(message)
             self._away.discard(stream)
@@ -524,19 +524,19 @@ class Client:
             asked.answer.set_result(stream)
         else:
             if asked.fields["op"] == "Kill":
-                self._streams.pop(told["type"], None)
+                self._streams.pop(received["type"], None)
             asked.answer.set_result(message)
 
 
-def _merged_status(known: Mapping[str, Any], told: Mapping[str, Any]) -> Mapping[str, Any]:
+def _merged_status(known: Mapping[str, Any], received: Mapping[str, Any]) -> Mapping[str, Any]:
     """Return the whole status map, of the one that is known and the changes since then."""
-    if "since" not in told:
-        return told
-    elapsed = told["elapsed"]
-    merged = {**known, **told}
+    if "since" not in received:
+        return received
+    elapsed = received["elapsed"]
+    merged = {**known, **received}
     del merged["since"], merged["elapsed"]
     for part, key_of in _KEYS.items():
-        change = told.get(part, {})
+        change = received.get(part, {})
         if isinstance(change, list):
             continue
         entries = {key_of(entry): entry for entry in known[part]}

@@ -6,9 +6,13 @@ Where the session is gone, as after a restart of the server, a new one is begun,
 from __future__ import annotations
 
 import asyncio
+import hashlib
+import hmac
 import random
+import ssl
 from collections.abc import Awaitable, Callable, Mapping
 from typing import Any
+from urllib.parse import urlsplit
 
 from websockets.asyncio.client import ClientConnection
 from websockets.exceptions import ConnectionClosed, InvalidHandshake, InvalidStatus
@@ -16,10 +20,10 @@ from websockets.frames import CloseCode
 
 from uoarm._deadlines import result_within
 from uoarm._wire import Form
-from uoarm.errors import ConnectionClosedError, ControlMessageError
+from uoarm.errors import ConnectionClosedError, ControlMessageError, UsageError
 from uoarm.model import Budget, Spending
 
-__all__ = ["LARGEST", "Link", "Open", "Take"]
+__all__ = ["LARGEST", "Link", "Open", "Take", "trust_fingerprint"]
 
 # A server is believed more than a client is, but what it sends is bounded, too.
 LARGEST = Budget(octets=268_435_456, elements=2_000_000, depth=512, dimensions=32)
@@ -135,7 +139,7 @@ class Link:
         assert self._socket is not None, "start comes first"
         try:
             async for frame in self._socket:
-                self._hear(self._form.read(frame, Spending(LARGEST)))
+                self._receive(self._form.read(frame, Spending(LARGEST)))
         except ConnectionClosed as error:
             self._is_final = error.rcvd is not None and error.rcvd.code in _FINAL
             if error.rcvd is not None or not self._key:
@@ -181,7 +185,7 @@ class Link:
         """Connect, and take the greeting of a new session."""
         socket = await self._open()
         try:
-            self._hear(self._form.read(await socket.recv(), Spending(LARGEST)))
+            self._receive(self._form.read(await socket.recv(), Spending(LARGEST)))
             if self._resume:
                 await self._write(socket, {"op": "Resume", "id": _KEEP})
         except BaseException:
@@ -236,24 +240,24 @@ class Link:
         while (report := self._form.read(await socket.recv(), Spending(LARGEST))).get(
             "id"
         ) != _RESUME:
-            self._hear(report)
+            self._receive(report)
         if report["op"] != "Reply":
             return str(report["jsonMessage"]["text"])
         for identity in beyond:
             lost = {"code": "closed", "text": "too much waited when the connection dropped"}
-            self._hear({"op": "Error", "id": identity, "jsonMessage": lost})
+            self._receive({"op": "Error", "id": identity, "jsonMessage": lost})
         return ""
 
-    def _hear(self, told: Mapping[str, Any]) -> None:
-        identity = told.get("id")
+    def _receive(self, received: Mapping[str, Any]) -> None:
+        identity = received.get("id")
         if identity == _KEEP:
-            if told["op"] == "Reply":
-                self._key = told["jsonMessage"]["key"]
-                self._seconds = told["jsonMessage"]["seconds"]
+            if received["op"] == "Reply":
+                self._key = received["jsonMessage"]["key"]
+                self._seconds = received["jsonMessage"]["seconds"]
             return
         if identity is not None:
             self._unanswered.pop(identity, None)
-        self._take(told)
+        self._take(received)
 
     async def _write(self, socket: ClientConnection, fields: Mapping[str, Any]) -> None:
         await socket.send(self._form.write(fields), text=self._form.text)
@@ -261,3 +265,51 @@ class Link:
 
 def _strange(error: Exception) -> str:
     return f"the server sent what is no message: {type(error).__name__}: {str(error)[:200]}"
+
+
+_PORT = 443
+
+
+def trust_fingerprint(url: str, fingerprint: str, *, timeout: float = 10.0) -> ssl.SSLContext:
+    """Return a TLS context that trusts the certificate of this server, and no other.
+
+    The server is asked for its certificate once, over a connection of its own on which nothing
+    else is told. Blocks.
+
+    Args:
+        url: `wss://HOST:PORT/`.
+        fingerprint: SHA-256 of its certificate as `uoarm serve --tls auto` prints it and browsers
+            show it: 64 hexadecimal digits, colons between them or not.
+        timeout: seconds for asking.
+
+    Raises:
+        UsageError: the fingerprint or the address is none.
+        ssl.SSLCertVerificationError: the server has another certificate.
+        OSError: nobody listens there, or no TLS is spoken.
+    """
+    wanted = fingerprint.replace(":", "").lower()
+    if len(wanted) != hashlib.sha256().digest_size * 2 or set(wanted) - set("0123456789abcdef"):
+        raise UsageError(f"fingerprint: expected SHA-256, 64 hexadecimal digits, got {fingerprint}")
+    certificate = ssl.get_server_certificate(_place(url), timeout=timeout)
+    digest = hashlib.sha256(ssl.PEM_cert_to_DER_cert(certificate)).hexdigest()
+    if not hmac.compare_digest(digest, wanted):
+        error = ssl.SSLCertVerificationError("the server's certificate is another")
+        error.verify_message = f"its fingerprint is {digest}, not the one that is wanted"
+        raise error
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
+    context.check_hostname = False  # the certificate itself is known, whatever names it has
+    context.verify_flags |= ssl.VERIFY_X509_PARTIAL_CHAIN
+    context.load_verify_locations(cadata=certificate)
+    return context
+
+
+def _place(url: str) -> tuple[str, int]:
+    address = urlsplit(url)
+    try:
+        port = address.port or _PORT
+    except ValueError:  # beyond 65535
+        port = None
+    if address.scheme != "wss" or not address.hostname or port is None:
+        wanted = "expected wss://HOST:PORT/"
+        raise UsageError(f"a fingerprint is of a server with TLS: {wanted}, got {url}")
+    return address.hostname, port

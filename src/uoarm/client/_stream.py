@@ -44,11 +44,11 @@ class RemoteStream(Generic[T]):
         opened: Mapping[str, Any],
         request: Mapping[str, Any],
         ask: Ask,
-        trouble: Callable[[str], Awaitable[str]],
+        diagnosis: Callable[[str], Awaitable[str]],
         length: int,
     ) -> None:
         self.request = request
-        self._trouble = trouble
+        self._diagnose = diagnosis
         self.lost = 0
         self.gaps = 0
         self.state = "open"
@@ -75,7 +75,7 @@ class RemoteStream(Generic[T]):
         return self.state != "open"
 
     def renew(self, opened: Mapping[str, Any]) -> None:
-        """Go on as another connection, of a server that has begun anew; `Client` does it."""
+        """Go on as another connection, of a server that has begun anew; `RemoteRobot` does it."""
         self._describe(opened)
         self._is_away = False
         self._taken = None
@@ -107,12 +107,12 @@ class RemoteStream(Generic[T]):
                 text = f"connection {self.connection} is {self.state}: {self.cause}"
                 raise ConnectionClosedError(text)
             if deadline is not None and loop.time() >= deadline:
-                trouble = "" if not timeout else await self._trouble(self.connection)
+                diagnosis = "" if not timeout else await self._diagnose(self.connection)
                 if self._refusal:
-                    trouble += f"; the server could not send the last message: {self._refusal}"
+                    diagnosis += f"; the server could not send the last message: {self._refusal}"
                 if self._waiting or self.ended:  # meanwhile
                     continue
-                raise TimeoutError(f"no message within {timeout:g} s{trouble}")
+                raise TimeoutError(f"no message within {timeout:g} s{diagnosis}")
             self._changed.clear()
             await event_by(self._changed, deadline)
         session, number, message = self._waiting.popleft()

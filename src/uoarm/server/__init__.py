@@ -4,16 +4,16 @@ Needs the packages of the extra `server`.
 """
 
 from uoarm.server._limits import Limits
+from uoarm.server._options import ServerOptions
 from uoarm.server._running import run, serve_in_thread
 from uoarm.server._server import Server
-from uoarm.server._settings import Settings
 from uoarm.server.access import hash_token, make_token
 from uoarm.server.http import fingerprint_of
 
 __all__ = [
     "Limits",
     "Server",
-    "Settings",
+    "ServerOptions",
     "fingerprint_of",
     "hash_token",
     "make_token",

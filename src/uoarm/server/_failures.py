@@ -9,7 +9,7 @@ from typing import TypeAlias
 from uoarm import errors
 from uoarm.server.access import DeniedError
 
-__all__ = ["BusyError", "LimitError", "UnknownError", "code_of", "tell_error", "without_frames"]
+__all__ = ["BusyError", "LimitError", "UnknownError", "code_of", "error_text", "without_frames"]
 
 _log = logging.getLogger("uoarm.server")
 
@@ -67,7 +67,7 @@ def without_frames(error: Exception) -> Exception:
     return error.with_traceback(None)
 
 
-def tell_error(error: BaseException) -> str:
+def error_text(error: BaseException) -> str:
     """Return an error's text; of one that nobody foresaw, log it and say no more than that."""
     if isinstance(error, errors.UoarmError):
         return str(error)

@@ -20,8 +20,8 @@ from uoarm._deadlines import result_within
 from uoarm._forks import at_exit, default_in_children
 from uoarm._raised import ContainedError, foreign
 from uoarm._switch_interval import short_switch_interval
+from uoarm.server._options import ServerOptions
 from uoarm.server._server import Server
-from uoarm.server._settings import Settings
 from uoarm.server.front_end import FrontEnd
 from uoarm.server.http import NoRoomError
 
@@ -38,7 +38,7 @@ _SIGNALS = (signal.SIGINT, signal.SIGTERM)
 @arguments()
 def run(
     robot: RobotManager,
-    settings: Settings,
+    settings: ServerOptions,
     ready: Callable[[Server], None] | None = None,
     *,
     front_ends: Iterable[FrontEnd] | None = None,
@@ -68,7 +68,7 @@ def run(
 @contextmanager
 @arguments()
 def serve_in_thread(
-    robot: RobotManager, settings: Settings, *, front_ends: Iterable[FrontEnd] | None = None
+    robot: RobotManager, settings: ServerOptions, *, front_ends: Iterable[FrontEnd] | None = None
 ) -> Iterator[Server]:
     """Serve in a thread of its own while the block runs; the robot stays open after it.
 

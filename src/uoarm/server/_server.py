@@ -22,7 +22,7 @@ from uoarm._raised import foreign
 from uoarm._wire import FORMS, TEXT_FORM
 from uoarm.errors import ConfigurationError
 from uoarm.model import StatusEvent
-from uoarm.server._settings import Settings
+from uoarm.server._options import ServerOptions
 from uoarm.server.access import Admission, Audit
 from uoarm.server.front_end import FrontEnd, MakeSession
 from uoarm.server.http import (
@@ -37,8 +37,8 @@ from uoarm.server.http import (
 )
 from uoarm.server.session import (
     DEFLATE,
-    Client,
-    Decoder,
+    ConnectedClient,
+    FrameDecoder,
     NativeSession,
     Session,
     SessionStore,
@@ -74,7 +74,7 @@ class Server:
     def __init__(
         self,
         robot: RobotManager,
-        settings: Settings,
+        settings: ServerOptions,
         front_ends: Iterable[FrontEnd] | None = None,
     ) -> None:
         settings.check()
@@ -96,12 +96,12 @@ class Server:
         )
         self._tls = settings.tls()
         self._audit = Audit()
-        self._decoder = Decoder()
+        self._decoder = FrameDecoder()
         self._totals = Totals()
         self._make_session: dict[str, MakeSession] = {}
         room = connections_possible(self._limits.connections + _UNFINISHED)
         self._connected = Shares(max(1, min(self._limits.connections, room - room // 8)))
-        self._clients: dict[Client, None] = {}
+        self._clients: dict[ConnectedClient, None] = {}
         self._store = SessionStore(self._limits, self._end)
         self._listening: list[Listening] = []
         self._ports: list[int] = []
@@ -261,7 +261,7 @@ class Server:
         if role is None:
             await socket.close(CloseCode.POLICY_VIOLATION, "the token is no longer valid")
             return
-        client = Client(
+        client = ConnectedClient(
             socket,
             secrets.token_hex(6),
             entry.credentials,
@@ -292,7 +292,9 @@ class Server:
         finally:
             self._connected.take(host, -1)
 
-    async def _attend(self, client: Client, session: Session, socket: TurnConnection) -> None:
+    async def _attend(
+        self, client: ConnectedClient, session: Session, socket: TurnConnection
+    ) -> None:
         """Serve a client until its connection ends, then keep its session or end it."""
         self._clients[client] = None
         try:
@@ -307,7 +309,7 @@ class Server:
             else:
                 self._end(client, session)
 
-    def _end(self, client: Client, session: Session) -> None:
+    def _end(self, client: ConnectedClient, session: Session) -> None:
         try:
             foreign(session.close)
         except Exception:  # noqa: BLE001 - a front end may raise anything
@@ -318,7 +320,7 @@ class Server:
 
     def _session(
         self,
-        client: Client,
+        client: ConnectedClient,
         registry: FeedRegistry,
         socket: ServerConnection,
         front_end: FrontEnd | None,

@@ -30,11 +30,11 @@ from uoarm.server._failures import (
     LimitError,
     UnknownError,
     code_of,
-    tell_error,
+    error_text,
     without_frames,
 )
 from uoarm.server._limits import Limits
-from uoarm.server.access import DeniedError, Operation, Role, RoleView, RoleViews
+from uoarm.server.access import AccessRole, DeniedError, Operation, RoleView, RoleViews
 from uoarm.server.session import Session
 from uoarm.server.streams import (
     Account,
@@ -43,11 +43,11 @@ from uoarm.server.streams import (
     Envelope,
     Feed,
     FeedKey,
-    Held,
     InputSender,
     Lane,
     Listener,
     Make,
+    MemoryUse,
     Read,
     Shares,
     check_message,
@@ -58,6 +58,7 @@ __all__ = [
     "BINARY_FORM",
     "CONTRACT_VERSION",
     "TEXT_FORM",
+    "AccessRole",
     "Account",
     "Backend",
     "BusyError",
@@ -70,17 +71,16 @@ __all__ = [
     "FeedKey",
     "Form",
     "FrontEnd",
-    "Held",
     "InputSender",
     "Lane",
     "LimitError",
     "Listener",
     "Make",
     "MakeSession",
+    "MemoryUse",
     "Operation",
     "Outbox",
     "Read",
-    "Role",
     "RoleView",
     "RoleViews",
     "Session",
@@ -89,11 +89,11 @@ __all__ = [
     "check_message",
     "code_of",
     "dump_parts",
+    "error_text",
     "hookimpl",
     "read_binary",
     "read_message",
     "read_text",
-    "tell_error",
     "without_frames",
     "write_binary",
 ]
@@ -120,7 +120,7 @@ class Outbox(Protocol):
     def has_room(self, size: int) -> bool:
         """Say whether a reply of so many octets can be added without cutting the client off."""
 
-    def tell(self, frame: bytes, *, text: bool) -> None:
+    def reply(self, frame: bytes, *, text: bool) -> None:
         """Add a reply or an event as a text or a binary frame; it is never dropped."""
 
     async def room(self, size: int) -> None:
@@ -157,7 +157,7 @@ class Client(Protocol):
         """Host and port of the client, as logs have it."""
 
     @property
-    def role(self) -> Role:
+    def role(self) -> AccessRole:
         """Its rights."""
 
     @property

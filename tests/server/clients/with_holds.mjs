@@ -30,10 +30,10 @@ const pressed = drive.hold(5); // let go before the first answer
 await pressed.stop();
 await pressed.done;
 
-const told = [];
-console.warn = (text) => told.push(text);
+const warnings = [];
+console.warn = (text) => warnings.push(text);
 await drive.hold(6, { period: 3600 }).stop();
-assert.match(told[0], /commands live for 3600 s, and are renewed every 3600 s/);
+assert.match(warnings[0], /commands live for 3600 s, and are renewed every 3600 s/);
 robot.close();
 other.close();
 clearTimeout(late);

@@ -40,7 +40,7 @@ for (const resume of [true, false]) {
   await echo.send({ value: 7 });
   assert.deepEqual(await echo.get(), { value: 7 });
   while ((await changes.next()).value.change !== "running");
-  const names = (await robot.status()).own.map((one) => one.connection).sort();
+  const names = (await robot.status()).own.map((connection) => connection.connection).sort();
   assert.deepEqual(names, [echo.connection, numbers.connection].sort());
   await numbers.kill();
   await echo.kill();

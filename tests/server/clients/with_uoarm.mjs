@@ -22,7 +22,7 @@ assert.equal(Object.getPrototypeOf(decode(encode(JSON.parse('{"__proto__": 1}'))
 for (const binary of [false, true]) {
   const robot = await connect(url, { binary, timeout });
   assert.equal(robot.hello.protocol, 1);
-  const names = (await robot.functions()).map((one) => one.name);
+  const names = (await robot.functions()).map((func) => func.name);
   assert(names.includes("numbers"));
   assert.deepEqual(await robot.call("add", { a: 2, b: 3 }), { value: 5 });
   await refused(robot.call("broken", { value: 6 }), "bridge");

@@ -5,19 +5,19 @@ import { layOut } from "../../../src/uoarm/server/static/app/layout.js";
 
 const card = (id) => ({ id, width: 100, height: 40 });
 const edge = (from, to, kind = "uses") => ({ id: `${from}>${to}`, from, to, kind });
-const boxes = (cards, { places }) => cards.map((one) => ({ ...places.get(one.id), ...one }));
+const boxes = (cards, { places }) => cards.map((card) => ({ ...places.get(card.id), ...card }));
 
 function overlapping(found) {
   const meet = (a, b) => a.x < b.x + b.width && b.x < a.x + a.width && a.y < b.y + b.height && b.y < a.y + a.height;
-  return found.flatMap((one, at) => found.slice(at + 1).filter((other) => meet(one, other)));
+  return found.flatMap((box, at) => found.slice(at + 1).filter((other) => meet(box, other)));
 }
 
 test("cards stand in the direction of flow and none on another", () => {
   const cards = Array.from({ length: 60 }, (_, at) => card(`n${at}`));
-  const edges = cards.slice(1, 40).map((one, at) => edge(`n${Math.floor(at / 2)}`, one.id, "flows"));
+  const edges = cards.slice(1, 40).map((card, at) => edge(`n${Math.floor(at / 2)}`, card.id, "flows"));
   const found = layOut(cards, edges);
   assert.deepEqual(overlapping(boxes(cards, found)), []);
-  for (const one of edges) assert.ok(found.places.get(one.from).x < found.places.get(one.to).x, one.id);
+  for (const edge of edges) assert.ok(found.places.get(edge.from).x < found.places.get(edge.to).x, edge.id);
 });
 
 test("frameworks stand in a column before everything else", () => {
@@ -41,9 +41,9 @@ test("machines stand in a column before frameworks", () => {
 test("everything lies inside what the layout says it needs", () => {
   const cards = ["a", "b", "c", "d"].map(card);
   const found = layOut(cards, [edge("a", "b")]);
-  for (const one of boxes(cards, found)) {
-    assert.ok(one.x >= 0 && one.x + one.width <= found.width + 1e-9);
-    assert.ok(one.y >= 0 && one.y + one.height <= found.height + 1e-9);
+  for (const item_ of boxes(cards, found)) {
+    assert.ok(item_.x >= 0 && item_.x + item_.width <= found.width + 1e-9);
+    assert.ok(item_.y >= 0 && item_.y + item_.height <= found.height + 1e-9);
   }
 });
 

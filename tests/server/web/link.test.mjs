@@ -12,7 +12,7 @@ class Socket {
   send(text) {
     this.sent.push(JSON.parse(text));
   }
-  tell(message) {
+  deliver(message) {
     this.onmessage({ data: JSON.stringify(message) });
   }
   close() {
@@ -24,15 +24,15 @@ class Socket {
 async function dropped(meanwhile = () => {}, before = () => {}) {
   const connecting = connect("ws://x/", { WebSocket: Socket });
   const first = Socket.made.at(-1);
-  first.tell({ op: "Status", type: "hello", jsonMessage: {} });
+  first.deliver({ op: "Status", type: "hello", jsonMessage: {} });
   const robot = await connecting;
-  first.tell({ op: "Reply", id: "keep", jsonMessage: { key: "key", seconds: 5 } });
+  first.deliver({ op: "Reply", id: "keep", jsonMessage: { key: "key", seconds: 5 } });
   before(robot);
   first.onclose({ code: 1006, reason: "" });
   meanwhile(robot);
   const second = Socket.made.at(-1);
   assert.notEqual(second, first);
-  second.tell({ op: "Status", type: "hello", jsonMessage: {} });
+  second.deliver({ op: "Status", type: "hello", jsonMessage: {} });
   return { robot, second };
 }
 
@@ -44,9 +44,9 @@ test("what cannot be written fails alone, also while the connection is down", as
     answers.push(robot.call("add", 1n), robot.call("add", 2));
   });
   await assert.rejects(answers[0], TypeError);
-  second.tell(RESUMED);
+  second.deliver(RESUMED);
   assert.deepEqual(second.sent.slice(1), [{ op: "Call", type: "add", id: "2", jsonMessage: 2 }]);
-  second.tell({ op: "Reply", id: "2", jsonMessage: 3 });
+  second.deliver({ op: "Reply", id: "2", jsonMessage: 3 });
   assert.equal(await answers[1], 3);
   robot.close();
 });
@@ -57,7 +57,7 @@ test("of more than can be asked for after a drop, the rest fails", async () => {
     for (let number = 0; number < 4100; number += 1) calls.push(robot.call("add", number));
   });
   assert.equal(second.sent[0].jsonMessage.waiting.length, 4096);
-  second.tell(RESUMED);
+  second.deliver(RESUMED);
   for (const call of calls.slice(4096)) await assert.rejects(call, { code: "closed" });
   robot.close();
   for (const call of calls.slice(0, 4096)) await assert.rejects(call, { code: "closed" });
@@ -66,7 +66,7 @@ test("of more than can be asked for after a drop, the rest fails", async () => {
 test("a robot that is closed while it connects again stays closed", async () => {
   const { robot, second } = await dropped();
   robot.close();
-  second.tell(RESUMED);
+  second.deliver(RESUMED);
   assert(second.closed);
   await assert.rejects(robot.status(), { code: "closed" });
 });
@@ -74,14 +74,14 @@ test("a robot that is closed while it connects again stays closed", async () => 
 test("what was asked during a drop fails where a new session is begun, and is not asked of that", async () => {
   const lost = [];
   const { robot, second } = await dropped((robot) => lost.push(robot.call("add", 1)));
-  second.tell({ op: "Error", id: "resume", jsonMessage: { code: "unknown", text: "begin anew" } });
+  second.deliver({ op: "Error", id: "resume", jsonMessage: { code: "unknown", text: "begin anew" } });
   await assert.rejects(lost[0], { code: "closed" });
   const asked = robot.call("add", 2);
   const third = Socket.made.at(-1);
-  third.tell({ op: "Status", type: "hello", jsonMessage: {} });
+  third.deliver({ op: "Status", type: "hello", jsonMessage: {} });
   assert.deepEqual(third.sent, [
     { op: "Resume", id: "keep" }, { op: "Call", type: "add", id: "2", jsonMessage: 2 }]);
-  third.tell({ op: "Reply", id: "2", jsonMessage: 3 });
+  third.deliver({ op: "Reply", id: "2", jsonMessage: 3 });
   assert.equal(await asked, 3);
   robot.close();
 });
@@ -89,7 +89,7 @@ test("what was asked during a drop fails where a new session is begun, and is no
 test("a client that was closed for what it did does not come again", async () => {
   const connecting = connect("ws://x/", { WebSocket: Socket });
   const socket = Socket.made.at(-1);
-  socket.tell({ op: "Status", type: "hello", jsonMessage: {} });
+  socket.deliver({ op: "Status", type: "hello", jsonMessage: {} });
   const robot = await connecting;
   socket.onclose({ code: 1008, reason: "its rights have changed" });
   await assert.rejects(robot.status(), /its rights have changed/);
@@ -100,7 +100,7 @@ test("a server that sends what is no message is left, with the reason", async ()
   for (const data of ["no JSON", "null", "[".repeat(1e6)]) {
     const connecting = connect("ws://x/", { WebSocket: Socket });
     const socket = Socket.made.at(-1);
-    socket.tell({ op: "Status", type: "hello", jsonMessage: {} });
+    socket.deliver({ op: "Status", type: "hello", jsonMessage: {} });
     const robot = await connecting;
     const asked = robot.status();
     socket.onmessage({ data });

@@ -26,8 +26,8 @@ test("compressed pictures are known by their format or their first octets", () =
 test("what is no picture is not taken for one", () => {
   const image = { width: 2, height: 2, encoding: "rgb8", data: base64(1) };
   assert.equal(pixelsOf(findPicture(image)), null);
-  for (const one of [null, 3, [], { data: "hello" }, { ...image, width: 1e9 }, { ...image, encoding: "yuv" }]) {
-    assert.equal(findPicture(one), null);
+  for (const value of [null, 3, [], { data: "hello" }, { ...image, width: 1e9 }, { ...image, encoding: "yuv" }]) {
+    assert.equal(findPicture(value), null);
   }
 });
 
@@ -40,7 +40,7 @@ test("numbers are found by path, long lists left out", () => {
 
 test("a line keeps its last points only", () => {
   const line = new Series(2);
-  for (const one of [1, 2, 3]) line.add(one, one * 10);
+  for (const number of [1, 2, 3]) line.add(number, number * 10);
   assert.deepEqual([line.times, line.values], [[2, 3], [20, 30]]);
 });
 
@@ -51,10 +51,10 @@ test("numbers and times are short", () => {
 });
 
 test("a long message is cut where it is long", () => {
-  const told = pretty({ data: "a".repeat(5000), list: Array(100).fill(0) });
-  assert.match(told, /… \(5 k characters\)/);
-  assert.match(told, /… 60 more/);
-  assert.ok(told.length < 1500);
+  const text = pretty({ data: "a".repeat(5000), list: Array(100).fill(0) });
+  assert.match(text, /… \(5 k characters\)/);
+  assert.match(text, /… 60 more/);
+  assert.ok(text.length < 1500);
   assert.equal(pretty(undefined), "nothing");
 });
 

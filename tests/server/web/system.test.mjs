@@ -27,7 +27,7 @@ test("rates, drops and health are joined to components and applications", () => 
   const system = join(FUNCTIONS, STATUS);
   const [camera, faces] = system.functions;
   assert.deepEqual([camera.rows[0].rate, camera.rows[0].lost, camera.health], [10, 3, "ok"]);
-  assert.deepEqual(faces.rows.map((one) => one.open), [false, true]);
+  assert.deepEqual(faces.rows.map((row) => row.open), [false, true]);
   assert.equal(system.connections[0].rate, 9);
 });
 
@@ -42,14 +42,14 @@ test("who raises is marked with its exception, and no neighbour is", () => {
   const thrower = { ...component("haar", "faces", ["c1"]), health: "degraded", cause: "its input raised", failed: 3,
     last_error: "KeyError: 'ranges'" };
   const feed = route("cam.default", "haar.default", { dropped: [["failed", 3]], last_error: "KeyError: 'ranges'" });
-  const heard = route("haar.default", "c1", { dropped: [["failed", 2]], last_error: "its callback f raised OSError" });
-  const system = join(FUNCTIONS, { ...STATUS, components: [STATUS.components[0], thrower], routes: [feed, heard] });
+  const thrown = route("haar.default", "c1", { dropped: [["failed", 2]], last_error: "its callback f raised OSError" });
+  const system = join(FUNCTIONS, { ...STATUS, components: [STATUS.components[0], thrower], routes: [feed, thrown] });
   const [camera, faces] = system.functions;
   assert.deepEqual([camera.health, camera.rows[0].error, camera.rows[0].lost], ["ok", "", 0]);
   const [, row] = faces.rows;
   assert.deepEqual([faces.health, row.failed, row.error, row.lost], ["degraded", 3, "KeyError: 'ranges'", 0]);
   assert.equal(row.cause, "its input raised");
-  const [application] = makeCards(system, system.functions, all).filter((one) => one.kind === "connection");
+  const [application] = makeCards(system, system.functions, all).filter((card) => card.kind === "connection");
   assert.deepEqual([application.health, application.data.error], ["degraded", "its callback f raised OSError"]);
 });
 
@@ -66,35 +66,35 @@ test("who only takes messages, and who only sends them, shows how many", () => {
 test("edges flow where messages flow, and are wished for elsewhere", () => {
   const running = join(FUNCTIONS, STATUS);
   const edges = makeEdges(running, makeCards(running, running.functions, all));
-  assert.deepEqual(edges.map((one) => [one.kind, one.from, one.to, one.bad]), [
+  assert.deepEqual(edges.map((edge) => [edge.kind, edge.from, edge.to, edge.bad]), [
     ["flows", "function/camera", "function/faces", true],
     ["flows", "function/faces", "connection/c1", false],
   ]);
   const idle = join(FUNCTIONS, NOTHING);
   const wished = makeEdges(idle, makeCards(idle, idle.functions, all));
-  assert.deepEqual(wished.map((one) => one.kind), ["uses"]);
+  assert.deepEqual(wished.map((edge) => edge.kind), ["uses"]);
 });
 
 test("frameworks are cards where they are wanted", () => {
   const system = join(FUNCTIONS, STATUS);
   const cards = makeCards(system, system.functions, { ...all, frameworks: true });
-  const found = cards.filter((one) => one.kind === "bridge");
-  assert.deepEqual(found.map((one) => [one.title, one.data.open, one.data.all]), [["ros", 1, 2], ["python", 1, 1]]);
+  const found = cards.filter((card) => card.kind === "bridge");
+  assert.deepEqual(found.map((item_) => [item_.title, item_.data.open, item_.data.all]), [["ros", 1, 2], ["python", 1, 1]]);
 });
 
 test("machines are cards beside frameworks that run there", () => {
   const system = join(FUNCTIONS, STATUS);
   const cards = makeCards(system, system.functions, { ...all, frameworks: true });
-  const found = cards.filter((one) => one.kind === "machine");
-  assert.deepEqual(found.map((one) => [one.title, one.health]), [["arm", "lost"]]);
-  const its = makeEdges(system, cards).filter((one) => one.from === "machine/arm");
-  assert.deepEqual(its.map((one) => [one.kind, one.to]), [["runs", "bridge/ros"]]);
+  const found = cards.filter((card) => card.kind === "machine");
+  assert.deepEqual(found.map((item_) => [item_.title, item_.health]), [["arm", "lost"]]);
+  const its = makeEdges(system, cards).filter((card) => card.from === "machine/arm");
+  assert.deepEqual(its.map((edge) => [edge.kind, edge.to]), [["runs", "bridge/ros"]]);
   assert.equal(makeCards(system, [], { ...all, frameworks: true }).length, 0);
 });
 
 test("every word of a search must be found", () => {
   const { functions } = join(FUNCTIONS, STATUS);
-  const names = (...asked) => search(functions, ...asked).map((one) => one.name);
+  const names = (...asked) => search(functions, ...asked).map((func) => func.name);
   assert.deepEqual(names("PICT"), ["camera"]);
   assert.deepEqual(names("faces haar"), ["faces"]);
   assert.deepEqual(names("faces cam"), []);
@@ -102,9 +102,9 @@ test("every word of a search must be found", () => {
   assert.deepEqual(names("", { running: true }), ["camera", "faces"]);
 });
 
-test("names with dots are told apart from ports", () => {
+test("names with dots differ from ports", () => {
   const names = new Set(["a.b", "c1"]);
-  assert.deepEqual(["a.b.default", "a.b", "c1", "c1.input"].map((one) => endOf(one, names)), ["a.b", "a.b", "c1", "c1"]);
+  assert.deepEqual(["a.b.default", "a.b", "c1", "c1.input"].map((name) => endOf(name, names)), ["a.b", "a.b", "c1", "c1"]);
 });
 
 test("a kill is said to be one, and by whom", () => {

@@ -13,60 +13,60 @@ class Socket {
   send(text) {
     this.sent.push(JSON.parse(text));
   }
-  tell(message) {
+  deliver(message) {
     this.onmessage({ data: JSON.stringify(message) });
   }
 }
 
 function open(options = {}) {
-  const heard = [];
-  const wire = new Wire("ws://x/", (...told) => heard.push(told), { socket: Socket, ...options });
+  const received = [];
+  const wire = new Wire("ws://x/", (...asked_) => received.push(asked_), { socket: Socket, ...options });
   wire.open();
-  return { wire, heard, socket: Socket.made.at(-1) };
+  return { wire, received, socket: Socket.made.at(-1) };
 }
 
 test("answers find their askers, in any order", async () => {
   const { wire, socket } = open();
-  const [one, other] = [wire.ask("List"), wire.ask("Call", "add", { a: 1 })];
+  const [list, call] = [wire.ask("List"), wire.ask("Call", "add", { a: 1 })];
   assert.deepEqual(socket.sent[1], { op: "Call", type: "add", id: "2", jsonMessage: { a: 1 } });
-  socket.tell({ op: "Reply", id: "2", jsonMessage: 3 });
-  socket.tell({ op: "Reply", id: "1", jsonMessage: { functions: [] } });
-  assert.deepEqual([await one, await other], [{ functions: [] }, 3]);
+  socket.deliver({ op: "Reply", id: "2", jsonMessage: 3 });
+  socket.deliver({ op: "Reply", id: "1", jsonMessage: { functions: [] } });
+  assert.deepEqual([await list, await call], [{ functions: [] }, 3]);
 });
 
 test("an error is a refusal with its code and what was rejected", async () => {
   const { wire, socket } = open();
   const asked = wire.ask("Resolve", "f");
-  socket.tell({ op: "Error", id: "1", jsonMessage: { code: "resolution", text: "no", rejected: [1] } });
+  socket.deliver({ op: "Error", id: "1", jsonMessage: { code: "resolution", text: "no", rejected: [1] } });
   await assert.rejects(asked, { message: "no", code: "resolution", rejected: [1] });
 });
 
-test("what nobody asked for is heard", () => {
-  const { heard, socket } = open();
-  socket.tell({ op: "Status", type: "hello", jsonMessage: { protocol: 1 } });
-  socket.tell({ op: "Data", type: "c1", "x-number": 1, jsonMessage: 7 });
-  assert.deepEqual(heard, [["link", "open", { protocol: 1 }], ["Status", "hello", { protocol: 1 }], ["Data", "c1", 7]]);
+test("what was not asked for is received", () => {
+  const { received, socket } = open();
+  socket.deliver({ op: "Status", type: "hello", jsonMessage: { protocol: 1 } });
+  socket.deliver({ op: "Data", type: "c1", "x-number": 1, jsonMessage: 7 });
+  assert.deepEqual(received, [["link", "open", { protocol: 1 }], ["Status", "hello", { protocol: 1 }], ["Data", "c1", 7]]);
 });
 
 test("a broken connection refuses what was asked, and is opened again", async (context) => {
   context.mock.timers.enable({ apis: ["setTimeout"] });
-  const { wire, heard, socket } = open();
+  const { wire, received, socket } = open();
   const asked = wire.ask("List");
   socket.readyState = 3;
   socket.onclose();
   await assert.rejects(asked, Refusal);
   await assert.rejects(wire.ask("List"), { code: "closed" });
-  assert.deepEqual(heard.at(-1), ["link", "closed"]);
+  assert.deepEqual(received.at(-1), ["link", "closed"]);
   const before = Socket.made.length;
   context.mock.timers.tick(500);
   assert.equal(Socket.made.length, before + 1);
 });
 
 test("a server that wants a token is not asked again without one", async () => {
-  const { wire, heard, socket } = open({ isLocked: async (token) => token === "" });
+  const { wire, received, socket } = open({ isLocked: async (token) => token === "" });
   socket.onclose();
   await new Promise(setImmediate);
-  assert.deepEqual(heard.at(-1), ["link", "locked"]);
+  assert.deepEqual(received.at(-1), ["link", "locked"]);
   wire.token = "secret";
   wire.open();
   assert.deepEqual(Socket.made.at(-1).forms, ["uoarm.v1.json", "uoarm.token.secret"]);
@@ -74,8 +74,8 @@ test("a server that wants a token is not asked again without one", async () => {
 
 test("a watch has the latest message, lines of numbers, and its end", async () => {
   let time = 0;
-  const told = [];
-  const wire = { ask: async (...asked) => (told.push(asked), { connection: "c1", components: ["a"], inputs: [], warnings: [] }) };
+  const asked_ = [];
+  const wire = { ask: async (...asked) => (asked_.push(asked), { connection: "c1", components: ["a"], inputs: [], warnings: [] }) };
   const watches = new Watches(wire, () => {}, () => time);
   const watch = await watches.open("f", { every: 0.1 });
   for (time = 1; time <= 3; time += 1) watches.take("c1", { x: time * 2 });
@@ -87,14 +87,14 @@ test("a watch has the latest message, lines of numbers, and its end", async () =
   watches.take("c1", { x: 9 });
   assert.deepEqual([watch.end, watch.taken], [{ state: "failed", cause: "unplugged" }, 503]);
   await watches.close("f");
-  assert.deepEqual(told, [["Request", "f", { every: 0.1 }]]);
+  assert.deepEqual(asked_, [["Request", "f", { every: 0.1 }]]);
 });
 
 test("a watch is opened again when the connection is back, with the gap marked", async () => {
-  const told = [];
+  const asked_ = [];
   const answers = [];
   const wire = { ask: async (...asked) => {
-    told.push(asked);
+    asked_.push(asked);
     const answer = answers.shift();
     if (answer instanceof Refusal) throw answer;
     return { components: ["a"], inputs: [], warnings: [], connection: answer };
@@ -122,7 +122,7 @@ test("a watch is opened again when the connection is back, with the gap marked",
   answers.push(new Refusal({ code: "resolution", text: "it is not in the configuration" }));
   await watches.again();
   assert.deepEqual(watch.end, { state: "failed", cause: "it is not in the configuration" });
-  assert.deepEqual(told.map(([op, name]) => `${op} ${name}`),
+  assert.deepEqual(asked_.map(([op, name]) => `${op} ${name}`),
     ["Request f", "Request g", "Request f", "Request f", "Request f"]);
   assert.equal(stopped.gaps, 0);
 });

@@ -11,8 +11,7 @@ from attrs import frozen
 
 from uoarm.errors import BridgeError, FailureReason, MessageError, UoarmError
 from uoarm.server.front_end import Backend, Done, LimitError, UnknownError
-from uoarm_rosbridge._goal import Goal, Runner
-from uoarm_rosbridge._stream_runner import StreamRunner
+from uoarm_rosbridge._runners import Goal, Runner, StreamRunner
 from uoarm_rosbridge._typedefs import is_same_type
 
 __all__ = ["ActionHub", "ActionProvider"]
@@ -21,7 +20,7 @@ __all__ = ["ActionHub", "ActionProvider"]
 class ActionProvider(Protocol):
     """A client that works on goals."""
 
-    def tell(self, message: Mapping[str, Any]) -> None:
+    def send(self, message: Mapping[str, Any]) -> None:
         """Send one message to the client.
 
         Raises:
@@ -47,7 +46,7 @@ class _Offer:
             )
         identity = self.hub.note(self, goal)
         try:
-            self.provider.tell(
+            self.provider.send(
                 {
                     "op": "send_action_goal",
                     "id": identity,
@@ -66,7 +65,7 @@ class _Offer:
         del done
         identity = self.hub.identity_of(goal)
         if identity is not None:
-            self.provider.tell({"op": "cancel_action_goal", "id": identity, "action": self.name})
+            self.provider.send({"op": "cancel_action_goal", "id": identity, "action": self.name})
 
     def abandon(self, goal: Goal) -> None:
         """Ask for its end; the answer is taken and goes nowhere."""

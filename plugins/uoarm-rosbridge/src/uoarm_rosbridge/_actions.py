@@ -20,20 +20,17 @@ from uoarm.server.front_end import (
     Backend,
     Charge,
     Client,
-    Held,
     Lane,
     LimitError,
+    MemoryUse,
     Operation,
     UnknownError,
-    tell_error,
+    error_text,
 )
 from uoarm_rosbridge._action_hub import ActionHub
-from uoarm_rosbridge._call_runner import CallRunner
-from uoarm_rosbridge._fragments import fragment_size, split
-from uoarm_rosbridge._goal import Goal, GoalStatus, Runner
-from uoarm_rosbridge._names import Place, find_place
-from uoarm_rosbridge._stream_runner import is_action
-from uoarm_rosbridge._wire import write_ros
+from uoarm_rosbridge._names import NamedPort, find_place
+from uoarm_rosbridge._runners import CallRunner, Goal, GoalStatus, Runner, is_action
+from uoarm_rosbridge._wire import fragment_size, split, write_ros
 
 __all__ = ["Actions"]
 
@@ -43,7 +40,7 @@ Identity: TypeAlias = "str | float"
 
 @frozen(eq=False)
 class _Sent:
-    place: Place
+    place: NamedPort
     goal: Goal
     runner: Runner
     charge: Charge
@@ -75,7 +72,7 @@ class Actions:
         self._backend = backend
         self._hub = hub
         self._fail = fail
-        self.tell = ask
+        self.send = ask
         self._sent: dict[Identity, _Sent] = {}
         self._joined: set[str] = set()
         self._offered: set[str] = set()
@@ -91,7 +88,7 @@ class Actions:
         place = find_place(fields["action"])
         self._client.require(Operation.CALL, place.right)
         runner = self._runner(place)
-        charge = self._client.account.charge(Held.ASKED, self._client.in_hand)
+        charge = self._client.account.charge(MemoryUse.ASKED, self._client.in_hand)
         sent = self._sent[identity] = _Sent(place, self._goal(identity, fields), runner, charge)
         try:
             runner.start(sent.goal)
@@ -111,7 +108,7 @@ class Actions:
 
         sent.runner.cancel(sent.goal, done)
 
-    def cancel_all(self, place: Place) -> None:
+    def cancel_all(self, place: NamedPort) -> None:
         """Ask for the end of all goals of this client to one action."""
         for identity, sent in list(self._sent.items()):
             if sent.place == place:
@@ -161,7 +158,7 @@ class Actions:
             self._hub.leave(function, self)
         self._hub.forget(self)
 
-    def _runner(self, place: Place) -> Runner:
+    def _runner(self, place: NamedPort) -> Runner:
         if not place.function:
             runner = self._hub.runner(place.name)
             if runner is None:
@@ -201,7 +198,7 @@ class Actions:
 
         def on_failure(error: BaseException) -> None:
             view = self._backend.role_views.of(self._client.role)
-            text = view.text(tell_error(error), str(fields["action"]))
+            text = view.text(error_text(error), str(fields["action"]))
             finish(_result(named, text, GoalStatus.UNKNOWN, result=False))
 
         def finish(frame: bytes) -> None:

@@ -19,7 +19,7 @@ from typing import Any, TypeAlias
 
 from uoarm.errors import MessageError
 from uoarm.model import Message, MessageStructure
-from uoarm_rosbridge._basic import BASIC, basic_type
+from uoarm_rosbridge._typedefs import BASIC, basic_type
 
 __all__ = ["serialiser"]
 

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from uoarm.server.front_end import Backend, Client, FrontEnd, MakeSession, Session, hookimpl
-from uoarm_rosbridge._addresses import Addresses
 from uoarm_rosbridge._hub import Hub
-from uoarm_rosbridge._rosapi import Catalogue
+from uoarm_rosbridge._names import Addresses
+from uoarm_rosbridge._rosapi import RosapiCatalogue
 from uoarm_rosbridge._session import RosbridgeSession
 
 __all__ = ["uoarm_front_ends"]
@@ -13,7 +13,7 @@ __all__ = ["uoarm_front_ends"]
 
 def _start(backend: Backend) -> MakeSession:
     hub, addresses = Hub(), Addresses(backend.robot)
-    catalogue = Catalogue(backend, hub)
+    catalogue = RosapiCatalogue(backend, hub)
 
     def make_session(client: Client) -> Session:
         return RosbridgeSession(client, backend, hub, catalogue, addresses)

@@ -4,28 +4,101 @@ from __future__ import annotations
 
 import asyncio
 import itertools
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
 from typing import Protocol
 
+import orjson
 from attrs import define, field
 
-from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, MessageError
+from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, MessageError, UsageError
 from uoarm.model import Message
 from uoarm.server.front_end import (
     Account,
     Charge,
     Envelope,
-    Held,
     LimitError,
     Listener,
+    MemoryUse,
     Shares,
     UnknownError,
 )
 from uoarm_rosbridge._action_hub import ActionHub
-from uoarm_rosbridge._parameters import Parameters
+from uoarm_rosbridge._names import find_place
 from uoarm_rosbridge._typedefs import is_same_type
 
-__all__ = ["Hub", "Provider", "Topic"]
+__all__ = ["ClientTopic", "Hub", "Parameters", "Provider"]
+
+_MOST = 1_000
+_MOST_OCTETS = 1 << 20
+
+
+class Parameters:
+    """JSON texts by name, kept until they are deleted or the server ends; in the loop's thread.
+
+    Names have a leading slash, as topics have; a missing one is added.
+    """
+
+    def __init__(self) -> None:
+        self._texts: dict[str, str] = {}
+        self._owners: dict[str, Hashable] = {}
+        self._named = Shares(_MOST)
+        self._octets = Shares(_MOST_OCTETS)
+
+    @property
+    def names(self) -> list[str]:
+        """All names, in the order in which they were set first."""
+        return list(self._texts)
+
+    def get(self, name: str) -> str | None:
+        """Return a parameter's JSON text; None: there is none."""
+        return self._texts.get(name)
+
+    def set(self, name: str, text: str, owner: Hashable) -> None:
+        """Set a parameter, which may be there already.
+
+        Args:
+            name: of the parameter.
+            text: of its value.
+            owner: as whose it counts: something that stays the same when a client comes again.
+
+        Raises:
+            UsageError: the name is that of a function, whose parameters are not the clients'.
+            MessageError: the text is no JSON.
+            LimitError: there are too many parameters, or they are too long, and the owner has its
+                share of them.
+        """
+        if find_place(name).function:
+            raise UsageError(f"{name!r:.200} belongs to the server: it is in the configuration")
+        owner = self._owners.get(name, owner)
+        before = self._texts.get(name)
+        if before is None and not self._named.admits(owner):
+            raise LimitError(f"there are {_MOST:,} parameters already")
+        more = _size(name, text) - (0 if before is None else _size(name, before))
+        if more > 0 and not self._octets.admits(owner, more):
+            raise LimitError(f"all parameters together may have {_MOST_OCTETS:,} octets")
+        try:
+            orjson.loads(text)
+        except orjson.JSONDecodeError as error:
+            raise MessageError(f"set_param: value: expected a JSON text: {error}") from None
+        self._texts[name], self._owners[name] = text, owner
+        self._octets.take(owner, more)
+        if before is None:
+            self._named.take(owner)
+
+    def delete(self, name: str) -> bool:
+        """Delete a parameter; False: there was none."""
+        text = self._texts.pop(name, None)
+        if text is None:
+            return False
+        owner = self._owners.pop(name)
+        self._octets.take(owner, -_size(name, text))
+        self._named.take(owner, -1)
+        return True
+
+
+def _size(name: str, text: str) -> int:
+    return len(name.encode()) + len(text.encode())
+
 
 _MOST_TOPICS = 10_000
 
@@ -55,20 +128,20 @@ class Latched:
 
 
 @define(eq=False)
-class Topic:
+class ClientTopic:
     """One topic between clients; it lives while someone publishes or listens.
 
     Attributes:
         owner: the account of the client that named it first, whose topic it counts as.
         type: as its publishers state it; the first of them decides while any of them stays.
-        wished: as the first listener named it, which binds nobody.
+        stated: as the first listener named it, which binds nobody.
         latched: the last message of each publisher that latches.
     """
 
     name: str
     owner: object
     type: str = ""
-    wished: str = ""
+    stated: str = ""
     number: int = 0
     publishers: set[object] = field(factory=set)
     listeners: dict[Listener, None] = field(factory=dict)
@@ -90,7 +163,7 @@ class Hub:
     """
 
     def __init__(self) -> None:
-        self._topics: dict[str, Topic] = {}
+        self._topics: dict[str, ClientTopic] = {}
         self._named = Shares(_MOST_TOPICS)
         self._services: dict[str, tuple[str, Provider]] = {}
         self._numbers = itertools.count(1)
@@ -102,7 +175,7 @@ class Hub:
     @property
     def topics(self) -> dict[str, str]:
         """Types by topic; for any thread, as of one moment."""
-        return {topic.name: topic.type or topic.wished for topic in tuple(self._topics.values())}
+        return {topic.name: topic.type or topic.stated for topic in tuple(self._topics.values())}
 
     @property
     def published(self) -> list[str]:
@@ -173,7 +246,7 @@ class Hub:
         envelope = Envelope(topic.number + 1, message, octets)
         if latch is not None:
             topic.unlatch(publisher)
-            charge = latch.charge(Held.LATCHED, envelope.octets)
+            charge = latch.charge(MemoryUse.LATCHED, envelope.octets)
             topic.latched[publisher] = Latched(envelope, charge, latch)
         topic.number += 1
         for listener in tuple(topic.listeners):
@@ -188,7 +261,7 @@ class Hub:
         """
         topic = self._topic(name, owner)
         self._check_type(topic, kind)
-        topic.wished = topic.wished or kind
+        topic.stated = topic.stated or kind
         topic.listeners[listener] = None
         for latched in tuple(topic.latched.values()):
             latched.offer(listener)
@@ -280,7 +353,7 @@ class Hub:
             raise UnknownError(f"nobody waits for the answer {identity!r:.200}")
         conclude(future)
 
-    def _topic(self, name: str, owner: object) -> Topic:
+    def _topic(self, name: str, owner: object) -> ClientTopic:
         topic = self._topics.get(name)
         if topic is None:
             if not self._named.admits(owner):
@@ -289,15 +362,15 @@ class Hub:
                     "of this client"
                 )
             self._named.take(owner)
-            topic = self._topics[name] = Topic(name, owner)
+            topic = self._topics[name] = ClientTopic(name, owner)
         return topic
 
-    def _check_type(self, topic: Topic, kind: str) -> None:
+    def _check_type(self, topic: ClientTopic, kind: str) -> None:
         if kind and topic.type and not is_same_type(topic.type, kind):
             self._drop_if_unused(topic)
             raise MessageError(f"topic {topic.name!r} has the type {topic.type!r}, not {kind!r}")
 
-    def _drop_if_unused(self, topic: Topic) -> None:
+    def _drop_if_unused(self, topic: ClientTopic) -> None:
         if not topic.publishers and not topic.listeners and topic.name in self._topics:
             del self._topics[topic.name]
             self._named.take(topic.owner, -1)

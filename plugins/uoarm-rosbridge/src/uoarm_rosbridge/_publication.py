@@ -6,9 +6,12 @@ import asyncio
 from collections import deque
 from collections.abc import Callable
 
+from attrs import frozen
+
 from uoarm.errors import MessageError, UoarmError
-from uoarm.model import LeaseHolder, Message
+from uoarm.model import LeaseHolder, Message, MessageStructure, message_octets
 from uoarm.server.front_end import (
+    Account,
     Backend,
     BusyError,
     Charge,
@@ -16,17 +19,19 @@ from uoarm.server.front_end import (
     Done,
     Feed,
     FeedKey,
-    Held,
     InputSender,
+    MemoryUse,
+    check_message,
 )
 from uoarm_rosbridge._arguments import read_arguments
-from uoarm_rosbridge._names import Place
+from uoarm_rosbridge._hub import Hub
+from uoarm_rosbridge._names import NamedPort
 from uoarm_rosbridge._typedefs import check_type
 
-__all__ = ["Publication"]
+__all__ = ["ClientPublication", "SharedPublication"]
 
 
-class Publication:
+class ClientPublication:
     """Messages of one client on their way into one input; all in the loop's thread.
 
     Args:
@@ -39,7 +44,7 @@ class Publication:
 
     def __init__(
         self,
-        place: Place,
+        place: NamedPort,
         kind: str,
         backend: Backend,
         client: Client,
@@ -70,7 +75,7 @@ class Publication:
         elif len(self._waiting) >= self._limit:
             raise BusyError(f"{self._limit} messages to {self._place.name} wait already")
         else:
-            charge = self._account.charge(Held.SENDING, octets)
+            charge = self._account.charge(MemoryUse.SENDING, octets)
             self._waiting.append((message, done, charge))
 
     def close(self) -> None:
@@ -144,3 +149,143 @@ class Publication:
             self._feed.remove(self)
             self._backend.leave(self._feed)
             self._feed = None
+
+
+_SHORT_OCTETS = 8_192
+_BATCH = 256
+_BATCH_OCTETS = 1_048_576
+
+
+@frozen(eq=False)
+class _Waiting:
+    message: Message
+    latch: Account | None
+    done: Done
+    charge: Charge
+
+
+class SharedPublication:
+    """Messages of one client on their way to other clients; all in the loop's thread.
+
+    They go on in their order: after the type is known, or known to be unknown, and with it each
+    after its check. Short ones are checked at once, long ones in a worker.
+
+    Args:
+        name: of the topic.
+        kind: the type that the client states; empty: that of the topic, where others stated one.
+        hub: where clients publish to one another.
+        backend: knows types.
+        client: who publishes.
+
+    Raises:
+        MessageError: other publishers of the topic state another type.
+        LimitError: there are too many topics.
+    """
+
+    def __init__(self, name: str, kind: str, hub: Hub, backend: Backend, client: Client) -> None:
+        self._name = name
+        self._hub = hub
+        self._backend = backend
+        self._account = client.account
+        self._limit = backend.limits.queue_messages
+        self._structure: MessageStructure | None = None
+        self._waiting: deque[_Waiting] = deque()
+        self._closing = False
+        hub.advertise(name, kind, self, client.account)
+        stated = hub.type_of(name)
+        self._working = asyncio.ensure_future(self._begin(stated)) if stated else None
+
+    def publish(self, message: Message, done: Done, octets: int, latch: Account | None) -> None:
+        """Share one message of so many octets after those before it.
+
+        `done` hears how it went, where that is not known when this returns.
+
+        Raises:
+            MessageError: it is not of the type.
+            BusyError: too many wait.
+            LimitError: the client has too much memory held.
+        """
+        if self._working is None and (self._structure is None or octets <= _SHORT_OCTETS):
+            self._share(self._checked(message), octets, latch)
+            return
+        if len(self._waiting) >= self._limit:
+            raise BusyError(f"{self._limit} messages to {self._name} wait already")
+        charge = self._account.charge(MemoryUse.SENDING, octets)
+        self._waiting.append(_Waiting(message, latch, done, charge))
+        if self._working is None:
+            self._working = asyncio.ensure_future(self._work())
+
+    def close(self) -> None:
+        """Leave the topic after what was published."""
+        self._closing = True
+        if self._working is None:
+            self._hub.unadvertise(self._name, self)
+
+    def abandon(self) -> None:
+        """Leave the topic now."""
+        if self._working is not None:
+            self._working.cancel()
+        while self._waiting:
+            self._waiting.popleft().charge.release()
+        self._hub.unadvertise(self._name, self)
+
+    async def _begin(self, kind: str) -> None:
+        self._structure = await self._backend.structure_of_type(kind)
+        await self._work()
+
+    async def _work(self) -> None:
+        """Share what waits, a batch at a time, until nothing does."""
+        while self._waiting:
+            batch = self._next_batch()
+            for waiting, outcome in zip(batch, await self._outcomes(batch), strict=True):
+                octets = waiting.charge.octets
+                waiting.charge.release()
+                self._conclude(waiting, outcome, octets)
+        self._working = None
+        if self._closing:
+            self._hub.unadvertise(self._name, self)
+
+    async def _outcomes(self, batch: list[_Waiting]) -> list[Message | Exception]:
+        """Return each message as it is shared, or the error that says why it is not."""
+        messages = [waiting.message for waiting in batch]
+        if self._structure is None:
+            return messages
+        try:
+            return await self._backend.in_worker(
+                lambda: [self._outcome(message) for message in messages]
+            )
+        except BusyError as error:  # the server is closing
+            return [error] * len(batch)
+
+    def _conclude(self, one: _Waiting, outcome: Message | Exception, octets: int) -> None:
+        error = outcome if isinstance(outcome, Exception) else None
+        if error is None:
+            try:
+                self._share(outcome, octets, one.latch)
+            except UoarmError as refused:
+                error = refused
+        one.done(error)
+
+    def _next_batch(self) -> list[_Waiting]:
+        batch: list[_Waiting] = []
+        octets = 0
+        while self._waiting and len(batch) < _BATCH and octets < _BATCH_OCTETS:
+            batch.append(self._waiting.popleft())
+            octets += batch[-1].charge.octets
+        return batch
+
+    def _outcome(self, message: Message) -> Message | Exception:
+        try:
+            return self._checked(message)
+        except Exception as error:  # noqa: BLE001 - told to the one who published it
+            return error
+
+    def _checked(self, message: Message) -> Message:
+        if self._structure is None:
+            return message
+        return check_message(self._structure, message, read_arguments, self._name)
+
+    def _share(self, message: Message, octets: int, latch: Account | None) -> None:
+        if self._structure is not None:  # what was left out is there now
+            octets = message_octets(message)
+        self._hub.publish(self._name, message, self, octets, latch)

@@ -22,15 +22,15 @@ from uoarm_rosbridge._names import find_place
 from uoarm_rosbridge._rosapi_answers import (
     OWN,
     PREFIX,
-    Answers,
     Listed,
     Question,
+    RosapiAnswers,
     arguments_by_name,
     question,
 )
 from uoarm_rosbridge._wire import clock_now
 
-__all__ = ["PREFIX", "Catalogue", "Rosapi"]
+__all__ = ["PREFIX", "Rosapi", "RosapiCatalogue"]
 
 Arguments: TypeAlias = Mapping[str, Any]
 _ABSENT = "null"
@@ -39,7 +39,7 @@ _PARTLY_SECONDS = 0.02
 _MOST_TYPES = 20_000  # clients may publish half as many topics, each of a type of its own
 
 
-class Catalogue:
+class RosapiCatalogue:
     """What rosapi answers of the whole robot, for all clients of one server.
 
     Args:
@@ -96,7 +96,7 @@ class Catalogue:
         self._listed = listed
         types = dict(self._types)
         answers = {
-            role: Answers(role, listed.values(), self._hub, types)
+            role: RosapiAnswers(role, listed.values(), self._hub, types)
             for role in {asked.role for asked in questions}
         }
         return {asked: answers[asked.role].answer(asked) for asked in questions}
@@ -119,7 +119,7 @@ class Catalogue:
 class Rosapi:
     """Answers for one client: it is shown what its role may see."""
 
-    def __init__(self, catalogue: Catalogue, hub: Hub, client: Client) -> None:
+    def __init__(self, catalogue: RosapiCatalogue, hub: Hub, client: Client) -> None:
         self._catalogue = catalogue
         self._hub = hub
         self._client = client

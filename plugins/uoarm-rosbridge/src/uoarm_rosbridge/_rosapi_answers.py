@@ -11,12 +11,12 @@ from attrs import frozen
 
 from uoarm.errors import UoarmError, UsageError
 from uoarm.model import Component, Function, Message, MessageStructure
-from uoarm.server.front_end import Operation, Role, UnknownError
-from uoarm_rosbridge._basic import BASIC
+from uoarm.server.front_end import AccessRole, Operation, UnknownError
 from uoarm_rosbridge._hub import Hub
 from uoarm_rosbridge._names import topic_of
-from uoarm_rosbridge._stream_runner import is_action
+from uoarm_rosbridge._runners import is_action
 from uoarm_rosbridge._typedefs import (
+    BASIC,
     full_text,
     in_full,
     is_same_type,
@@ -26,7 +26,7 @@ from uoarm_rosbridge._typedefs import (
     typedefs,
 )
 
-__all__ = ["OWN", "PREFIX", "Answers", "Listed", "Question", "arguments_by_name", "question"]
+__all__ = ["OWN", "PREFIX", "Listed", "Question", "RosapiAnswers", "arguments_by_name", "question"]
 
 PREFIX = "/rosapi/"
 Arguments: TypeAlias = Mapping[str, Any]
@@ -102,7 +102,7 @@ class Question:
         arguments: those that are texts, by name.
     """
 
-    role: Role
+    role: AccessRole
     service: str
     arguments: tuple[tuple[str, str], ...] = ()
 
@@ -137,7 +137,7 @@ class Listed:
         }
 
 
-class Answers:
+class RosapiAnswers:
     """The answers for one role. Components appear as nodes. In the thread of the views.
 
     No answer waits for what is not there: a topic whose type is not known yet has an empty one, and
@@ -155,7 +155,7 @@ class Answers:
 
     def __init__(
         self,
-        role: Role,
+        role: AccessRole,
         listed: Iterable[Listed],
         hub: Hub,
         types: Mapping[str, MessageStructure | None],
@@ -482,7 +482,7 @@ def arguments_by_name(service: str, arguments: Message) -> Arguments | None:
     return arguments if isinstance(arguments, dict) else {}
 
 
-def question(role: Role, service: str, arguments: Arguments) -> Question:
+def question(role: AccessRole, service: str, arguments: Arguments) -> Question:
     """Return what is asked, with the arguments that the service takes."""
     texts = ((name, arguments.get(name)) for name in _fields(service))
     shown = tuple((name, text[:_LONGEST]) for name, text in texts if isinstance(text, str))

@@ -8,20 +8,19 @@ from typing import Any
 from uoarm.errors import BridgeError, UsageError
 from uoarm.model import Message, Role, show_value
 from uoarm.server.front_end import Backend, Client, LimitError, Operation, UnknownError
-from uoarm_rosbridge._addresses import Addresses
 from uoarm_rosbridge._arguments import reader_of
-from uoarm_rosbridge._fragments import fragment_size
 from uoarm_rosbridge._hub import Hub
-from uoarm_rosbridge._names import Place, find_place
-from uoarm_rosbridge._rosapi import PREFIX, Catalogue, Rosapi
+from uoarm_rosbridge._names import Addresses, NamedPort, find_place
+from uoarm_rosbridge._rosapi import PREFIX, Rosapi, RosapiCatalogue
+from uoarm_rosbridge._wire import fragment_size
 
-__all__ = ["Services"]
+__all__ = ["ClientServices"]
 
 Fields = Mapping[str, Any]
 _CANCEL = "/_action/cancel_goal"
 
 
-class Services:
+class ClientServices:
     """Calls and answers of one client, in the loop's thread.
 
     Args:
@@ -30,7 +29,7 @@ class Services:
         hub: where clients call one another.
         catalogue: answers what rosapi asks of the whole robot.
         addresses: of functions, which clients may call by them.
-        tell: sends one message to the client, in fragments of a size, 0 for none.
+        send: sends one message to the client, in fragments of a size, 0 for none.
         ask: sends another client's request; raises BusyError where it leaves too much unread.
         cancel_goals: asks for the end of all the client's goals to an action.
     """
@@ -40,18 +39,18 @@ class Services:
         client: Client,
         backend: Backend,
         hub: Hub,
-        catalogue: Catalogue,
+        catalogue: RosapiCatalogue,
         addresses: Addresses,
-        tell: Callable[[Fields, int], None],
+        send: Callable[[Fields, int], None],
         ask: Callable[[Fields], None],
-        cancel_goals: Callable[[Place], None],
+        cancel_goals: Callable[[NamedPort], None],
     ) -> None:
         self._client = client
         self._limits = client.limits
         self._backend = backend
         self._hub = hub
         self._addresses = addresses
-        self._tell = tell
+        self._send = send
         self._ask = ask
         self._cancel_goals = cancel_goals
         self._rosapi = Rosapi(catalogue, hub, client)
@@ -72,7 +71,7 @@ class Services:
         }
         if fields.get("id") is not None:
             response["id"] = fields["id"]
-        self._tell(response, fragment_size(fields))
+        self._send(response, fragment_size(fields))
 
     def advertise(self, fields: Fields) -> None:
         """Provide a service to other clients."""

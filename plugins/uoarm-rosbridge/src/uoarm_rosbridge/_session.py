@@ -19,21 +19,27 @@ from uoarm.server.front_end import (
     BusyError,
     Charge,
     Client,
-    Held,
     LimitError,
+    MemoryUse,
     code_of,
-    tell_error,
+    error_text,
     without_frames,
 )
 from uoarm_rosbridge._actions import Actions
-from uoarm_rosbridge._addresses import Addresses
-from uoarm_rosbridge._fragments import Fragments, split
-from uoarm_rosbridge._goal import GoalStatus
 from uoarm_rosbridge._hub import Hub
-from uoarm_rosbridge._rosapi import Catalogue
-from uoarm_rosbridge._services import Services
+from uoarm_rosbridge._names import Addresses
+from uoarm_rosbridge._rosapi import RosapiCatalogue
+from uoarm_rosbridge._runners import GoalStatus
+from uoarm_rosbridge._services import ClientServices
 from uoarm_rosbridge._topics import Topics
-from uoarm_rosbridge._wire import check_fields, identity_of, read_operation, write_ros
+from uoarm_rosbridge._wire import (
+    Fragments,
+    check_fields,
+    identity_of,
+    read_operation,
+    split,
+    write_ros,
+)
 
 __all__ = ["RosbridgeSession"]
 
@@ -72,7 +78,7 @@ class RosbridgeSession:
         client: Client,
         backend: Backend,
         hub: Hub,
-        catalogue: Catalogue,
+        catalogue: RosapiCatalogue,
         addresses: Addresses,
     ) -> None:
         self._client = client
@@ -82,13 +88,13 @@ class RosbridgeSession:
         seconds = client.limits.message_seconds
         self._fragments = Fragments(2 * client.limits.message_bytes, seconds)
         self._looking: asyncio.TimerHandle | None = None
-        self._fragments_held = client.account.hold(Held.FRAGMENTS)
+        self._fragments_held = client.account.hold(MemoryUse.FRAGMENTS)
         self._tasks: set[asyncio.Task[None]] = set()
         self._topics = Topics(client, backend, hub, addresses, self._fail, self._warn)
         self._actions = Actions(client, backend, hub.actions, self._fail, self.ask)
         cancel = self._actions.cancel_all
-        self._services = Services(
-            client, backend, hub, catalogue, addresses, self.tell, self.ask, cancel
+        self._services = ClientServices(
+            client, backend, hub, catalogue, addresses, self.send, self.ask, cancel
         )
         topics, services, actions = self._topics, self._services, self._actions
         self._operations = {
@@ -137,11 +143,11 @@ class RosbridgeSession:
         self._services.close()
         self._actions.close()
 
-    def tell(self, message: Mapping[str, Any], size: int = 0) -> None:
+    def send(self, message: Mapping[str, Any], size: int = 0) -> None:
         """Send one message, in fragments of a size; raises MessageError when it has no form."""
         identity = f"uoarm:{message['op']}:{next(self._numbers)}"
         for frame in split(write_ros(message), size, identity):
-            self._client.outbox.tell(frame, text=True)
+            self._client.outbox.reply(frame, text=True)
 
     def ask(self, message: Mapping[str, Any]) -> None:
         """Send what another client asks of this one.
@@ -153,7 +159,7 @@ class RosbridgeSession:
         frame = write_ros(message)
         if not self._client.outbox.has_room(len(frame)):
             raise BusyError("the client that provides it leaves too much unread")
-        self._client.outbox.tell(frame, text=True)
+        self._client.outbox.reply(frame, text=True)
 
     def _handle(self, fields: Mapping[str, Any] | None) -> None:
         """Act on a message; None: on a fragment that completes none."""
@@ -223,7 +229,7 @@ class RosbridgeSession:
         most = self._client.limits.calls
         if len(self._tasks) >= most:
             raise LimitError(f"{most} calls are under way; wait for an answer")
-        return self._client.account.charge(Held.ASKED, self._client.in_hand)
+        return self._client.account.charge(MemoryUse.ASKED, self._client.in_hand)
 
     async def _finish(self, fields: Mapping[str, Any], work: Coroutine[Any, Any, None]) -> None:
         try:
@@ -248,18 +254,18 @@ class RosbridgeSession:
         self._level = _LEVELS.index(fields["level"])
 
     def _fail(self, fields: Mapping[str, Any], error: BaseException) -> None:
-        text = self._shown(tell_error(error), fields)
+        text = self._shown(error_text(error), fields)
         op = fields.get("op")
         if op == "service_response" or not isinstance(op, str):  # it may have been an answer
             self._services.refused(fields, text)
         if isinstance(op, str) and op in _ANSWERED:
             answer = _failed(fields, *_ANSWERED[op], text)
-            self._client.outbox.tell(answer, text=True)
+            self._client.outbox.reply(answer, text=True)
         else:
-            self._tell_status(_ERROR, fields, f"{code_of(error)}: {text}")
+            self._send_status(_ERROR, fields, f"{code_of(error)}: {text}")
 
     def _warn(self, fields: Mapping[str, Any], text: str) -> None:
-        self._tell_status(_WARNING, fields, self._shown(text, fields))
+        self._send_status(_WARNING, fields, self._shown(text, fields))
 
     def _shown(self, text: str, fields: Mapping[str, Any]) -> str:
         """Return a text with no name that the client may not see, but for those it used."""
@@ -269,14 +275,14 @@ class RosbridgeSession:
         words = " ".join(item[:_LONGEST_NAME] for item in used if isinstance(item, str))
         return self._backend.role_views.of(self._client.role).text(text, words)
 
-    def _tell_status(self, level: int, fields: Mapping[str, Any], text: str) -> None:
+    def _send_status(self, level: int, fields: Mapping[str, Any], text: str) -> None:
         if self._level > level:
             return
         status: dict[str, Any] = {"op": "status", "level": _LEVELS[level], "msg": text}
         identity = identity_of(fields)
         if identity is not None:
             status["id"] = identity
-        self._client.outbox.tell(write_ros(status), text=True)
+        self._client.outbox.reply(write_ros(status), text=True)
 
 
 def _failed(fields: Mapping[str, Any], op: str, kind: str, text: str) -> bytes:

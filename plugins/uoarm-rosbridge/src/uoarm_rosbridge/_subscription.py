@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import functools
 import math
+import struct
 from collections import deque
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -12,14 +13,63 @@ from typing import Any
 from attrs import frozen
 
 from uoarm.errors import ControlMessageError, MessageError
-from uoarm.model import MessageStructure, QueuePolicy
-from uoarm.server.front_end import Client, Envelope, Held, Lane
-from uoarm_rosbridge._fragments import fragment_size, split
-from uoarm_rosbridge._png import write_publish_png
-from uoarm_rosbridge._raw import RawWriter
-from uoarm_rosbridge._wire import write_publish, write_publish_cbor
+from uoarm.model import Message, MessageStructure, QueuePolicy
+from uoarm.server.front_end import Client, Envelope, Lane, MemoryUse, write_binary
+from uoarm_rosbridge._cdr import Part, serialiser
+from uoarm_rosbridge._wire import (
+    clock_now,
+    fragment_size,
+    split,
+    write_publish,
+    write_publish_cbor,
+    write_publish_png,
+)
 
-__all__ = ["Subscription", "Wish", "read_wish"]
+__all__ = ["RawWriter", "SubscribeOptions", "Subscription", "read_options"]
+
+_head = struct.Struct(">BI").pack
+_BYTE_STRING = 0x5A  # of CBOR, behind which its length is told in four octets
+
+
+class RawWriter:
+    """Writes a topic's messages for those who read the serialised form themselves.
+
+    Args:
+        topic: as the client named it.
+        structure: tells what the messages are like now; a takeover may change it.
+    """
+
+    def __init__(self, topic: str, structure: Callable[[], MessageStructure]) -> None:
+        self._topic = topic
+        self._structure = structure
+        self._known: MessageStructure | None = None
+        self._serialise: Callable[[Message], list[Part]] | None = None
+
+    def __call__(self, message: Message) -> bytes:
+        """Return a publish message.
+
+        Raises:
+            MessageError: the message does not fit, or its structure has no fixed layout.
+        """
+        seconds, nanoseconds = clock_now()
+        parts = self.prepare()(message)
+        raw = {"secs": seconds, "nsecs": nanoseconds, "bytes": b""}
+        before = write_binary({"op": "publish", "topic": self._topic, "msg": raw})
+        length = sum(memoryview(part).nbytes for part in parts)
+        return b"".join((before[:-1], _head(_BYTE_STRING, length), *parts))
+
+    def prepare(self) -> Callable[[Message], list[Part]]:
+        """Read the structure, unless it is known, and return what serialises its messages.
+
+        Raises:
+            MessageError: the structure has no fixed layout.
+        """
+        structure = self._structure()
+        if self._serialise is None or structure is not self._known:
+            self._serialise = serialiser(structure)
+            self._known = structure
+        return self._serialise
+
 
 _RAW = "cbor-raw"
 _TEXTS = {"none": write_publish, "png": write_publish_png}
@@ -28,7 +78,7 @@ _MOST = 100_000
 
 
 @frozen
-class Wish:
+class SubscribeOptions:
     """What one subscribe message asks for.
 
     Attributes:
@@ -44,7 +94,7 @@ class Wish:
     compression: str = "none"
 
 
-def read_wish(fields: Mapping[str, Any]) -> Wish:
+def read_options(fields: Mapping[str, Any]) -> SubscribeOptions:
     """Return what a subscribe message asks for.
 
     Raises:
@@ -56,7 +106,7 @@ def read_wish(fields: Mapping[str, Any]) -> Wish:
             f"subscribe: compression {compression!r:.60} is not served; "
             f"use {', '.join(_COMPRESSIONS[:-1])} or {_RAW}"
         )
-    return Wish(
+    return SubscribeOptions(
         every=float(fields.get("throttle_rate") or 0) / 1000,
         length=min(int(fields.get("queue_length") or 0), _MOST),
         fragment=fragment_size(fields),
@@ -65,14 +115,14 @@ def read_wish(fields: Mapping[str, Any]) -> Wish:
 
 
 class Subscription:
-    """Hands a topic's messages to one client, as its wishes together ask.
+    """Hands a topic's messages to one client, as its subscribe messages together ask.
 
     Several subscriptions of one client to one topic are one here: the highest rate and the longest
     queue hold; the compression is that of the first.
 
     Args:
         topic: as the client named it.
-        wish: of the first subscribe message.
+        options: of the first subscribe message.
         client: who listens.
         structure: tells what the messages are like, for `cbor-raw`.
         clock: seconds.
@@ -83,7 +133,7 @@ class Subscription:
     def __init__(
         self,
         topic: str,
-        wish: Wish,
+        options: SubscribeOptions,
         client: Client,
         *,
         structure: Callable[[], MessageStructure],
@@ -91,7 +141,7 @@ class Subscription:
         on_refused: Callable[[MessageError], None],
         on_end: Callable[[str, str], None],
     ) -> None:
-        self.wishes: dict[str, Wish] = {}
+        self.asked: dict[str, SubscribeOptions] = {}
         self._topic = topic
         self._outbox = client.outbox
         self._account = client.account
@@ -100,18 +150,18 @@ class Subscription:
         self._on_end = on_end
         self._due = -math.inf
         self._held: deque[Envelope] = deque()
-        self._charge = client.account.hold(Held.THROTTLED)
+        self._charge = client.account.hold(MemoryUse.THROTTLED)
         self._timer: asyncio.TimerHandle | None = None
-        text = wish.compression in _TEXTS
+        text = options.compression in _TEXTS
         limits = client.limits
         self.lane = Lane(QueuePolicy(limits.queue_messages), text, limits.queue_seconds)
-        self._key = f"ros-{wish.compression}:{topic}"
-        self._raw = RawWriter(topic, structure) if wish.compression == _RAW else None
-        write = _TEXTS.get(wish.compression, write_publish_cbor)
+        self._key = f"ros-{options.compression}:{topic}"
+        self._raw = RawWriter(topic, structure) if options.compression == _RAW else None
+        write = _TEXTS.get(options.compression, write_publish_cbor)
         self._write = functools.partial(_numberless, self._raw or functools.partial(write, topic))
-        self._every = wish.every
-        self._length = wish.length
-        self._fragment = wish.fragment if text else 0
+        self._every = options.every
+        self._length = options.length
+        self._fragment = options.fragment if text else 0
 
     def prepare(self) -> None:
         """Make ready for messages, whose structure is known now.
@@ -122,19 +172,19 @@ class Subscription:
         if self._raw is not None:
             self._raw.prepare()
 
-    def wish(self, identity: str, wish: Wish) -> None:
+    def set_options(self, identity: str, options: SubscribeOptions) -> None:
         """Add or replace a wish."""
-        self.wishes[identity] = wish
+        self.asked[identity] = options
         self._settle()
 
     def drop(self, identity: str | None) -> bool:
         """Take a wish back, or all; True when none is left."""
         if identity is None:
-            self.wishes.clear()
+            self.asked.clear()
         else:
-            self.wishes.pop(identity, None)
+            self.asked.pop(identity, None)
         self._settle()
-        return not self.wishes
+        return not self.asked
 
     def close(self) -> None:
         """Send nothing more."""
@@ -173,9 +223,9 @@ class Subscription:
         self._on_end(state, cause)
 
     def _settle(self) -> None:
-        wishes = self.wishes.values()
-        self._every = min((wish.every for wish in wishes), default=0.0)
-        self._length = max((wish.length for wish in wishes), default=0)
+        asked = self.asked.values()
+        self._every = min((options.every for options in asked), default=0.0)
+        self._length = max((options.length for options in asked), default=0)
 
     def _set_timer(self, now: float) -> None:
         if self._timer is None:

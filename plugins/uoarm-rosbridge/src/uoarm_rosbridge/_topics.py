@@ -12,12 +12,10 @@ from attrs import define
 from uoarm.errors import ControlMessageError, MessageError, UoarmError, UsageError
 from uoarm.model import MessageStructure, Role
 from uoarm.server.front_end import Backend, Client, Feed, FeedKey, LimitError, Operation
-from uoarm_rosbridge._addresses import Addresses
 from uoarm_rosbridge._hub import Hub
-from uoarm_rosbridge._names import Place, find_place
-from uoarm_rosbridge._publication import Publication
-from uoarm_rosbridge._shared_publication import SharedPublication
-from uoarm_rosbridge._subscription import Subscription, Wish, read_wish
+from uoarm_rosbridge._names import Addresses, NamedPort, find_place
+from uoarm_rosbridge._publication import ClientPublication, SharedPublication
+from uoarm_rosbridge._subscription import SubscribeOptions, Subscription, read_options
 from uoarm_rosbridge._typedefs import check_type
 
 __all__ = ["Topics"]
@@ -31,17 +29,17 @@ _WISHES_PER_STREAM = 64
 
 @define
 class _Listening:
-    """A subscription and where its messages come from; `told` is the last warning of it."""
+    """A subscription and where its messages come from; `last_warning` is the last warning of it."""
 
     subscription: Subscription
     feed: Feed | None = None
     opening: asyncio.Task[None] | None = None
-    told: str = ""
+    last_warning: str = ""
 
     def warn(self, warn: Callable[[Fields, str], None], fields: Fields, text: str) -> None:
         """Tell the client, unless this was the last that it was told."""
-        if text != self.told:
-            self.told = text
+        if text != self.last_warning:
+            self.last_warning = text
             warn(fields, f"{text}; it is waited for")
 
 
@@ -72,7 +70,7 @@ class Topics:
         self._addresses = addresses
         self._fail = fail
         self._warn = warn
-        self._publications: dict[str, Publication | SharedPublication] = {}
+        self._publications: dict[str, ClientPublication | SharedPublication] = {}
         self._latched: set[str] = set()
         self._listening: dict[str, _Listening] = {}
 
@@ -95,7 +93,7 @@ class Topics:
             self._open(place, fields)
         publication = self._publications[place.name]
         done = lambda error: self._done(fields, error)  # noqa: E731
-        if isinstance(publication, Publication):
+        if isinstance(publication, ClientPublication):
             publication.publish(message, done, self._client.in_hand)
             return
         if not isinstance(message, dict):
@@ -106,7 +104,7 @@ class Topics:
 
     def subscribe(self, fields: Fields) -> None:
         """Listen to a topic, or add a wish to a subscription that there is."""
-        place, wish = find_place(fields["topic"]), read_wish(fields)
+        place, options = find_place(fields["topic"]), read_options(fields)
         self._client.require(Operation.REQUEST, place.right)
         stated = _identity(fields)
         identity = place.name if stated is None else stated
@@ -114,13 +112,13 @@ class Topics:
         if listening is None:
             if len(self._listening) >= self._client.limits.streams:
                 raise LimitError(f"{self._client.limits.streams} topics are subscribed already")
-            self._admit_wish()
-            listening = self._listen(place, wish, fields)
-        elif identity not in listening.subscription.wishes:
-            if len(listening.subscription.wishes) >= _WISHES:
+            self._admit_subscription()
+            listening = self._listen(place, options, fields)
+        elif identity not in listening.subscription.asked:
+            if len(listening.subscription.asked) >= _WISHES:
                 raise LimitError(f"{place.name!r} has {_WISHES} subscriptions of this client")
-            self._admit_wish()
-        listening.subscription.wish(identity, wish)
+            self._admit_subscription()
+        listening.subscription.set_options(identity, options)
 
     def unsubscribe(self, fields: Fields) -> None:
         """End one subscription of a topic by its id, or all without one."""
@@ -139,16 +137,13 @@ class Topics:
         for name in list(self._listening):
             self._stop(find_place(name))
 
-    def _admit_wish(self) -> None:
+    def _admit_subscription(self) -> None:
         """Refuse one more subscription where the client has as many as it may, on all topics."""
         most = _WISHES_PER_STREAM * self._client.limits.streams
-        if (
-            sum(len(listening.subscription.wishes) for listening in self._listening.values())
-            >= most
-        ):
+        if sum(len(listening.subscription.asked) for listening in self._listening.values()) >= most:
             raise LimitError(f"{most} subscriptions are held already; end one first")
 
-    def _open(self, place: Place, fields: Fields) -> None:
+    def _open(self, place: NamedPort, fields: Fields) -> None:
         self._client.require(Operation.SEND, place.right)
         if place.name in self._publications:
             return
@@ -158,7 +153,7 @@ class Topics:
             if place.function not in self._backend.robot.config.functions:
                 raise UsageError(f"there is no function {place.function!r}")
             failed = lambda error: self._publication_failed(place, fields, error)  # noqa: E731
-            self._publications[place.name] = Publication(
+            self._publications[place.name] = ClientPublication(
                 place, _type_in(fields), self._backend, self._client, failed
             )
         else:
@@ -169,20 +164,20 @@ class Topics:
         if fields.get("latch") is True:
             self._latched.add(place.name)
 
-    def _hint(self, place: Place, role: Role, fields: Fields) -> None:
+    def _hint(self, place: NamedPort, role: Role, fields: Fields) -> None:
         """Tell the client where a function is which it asks for by its own address."""
         hint = self._addresses.hint(place.name, role, self._client)
         if hint:
             self._warn(fields, hint)
 
-    def _publication_failed(self, place: Place, fields: Fields, error: BaseException) -> None:
+    def _publication_failed(self, place: NamedPort, fields: Fields, error: BaseException) -> None:
         self._publications.pop(place.name, None)
         self._fail(fields, error)
 
-    def _listen(self, place: Place, wish: Wish, fields: Fields) -> _Listening:
+    def _listen(self, place: NamedPort, options: SubscribeOptions, fields: Fields) -> _Listening:
         subscription = Subscription(
             place.name if fields["topic"].startswith("/") else fields["topic"],
-            wish,
+            options,
             self._client,
             structure=lambda: _structure_of(place, listening.feed),
             clock=time.monotonic,
@@ -201,14 +196,14 @@ class Topics:
         return listening
 
     async def _join(
-        self, place: Place, listening: _Listening, fields: Fields, pause: float = 0.0
+        self, place: NamedPort, listening: _Listening, fields: Fields, pause: float = 0.0
     ) -> None:
-        def tell(cause: str) -> None:
+        def notify(cause: str) -> None:
             listening.warn(self._warn, fields, f"{place.name} cannot be had yet: {cause}")
 
         try:
             await asyncio.sleep(pause)
-            feed = await self._backend.join(FeedKey(place.wanted), tell)
+            feed = await self._backend.join(FeedKey(place.wanted), notify)
         except Exception as error:  # noqa: BLE001 - told to the one who listens
             self._listening.pop(place.name, None)
             self._fail(fields, error)
@@ -224,7 +219,7 @@ class Topics:
             return
         feed.add(listening.subscription, missed=listening.subscription.miss)
 
-    def _ended(self, place: Place, fields: Fields, state: str, cause: str) -> None:
+    def _ended(self, place: NamedPort, fields: Fields, state: str, cause: str) -> None:
         """Wait for a provider that failed to come back; what ended in another way has ended."""
         listening = self._listening.get(place.name)
         if listening is None:
@@ -238,7 +233,7 @@ class Topics:
         joining = self._join(place, listening, fields, _AGAIN_SECONDS)
         listening.opening = asyncio.ensure_future(joining)
 
-    def _stop(self, place: Place) -> None:
+    def _stop(self, place: NamedPort) -> None:
         listening = self._listening.pop(place.name)
         listening.subscription.close()
         if not place.function:
@@ -268,7 +263,7 @@ def _type_in(fields: Fields) -> str:
     return str(fields.get("type") or "")
 
 
-def _structure_of(place: Place, feed: Feed | None) -> MessageStructure:
+def _structure_of(place: NamedPort, feed: Feed | None) -> MessageStructure:
     if feed is None or feed.connection is None:
         raise MessageError(
             f"{place.name}: messages between clients have no stated structure; "

@@ -73,9 +73,9 @@ assert.deepEqual([...bytes.slice(16)], [...Array(256).keys()]);
 rawTopic.unsubscribe();
 
 const echo = new Topic({ ros, name: "/uoarm/echo", messageType: "any/Type" });
-const heard = [];
+const received = [];
 const all = new Promise((yes) => echo.subscribe((message) => {
-  heard.push(message.value);
+  received.push(message.value);
   if (message.value === 20) yes();
 }));
 await within(new Promise((yes, no) => ros.getTopics(yes, no)), "topics");

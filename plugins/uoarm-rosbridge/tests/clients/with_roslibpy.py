@@ -74,12 +74,12 @@ def receive(ros: Any) -> None:
 
 def publish(ros: Any) -> None:
     received: list[int] = []
-    all_heard = threading.Event()
+    all_received = threading.Event()
 
     def take(message: Any) -> None:
         received.append(message["value"])
         if message["value"] == 20:
-            all_heard.set()
+            all_received.set()
 
     listener = roslibpy.Topic(ros, "/uoarm/echo", "any/Type")
     listener.subscribe(take)
@@ -87,7 +87,7 @@ def publish(ros: Any) -> None:
     talker = roslibpy.Topic(ros, "/uoarm/echo", "any/Type")
     for value in range(21):
         talker.publish(roslibpy.Message({"value": value}))
-    assert all_heard.wait(SECONDS), received
+    assert all_received.wait(SECONDS), received
     talker.unadvertise()
     listener.unsubscribe()
 

@@ -10,8 +10,7 @@ from typing import Any
 
 from uoarm._yaml import Budget, Document, Path, Problem, clip, read_file, write_path
 from uoarm.errors import ConfigurationError
-from uoarm.server.access._policy import AccessPolicy, Grant
-from uoarm.server.access._role import OF_NO_FUNCTION, Operation, Role
+from uoarm.server.access._role import OF_NO_FUNCTION, AccessPolicy, AccessRole, Grant, Operation
 
 __all__ = ["BUDGET", "read_access"]
 
@@ -77,7 +76,7 @@ class _Reader:
             },
         )
 
-    def _role(self, name: str, data: Any) -> Role:
+    def _role(self, name: str, data: Any) -> AccessRole:
         known = tuple(operation.value for operation in Operation)
         rules: dict[Operation, tuple[str, ...]] = {}
         everything: set[Operation] = set()
@@ -104,10 +103,10 @@ class _Reader:
                 )
             else:
                 rules[Operation(key)] = tuple(wanted)
-        return Role(name, rules, frozenset(everything))
+        return AccessRole(name, rules, frozenset(everything))
 
     def _token(
-        self, data: Any, path: Path, roles: Mapping[str, Role], tokens: dict[str, Grant]
+        self, data: Any, path: Path, roles: Mapping[str, AccessRole], tokens: dict[str, Grant]
     ) -> None:
         entry = self._mapping(data, path)
         name = entry.get("name", f"tokens[{path[-1]}]")
@@ -127,7 +126,12 @@ class _Reader:
             tokens[digest] = grant
 
     def _grant(
-        self, name: str, data: Any, path: Path, roles: Mapping[str, Role], known: tuple[str, ...]
+        self,
+        name: str,
+        data: Any,
+        path: Path,
+        roles: Mapping[str, AccessRole],
+        known: tuple[str, ...],
     ) -> Grant:
         entry = self._mapping(data, path)
         self._check_names(entry, path, known)
@@ -144,7 +148,7 @@ class _Reader:
                 (*path, "expires"),
                 f"expected a time such as 2027-01-31T00:00:00Z, {_got(entry['expires'])}",
             )
-        return Grant(name, role or Role("", {}), expires)
+        return Grant(name, role or AccessRole("", {}), expires)
 
     def _check_names(self, parts: Mapping[str, Any], path: Path, known: tuple[str, ...]) -> None:
         for name in parts:

@@ -4,24 +4,191 @@ from __future__ import annotations
 
 import ipaddress
 import logging
+from collections import Counter, OrderedDict
 from collections.abc import Mapping
 from datetime import datetime, timezone
 from http import HTTPStatus
 from pathlib import Path
 from typing import Any
-from urllib.parse import urlsplit
+from urllib.parse import parse_qs, urlsplit
 
-from attrs import frozen
+from attrs import define, frozen
+from websockets.datastructures import Headers
+from websockets.http11 import Request
 
 from uoarm._whole_file import stamp_of
-from uoarm.errors import ConfigurationError
+from uoarm.errors import ConfigurationError, UoarmError
 from uoarm.server.access._access_file import read_access
-from uoarm.server.access._policy import AccessPolicy, Now, hash_token
-from uoarm.server.access._request_head import RefusedError, RequestHead, WrongTokenError
-from uoarm.server.access._role import EVERYTHING, Role
-from uoarm.server.access._wrong_tokens import WrongTokens
+from uoarm.server.access._role import EVERYTHING, AccessPolicy, AccessRole, Now, hash_token
 
-__all__ = ["Admission", "Credentials", "is_loopback"]
+__all__ = [
+    "TOKEN_SUBPROTOCOL",
+    "Admission",
+    "Credentials",
+    "RefusedError",
+    "RequestHead",
+    "WrongTokenError",
+    "WrongTokens",
+    "is_loopback",
+    "read_head",
+]
+
+_FREE, _FREE_IN_ALL = 5, 50
+_FIRST_SECONDS = 0.1
+_FORGIVEN_SECONDS = 10.0
+_ADDRESSES = 4096
+_NETWORK_BITS = 64
+
+
+@define
+class _Guesses:
+    """How many wrong tokens came lately: one less after each ten seconds."""
+
+    count: float = 0.0
+    at: float = 0.0
+
+    def add(self, now: float) -> float:
+        self.count = max(0.0, self.count - max(0.0, now - self.at) / _FORGIVEN_SECONDS) + 1
+        self.at = now
+        return self.count
+
+
+class WrongTokens:
+    """Says how long a client that shows a wrong token waits for its answer. No clock, no waiting.
+
+    The pause doubles with each wrong token of an address, and with those of all addresses together
+    beyond a number that honest clients with an old token come to. Nothing here is asked about a
+    right token: who has one is let in at once, from the same address, too. So that those who wait
+    do not take all connections, only some may; the others get no answer.
+
+    Args:
+        longest: seconds for which a client waits at most.
+        waiting: clients that may wait for their answer at one time; of one address an eighth.
+    """
+
+    def __init__(self, longest: float, waiting: int = 64) -> None:
+        self._longest = longest
+        self._most = waiting
+        self._most_of_one = max(1, waiting // 8)
+        self._of: OrderedDict[str, _Guesses] = OrderedDict()
+        self._all = _Guesses()
+        self._waiting: Counter[str] = Counter()
+
+    def begin(self, address: str, now: float) -> float | None:
+        """Count a wrong token; return the seconds until its answer, None for no answer at all.
+
+        Where it waits, `end` follows.
+        """
+        network = _network(address)
+        guesses = self._of.setdefault(network, _Guesses())
+        self._of.move_to_end(network)
+        if len(self._of) > _ADDRESSES:
+            self._of.popitem(last=False)
+        of_all = self._all.add(now)
+        beyond = max(guesses.add(now) - _FREE, of_all - _FREE_IN_ALL)
+        pause = 0.0 if beyond <= 0 else _FIRST_SECONDS * 2 ** min(beyond - 1, 30)
+        if self._waiting[network] >= self._most_of_one or self._waiting.total() >= self._most:
+            return None
+        self._waiting[network] += 1
+        return min(self._longest, pause)
+
+    def end(self, address: str) -> None:
+        """Note that a client waits no more."""
+        self._waiting -= Counter({_network(address): 1})
+
+
+def _network(address: str) -> str:
+    """Return what counts as one address: of IPv6 a network, of which a guesser has all."""
+    try:
+        found = ipaddress.ip_address(address.partition("%")[0])
+    except ValueError:
+        return address
+    if isinstance(found, ipaddress.IPv4Address):
+        return str(found)
+    if found.ipv4_mapped is not None:
+        return str(found.ipv4_mapped)
+    return str(ipaddress.ip_network((found, _NETWORK_BITS), strict=False))
+
+
+TOKEN_SUBPROTOCOL = "uoarm.token."  # noqa: S105 - the name of the place, not a token
+_FIELDS = 10
+
+
+class RefusedError(UoarmError):
+    """A handshake that is answered with an HTTP error."""
+
+    def __init__(self, status: HTTPStatus, text: str) -> None:
+        super().__init__(text)
+        self.status = status
+
+
+class WrongTokenError(RefusedError):
+    """A token that is not valid, which may be a guess."""
+
+
+@frozen
+class RequestHead:
+    """The parts of a request that say what it asks for and who asks.
+
+    Attributes:
+        path: of the page or endpoint, without the query.
+        host: the header `Host`, empty where it has none.
+        origin: the header `Origin`; None: it has none.
+        token: what it shows, wherever it can put one; empty: none.
+        upgrade: whether it asks for a WebSocket.
+    """
+
+    path: str
+    host: str
+    origin: str | None
+    token: str
+    upgrade: bool
+
+
+def read_head(request: Request) -> RequestHead:
+    """Read the head of a request.
+
+    Raises:
+        RefusedError: 400, the path is none, or a header that decides comes twice: two readers,
+            such as a proxy and this server, might each believe another one.
+    """
+    headers = request.headers
+    try:
+        target = urlsplit(request.path)
+        query = parse_qs(target.query, max_num_fields=_FIELDS) if target.query else {}
+    except ValueError:  # its text, and the path, may hold a token: neither goes to the log
+        raise RefusedError(
+            HTTPStatus.BAD_REQUEST,
+            f"the path cannot be read: expected one such as / with at most {_FIELDS} fields",
+        ) from None
+    host, origin = _one(headers, "Host"), _one(headers, "Origin")
+    return RequestHead(
+        target.path,
+        host or "",
+        origin,
+        _token(_one(headers, "Authorization") or "", headers, query.get("token", [])),
+        "Upgrade" in headers,
+    )
+
+
+def _one(headers: Headers, name: str) -> str | None:
+    values = headers.get_all(name)
+    if len(values) > 1:
+        raise RefusedError(
+            HTTPStatus.BAD_REQUEST, f"the header {name} comes {len(values)} times; once is allowed"
+        )
+    return values[0] if values else None
+
+
+def _token(authorization: str, headers: Headers, shown: list[str]) -> str:
+    kind, _, token = authorization.partition(" ")
+    if kind.lower() == "bearer" and token.strip():
+        return token.strip()
+    for offer in ",".join(headers.get_all("Sec-WebSocket-Protocol")).split(","):
+        if offer.strip().startswith(TOKEN_SUBPROTOCOL):
+            return offer.strip().removeprefix(TOKEN_SUBPROTOCOL)
+    return shown[0] if shown else ""
+
 
 _log = logging.getLogger("uoarm.server")
 
@@ -107,7 +274,7 @@ class Admission:
             raise kind(HTTPStatus.UNAUTHORIZED, f"this server needs a token; got {had}")
         return credentials
 
-    def role(self, credentials: Credentials) -> Role | None:
+    def role(self, credentials: Credentials) -> AccessRole | None:
         """Return the role that a client has at this moment, None when it may not stay."""
         if self._policy is None:
             return EVERYTHING

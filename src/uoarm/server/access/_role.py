@@ -2,15 +2,34 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import hashlib
+import hmac
+import logging
+import secrets
+from collections.abc import Callable, Mapping
+from datetime import datetime
 from enum import Enum
 from fnmatch import fnmatchcase
 
+import orjson
 from attrs import field, frozen
 
 from uoarm.errors import UoarmError
+from uoarm.model import StopReport
 
-__all__ = ["EVERYTHING", "OF_NO_FUNCTION", "DeniedError", "Operation", "Role"]
+__all__ = [
+    "EVERYTHING",
+    "OF_NO_FUNCTION",
+    "AccessPolicy",
+    "AccessRole",
+    "Audit",
+    "DeniedError",
+    "Grant",
+    "Now",
+    "Operation",
+    "hash_token",
+    "make_token",
+]
 
 
 class DeniedError(UoarmError):
@@ -44,7 +63,7 @@ OF_NO_FUNCTION = frozenset({Operation.CONFIGURE, Operation.KEEP, Operation.STOP,
 
 
 @frozen
-class Role:
+class AccessRole:
     """A named set of rights; whatever is not named is denied.
 
     Attributes:
@@ -91,4 +110,143 @@ class Role:
         )
 
 
-EVERYTHING = Role("local", everything=frozenset(Operation) - {Operation.CONFIGURE, Operation.KEEP})
+EVERYTHING = AccessRole(
+    "local", everything=frozenset(Operation) - {Operation.CONFIGURE, Operation.KEEP}
+)
+
+
+Now = Callable[[], datetime]
+
+_TOKEN_BYTES = 32
+
+
+@frozen
+class Grant:
+    """One token or certificate and the role it has.
+
+    Attributes:
+        name: for the audit log.
+        role: what it may do.
+        expires: when it ends; None: never.
+    """
+
+    name: str
+    role: AccessRole
+    expires: datetime | None = None
+
+
+@frozen
+class AccessPolicy:
+    """Which credentials have which role, as an access file says.
+
+    Attributes:
+        tokens: grants by the SHA-256 of the token, in lower-case hex.
+        certificates: grants by the common name of a client's certificate.
+    """
+
+    tokens: Mapping[str, Grant] = field(hash=False)
+    certificates: Mapping[str, Grant] = field(factory=dict, hash=False)
+
+    def grant_of(self, digest: str, now: datetime) -> Grant | None:
+        """Return the grant of a token's hash, None for an unknown or expired one.
+
+        Takes the same time whichever token it is: every hash is compared, each in constant time.
+        """
+        found: Grant | None = None
+        for known, grant in self.tokens.items():
+            if hmac.compare_digest(known, digest):
+                found = grant
+        return _unless_expired(found, now)
+
+    def certificate_grant(self, name: str, now: datetime) -> Grant | None:
+        """Return the grant of a certificate's common name."""
+        return _unless_expired(self.certificates.get(name), now)
+
+
+def make_token() -> str:
+    """Return a new token of 256 random bits: too many to guess, so a plain hash keeps it safe."""
+    return secrets.token_urlsafe(_TOKEN_BYTES)
+
+
+def hash_token(token: str) -> str:
+    """Return a token as it is kept at rest."""
+    return hashlib.sha256(token.encode("utf-8", "surrogatepass")).hexdigest()
+
+
+def _unless_expired(grant: Grant | None, now: datetime) -> Grant | None:
+    if grant is None or (grant.expires is not None and now >= grant.expires):
+        return None
+    return grant
+
+
+_log = logging.getLogger("uoarm.audit")
+
+
+class Audit:
+    """Writes one JSON line for each decision to the logger `uoarm.audit`.
+
+    Denials are warnings. What was allowed is information, except that each message sent would
+    drown the rest: those are for debugging.
+    """
+
+    def note(
+        self, session: str, role: AccessRole, operation: Operation, function: str, *, allowed: bool
+    ) -> None:
+        """Record one decision about an operation on a function."""
+        level = logging.DEBUG if operation is Operation.SEND else logging.INFO
+        if not allowed:
+            level = logging.WARNING
+        if _log.isEnabledFor(level):
+            self._write(
+                level,
+                session=session,
+                role=role.name,
+                operation=operation.value,
+                function=function[:200],
+                allowed=allowed,
+            )
+
+    def stopped(self, asker: str, role: str, report: StopReport) -> None:
+        """Record what an emergency stop came to, and which inputs have not stopped.
+
+        Args:
+            asker: the session, or the name of the signal.
+            role: of the session.
+            report: what it came to.
+        """
+        left = [
+            f"{input_.component}.{input_.port}" for input_ in report.inputs if not input_.stopped
+        ]
+        level = logging.WARNING if left else logging.INFO
+        self._write(level, session=asker, role=role, operation="stop", done=not left, left=left)
+
+    def released(self, asker: str, role: str, cause: str = "") -> None:
+        """Record that commands are let through again, or, with a cause, why they are not."""
+        level = logging.WARNING if cause else logging.INFO
+        self._write(
+            level, session=asker, role=role, operation="release", done=not cause, cause=cause
+        )
+
+    def leased(self, change: str) -> None:
+        """Record who commands an input now, or gave it back."""
+        self._write(logging.INFO, operation="lease", lease=change)
+
+    def arrival(self, address: str, session: str, role: str, cause: str = "") -> None:
+        """Record a client that was admitted, or, with a cause, that was not."""
+        level = logging.WARNING if cause else logging.INFO
+        self._write(level, address=address, session=session, role=role, refused=cause)
+
+    def dropped(self, session: str) -> None:
+        """Record that a client's connection broke while its session is kept."""
+        self._write(logging.INFO, session=session, dropped=True)
+
+    def resumed(self, address: str, session: str) -> None:
+        """Record that a client goes on with its session."""
+        self._write(logging.INFO, address=address, session=session, resumed=True)
+
+    def departure(self, session: str) -> None:
+        """Record that a client has gone."""
+        self._write(logging.INFO, session=session, gone=True)
+
+    def _write(self, level: int, **facts: object) -> None:
+        _log.log(level, "%s", orjson.dumps(facts).decode())

@@ -15,7 +15,7 @@ from typing import Any
 from attrs import field, frozen
 
 from uoarm.model import Robot, StatusEvent
-from uoarm.server.access._role import Operation, Role
+from uoarm.server.access._role import AccessRole, Operation
 
 __all__ = ["RoleView", "RoleViews"]
 
@@ -27,7 +27,7 @@ _MOST_FORMER = 10_000
 
 
 @frozen
-class Names:
+class RobotNames:
     """What a robot has that has a name.
 
     Attributes:
@@ -49,7 +49,7 @@ class RoleView:
         names: of the robot, and of what it had until a moment ago.
     """
 
-    def __init__(self, role: Role, names: Names) -> None:
+    def __init__(self, role: AccessRole, names: RobotNames) -> None:
         self.role = role
         self.sees_all = role.allows_all(Operation.SEE)
         self._names = names
@@ -141,10 +141,10 @@ class RoleViews:
     def __init__(self, robot: Callable[[], Robot]) -> None:
         self._robot = robot
         # One value, so that threads see either all of a revision or nothing of it.
-        self._known: tuple[Robot | None, Names] = None, Names()
-        self._views: dict[Role, tuple[Robot, RoleView]] = {}
+        self._known: tuple[Robot | None, RobotNames] = None, RobotNames()
+        self._views: dict[AccessRole, tuple[Robot, RoleView]] = {}
 
-    def of(self, role: Role) -> RoleView:
+    def of(self, role: AccessRole) -> RoleView:
         """Return the view of a role on the configuration in force."""
         robot = self._robot()
         known = self._views.get(role)
@@ -159,14 +159,14 @@ class RoleViews:
         return view
 
 
-def _names(robot: Robot, former: Names) -> Names:
+def _names(robot: Robot, former: RobotNames) -> RobotNames:
     """Return the names of a robot, with those of before: texts may name what was there."""
     if len(former.components) > _MOST_FORMER:
-        former = Names()
+        former = RobotNames()
     bridges: dict[str, set[str]] = {name: set() for name in robot.bridges}
     components = dict(former.components)
     for component in robot.components():
         bridges.setdefault(component.bridge, set()).add(component.function)
         components[component.name] = component.function
     functions = former.functions.union(robot.functions)
-    return Names(functions, components, {**former.bridges, **bridges})
+    return RobotNames(functions, components, {**former.bridges, **bridges})

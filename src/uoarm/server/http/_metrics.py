@@ -15,7 +15,7 @@ from prometheus_client import CollectorRegistry, generate_latest
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
 
 from uoarm.model import StatusMap
-from uoarm.server.session import Client, SessionStore
+from uoarm.server.session import ConnectedClient, SessionStore
 from uoarm.server.streams import FeedRegistry
 
 __all__ = ["Metrics", "Totals", "status_metrics", "thread_metrics"]
@@ -34,7 +34,7 @@ class Totals:
     sent: int = 0
     sent_bytes: int = 0
 
-    def add(self, client: Client) -> None:
+    def add(self, client: ConnectedClient) -> None:
         """Keep the counts of a client that goes."""
         self.received += client.received
         self.sent += client.sent
@@ -56,7 +56,7 @@ class Metrics:
         self,
         registry: FeedRegistry,
         totals: Totals,
-        clients: Callable[[], Iterable[Client]],
+        clients: Callable[[], Iterable[ConnectedClient]],
         store: SessionStore,
     ) -> None:
         self._store = store

@@ -17,12 +17,12 @@ from uoarm._deadlines import result_within
 from uoarm._raised import foreign
 from uoarm.model import Spending, StopReport
 from uoarm.server._limits import Limits
-from uoarm.server.access import Audit, Credentials, Operation, Role
+from uoarm.server.access import AccessRole, Audit, Credentials, Operation
 from uoarm.server.session._connection import TurnConnection, address_of
-from uoarm.server.session._intake import Decoder, RateLimiter
+from uoarm.server.session._incoming import FrameDecoder, RateLimiter
 from uoarm.server.streams import Account, Outbox, acting
 
-__all__ = ["Client", "Session"]
+__all__ = ["ConnectedClient", "Session"]
 
 _log = logging.getLogger("uoarm.server")
 _TURN_SECONDS = 0.001
@@ -53,7 +53,7 @@ class Session(Protocol):
         """Give back everything that only this client used."""
 
 
-class Client:
+class ConnectedClient:
     """Transport of one client, the same for every protocol.
 
     Args:
@@ -79,9 +79,9 @@ class Client:
         socket: TurnConnection,
         identity: str,
         credentials: Credentials,
-        role: Role,
+        role: AccessRole,
         limits: Limits,
-        decoder: Decoder,
+        decoder: FrameDecoder,
         account: Account,
         audit: Audit,
     ) -> None:

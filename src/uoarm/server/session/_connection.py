@@ -25,7 +25,7 @@ from websockets.typing import BytesLike
 
 from uoarm._deadlines import result_within
 from uoarm.server._limits import Limits
-from uoarm.server.session._incoming import Incoming, IncomingError, Turn, Turns
+from uoarm.server.session._incoming import IncomingError, IncomingFrames, ParsingTurns, Turn
 from uoarm.server.streams import Account
 
 __all__ = ["Sockets", "TurnConnection", "address_of", "host_of"]
@@ -74,7 +74,7 @@ class Sockets:
     def __init__(self, limit: int, limits: Limits) -> None:
         self.limit = limit
         self.limits = limits
-        self.turns = Turns()
+        self.turns = ParsingTurns()
         self._all: dict[TurnConnection, str] = {}
         self._of_host: Counter[str] = Counter()
 
@@ -147,7 +147,7 @@ class TurnConnection(ServerConnection):
         self._allowance = _CONTROL_PER_SECOND
         self._counted = time.monotonic()
         self._gets_large = False
-        self._incoming = Incoming(self._limits.message_bytes, sockets.turns.do)
+        self._incoming = IncomingFrames(self._limits.message_bytes, sockets.turns.do)
         self._in_hand = 0  # octets of the message that was taken last
         self._began: float | None = None  # when what is unfinished did
         self._taker: asyncio.Future[None] | None = None

@@ -40,7 +40,7 @@ class Discoveries:
         Raises:
             UoarmError: the manager is closed, or BusyError.
         """
-        return await self._workers.start(lambda: list(self._told()))
+        return await self._workers.start(lambda: list(self._reports()))
 
     async def take(self, bridge: str, component: str) -> dict[str, Any]:
         """Return the configuration in force with a function for a component, as text.
@@ -51,7 +51,7 @@ class Discoveries:
         """
         return await self._workers.start(lambda: self._with(bridge, component))
 
-    def _told(self) -> Iterator[dict[str, Any]]:
+    def _reports(self) -> Iterator[dict[str, Any]]:
         robot = self._robot
         findings = robot.discover(timeout=_ASK_SECONDS, grace=_GRACE_SECONDS)
         used = {finding.plugin for finding in findings}

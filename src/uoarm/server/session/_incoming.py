@@ -11,7 +11,8 @@ import time
 import zlib
 from collections import deque
 from collections.abc import Callable, Sequence
-from typing import Any
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any, TypeVar
 
 from websockets.exceptions import ProtocolError
 from websockets.extensions.base import Extension
@@ -22,7 +23,17 @@ from websockets.extensions.permessage_deflate import (
 from websockets.frames import CTRL_OPCODES, CloseCode, Frame, Opcode
 from websockets.typing import BytesLike, ExtensionParameter
 
-__all__ = ["DEFLATE", "Incoming", "IncomingError", "Turn", "Turns"]
+from uoarm.server._limits import Limits
+
+__all__ = [
+    "DEFLATE",
+    "FrameDecoder",
+    "IncomingError",
+    "IncomingFrames",
+    "ParsingTurns",
+    "RateLimiter",
+    "Turn",
+]
 
 _MESSAGES = 4
 """Whole messages that wait for the session: with more nothing is read."""
@@ -59,7 +70,7 @@ class _PackedFrame(Frame):
 
 
 class _Unpacking(PerMessageDeflate):
-    """The extension, but for what it does to a frame that comes: `Incoming` does that in turns.
+    """The extension, but for what it does to a frame that comes, which `IncomingFrames` does.
 
     The library unpacks while it parses: 15 KB became 16 MB in one go, in which nobody was served.
     """
@@ -99,7 +110,7 @@ DEFLATE = _UnpackingFactory(server_no_context_takeover=True, client_no_context_t
 
 
 class Turn:
-    """The part that one connection has in the loop's time. For `Turns`.
+    """The part that one connection has in the loop's time. For `ParsingTurns`.
 
     Args:
         work: parses and unpacks for a moment; returns whether there is more to do.
@@ -114,7 +125,7 @@ class Turn:
         self.is_waiting = False
 
 
-class Turns:
+class ParsingTurns:
     """Shares the loop's time between connections that have something to parse or to unpack.
 
     All together have a millisecond of each of the loop's turns. Whoever will have had least goes
@@ -246,7 +257,7 @@ class _Pile:
         return taken
 
 
-class Incoming:
+class IncomingFrames:
     """Makes messages of frames, without I/O.
 
     A fragment leaves nothing but its content, so that a million empty ones take no memory.
@@ -384,3 +395,62 @@ class Incoming:
         if frame.fin:
             self._finish(self._pile.take())
         return False
+
+
+T = TypeVar("T")
+# Decoding costs at most some 0.3 us for each octet, so 2 ms for a frame of this length.
+_QUICK_OCTETS = 8192
+
+
+class RateLimiter:
+    """Says how long to wait before a client is read on: a token bucket for each rate, no clock.
+
+    A bucket holds one second's worth. A message is always taken, and may overdraw a bucket by
+    whatever it costs: the wait after it makes up for that.
+
+    Args:
+        limits: the rates.
+        now: seconds.
+    """
+
+    def __init__(self, limits: Limits, now: float) -> None:
+        self._rates = (
+            limits.messages_per_second,
+            limits.octets_per_second,
+            limits.elements_per_second,
+        )
+        self._left = list(self._rates)
+        self._at = now
+
+    def spend(self, now: float, *, octets: int, elements: int) -> float:
+        """Count one message; returns the seconds to wait before the next is read, mostly 0."""
+        passed, self._at = max(0.0, now - self._at), now
+        wait = 0.0
+        for place, cost in enumerate((1, octets, elements)):
+            rate = self._rates[place]
+            left = min(rate, self._left[place] + passed * rate) - cost
+            self._left[place] = left
+            if left < 0:
+                wait = max(wait, -left / rate)
+        return wait
+
+
+class FrameDecoder:
+    """Runs decoding in the loop where it is quick, and otherwise in the one thread of all clients.
+
+    One thread, because decoders hold the interpreter's lock: two would only take memory for two
+    messages at a time. A client is not read on meanwhile, so each has one place in the queue.
+    """
+
+    def __init__(self) -> None:
+        self._thread = ThreadPoolExecutor(1, thread_name_prefix="uoarm-decode")
+
+    async def run(self, octets: int, decode: Callable[[], T]) -> T:
+        """Return the result of `decode`, which takes time in proportion to `octets`."""
+        if octets <= _QUICK_OCTETS:
+            return decode()
+        return await asyncio.get_running_loop().run_in_executor(self._thread, decode)
+
+    def close(self) -> None:
+        """Begin with nothing more; does not wait for what is under way."""
+        self._thread.shutdown(wait=False, cancel_futures=True)

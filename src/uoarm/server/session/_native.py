@@ -14,7 +14,7 @@ from attrs import evolve
 from uoarm._control import Connection
 from uoarm._resolve import NoPlanError
 from uoarm._version import __version__
-from uoarm._wire import Form, check_asked, salvage_id, write_or_tell
+from uoarm._wire import Form, check_asked, salvage_id, write_or_error
 from uoarm.errors import ConnectionClosedError, ControlMessageError, UoarmError, UsageError
 from uoarm.model import (
     ConfigurationChange,
@@ -30,17 +30,23 @@ from uoarm.model import (
 )
 from uoarm.server._failures import LimitError, UnknownError, code_of, without_frames
 from uoarm.server.access import Operation, RoleView
-from uoarm.server.session._client import Client
+from uoarm.server.session._client import ConnectedClient
 from uoarm.server.session._discoveries import Discoveries
 from uoarm.server.session._session_store import ReplyCache, SessionStore
-from uoarm.server.session._status_views import StatusQuestion, StatusViews
-from uoarm.server.session._view import FunctionLists, ListQuestion, show_plan, show_stop
+from uoarm.server.session._views import (
+    FunctionLists,
+    ListQuestion,
+    StatusQuestion,
+    StatusViews,
+    show_plan,
+    show_stop,
+)
 from uoarm.server.streams import (
-    Announcement,
+    ChangeNotice,
     Charge,
     ClientStreams,
     FeedRegistry,
-    Held,
+    MemoryUse,
     feed_key,
     read_message,
 )
@@ -80,7 +86,7 @@ class NativeSession:
 
     def __init__(
         self,
-        client: Client,
+        client: ConnectedClient,
         registry: FeedRegistry,
         form: Form,
         store: SessionStore,
@@ -122,7 +128,7 @@ class NativeSession:
             Op.CONFIGURE: self._configure,
             Op.DISCOVER: self._discover,
         }
-        self._tell({"op": "Status", "type": "hello", "jsonMessage": self._hello()})
+        self._emit({"op": "Status", "type": "hello", "jsonMessage": self._hello()})
 
     @property
     def is_in_use(self) -> bool:
@@ -171,8 +177,8 @@ class NativeSession:
                 text = "it did not arrive before the connection dropped, or its answer is lost"
                 self._fail(identity, "", ConnectionClosedError(text))
             elif frame is not None and not self._client.outbox.holds(frame):
-                self._client.outbox.tell(frame, text=self._form.text)
-        self._streams.tell_ends_again()
+                self._client.outbox.reply(frame, text=self._form.text)
+        self._streams.repeat_ends()
 
     def close(self) -> None:
         """Give back everything that only this client used."""
@@ -202,7 +208,7 @@ class NativeSession:
         kind = _KINDS.get(op, "calls")
         if kind and sum(_KINDS.get(task, "calls") == kind for task in self._tasks.values()) >= most:
             raise LimitError(f"{most} {kind} are under way; wait for an answer first")
-        return self._client.account.charge(Held.ASKED, self._client.in_hand)
+        return self._client.account.charge(MemoryUse.ASKED, self._client.in_hand)
 
     async def _answer(self, asked: ControlMessage, work: Coroutine[Any, Any, None]) -> None:
         try:
@@ -236,8 +242,8 @@ class NativeSession:
 
     def _waits(self, asked: ControlMessage, cause: str) -> None:
         message = {"function": asked.type, "cause": self._view.text(cause, str(asked.type))}
-        told = {"op": "Status", "type": "waiting", "id": asked.id, "jsonMessage": message}
-        self._tell_frame(None, write_or_tell(self._form, told))
+        notice = {"op": "Status", "type": "waiting", "id": asked.id, "jsonMessage": message}
+        self._emit_frame(None, write_or_error(self._form, notice))
 
     async def _call(self, asked: ControlMessage) -> None:
         name = str(asked.type)
@@ -247,7 +253,7 @@ class NativeSession:
         read = functools.partial(read_message, self._form)
         act = functools.partial(self._written, asked)
         frame = await self._registry.call_and(act, name, asked.jsonMessage, read, float(limit))
-        self._tell_frame(asked.id, frame)
+        self._emit_frame(asked.id, frame)
 
     async def _resolve(self, asked: ControlMessage) -> None:
         name = str(asked.type)
@@ -258,7 +264,7 @@ class NativeSession:
         def act(plan: Plan) -> bytes:
             return self._written(asked, show_plan(plan, self._form, view))
 
-        self._tell_frame(asked.id, await self._registry.resolve_and(act, name))
+        self._emit_frame(asked.id, await self._registry.resolve_and(act, name))
 
     async def _configure(self, asked: ControlMessage) -> None:
         self._client.require_all(Operation.CONFIGURE)
@@ -267,19 +273,19 @@ class NativeSession:
             robot = self._registry.robot
 
             def history() -> bytes:
-                revisions, text = _told(robot.history()), robot.config.text
+                revisions, text = _shown_changes(robot.history()), robot.config.text
                 return self._written(asked, {"revisions": revisions, "configuration": text})
 
-            self._tell_frame(asked.id, await self._registry.in_worker(history))
+            self._emit_frame(asked.id, await self._registry.in_worker(history))
             return
         if wanted.get("keep"):
             self._client.require_all(Operation.KEEP)
         changed = await self._registry.configure(wanted)
 
         def write() -> bytes:
-            return self._written(asked, _told((changed,))[0])
+            return self._written(asked, _shown_changes((changed,))[0])
 
-        self._tell_frame(asked.id, await self._registry.in_worker(write))
+        self._emit_frame(asked.id, await self._registry.in_worker(write))
 
     async def _discover(self, asked: ControlMessage) -> None:
         take = (asked.jsonMessage or {}).get("take")
@@ -287,7 +293,7 @@ class NativeSession:
             self._client.require_all(Operation.SEE)  # what no function has is of no pattern
             found = await self._discoveries.look()
             write = functools.partial(self._written, asked, {"bridges": found})
-            self._tell_frame(asked.id, await self._registry.in_worker(write))
+            self._emit_frame(asked.id, await self._registry.in_worker(write))
             return
         self._client.require_all(Operation.CONFIGURE)
         self._reply(asked, await self._discoveries.take(take["bridge"], take["component"]))
@@ -322,7 +328,7 @@ class NativeSession:
 
         report, written = await self._registry.stop_all(key, write)
         self._client.note_stop(report)
-        self._tell_frame(asked.id, _reply_around(self._form, asked, written), first=True)
+        self._emit_frame(asked.id, _reply_around(self._form, asked, written), first=True)
 
     async def _release(self, asked: ControlMessage) -> None:
         try:
@@ -336,7 +342,7 @@ class NativeSession:
     async def _list(self, asked: ControlMessage) -> None:
         lists, role, form = self._shared.lists, self._client.role, self._form
         written = await self._registry.views.get(lists.make, ListQuestion(role, form))
-        await self._tell_view(asked, written)
+        await self._emit_view(asked, written)
 
     async def _status(self, asked: ControlMessage) -> None:
         watches = asked.type == "watch"
@@ -346,17 +352,17 @@ class NativeSession:
         question = StatusQuestion(self._client.role, self._form, since, past=watches)
         answer = await self._registry.views.get(self._shared.status.make, question)
         own = self._form.write(self._streams.counters())
-        await self._tell_view(asked, self._form.map_of({**answer.fields, "own": own}))
+        await self._emit_view(asked, self._form.map_of({**answer.fields, "own": own}))
         if watches and not self._registry.is_watched_by(self._changed):
             self._registry.watch(self._changed)
             for event in self._registry.after(answer.number):
                 self._changed(event)
 
-    async def _tell_view(self, asked: ControlMessage, written: bytes) -> None:
+    async def _emit_view(self, asked: ControlMessage, written: bytes) -> None:
         """Send an answer that may be long, when there is room: the client did not choose that."""
         frame = _reply_around(self._form, asked, written)
         await self._client.outbox.room(len(frame))
-        self._tell_frame(asked.id, frame)
+        self._emit_frame(asked.id, frame)
 
     def _resume(self, asked: ControlMessage) -> None:
         options = asked.jsonMessage
@@ -405,10 +411,10 @@ class NativeSession:
         await asyncio.shield(self._registry.kill(connection, f"killed by {self._holder}"))
         self._reply(asked, None)
 
-    def _changed(self, change: Announcement) -> None:
+    def _changed(self, change: ChangeNotice) -> None:
         frame = change.written(self._client.role, self._form)
         if frame is not None:
-            self._tell_frame(None, frame)
+            self._emit_frame(None, frame)
 
     @property
     def _view(self) -> RoleView:
@@ -441,11 +447,11 @@ class NativeSession:
         self._fail(asked.id, str(asked.type), error, more)
 
     def _reply(self, asked: ControlMessage, message: Message) -> None:
-        self._tell(_reply_of(asked, message))
+        self._emit(_reply_of(asked, message))
 
     def _written(self, asked: ControlMessage, message: Message) -> bytes:
         """Write a reply in a worker, which waits where that takes long."""
-        write = functools.partial(write_or_tell, self._form, _reply_of(asked, message))
+        write = functools.partial(write_or_error, self._form, _reply_of(asked, message))
         return self._registry.encoder.wait(message, write)
 
     def _fail(
@@ -457,23 +463,26 @@ class NativeSession:
     ) -> None:
         code = code_of(error)
         text = _FAILED if code == "internal" else self._view.text(str(error), kind)
-        told: dict[str, Any] = {"op": "Error", "jsonMessage": {"code": code, "text": text, **more}}
+        notice: dict[str, Any] = {
+            "op": "Error",
+            "jsonMessage": {"code": code, "text": text, **more},
+        }
         if kind:
-            told["type"] = kind
+            notice["type"] = kind
         if identity is not None:
-            told["id"] = identity
-        self._tell(told)
+            notice["id"] = identity
+        self._emit(notice)
 
-    def _tell(self, message: Mapping[str, Any]) -> None:
-        self._tell_frame(message.get("id"), write_or_tell(self._form, message))
+    def _emit(self, message: Mapping[str, Any]) -> None:
+        self._emit_frame(message.get("id"), write_or_error(self._form, message))
 
-    def _tell_frame(self, identity: str | None, frame: bytes, *, first: bool = False) -> None:
+    def _emit_frame(self, identity: str | None, frame: bytes, *, first: bool = False) -> None:
         if self._replies is not None and identity is not None:
             self._replies.add(identity, frame)
-        self._client.outbox.tell(frame, text=self._form.text, first=first)
+        self._client.outbox.reply(frame, text=self._form.text, first=first)
 
 
-def _told(changes: Iterable[ConfigurationChange]) -> list[Message]:
+def _shown_changes(changes: Iterable[ConfigurationChange]) -> list[Message]:
     return [{**to_json(evolve(one, robot=None)), "text": str(one)} for one in changes]
 
 

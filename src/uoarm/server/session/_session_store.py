@@ -17,9 +17,9 @@ from uoarm.errors import UsageError
 from uoarm.model import ControlMessage
 from uoarm.server._failures import LimitError, UnknownError
 from uoarm.server._limits import Limits
-from uoarm.server.access import Credentials, Role, hash_token
-from uoarm.server.session._client import Client, Session
-from uoarm.server.streams import Account, Held
+from uoarm.server.access import AccessRole, Credentials, hash_token
+from uoarm.server.session._client import ConnectedClient, Session
+from uoarm.server.streams import Account, MemoryUse
 
 __all__ = ["KeptSession", "ReplyCache", "Resumable", "SessionStore"]
 
@@ -51,7 +51,7 @@ class KeptSession:
         free: set while no connection serves it.
     """
 
-    client: Client
+    client: ConnectedClient
     session: Resumable
     since: float | None = None
     free: asyncio.Event = field(factory=asyncio.Event)
@@ -65,19 +65,19 @@ class SessionStore:
         end: called for a session that nobody takes up in time.
     """
 
-    def __init__(self, limits: Limits, end: Callable[[Client, Session], None]) -> None:
+    def __init__(self, limits: Limits, end: Callable[[ConnectedClient, Session], None]) -> None:
         self._limits = limits
         self._end = end
         self._kept: dict[str, KeptSession] = {}
-        self._keys: dict[Client, str] = {}
-        self._successors: dict[Client, tuple[KeptSession, ControlMessage]] = {}
+        self._keys: dict[ConnectedClient, str] = {}
+        self._successors: dict[ConnectedClient, tuple[KeptSession, ControlMessage]] = {}
 
     @property
-    def waiting(self) -> tuple[Client, ...]:
+    def waiting(self) -> tuple[ConnectedClient, ...]:
         """The clients of sessions without a connection."""
         return tuple(kept.client for kept in self._kept.values() if kept.since is not None)
 
-    def keep(self, client: Client, session: Resumable) -> str:
+    def keep(self, client: ConnectedClient, session: Resumable) -> str:
         """Keep a session from now on; returns the key that takes it up again.
 
         Raises:
@@ -93,7 +93,7 @@ class SessionStore:
         self._kept[self._keys[client]] = KeptSession(client, session)
         return key
 
-    def claim(self, key: str, client: Client, form: str, asked: ControlMessage) -> None:
+    def claim(self, key: str, client: ConnectedClient, form: str, asked: ControlMessage) -> None:
         """Let a client's connection go on with a kept session, also one that has not dropped yet.
 
         Raises:
@@ -114,7 +114,7 @@ class SessionStore:
         client.is_leaving = True
         kept.client.release()
 
-    async def successor(self, client: Client) -> KeptSession | None:
+    async def successor(self, client: ConnectedClient) -> KeptSession | None:
         """Return the session that a leaving client's connection goes on with, once it is free."""
         if client not in self._successors:
             return None
@@ -132,7 +132,7 @@ class SessionStore:
         kept.session.go_on(asked)
         return kept
 
-    def retain(self, client: Client) -> bool:
+    def retain(self, client: ConnectedClient) -> bool:
         """Keep the session of a client whose connection has ended, if it dropped."""
         key = self._keys.get(client)
         if key is None:
@@ -164,7 +164,7 @@ class SessionStore:
         unused = [kept for kept in theirs if not kept.session.is_in_use]
         return min(unused, key=_waits_since) if unused else max(theirs, key=_waits_since)
 
-    def refresh(self, now: float, roles: Callable[[Credentials], Role | None]) -> None:
+    def refresh(self, now: float, roles: Callable[[Credentials], AccessRole | None]) -> None:
         """End sessions that waited too long, that hold too much, or whose rights changed."""
         for kept in list(self._kept.values()):
             client, since = kept.client, kept.since
@@ -202,7 +202,7 @@ def _waits_since(kept: KeptSession) -> float:
     return kept.since or 0.0
 
 
-def _owner(client: Client) -> tuple[Credentials, str]:
+def _owner(client: ConnectedClient) -> tuple[Credentials, str]:
     """Return whose session it is, whatever it is called: as it authenticates, and from where."""
     return client.credentials, client.address.rpartition(":")[0]
 
@@ -222,7 +222,7 @@ class ReplyCache:
         self._most = most
         self._most_bytes = most_bytes
         self._account = account
-        self._held = account.hold(Held.ANSWERS)
+        self._held = account.hold(MemoryUse.ANSWERS)
         self._under_way: set[str] = set()
         self._frames: OrderedDict[str, bytes] = OrderedDict()
         self._bytes = 0

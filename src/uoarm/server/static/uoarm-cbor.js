@@ -87,38 +87,38 @@ export function encode(value) {
       parts.push(new Uint8Array(wide.buffer));
     }
   };
-  const number = (one) => {
-    if (typeof one === "bigint" || Number.isSafeInteger(one)) {
-      if (one >= 0) head(0, one);
-      else head(1, typeof one === "bigint" ? -1n - one : -1 - one);
+  const number = (input) => {
+    if (typeof input === "bigint" || Number.isSafeInteger(input)) {
+      if (input >= 0) head(0, input);
+      else head(1, typeof input === "bigint" ? -1n - input : -1 - input);
       return;
     }
     const wide = new DataView(new ArrayBuffer(9));
     wide.setUint8(0, 0xfb);
-    wide.setFloat64(1, one);
+    wide.setFloat64(1, input);
     parts.push(new Uint8Array(wide.buffer));
   };
-  const octets = (one) => {
-    head(2, one.byteLength);
-    parts.push(new Uint8Array(one.buffer ?? one, one.byteOffset ?? 0, one.byteLength));
+  const octets = (input) => {
+    head(2, input.byteLength);
+    parts.push(new Uint8Array(input.buffer ?? input, input.byteOffset ?? 0, input.byteLength));
   };
-  const item = (one) => {
-    if (one === null || one === undefined) parts.push(Uint8Array.of(0xf6));
-    else if (typeof one === "boolean") parts.push(Uint8Array.of(one ? 0xf5 : 0xf4));
-    else if (typeof one === "number" || typeof one === "bigint") number(one);
-    else if (typeof one === "string") {
-      const text = TEXT.encode(one);
+  const item = (input) => {
+    if (input === null || input === undefined) parts.push(Uint8Array.of(0xf6));
+    else if (typeof input === "boolean") parts.push(Uint8Array.of(input ? 0xf5 : 0xf4));
+    else if (typeof input === "number" || typeof input === "bigint") number(input);
+    else if (typeof input === "string") {
+      const text = TEXT.encode(input);
       head(3, text.length);
       parts.push(text);
-    } else if (one instanceof Uint8Array || one instanceof ArrayBuffer) octets(one);
-    else if (ArrayBuffer.isView(one)) {
-      head(6, TAGS.get(one.constructor) ?? 64);
-      octets(one);
-    } else if (Array.isArray(one)) {
-      head(4, one.length);
-      one.forEach(item);
+    } else if (input instanceof Uint8Array || input instanceof ArrayBuffer) octets(input);
+    else if (ArrayBuffer.isView(input)) {
+      head(6, TAGS.get(input.constructor) ?? 64);
+      octets(input);
+    } else if (Array.isArray(input)) {
+      head(4, input.length);
+      input.forEach(item);
     } else {
-      const entries = Object.entries(one).filter(([, inner]) => inner !== undefined);
+      const entries = Object.entries(input).filter(([, inner]) => inner !== undefined);
       head(5, entries.length);
       for (const [key, inner] of entries) {
         item(key);
@@ -127,7 +127,7 @@ export function encode(value) {
     }
   };
   item(value);
-  const whole = new Uint8Array(parts.reduce((sum, one) => sum + one.length, 0));
+  const whole = new Uint8Array(parts.reduce((sum, input) => sum + input.length, 0));
   let at = 0;
   for (const part of parts) {
     whole.set(part, at);
@@ -138,7 +138,7 @@ export function encode(value) {
 
 function tagged(tag, value) {
   if (tag === 2 || tag === 3) {
-    const size = value.reduce((sum, one) => (sum << 8n) | BigInt(one), 0n);
+    const size = value.reduce((sum, input) => (sum << 8n) | BigInt(input), 0n);
     return tag === 2 ? narrow(size) : narrow(-1n - size);
   }
   if (tag === 40) return rows(value[0], Array.from(value[1]));

@@ -66,18 +66,18 @@ export class Link {
     return this.#connect(this.#timeout, (...greeting) => this.#greet(...greeting));
   }
 
-  #greet(socket, told, greeted) {
+  #greet(socket, received, greeted) {
     this.#socket = socket;
-    this.#take(told);
+    this.#take(received);
     if (this.#resume) this.#write(socket, { op: "Resume", id: KEEP });
     greeted();
   }
 
   /** Send one message that will be answered, at once or when the connection is renewed. */
   send(fields) {
-    const told = { id: fields.id, frame: this.#form.write(fields) };
-    if (this.#socket) this.#pass(told);
-    else this.#queue.push(told);
+    const received = { id: fields.id, frame: this.#form.write(fields) };
+    if (this.#socket) this.#pass(received);
+    else this.#queue.push(received);
   }
 
   close() {
@@ -107,18 +107,18 @@ export class Link {
         clearTimeout(late);
         resolve();
       };
-      const hear = (told) => {
+      const receive = (received) => {
         if (state === "opening") {
           state = "greeting";
-          greet(socket, told, greeted);
-        } else if (state === "greeting" && told.id === RESUME) {
-          if (told.op === "Reply") greet(socket, told, greeted);
-          else fail(new UoarmError("unknown", told.jsonMessage.text));
-        } else if (state !== "failed") this.#hear(told);
+          greet(socket, received, greeted);
+        } else if (state === "greeting" && received.id === RESUME) {
+          if (received.op === "Reply") greet(socket, received, greeted);
+          else fail(new UoarmError("unknown", received.jsonMessage.text));
+        } else if (state !== "failed") this.#receive(received);
       };
       socket.onmessage = ({ data }) => {
         try {
-          hear(this.#form.read(data));
+          receive(this.#form.read(data));
         } catch (error) {
           const strange = new UoarmError("unreadable", `the server sent what is no message: ${error.message}`);
           if (state !== "greeted") fail(strange);
@@ -186,8 +186,8 @@ export class Link {
   /** Take the session up over a new connection; what waited to be sent follows. */
   #goOn(timeout) {
     let beyond = [];
-    return this.#connect(timeout, (socket, told, greeted) => {
-      if (told.id !== RESUME) {
+    return this.#connect(timeout, (socket, received, greeted) => {
+      if (received.id !== RESUME) {
         const waiting = [...this.#unanswered].slice(0, MOST_WAITING);
         beyond = [...this.#unanswered].slice(MOST_WAITING);
         const jsonMessage = { key: this.#key, waiting };
@@ -198,14 +198,14 @@ export class Link {
       this.resumed += 1;
       greeted();
       const lost = { code: "closed", text: "too much waited when the connection dropped" };
-      for (const id of beyond) this.#hear({ op: "Error", id, jsonMessage: lost });
+      for (const id of beyond) this.#receive({ op: "Error", id, jsonMessage: lost });
       this.#passQueued(socket);
     });
   }
 
   #passQueued(socket) {
     if (this.#over) socket.close();
-    else for (const told of this.#queue.splice(0)) this.#pass(told);
+    else for (const received of this.#queue.splice(0)) this.#pass(received);
   }
 
   #pass({ id, frame }) {
@@ -213,13 +213,13 @@ export class Link {
     this.#socket.send(frame);
   }
 
-  #hear(told) {
-    if (told.id !== KEEP) {
-      this.#unanswered.delete(told.id);
-      this.#take(told);
-    } else if (told.op === "Reply") {
-      this.#key = told.jsonMessage.key;
-      this.#seconds = told.jsonMessage.seconds;
+  #receive(received) {
+    if (received.id !== KEEP) {
+      this.#unanswered.delete(received.id);
+      this.#take(received);
+    } else if (received.op === "Reply") {
+      this.#key = received.jsonMessage.key;
+      this.#seconds = received.jsonMessage.seconds;
     }
   }
 

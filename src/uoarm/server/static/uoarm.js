@@ -27,19 +27,19 @@ class Mailbox {
 
   finish(error) {
     this.#end ??= { error };
-    for (const reader of this.#readers.splice(0)) this.#tell(reader);
+    for (const reader of this.#readers.splice(0)) this.#settle(reader);
   }
 
   next() {
     return new Promise((resolve, reject) => {
       const reader = { resolve, reject };
       if (this.#waiting.length) resolve({ value: this.#waiting.shift(), done: false });
-      else if (this.#end) this.#tell(reader);
+      else if (this.#end) this.#settle(reader);
       else this.#readers.push(reader);
     });
   }
 
-  #tell({ resolve, reject }) {
+  #settle({ resolve, reject }) {
     if (this.#end.error) reject(this.#end.error);
     else resolve({ value: undefined, done: true });
   }
@@ -215,12 +215,12 @@ export function sinceStatus(known) {
 }
 
 /** The whole status, of the one that is known and the changes since then. */
-export function mergeStatus(known, { since, elapsed, ...told }) {
-  if (since === undefined) return told;
-  const status = { ...known, ...told };
+export function mergeStatus(known, { since, elapsed, ...received }) {
+  if (since === undefined) return received;
+  const status = { ...known, ...received };
   for (const [part, keyOf] of Object.entries(KEYS)) {
-    if (Array.isArray(told[part])) continue;
-    const { changed = [], gone = [] } = told[part] ?? {};
+    if (Array.isArray(received[part])) continue;
+    const { changed = [], gone = [] } = received[part] ?? {};
     const entries = new Map(known[part].map((entry) => [keyOf(entry), entry]));
     if (part === "routes") {
       for (const [key, route] of entries) {
@@ -249,7 +249,7 @@ export class Robot {
     this.hello = null;
     this.#link = new Link({
       ...options,
-      take: (told) => this.#take(told),
+      take: (received) => this.#take(received),
       lost: (error) => this.#lose(error),
       begun: () => this.#openAgain(),
       ended: (error) => this.#finish(error),
@@ -352,10 +352,10 @@ export class Robot {
     });
   }
 
-  #take(told) {
-    const { op, type, id, jsonMessage: message } = told;
+  #take(received) {
+    const { op, type, id, jsonMessage: message } = received;
     if (op === "Data") {
-      const number = told["x-standing"] ? 0 : told["x-number"];  // 0: what lies between is not lost
+      const number = received["x-standing"] ? 0 : received["x-number"];  // 0: what lies between is not lost
       this.#streams.get(type)?.take(number, message);
     }
     else if (op === "Status") this.#takeStatus(type, message);

@@ -2,16 +2,15 @@
 
 from uoarm.server.streams._client_streams import ClientStreams, feed_key
 from uoarm.server.streams._feed import Envelope, Feed, FeedKey, Listener
-from uoarm.server.streams._feed_registry import Announcement, FeedRegistry, Read, shown_event
+from uoarm.server.streams._feed_registry import ChangeNotice, FeedRegistry, Read, shown_event
 from uoarm.server.streams._input_sender import Done, InputSender, check_message, read_message
-from uoarm.server.streams._memory import Account, Charge, Held
+from uoarm.server.streams._memory import Account, Charge, MemoryUse, Shares, acting
 from uoarm.server.streams._outbox import Lane, Outbox
-from uoarm.server.streams._shared_views import Make
-from uoarm.server.streams._shares import Shares, acting
+from uoarm.server.streams._workers import Make
 
 __all__ = [
     "Account",
-    "Announcement",
+    "ChangeNotice",
     "Charge",
     "ClientStreams",
     "Done",
@@ -19,11 +18,11 @@ __all__ = [
     "Feed",
     "FeedKey",
     "FeedRegistry",
-    "Held",
     "InputSender",
     "Lane",
     "Listener",
     "Make",
+    "MemoryUse",
     "Outbox",
     "Read",
     "Shares",

@@ -208,12 +208,12 @@ class ClientStreams:
             return await self._registry.join(wanted)
         last = ["it is being opened still"]
 
-        def tell(cause: str) -> None:
+        def notify(cause: str) -> None:
             last[0] = cause
             on_absent(cause)
 
         try:
-            return await result_within(seconds, self._registry.join(wanted, tell))
+            return await result_within(seconds, self._registry.join(wanted, notify))
         except asyncio.TimeoutError:
             text = f"{wanted.name!r} could not be had within {seconds:g} s: {last[0]}"
             raise BridgeTimeoutError(text) from None
@@ -309,7 +309,7 @@ class ClientStreams:
             for identity, stream in self._streams.items()
         ]
 
-    def tell_ends_again(self) -> None:
+    def repeat_ends(self) -> None:
         """Send the last ends once more: after a drop the client may not have received them."""
         for lane, frame in self._ends:
             if not lane.waiting:

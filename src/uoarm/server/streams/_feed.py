@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import math
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
@@ -18,11 +19,53 @@ from uoarm._raised import foreign
 from uoarm.errors import MessageError
 from uoarm.model import Message, ValidationMode, message_octets
 from uoarm.server._limits import Limits
-from uoarm.server.streams._backlog import Backlog
 from uoarm.server.streams._encoder import Encoder, takes_long
-from uoarm.server.streams._loop_mailbox import LoopMailbox
+from uoarm.server.streams._workers import LoopMailbox
 
-__all__ = ["Envelope", "Feed", "FeedKey", "Listener", "Prepare", "Write"]
+__all__ = ["Envelope", "Feed", "FeedBacklog", "FeedKey", "Listener", "Prepare", "Write"]
+
+_FRESH = 16
+_LATE_SECONDS = 0.1
+_PATIENCE_SECONDS = 1.0
+
+
+class FeedBacklog:
+    """Tells a backlog that stands from one that is being worked off.
+
+    A loop that can just keep up never works off what came in its one longest delay, and everything
+    after it is as late. So where what is looked at has been late, more than 0.1 s old, for as long
+    as makes a second in all, it is to be let go of: then, and until nothing waits any more, all
+    that is late, save the newest 16. A delay that ends within the second costs nothing.
+
+    It knows no clock: times are seconds of one clock, and do not go back.
+    """
+
+    def __init__(self) -> None:
+        self._late_since = math.inf
+        self._stands = False
+
+    def lets_go(self, waiting: int, came: float, now: float) -> bool:
+        """Say whether to let go of the oldest message; to be asked about each before it is handed.
+
+        Args:
+            waiting: messages, with the oldest.
+            came: when the oldest did.
+            now: the time.
+        """
+        if waiting <= _FRESH:
+            return False
+        if now - came <= _LATE_SECONDS:
+            self._late_since = math.inf
+            return False
+        self._late_since = min(self._late_since, came + _LATE_SECONDS)
+        self._stands |= now - self._late_since >= _PATIENCE_SECONDS - _LATE_SECONDS
+        return self._stands
+
+    def worked_off(self) -> None:
+        """Note that nothing waits."""
+        self._late_since = math.inf
+        self._stands = False
+
 
 _log = logging.getLogger("uoarm.server")
 _TURN_SECONDS = 0.001
@@ -179,7 +222,7 @@ class Feed:
     What `Backend.join` returns is open. Only the server calls `take` and `finish`.
 
     When the loop gets to its messages too late for longer than a second, late ones go only to those
-    who want all; see `Backlog`.
+    who want all; see `FeedBacklog`.
 
     Args:
         mailbox: the way into the loop.
@@ -206,8 +249,8 @@ class Feed:
         self._known: list[tuple[int, Message]] = []  # what may stand, with its number
         self._most_known = 0
         self._handed = 0  # the number of the last message that was taken to be handed out
-        self._heard_since = 0.0
-        self._backlog = Backlog()
+        self._listened_since = 0.0
+        self._backlog = FeedBacklog()
         self.connection: Connection | None = None
         self.lost = 0
         self.end: tuple[str, str] | None = None
@@ -282,7 +325,7 @@ class Feed:
                 so that what is new is there sooner; None: the listener gets all.
         """
         if not self._listeners:
-            self._heard_since = self._clock()  # nobody was late for what waited for the first
+            self._listened_since = self._clock()  # nobody was late for what waited for the first
         self._listeners[listener] = _Place(prepare, missed, self._handed + 1)
         for number, message in reversed(_of_those(tuple(self._known), self._standing())):
             if number <= self._handed:  # others are on their way to all
@@ -372,7 +415,7 @@ class Feed:
         if envelope.joiner is not None:
             return envelope
         self._handed = envelope.number
-        came = max(envelope.came, self._heard_since)
+        came = max(envelope.came, self._listened_since)
         envelope.is_late = self._backlog.lets_go(waiting, came, self._clock())
         if not self._waiting:
             self._backlog.worked_off()

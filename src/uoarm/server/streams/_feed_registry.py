@@ -33,25 +33,22 @@ from uoarm.model import (
 )
 from uoarm.server._failures import BusyError
 from uoarm.server._limits import Limits
-from uoarm.server.access import Role, RoleView, RoleViews
+from uoarm.server.access import AccessRole, RoleView, RoleViews
 from uoarm.server.streams._encoder import Encoder
 from uoarm.server.streams._feed import Feed, FeedKey
 from uoarm.server.streams._input_sender import InputSender, Read, read_message
-from uoarm.server.streams._known_structures import KnownStructures
-from uoarm.server.streams._known_types import KnownTypes
-from uoarm.server.streams._loop_mailbox import LoopMailbox
-from uoarm.server.streams._memory import Account, Memory
+from uoarm.server.streams._known import KnownStructures, KnownTypes
+from uoarm.server.streams._memory import Account, ServerMemory
 from uoarm.server.streams._pending_feeds import OnAbsent, PendingFeeds, is_absent
-from uoarm.server.streams._shared_views import Make, SharedViews
-from uoarm.server.streams._workers import Workers
+from uoarm.server.streams._workers import LoopMailbox, Make, SharedViews, Workers
 
-__all__ = ["Announcement", "FeedRegistry", "Read", "Watcher", "shown_event"]
+__all__ = ["ChangeNotice", "FeedRegistry", "Read", "Watcher", "shown_event"]
 
 A = TypeVar("A")
 Q = TypeVar("Q", bound=Hashable)
 T = TypeVar("T")
 _log = logging.getLogger("uoarm.server")
-Watcher: TypeAlias = "Callable[[Announcement], None]"
+Watcher: TypeAlias = "Callable[[ChangeNotice], None]"
 """Callback: a change."""
 
 _READ_TEXT = functools.partial(read_message, TEXT_FORM)
@@ -62,7 +59,7 @@ _STOPS = 16
 _ENDS = frozenset({"closed", "failed"})
 
 
-class Announcement:
+class ChangeNotice:
     """A change of the robot, written once for all who get it in the same form and role.
 
     Args:
@@ -73,9 +70,9 @@ class Announcement:
     def __init__(self, event: StatusEvent, views: RoleViews) -> None:
         self.event = event
         self._views = views
-        self._written: dict[tuple[Role, str], bytes | None] = {}
+        self._written: dict[tuple[AccessRole, str], bytes | None] = {}
 
-    def written(self, role: Role, form: Form) -> bytes | None:
+    def written(self, role: AccessRole, form: Form) -> bytes | None:
         """Return it as it goes to clients; None: the role does not see what has changed."""
         key = role, form.name
         if key not in self._written:
@@ -110,7 +107,7 @@ class FeedRegistry:
     def __init__(self, robot: RobotManager, limits: Limits) -> None:
         self.robot = robot
         self.limits = limits
-        self.memory = Memory(limits.total_memory_bytes, limits.memory_bytes)
+        self.memory = ServerMemory(limits.total_memory_bytes, limits.memory_bytes)
         self.mailbox = LoopMailbox(asyncio.get_running_loop())
         self.workers = Workers(limits.workers, limits.openings, self.mailbox)
         self.encoder = Encoder()
@@ -136,7 +133,7 @@ class FeedRegistry:
         self._watchers: dict[Watcher, None] = {}
         self._past: deque[tuple[float, StatusEvent]] = deque(maxlen=_REMEMBERED)
         self._stop_listening = robot.listen(
-            lambda event: self.mailbox.put(functools.partial(self._heard, event))
+            lambda event: self.mailbox.put(functools.partial(self._take_event, event))
         )
 
     @property
@@ -149,10 +146,10 @@ class FeedRegistry:
         now = time.monotonic()
         return [(now - came, event) for came, event in tuple(self._past)]
 
-    def after(self, number: int) -> list[Announcement]:
+    def after(self, number: int) -> list[ChangeNotice]:
         """Return those of the last changes that came after one of this number."""
         views = self.role_views
-        return [Announcement(event, views) for _, event in self._past if event.number > number]
+        return [ChangeNotice(event, views) for _, event in self._past if event.number > number]
 
     def is_watched_by(self, watcher: Watcher) -> bool:
         """Say whether a watcher is notified."""
@@ -431,7 +428,7 @@ class FeedRegistry:
         if connection.ended:
             self._ended(feed)
 
-    def _heard(self, event: StatusEvent) -> None:
+    def _take_event(self, event: StatusEvent) -> None:
         kind, _, name = event.subject.partition(" ")
         if kind != "connection":
             self._known.forget()
@@ -439,7 +436,7 @@ class FeedRegistry:
         elif event.change in _ENDS and name in self._by_id:
             self._ended(self._by_id[name])
         self._past.append((time.monotonic(), event))
-        announcement = Announcement(event, self.role_views)
+        announcement = ChangeNotice(event, self.role_views)
         for watcher in tuple(self._watchers):
             try:
                 foreign(watcher, announcement)

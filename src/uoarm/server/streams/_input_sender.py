@@ -18,7 +18,7 @@ from uoarm._wire import Form
 from uoarm.errors import CommandRefusedError, ConnectionClosedError, MessageError, UsageError
 from uoarm.model import LeaseHolder, Message, MessageStructure, ValidationMode
 from uoarm.server._failures import BusyError
-from uoarm.server.streams._memory import Account, Charge, Held
+from uoarm.server.streams._memory import Account, Charge, MemoryUse
 from uoarm.server.streams._workers import Workers
 
 __all__ = ["Done", "InputSender", "Read", "check_message", "read_message"]
@@ -106,7 +106,7 @@ class InputSender:
         """
         if len(self._waiting) >= self._limit:
             raise BusyError(f"{self._limit} messages to {self._connection.id} wait already")
-        charge = self._account.charge(Held.SENDING, octets)
+        charge = self._account.charge(MemoryUse.SENDING, octets)
         self._waiting.append(_QueuedMessage(message, port, done, charge, take_over))
         if not self._running:
             try:

@@ -7,16 +7,18 @@ releases everything, whatever still runs for it elsewhere.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections import Counter
+from collections.abc import Hashable, Mapping
+from contextvars import ContextVar
 from enum import Enum
 from typing import final
 
 from uoarm.server._failures import BusyError, LimitError
 
-__all__ = ["Account", "Charge", "Held", "Memory"]
+__all__ = ["Account", "Charge", "MemoryUse", "ServerMemory", "Shares", "acting"]
 
 
-class Held(Enum):
+class MemoryUse(Enum):
     """What memory is held for."""
 
     ASKED = "asked"
@@ -45,7 +47,7 @@ class Charge:
 
     __slots__ = ("_account", "kind", "octets")
 
-    def __init__(self, account: Account, kind: Held) -> None:
+    def __init__(self, account: Account, kind: MemoryUse) -> None:
         self._account = account
         self.kind = kind
         self.octets = 0
@@ -73,12 +75,12 @@ class Account:
             what the client itself asked.
     """
 
-    def __init__(self, memory: Memory) -> None:
+    def __init__(self, memory: ServerMemory) -> None:
         self._memory = memory
         self._is_closed = False
         self.held = 0
         self.charges: set[Charge] = set()
-        self.arrived = self.hold(Held.ARRIVED)
+        self.arrived = self.hold(MemoryUse.ARRIVED)
 
     def has_room(self, octets: int) -> bool:
         """Say whether so much more may be held for this client."""
@@ -93,7 +95,7 @@ class Account:
         memory = self._memory
         return memory.held <= memory.most or self.held <= memory.fair_share
 
-    def charge(self, kind: Held, octets: int) -> Charge:
+    def charge(self, kind: MemoryUse, octets: int) -> Charge:
         """Hold something more for the client.
 
         Raises:
@@ -116,7 +118,7 @@ class Account:
         made.resize(octets)
         return made
 
-    def hold(self, kind: Held) -> Charge:
+    def hold(self, kind: MemoryUse) -> Charge:
         """Return a charge of nothing yet, for what has bounds of its own; see `Charge.resize`."""
         made = Charge(self, kind)
         if not self._is_closed:
@@ -137,7 +139,7 @@ class Account:
 
 
 @final
-class Memory:
+class ServerMemory:
     """What the server holds for all its clients.
 
     No client that has less than its share is refused because of others: its share is what each
@@ -168,9 +170,9 @@ class Memory:
         return self.held > self.most
 
     @property
-    def kinds(self) -> Mapping[Held, int]:
+    def kinds(self) -> Mapping[MemoryUse, int]:
         """Octets of each kind."""
-        kinds = dict.fromkeys(Held, 0)
+        kinds = dict.fromkeys(MemoryUse, 0)
         for account in self._accounts:
             for charge in account.charges:
                 kinds[charge.kind] += charge.octets
@@ -190,3 +192,45 @@ class Memory:
     def forget(self, account: Account) -> None:
         """Count a client no more; for accounts."""
         self._accounts.discard(account)
+
+
+acting: ContextVar[Hashable] = ContextVar("acting", default=None)
+"""For which client the loop works: its account. Tasks that are made then go on for the same one."""
+
+
+@final
+class Shares:
+    """Counts what is taken, by owner; a plain state without a lock, for the loop's thread.
+
+    No owner who has less than an equal share is refused because of others, as with `ServerMemory`:
+    so at most twice `most` is taken.
+
+    Args:
+        most: of all owners together.
+    """
+
+    def __init__(self, most: int) -> None:
+        self._most = most
+        self._taken: Counter[Hashable] = Counter()
+
+    @property
+    def total(self) -> int:
+        """What is taken in all."""
+        return self._taken.total()
+
+    def of(self, owner: Hashable) -> int:
+        """Return what an owner has."""
+        return self._taken[owner]
+
+    def admits(self, owner: Hashable, count: int = 1) -> bool:
+        """Say whether an owner may take so much more."""
+        if self.total + count <= self._most:
+            return True
+        owners = len(self._taken) + (owner not in self._taken)
+        return self._taken[owner] + count <= self._most // owners
+
+    def take(self, owner: Hashable, count: int = 1) -> None:
+        """Count what an owner takes; see `admits`. A negative count gives back."""
+        self._taken[owner] += count
+        if not self._taken[owner]:
+            del self._taken[owner]

@@ -15,7 +15,7 @@ from attrs import define, field
 from uoarm._dataplane import Clock
 from uoarm.errors import MessageError
 from uoarm.model import OverflowPolicy, QueuePolicy
-from uoarm.server.streams._memory import Account, Charge, Held, Memory
+from uoarm.server.streams._memory import Account, Charge, MemoryUse, ServerMemory
 from uoarm.server.streams._send_window import SendWindow
 
 __all__ = ["Lane", "Outbox"]
@@ -104,9 +104,9 @@ class Outbox:
         self.max_bytes = max_bytes
         self._clock = clock
         self._max_replies = max_replies
-        self.account = account or Memory(sys.maxsize, sys.maxsize).open()
-        self._replies_held = self.account.hold(Held.REPLIES)
-        self._data_held = self.account.hold(Held.DATA)
+        self.account = account or ServerMemory(sys.maxsize, sys.maxsize).open()
+        self._replies_held = self.account.hold(MemoryUse.REPLIES)
+        self._data_held = self.account.hold(MemoryUse.DATA)
         self._replies: deque[tuple[bytes, bool]] = deque()
         self._turns: deque[Lane] = deque()
         self._pieces: deque[tuple[bytes, bool]] = deque()
@@ -142,7 +142,7 @@ class Outbox:
             not waiting or waiting + size <= self.max_bytes
         )
 
-    def tell(self, frame: bytes, *, text: bool, first: bool = False) -> None:
+    def reply(self, frame: bytes, *, text: bool, first: bool = False) -> None:
         """Add a reply or an event; `first` before all that wait."""
         if self.overflowed or not self.has_room(len(frame)):
             self.overflowed = True

@@ -49,7 +49,7 @@ class _Search:
     waiting: dict[asyncio.Future[Feed], OnAbsent] = field(factory=dict)
     task: asyncio.Task[None] | None = None
 
-    def tell(self, cause: str) -> None:
+    def notify(self, cause: str) -> None:
         """Notify those who wait where the cause is another one."""
         if cause != self.cause:
             self.cause = cause
@@ -144,7 +144,7 @@ class PendingFeeds:
                         if not waiter.done():
                             waiter.set_exception(error)
                     return
-                search.tell(str(error))
+                search.notify(str(error))
             else:
                 break
         self._end(wanted, search)

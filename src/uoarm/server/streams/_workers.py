@@ -3,17 +3,114 @@
 from __future__ import annotations
 
 import asyncio
+import logging
+import threading
+import time
 from collections import deque
-from collections.abc import Callable, Hashable
-from typing import TypeVar
+from collections.abc import Callable, Collection, Hashable, Mapping
+from typing import Any, TypeAlias, TypeVar
 
+from uoarm._raised import foreign
 from uoarm._workers import WorkerPool
 from uoarm.server._failures import BusyError
-from uoarm.server.streams._loop_mailbox import LoopMailbox
-from uoarm.server.streams._opening_turns import OpeningTurns
-from uoarm.server.streams._shares import Shares, acting
+from uoarm.server.streams._memory import Shares, acting
 
-__all__ = ["Workers"]
+__all__ = ["LoopMailbox", "Make", "OpeningTurns", "SharedViews", "Workers"]
+
+_AT_ONCE = 2
+_YOUNG_SECONDS = 0.02
+_LATE_SECONDS = 0.005
+
+
+class OpeningTurns:
+    """Says when the next opening may begin. A plain state for the loop's thread, without a clock.
+
+    An opening that waits for a component or for a middleware takes no processor, so that many go
+    side by side. Those that compute are no sooner done for it: their threads take the interpreter's
+    lock from one another and from the loop, and the more there are, the more of the processor goes
+    into that. Which of both it is shows in time: one that has been under way for 20 ms waits,
+    provided that the loop itself came to look in time. Where it did not, nobody got the
+    processor, and the ages say nothing.
+
+    Args:
+        limit: openings under way, at most.
+    """
+
+    look_seconds = _YOUNG_SECONDS
+    """When to look again where some could not begin."""
+
+    def __init__(self, limit: int) -> None:
+        self._limit = limit
+        self._young: dict[object, float] = {}
+        self._waiting: set[object] = set()
+
+    @property
+    def may_begin(self) -> bool:
+        """Whether one more may begin now."""
+        young = len(self._young)
+        return young < _AT_ONCE and young + len(self._waiting) < self._limit
+
+    def begin(self, opening: object, now: float) -> None:
+        """Note that one has begun; its age counts from now on."""
+        self._young[opening] = now
+
+    def end(self, opening: object) -> None:
+        """Note that one is over."""
+        self._young.pop(opening, None)
+        self._waiting.discard(opening)
+
+    def look(self, due: float, now: float) -> None:
+        """Tell those that wait from those that compute; `due` is when this was to be called."""
+        if now - due > _LATE_SECONDS:
+            return
+        old = [name for name, begun in self._young.items() if now - begun >= _YOUNG_SECONDS]
+        for item in old:
+            del self._young[item]
+        self._waiting.update(old)
+
+
+_TURN_SECONDS = 0.002
+_log = logging.getLogger("uoarm.server")
+
+
+class LoopMailbox:
+    """Runs actions of other threads in the loop's thread, in order.
+
+    However many come before the loop gets to them, it is woken once. One that fails is logged, and
+    those after it run all the same. What takes longer than a moment together waits for the loop's
+    next turns, so that what has come over a socket meanwhile goes between.
+    """
+
+    def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
+        self._loop = loop
+        self._actions: deque[Callable[[], None]] = deque()
+        self._woken = False
+
+    def put(self, action: Callable[[], None]) -> None:
+        """Have an action run in the loop. From any thread; after the loop's end it is lost."""
+        self._actions.append(action)
+        if not self._woken:
+            self._woken = True
+            try:
+                self._loop.call_soon_threadsafe(self._run)
+            except RuntimeError:  # the loop is closed: nobody is left to notify
+                self._actions.clear()
+                self._woken = False
+
+    def _run(self) -> None:
+        self._woken = False
+        end = time.perf_counter() + _TURN_SECONDS
+        for _ in range(len(self._actions)):
+            if time.perf_counter() >= end:
+                self._woken = True
+                self._loop.call_soon(self._run)
+                return
+            action = self._actions.popleft()
+            try:
+                foreign(action)
+            except Exception:  # noqa: BLE001 - those after it must not wait for the next wake-up
+                _log.exception("an action in the server's loop failed")
+
 
 T = TypeVar("T")
 _FREEING = 16
@@ -194,3 +291,108 @@ def _finish(future: asyncio.Future[T], result: T, error: BaseException | None) -
         future.set_result(result)
     else:
         future.set_exception(error)
+
+
+Q = TypeVar("Q", bound=Hashable)
+A = TypeVar("A")
+Make: TypeAlias = Callable[[Collection[Q]], Mapping[Q, A | Exception]]
+"""Answers different questions from one look at the robot, in the thread of the views."""
+
+_LONG_SECONDS = 0.005
+_MOST_REST_SECONDS = 0.25
+
+
+class SharedViews:
+    """Answers questions whose cost grows with the robot, so that the loop does not do that work.
+
+    An answer is never of before its question: what is asked while a view is being made waits for
+    the next one, together with everything else that is asked until that begins. So however many
+    clients ask, each view is made twice at most for all of them.
+
+    There is one thread, since several would only take the interpreter's lock from the loop; it
+    rests as long as it has worked. The loop hands out a few answers in each of its turns, since a
+    client may get much with each.
+
+    Args:
+        mailbox: brings answers back into the loop.
+    """
+
+    def __init__(self, mailbox: LoopMailbox) -> None:
+        self._mailbox = mailbox
+        self._pool = WorkerPool("uoarm-serve-view", 1)
+        # Held between the loop, which adds questions, and the thread, which takes all of a view:
+        # one that was added later than that must not be lost.
+        self._lock = threading.Lock()
+        self._asked: dict[Make[Any, Any], dict[Any, list[asyncio.Future[Any]]]] = {}
+        self._answered: deque[tuple[asyncio.Future[Any], Any]] = deque()
+        self._closed = threading.Event()
+
+    def get(self, make: Make[Q, A], question: Q) -> asyncio.Future[A]:
+        """Return the answer to a question; from the loop's thread.
+
+        Args:
+            make: answers all questions that have come; the same for all who shall share it. An
+                exception in the place of an answer is raised to who asked that.
+            question: what is asked.
+
+        Raises:
+            BusyError: the server is closing.
+        """
+        if self._pool.closed:
+            raise BusyError("the server is closing")
+        future: asyncio.Future[A] = asyncio.get_running_loop().create_future()
+        with self._lock:
+            is_new = make not in self._asked
+            self._asked.setdefault(make, {}).setdefault(question, []).append(future)
+        if is_new:
+            self._pool.submit(lambda: self._make(make))
+        return future
+
+    def close(self) -> None:
+        """Make nothing more; who waits gets a BusyError."""
+        self._closed.set()
+        self._pool.close()
+        with self._lock:
+            asked, self._asked = self._asked, {}
+        for questions in asked.values():
+            error = BusyError("the server is closing")
+            self._take(questions, dict.fromkeys(questions, error))
+
+    def _make(self, make: Make[Any, Any]) -> None:
+        with self._lock:
+            questions = self._asked.pop(make, {})
+        began = time.perf_counter()
+        answers: Mapping[Any, Any]
+        try:
+            answers = make(questions.keys())
+        except BaseException as error:  # noqa: BLE001 - raised to those who asked
+            answers = dict.fromkeys(questions, error)
+        self._mailbox.put(lambda: self._take(questions, answers))
+        took = time.perf_counter() - began
+        if took > _LONG_SECONDS:
+            self._closed.wait(min(took, _MOST_REST_SECONDS))
+
+    def _take(
+        self, questions: Mapping[Any, list[asyncio.Future[Any]]], answers: Mapping[Any, Any]
+    ) -> None:
+        is_idle = not self._answered
+        self._answered.extend(
+            (future, answers[question])
+            for question, futures in questions.items()
+            for future in futures
+        )
+        if is_idle:
+            self._hand_out()
+
+    def _hand_out(self) -> None:
+        """Wake some of those who wait, and the others in the loop's next turns."""
+        for _ in range(min(_AT_ONCE, len(self._answered))):
+            future, answer = self._answered.popleft()
+            if future.done():  # its client has gone
+                continue
+            if isinstance(answer, BaseException):
+                future.set_exception(answer)
+            else:
+                future.set_result(answer)
+        if self._answered:
+            asyncio.get_running_loop().call_soon(self._hand_out)

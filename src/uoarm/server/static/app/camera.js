@@ -49,7 +49,7 @@ export function neighbour(id, direction, cards, places, edges = []) {
     const { x, y } = places.get(card.id);
     return { x: x + card.width / 2, y: y + card.height / 2 };
   };
-  const here = middle(cards.find((one) => one.id === id));
+  const here = middle(cards.find((card) => card.id === id));
   const sideways = direction === "ArrowLeft" || direction === "ArrowRight";
   const sign = direction === "ArrowLeft" || direction === "ArrowUp" ? -1 : 1;
   let [best, cost] = [undefined, Infinity];

@@ -11,8 +11,8 @@ export function sayCard({ kind, title, health, data }) {
   if (kind === "bridge") return `Framework ${title}, ${health}, ${data.open} of ${data.all} running`;
   if (kind === "machine") return `Machine ${title}, ${sayMachine(data)}`;
   if (kind === "connection") return `${title} uses ${data.function}, ${data.state}, ${rate(data.rate)}`;
-  const open = data.rows.filter((one) => one.open);
-  const running = open.map((one) => `${one.name} ${one.health} ${rate(one.rate)}`).join(", ");
+  const open = data.rows.filter((row) => row.open);
+  const running = open.map((row) => `${row.name} ${row.health} ${rate(row.rate)}`).join(", ");
   return `Function ${title}, ${plural(data.rows.length, "component")}, ${running || "not running"}`;
 }
 
@@ -42,7 +42,7 @@ function Fold({ card, fold }) {
     event.stopPropagation();
     fold(card);
   };
-  const open = card.data.rows.filter((one) => one.open).length;
+  const open = card.data.rows.filter((row) => row.open).length;
   return html`<button type="button" class="card-fold" tabindex="-1" onClick=${press}
     aria-label=${`${card.folded ? "Unfold" : "Fold"} ${card.title}`}>
     <span>${open ? `${open}/` : ""}${card.data.rows.length}</span>
@@ -62,10 +62,10 @@ function Row({ row }) {
 function figures(row) {
   if (row.native) return "moved by the framework itself";
   if (row.age === null) return "no message yet";
-  const told = [html`<b>${rate(row.rate)}</b>`, `${span(row.age)} ago`];
-  if (row.lost) told.push(html`<span class="bad">${short(row.lost)} dropped</span>`);
-  if (row.invalid) told.push(html`<span class="bad">${short(row.invalid)} invalid</span>`);
-  return told.map((one, at) => html`${at > 0 && " · "}${one}`);
+  const facts = [html`<b>${rate(row.rate)}</b>`, `${span(row.age)} ago`];
+  if (row.lost) facts.push(html`<span class="bad">${short(row.lost)} dropped</span>`);
+  if (row.invalid) facts.push(html`<span class="bad">${short(row.invalid)} invalid</span>`);
+  return facts.map((fact, at) => html`${at > 0 && " · "}${fact}`);
 }
 
 const Application = ({ data }) => html`<div class="row-figures">

@@ -14,37 +14,37 @@ export const rowHeight = (row) => (row.open || row.cause ? OPEN_ROW : ROW);
 
 /** Cards of functions, of connections (applications) and, if wanted, of frameworks and machines. */
 export function makeCards(system, shown, { folded, frameworks }) {
-  const cards = shown.map((one) => functionCard(one, folded(one.name)));
-  const names = new Set(shown.map((one) => one.name));
-  for (const one of system.connections) {
-    if (names.has(one.function)) cards.push(connectionCard(one));
+  const cards = shown.map((func) => functionCard(func, folded(func.name)));
+  const names = new Set(shown.map((func) => func.name));
+  for (const connection of system.connections) {
+    if (names.has(connection.function)) cards.push(connectionCard(connection));
   }
   if (frameworks) {
     const bridges = bridgeCards(system, shown);
-    cards.push(...bridges, ...machineCards(system, new Set(bridges.map((one) => one.title))));
+    cards.push(...bridges, ...machineCards(system, new Set(bridges.map((bridge) => bridge.title))));
   }
   return cards;
 }
 
-function functionCard(one, isFolded) {
-  const rows = isFolded ? [] : one.rows;
+function functionCard(func, isFolded) {
+  const rows = isFolded ? [] : func.rows;
   const inside = rows.reduce((total, row) => total + rowHeight(row), 0);
   const height = HEAD + inside + (rows.length ? FOOT : 0);
-  const width = isFolded ? Math.min(WIDTH, 80 + LETTER * one.name.length) : WIDTH;
-  return { id: `function/${one.name}`, kind: "function", title: one.name, health: one.health,
-    data: one, folded: isFolded, rows, width, height };
+  const width = isFolded ? Math.min(WIDTH, 80 + LETTER * func.name.length) : WIDTH;
+  return { id: `function/${func.name}`, kind: "function", title: func.name, health: func.health,
+    data: func, folded: isFolded, rows, width, height };
 }
 
-function connectionCard(one) {
-  const well = one.failed ? "degraded" : "ok";
-  const health = { failed: "lost", closed: "finished", closing: "degraded" }[one.state] ?? well;
-  return { id: `connection/${one.id}`, kind: "connection", title: `Application ${one.id}`, health,
-    data: one, folded: false, rows: [], width: 190, height: 62 };
+function connectionCard(connection) {
+  const well = connection.failed ? "degraded" : "ok";
+  const health = { failed: "lost", closed: "finished", closing: "degraded" }[connection.state] ?? well;
+  return { id: `connection/${connection.id}`, kind: "connection", title: `Application ${connection.id}`, health,
+    data: connection, folded: false, rows: [], width: 190, height: 62 };
 }
 
 function bridgeCards(system, shown) {
-  const rows = groupBy(shown.flatMap((one) => one.rows), (row) => row.bridge);
-  const live = new Map(system.bridges.map((one) => [one.name, one]));
+  const rows = groupBy(shown.flatMap((func) => func.rows), (row) => row.bridge);
+  const live = new Map(system.bridges.map((bridge) => [bridge.name, bridge]));
   return [...rows].map(([name, its]) => {
     const data = live.get(name) ?? { name, health: "idle", cause: "", open_channels: 0 };
     const open = its.filter((row) => row.open).length;
@@ -54,14 +54,14 @@ function bridgeCards(system, shown) {
 }
 
 function machineCards(system, bridges) {
-  return system.machines.filter((one) => one.bridges.some((name) => bridges.has(name))).map((one) => (
-    { id: `machine/${one.name}`, kind: "machine", title: one.name, data: one, health: one.health,
+  return system.machines.filter((machine) => machine.bridges.some((name) => bridges.has(name))).map((machine) => (
+    { id: `machine/${machine.name}`, kind: "machine", title: machine.name, data: machine, health: machine.health,
       folded: false, rows: [], width: 160, height: 56 }));
 }
 
 /** Edges between cards: messages that flow, dependencies of what is not running, and what runs where. */
 export function makeEdges(system, cards) {
-  const byId = new Map(cards.map((one) => [one.id, one]));
+  const byId = new Map(cards.map((card) => [card.id, card]));
   const home = new Map();
   for (const card of cards) {
     if (card.kind === "function") for (const row of card.data.rows) home.set(row.name, card);
@@ -76,15 +76,15 @@ export function makeEdges(system, cards) {
     }
   }
   const few = cards.length <= FEW;
-  const live = new Set([...edges.values()].map((one) => `${one.from}>${one.to}`));
-  for (const card of cards.filter((one) => one.kind === "function")) {
+  const live = new Set([...edges.values()].map((edge) => `${edge.from}>${edge.to}`));
+  for (const card of cards.filter((card) => card.kind === "function")) {
     for (const row of card.data.rows) {
       for (const used of row.uses ?? []) wish(byId.get(`function/${used}`), card, live, edges);
       const bridge = byId.get(`bridge/${row.bridge}`);
       if (bridge && (few || row.open)) run(bridge, card, edges);
     }
   }
-  for (const card of cards.filter((one) => one.kind === "machine")) {
+  for (const card of cards.filter((card) => card.kind === "machine")) {
     const its = card.data.bridges.map((name) => byId.get(`bridge/${name}`));
     for (const bridge of its.filter(Boolean)) run(card, bridge, edges);
   }
@@ -114,10 +114,10 @@ const flowing = (id, from, to, route) => ({
   bad: route.lost + route.invalid > 0 || Boolean(route.last_error),
 });
 
-function merge(one, other) {
-  if (!one) return other;
-  const rate = one.rate === null ? other.rate : Math.max(one.rate, other.rate ?? 0);
-  return { ...one, rate, lost: one.lost + other.lost, bad: one.bad || other.bad };
+function merge(first, second) {
+  if (!first) return second;
+  const rate = first.rate === null ? second.rate : Math.max(first.rate, second.rate ?? 0);
+  return { ...first, rate, lost: first.lost + second.lost, bad: first.bad || second.bad };
 }
 
 /** Where an edge leaves or enters a card, from its upper edge: the middle of the row's line. */

@@ -10,13 +10,13 @@ const EVERY = 2000;
 export function narrowed(bridges, query) {
   const words = query.toLowerCase().split(/\s+/).filter(Boolean);
   const has = (...texts) => words.every((word) => texts.join(" ").toLowerCase().includes(word));
-  return bridges.map((one) => (has(one.bridge, one.plugin) ? one
-    : { ...one, components: one.components.filter((each) => has(one.bridge, one.plugin, each.name, each.detail)) }))
-    .filter((one) => words.length === 0 || one.components.length > 0 || has(one.bridge, one.plugin));
+  return bridges.map((bridge) => (has(bridge.bridge, bridge.plugin) ? bridge
+    : { ...bridge, components: bridge.components.filter((component) => has(bridge.bridge, bridge.plugin, component.name, component.detail)) }))
+    .filter((bridge) => words.length === 0 || bridge.components.length > 0 || has(bridge.bridge, bridge.plugin));
 }
 
 /** Whether something of a component is in no function yet. Pure. */
-export const isFree = (component) => component.ports.some((one) => one.used_by.length === 0);
+export const isFree = (component) => component.ports.some((port) => port.used_by.length === 0);
 
 /** Args: the store, and what is searched. */
 export function Configuration({ store, query }) {
@@ -31,9 +31,9 @@ export function Configuration({ store, query }) {
     let timer;
     const look = async () => {
       try {
-        const told = await store.wire.ask("Discover");
+        const report = await store.wire.ask("Discover");
         if (over) return;
-        setBridges(told.bridges);
+        setBridges(report.bridges);
         setTrouble("");
       } catch (error) {
         if (!over) setTrouble(error.message);
@@ -61,30 +61,30 @@ export function Configuration({ store, query }) {
       ${refusal && html`<${Notice} kind="bad" title="The configuration is not shown"><pre>${refusal}</pre></${Notice}>`}
       <h2>What frameworks show</h2>
       ${trouble && html`<${Notice} kind="bad" title="Not shown">${trouble}</${Notice}>`}
-      ${bridges && html`<ul class="found">${narrowed(bridges, query).map((one) => html`
-        <${Bridge} key=${`${one.bridge} ${one.plugin}`} of=${one} take=${refusal ? null : take}
-          untaken=${untaken?.bridge === one.bridge ? untaken : null} />`)}</ul>`}
+      ${bridges && html`<ul class="found">${narrowed(bridges, query).map((bridge) => html`
+        <${Bridge} key=${`${bridge.bridge} ${bridge.plugin}`} of=${bridge} take=${refusal ? null : take}
+          untaken=${untaken?.bridge === bridge.bridge ? untaken : null} />`)}</ul>`}
       <div ref=${editor}><${Editor} store=${store} given=${edited} refused=${setRefusal} /></div>
     </section>`;
 }
 
 function Bridge({ of, take, untaken }) {
   const state = !of.configured ? "not configured" : of.cause ? `not reachable: ${of.cause}` : "reachable";
-  const ports = of.components.reduce((sum, one) => sum + one.ports.length + one.more, 0);
+  const ports = of.components.reduce((sum, component) => sum + component.ports.length + component.more, 0);
   const count = `${of.components.length} ${noun(of.components.length, "component")}, ${ports} ${noun(ports, "port")}`;
   return html`
     <li class="found-bridge">
       <h3><${Framework} name=${of.bridge || of.plugin} /> <span class="quiet">${of.plugin}</span> <b>${state}</b>
         ${of.configured && !of.cause && html`<span class="quiet">${count}</span>`}</h3>
       <details><summary>What is installed</summary><${Facts} of=${Object.entries(of.facts)} /></details>
-      <ul>${of.components.map((one) => html`<li key=${one.name} class="found-component">
-        <b>${one.name}</b> <span class="quiet">${one.detail}</span>
-        ${take && isFree(one) && html`<button type="button" class="button" onClick=${() => take(of.bridge, one.name)}>Take
-          <span class="hidden"> ${one.name} into a function</span></button>`}
-        ${untaken?.component === one.name && html`<${Notice} kind="bad" title="Not taken">${untaken.cause}</${Notice}>`}
-        <ul>${one.ports.map((port) => html`<li key=${`${port.role} ${port.address.join(" ")}`}>${port.role} ${port.address.join(", ")}
+      <ul>${of.components.map((component) => html`<li key=${component.name} class="found-component">
+        <b>${component.name}</b> <span class="quiet">${component.detail}</span>
+        ${take && isFree(component) && html`<button type="button" class="button" onClick=${() => take(of.bridge, component.name)}>Take
+          <span class="hidden"> ${component.name} into a function</span></button>`}
+        ${untaken?.component === component.name && html`<${Notice} kind="bad" title="Not taken">${untaken.cause}</${Notice}>`}
+        <ul>${component.ports.map((port) => html`<li key=${`${port.role} ${port.address.join(" ")}`}>${port.role} ${port.address.join(", ")}
           ${!port.known && " (structure unknown)"}${port.rate !== null && `, ${port.rate.toPrecision(3)} a second${port.measured ? "" : ", as stated"}`}${port.used_by.length > 0 && `, used by ${port.used_by.join(", ")}`}</li>`)}</ul>
-        ${one.more > 0 && html`<p>and ${one.more} ports more</p>`}</li>`)}</ul>
+        ${component.more > 0 && html`<p>and ${component.more} ports more</p>`}</li>`)}</ul>
       ${of.more > 0 && html`<p>and ${of.more} components more</p>`}
       ${of.left_out > 0 && html`<p>and ${of.left_out} ports beyond the limit</p>`}
     </li>`;
@@ -101,9 +101,9 @@ function Editor({ store, given, refused }) {
   const ask = (message) => store.wire.ask("Configure", "", message);
   const load = async () => {
     try {
-      const told = await store.wire.ask("Configure");
-      setText(told.configuration);
-      setRevision(told.revisions.at(-1).revision);
+      const report = await store.wire.ask("Configure");
+      setText(report.configuration);
+      setRevision(report.revisions.at(-1).revision);
       setTrouble("");
       refused("");
     } catch (error) {
@@ -114,9 +114,9 @@ function Editor({ store, given, refused }) {
   const look = async (wanted) => {
     setTried(null);
     try {
-      const told = await store.wire.ask("Configure");
-      setRevision(told.revisions.at(-1).revision);
-      setTried({ text: wanted, told: (await ask({ text: wanted, dry_run: true })).text });
+      const report = await store.wire.ask("Configure");
+      setRevision(report.revisions.at(-1).revision);
+      setTried({ text: wanted, report: (await ask({ text: wanted, dry_run: true })).text });
       setTrouble("");
     } catch (error) {
       setTrouble(error.message);
@@ -125,7 +125,7 @@ function Editor({ store, given, refused }) {
   const apply = async () => {
     try {
       const change = await ask({ text, revision, ...(keep ? { keep } : {}) });
-      setTried({ text, told: change.text, done: true });
+      setTried({ text, report: change.text, done: true });
       setRevision(change.revision);
       setTrouble("");
       await store.refresh();
@@ -158,6 +158,6 @@ function Editor({ store, given, refused }) {
         write it to the robot's file</label>
       <button type="button" class="button" onClick=${load}>Read again</button>
     </p>
-    <div ref=${said}>${tried && html`<${Notice} title=${tried.done ? "Done" : "What would happen"}><pre>${tried.told}</pre></${Notice}>`}
+    <div ref=${said}>${tried && html`<${Notice} title=${tried.done ? "Done" : "What would happen"}><pre>${tried.report}</pre></${Notice}>`}
     ${trouble && html`<${Notice} kind="bad" title="Refused"><pre>${trouble}</pre></${Notice}>`}</div>`;
 }

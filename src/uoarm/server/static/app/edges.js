@@ -8,16 +8,16 @@ import { html } from "./ui.js";
 const DIRECT = 3; // an edge of so many points passes no card
 
 export function Edges({ cards, edges, layout }) {
-  const byId = new Map(cards.map((one) => [one.id, one]));
-  const drawn = edges.map((one) => ({ ...one, points: route(one, byId, layout) }));
+  const byId = new Map(cards.map((card) => [card.id, card]));
+  const drawn = edges.map((edge) => ({ ...edge, points: route(edge, byId, layout) }));
   return html`
     <svg class="edges" width=${layout.width} height=${layout.height} aria-hidden="true">
       <defs>${["flows", "uses", "bad"].map((kind) => html`
         <marker id=${`tip-${kind}`} class=${`tip ${kind}`} viewBox="0 0 8 8" refX="7" refY="4"
           markerWidth="8" markerHeight="8" markerUnits="userSpaceOnUse" orient="auto"><path d="M0 0L8 4 0 8z" /></marker>`)}
       </defs>
-      ${drawn.map((one) => html`<${Line} key=${one.id} edge=${one} />`)}
-      ${drawn.filter((one) => one.kind === "flows").map((one) => html`<${Label} key=${one.id} edge=${one} />`)}
+      ${drawn.map((edge) => html`<${Line} key=${edge.id} edge=${edge} />`)}
+      ${drawn.filter((edge) => edge.kind === "flows").map((edge) => html`<${Label} key=${edge.id} edge=${edge} />`)}
     </svg>`;
 }
 
@@ -51,6 +51,6 @@ function route(edge, byId, { places, paths }) {
 
 function middle(points) {
   if (points.length % 2) return points[(points.length - 1) / 2];
-  const [one, other] = [points[points.length / 2 - 1], points[points.length / 2]];
-  return { x: (one.x + other.x) / 2, y: (one.y + other.y) / 2 };
+  const [left, right] = [points[points.length / 2 - 1], points[points.length / 2]];
+  return { x: (left.x + right.x) / 2, y: (left.y + right.y) / 2 };
 }

@@ -5,8 +5,8 @@ import { html, Icon, Notice, Sure } from "./ui.js";
 
 /** Every open input that moves something, and why it has not stopped where it has not. Pure. */
 export function inputsOf(status) {
-  return status.components.flatMap((one) => (one.channels ?? []).filter(({ command }) => command).map(
-    ({ port, command }) => ({ name: `${one.name}.${port.split(".")[1]}`, of: one.function,
+  return status.components.flatMap((component) => (component.channels ?? []).filter(({ command }) => command).map(
+    ({ port, command }) => ({ name: `${component.name}.${port.split(".")[1]}`, of: component.function,
       stopped: command.held && command.phase === "stopped", since: command.since, cause: causeOf(command) })));
 }
 
@@ -18,7 +18,7 @@ function causeOf({ held, phase, cause }) {
 
 /** The button; what the server refuses is said where it is asked. */
 export function StopAll({ store }) {
-  const stop = () => tell(store, store.wire.ask("Stop"), "NOT STOPPED");
+  const stop = () => report(store, store.wire.ask("Stop"), "NOT STOPPED");
   return html`<button type="button" class="stop-all" onClick=${stop}><${Icon} name="stop" />Stop all</button>`;
 }
 
@@ -27,21 +27,21 @@ export function Stopped({ store }) {
   const { held } = store.status;
   const trouble = store.trouble && html`<${Notice} kind="bad" title=${store.trouble.title}>${store.trouble.text}</${Notice}>`;
   if (held == null) return trouble && html`<section class="stopped" aria-label="Emergency stop">${trouble}</section>`;
-  const release = () => tell(store, store.wire.ask("Stop", "", { release: true }), "Not released");
+  const release = () => report(store, store.wire.ask("Stop", "", { release: true }), "Not released");
   const inputs = inputsOf(store.status);
   const old = store.link === "open" ? "" : "Not connected: this is what was known last.";
   return html`
     <section class="stopped" aria-label="Emergency stop">
       <p role="alert"><b>Stopped.</b> Commands have been refused for ${span(held)}. ${old}</p>
-      <ul>${inputs.map((one) => html`<li key=${one.name} class=${one.stopped ? "" : "bad"}>
-        <b>${one.stopped ? "stopped" : "NOT STOPPED"}</b> ${one.name} (${one.of})${one.stopped ? `, ${span(one.since)} ago` : `: ${one.cause}`}</li>`)}
+      <ul>${inputs.map((input) => html`<li key=${input.name} class=${input.stopped ? "" : "bad"}>
+        <b>${input.stopped ? "stopped" : "NOT STOPPED"}</b> ${input.name} (${input.of})${input.stopped ? `, ${span(input.since)} ago` : `: ${input.cause}`}</li>`)}
         ${inputs.length === 0 && html`<li>Nothing open moves.</li>`}</ul>
       <${Sure} act=${release} question="Let everything move again: sure?">Release</${Sure}>
       ${trouble}
     </section>`;
 }
 
-async function tell(store, asked, title) {
+async function report(store, asked, title) {
   try {
     const report = await asked;
     store.trouble = report?.unkept ? { title: "Not stopped after a restart", text: report.unkept } : null;

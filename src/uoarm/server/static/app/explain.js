@@ -4,16 +4,16 @@ import { pretty } from "./format.js";
 import { usePlan } from "./plans.js";
 import { Framework, Health, html, Notice } from "./ui.js";
 
-export function Explain({ store, one }) {
-  const { plan, refusal, again } = usePlan(store, one.name);
+export function Explain({ store, func }) {
+  const { plan, refusal, again } = usePlan(store, func.name);
   if (!plan && !refusal) return html`<p class="quiet">Asking …</p>`;
   return html`
     ${refusal && html`<${Notice} kind="bad" title="No plan fits">
       ${refusal.rejected ? "Every candidate was rejected; the reasons stand with each." : refusal.message}</${Notice}>`}
-    <ul class="tree" aria-label=${`Resolution of ${one.name}`}>
+    <ul class="tree" aria-label=${`Resolution of ${func.name}`}>
       ${plan && html`<${Chosen} step=${plan.steps.at(-1)} plan=${plan} />`}
       ${(plan?.rejected ?? refusal?.rejected ?? []).map((other) => html`<${Rejected} of=${other} />`)}
-      ${plan && untried(plan, one).map((row) => html`<${Untried} row=${row} />`)}
+      ${plan && untried(plan, func).map((row) => html`<${Untried} row=${row} />`)}
     </ul>
     ${plan?.warnings.map((text) => html`<${Notice} kind="warn">${text}</${Notice}>`)}
     <button type="button" class="button small" onClick=${again}>Ask again</button>`;
@@ -22,8 +22,8 @@ export function Explain({ store, one }) {
 /** Candidates that nobody looked at, because one before them fits. */
 export function untried(plan, { name, components }) {
   const seen = new Set([plan.steps.at(-1).component.name]);
-  for (const one of plan.rejected) if (one.function === name) seen.add(one.component);
-  return components.filter((one) => !seen.has(one.name));
+  for (const candidate of plan.rejected) if (candidate.function === name) seen.add(candidate.component);
+  return components.filter((component) => !seen.has(component.name));
 }
 
 const Node = ({ look, mark, open, label, children }) => html`
@@ -33,14 +33,14 @@ const Node = ({ look, mark, open, label, children }) => html`
 
 function Chosen({ step, plan, edge = null }) {
   const { component } = step;
-  const edges = plan.edges.filter((one) => one.consumer === component.name);
+  const edges = plan.edges.filter((edge) => edge.consumer === component.name);
   const label = html`<b>${component.function}</b> ${component.name} <${Framework} name=${component.bridge} />
     <span class="verdict">chosen, priority ${component.priority}</span>`;
   return html`<${Node} look="chosen" mark="ok" open=${true} label=${label}>
     ${edge && html`<${Fits} edge=${edge} />`}
     ${edges.length === 0 && html`<p class="quiet">It takes nothing from other functions.</p>`}
-    ${edges.length > 0 && html`<ul>${edges.map((one) => html`<${Chosen} edge=${one} plan=${plan}
-      step=${plan.steps.find((other) => other.component.name === one.producer)} />`)}</ul>`}
+    ${edges.length > 0 && html`<ul>${edges.map((edge) => html`<${Chosen} edge=${edge} plan=${plan}
+      step=${plan.steps.find((other) => other.component.name === edge.producer)} />`)}</ul>`}
     <${Structures} of=${step.structures} /></${Node}>`;
 }
 
@@ -48,7 +48,7 @@ const Fits = ({ edge }) => html`
   <p><code>${edge.producer}.${edge.output}</code> → <code>${edge.consumer}.${edge.input}</code>, proven to fit${
     edge.mapping && " through a map"}.</p>
   ${edge.mapping && html`<pre class="message">${pretty(edge.mapping)}</pre>`}
-  ${[...edge.losses.map((one) => `allowed loss: ${one}`), ...edge.warnings].map((text) => html`
+  ${[...edge.losses.map((loss) => `allowed loss: ${loss}`), ...edge.warnings].map((text) => html`
     <${Notice} kind="warn">${text}</${Notice}>`)}`;
 
 const Structures = ({ of }) => html`${Object.entries(of).map(([port, structure]) => html`
@@ -58,9 +58,9 @@ const Structures = ({ of }) => html`${Object.entries(of).map(([port, structure])
 function Rejected({ of }) {
   const label = html`<b>${of.function}</b> ${of.component} <span class="verdict">rejected, priority ${of.priority}</span>`;
   return html`<${Node} look="rejected" mark="lost" open=${true} label=${label}>
-    ${of.reasons.map((one) => html`<${Reason} of=${one} />`)}
+    ${of.reasons.map((reason) => html`<${Reason} of=${reason} />`)}
     ${of.because_of.length > 0 && html`<p class="quiet">because of</p>
-      <ul>${of.because_of.map((one) => html`<${Rejected} of=${one} />`)}</ul>`}</${Node}>`;
+      <ul>${of.because_of.map((cause) => html`<${Rejected} of=${cause} />`)}</ul>`}</${Node}>`;
 }
 
 const Reason = ({ of }) => html`

@@ -20,19 +20,19 @@ export function Field({ schema, root, draft, change, problems, name = "", path =
   return html`
     <div class="field">
       <label for=${id}>${name || "message"} <span class="hint">${hint(node)}</span></label>
-      <${Simple} id=${id} invalid=${problems.some((one) => one.path === path)} ...${given} />
+      <${Simple} id=${id} invalid=${problems.some((problem) => problem.path === path)} ...${given} />
       ${node.title && html`<p class="hint">${node.title}</p>`}
       <${Problem} of=${problems} path=${path} />
     </div>`;
 }
 
 function Problem({ of, path }) {
-  const found = of.filter((one) => one.path === path);
-  return found.length > 0 && html`<p class="problem" id=${`problem-${path || "message"}`}>${found.map((one) => one.text).join("; ")}</p>`;
+  const found = of.filter((problem) => problem.path === path);
+  return found.length > 0 && html`<p class="problem" id=${`problem-${path || "message"}`}>${found.map((item_) => item_.text).join("; ")}</p>`;
 }
 
 function hint({ kind, minimum, maximum, names }) {
-  const bounds = [minimum, maximum].some((one) => one !== undefined)
+  const bounds = [minimum, maximum].some((bound) => bound !== undefined)
     ? `${minimum ?? "−∞"} … ${maximum ?? "∞"}` : "";
   const word = { octets: "file", flag: "", choice: "", fixed: "", json: "JSON" }[kind] ?? kind;
   return [word, bounds, names ? "or NaN" : ""].filter(Boolean).join(", ");
@@ -47,7 +47,7 @@ function Simple({ node, id, draft, change, invalid, path }) {
       return html`<input id=${id} type="checkbox" checked=${draft} onChange=${(event) => change(event.target.checked)} />`;
     case "choice":
       return html`<select id=${id} value=${String(draft)} onChange=${(event) => change(Number(event.target.value))}>
-        ${node.options.map((one, at) => html`<option value=${String(at)}>${String(one)}</option>`)}</select>`;
+        ${node.options.map((option, at) => html`<option value=${String(at)}>${String(option)}</option>`)}</select>`;
     case "fixed":
       return html`<output id=${id}>${JSON.stringify(node.value)}</output>`;
     case "octets":
@@ -87,11 +87,11 @@ function Fields({ node, root, draft, change, problems, path }) {
 }
 
 function Items({ node, root, draft, change, problems, path }) {
-  const set = (at, value) => change(draft.map((one, place) => (place === at ? value : one)));
+  const set = (at, value) => change(draft.map((item, place) => (place === at ? value : item)));
   return html`
-    ${draft.map((one, at) => html`
+    ${draft.map((item, at) => html`
       <div class="optional" key=${at}>
-        <${Field} schema=${node.items} root=${root} draft=${one} name=${String(at)} problems=${problems}
+        <${Field} schema=${node.items} root=${root} draft=${item} name=${String(at)} problems=${problems}
           path=${path ? `${path}.${at}` : String(at)} change=${(value) => set(at, value)} />
         ${draft.length > node.least && html`<${Less} what=${`item ${at}`}
           act=${() => change(draft.filter((_, place) => place !== at))} />`}
@@ -103,7 +103,7 @@ function Variants({ node, root, draft, change, problems, path }) {
   const choose = (at) => change({ at, draft: start(node.branches[at], root) });
   return html`
     <select aria-label="Which form" value=${String(draft.at)} onChange=${(event) => choose(Number(event.target.value))}>
-      ${node.branches.map((one, at) => html`<option value=${String(at)}>${nameOf(one, root)}</option>`)}</select>
+      ${node.branches.map((branch, at) => html`<option value=${String(at)}>${nameOf(branch, root)}</option>`)}</select>
     <${Field} key=${draft.at} schema=${node.branches[draft.at]} root=${root} draft=${draft.draft} name="value"
       path=${path} problems=${problems} change=${(value) => change({ ...draft, draft: value })} />`;
 }

@@ -15,7 +15,7 @@ export function Graph({ system, shown, selected, select }) {
   const [folds, setFolds] = useState(new Map());
   const [frameworks, setFrameworks] = useState(false);
   const [focused, setFocused] = useState("");
-  const many = shown.reduce((total, one) => total + one.rows.length, 0) > MANY;
+  const many = shown.reduce((total, func) => total + func.rows.length, 0) > MANY;
   const folded = (name) => folds.get(name) ?? many;
   const cards = makeCards(system, shown, { folded, frameworks });
   const edges = makeEdges(system, cards);
@@ -23,12 +23,12 @@ export function Graph({ system, shown, selected, select }) {
   const stage = useRef(null);
   const wide = stage.current ? stage.current.clientWidth / stage.current.clientHeight : 1.6;
   const layout = useMemo(() => layOut(cards, edges, { aspect: wide }), [shape]);
-  const camera = useCamera(stage, layout, cards.find((one) => one.id === selected));
+  const camera = useCamera(stage, layout, cards.find((card) => card.id === selected));
 
   const fold = (card) => setFolds(new Map(folds).set(card.title, !card.folded));
-  const foldAll = (all) => setFolds(new Map(shown.map((one) => [one.name, all])));
-  const allFolded = shown.length > 0 && shown.every((one) => folded(one.name));
-  const stop = cards.some((one) => one.id === focused) ? focused : cards[0]?.id;
+  const foldAll = (all) => setFolds(new Map(shown.map((func) => [func.name, all])));
+  const allFolded = shown.length > 0 && shown.every((func) => folded(func.name));
+  const stop = cards.some((card) => card.id === focused) ? focused : cards[0]?.id;
 
   const focus = (card) => {
     setFocused(card.id);
@@ -37,19 +37,19 @@ export function Graph({ system, shown, selected, select }) {
   };
   const keys = (event) => {
     const at = event.target.closest("[data-card]")?.dataset.card;
-    const card = cards.find((one) => one.id === at);
+    const card = cards.find((card) => card.id === at);
     const act = keyAction(event, { card, cards, edges, layout, camera, fold, focus });
     if (act) {
       event.preventDefault();
       act();
     }
   };
-  useLayoutEffect(camera.follow, [shown.map((one) => one.name).join()]);
+  useLayoutEffect(camera.follow, [shown.map((func) => func.name).join()]);
 
   const plane = html`
     <${Edges} cards=${cards} edges=${edges} layout=${layout} />
-    ${cards.map((one) => html`<${Card} key=${one.id} card=${one} place=${layout.places.get(one.id)}
-      selected=${one.id === selected} stop=${one.id === stop} select=${select} fold=${fold} />`)}`;
+    ${cards.map((card) => html`<${Card} key=${card.id} card=${card} place=${layout.places.get(card.id)}
+      selected=${card.id === selected} stop=${card.id === stop} select=${select} fold=${fold} />`)}`;
   return html`
     <section class="graph" aria-label="Graph of the system" onKeyDown=${keys}
       onFocusIn=${(event) => setFocused(event.target.dataset.title ?? focused)}>
@@ -85,6 +85,6 @@ function keyAction(event, { card, cards, edges, layout, camera, fold, focus }) {
 
 /** What makes a new layout needed: which cards there are, how high, and what joins them. */
 function shapeOf(cards, edges) {
-  const sizes = cards.map((one) => `${one.id}:${one.height}`);
-  return [...sizes, ...edges.map((one) => `${one.kind}${one.id}`)].join("\n");
+  const sizes = cards.map((card) => `${card.id}:${card.height}`);
+  return [...sizes, ...edges.map((edge) => `${edge.kind}${edge.id}`)].join("\n");
 }

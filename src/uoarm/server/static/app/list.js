@@ -5,18 +5,18 @@ import { Framework, Health, html } from "./ui.js";
 
 export function List({ system, shown, selected, select }) {
   const using = new Map();
-  for (const one of system.connections) using.set(one.function, (using.get(one.function) ?? 0) + 1);
+  for (const connection of system.connections) using.set(connection.function, (using.get(connection.function) ?? 0) + 1);
   return html`
     <section class="list" aria-label="Functions">
       ${shown.length === 0 && html`<p class="empty">Nothing is found.</p>`}
-      <ul>${shown.map((one) => html`<${Item} key=${one.name} of=${one} users=${using.get(one.name) ?? 0}
-        selected=${selected === `function/${one.name}`} select=${select} />`)}</ul>
+      <ul>${shown.map((func) => html`<${Item} key=${func.name} of=${func} users=${using.get(func.name) ?? 0}
+        selected=${selected === `function/${func.name}`} select=${select} />`)}</ul>
       ${system.connections.length > 0 && html`<h2>Applications</h2>
-        <ul>${system.connections.map((one) => html`<${Connection} key=${one.id} of=${one}
-          selected=${selected === `connection/${one.id}`} select=${select} />`)}</ul>`}
+        <ul>${system.connections.map((connection) => html`<${Connection} key=${connection.id} of=${connection}
+          selected=${selected === `connection/${connection.id}`} select=${select} />`)}</ul>`}
       ${system.bridges.length > 0 && html`<h2>Frameworks</h2>
-        <ul>${system.bridges.map((one) => html`<${Bridge} key=${one.name} of=${one}
-          selected=${selected === `bridge/${one.name}`} select=${select} />`)}</ul>`}
+        <ul>${system.bridges.map((bridge) => html`<${Bridge} key=${bridge.name} of=${bridge}
+          selected=${selected === `bridge/${bridge.name}`} select=${select} />`)}</ul>`}
     </section>`;
 }
 
@@ -34,7 +34,7 @@ function Item({ of, users, selected, select }) {
         ${row.age !== null && html` · ${span(row.age)} ago`}
         ${row.lost > 0 && html` · <span class="bad">${short(row.lost)} dropped</span>`}</span>`)}
         ${cause && html`<span class="cause">${cause}</span>`}</span>
-      <span class="item-tags">${bridges.map((one) => html`<${Framework} key=${one} name=${one} />`)}
+      <span class="item-tags">${bridges.map((bridge) => html`<${Framework} key=${bridge} name=${bridge} />`)}
         <span>${plural(of.rows.length, "component")}${users > 0 && `, ${plural(users, "user")}`}</span></span>
     </button></li>`;
 }

@@ -27,7 +27,7 @@ function App({ store }) {
   const open = (kind, name) => go({ ...address, kind, name, tab: "" });
   const select = ({ kind, title, data }) => open(kind, { connection: data?.id, bridge: data?.name }[kind] ?? title);
   const follow = (kind, name) => {
-    const owner = kind === "component" && store.functions.find((one) => one.components.some((part) => part.name === name));
+    const owner = kind === "component" && store.functions.find((func) => func.components.some((part) => part.name === name));
     return owner ? open("function", owner.name) : open(kind, name);
   };
   const given = { system: store.system, shown, selected, select };

@@ -17,8 +17,8 @@ function walk(value, path, depth, found) {
   else if (typeof value === "boolean") found.push([path || "value", Number(value)]);
   else if (value !== null && typeof value === "object") {
     if (Array.isArray(value) && value.length > MOST_ITEMS) return;
-    for (const [name, one] of Object.entries(value)) {
-      walk(one, path ? `${path}.${name}` : name, depth + 1, found);
+    for (const [name, item] of Object.entries(value)) {
+      walk(item, path ? `${path}.${name}` : name, depth + 1, found);
     }
   }
 }
@@ -53,7 +53,7 @@ export class Series {
 export function traced({ times, values, starts = [] }) {
   const scale = (all) => {
     const [low, high] = [Math.min(...all), Math.max(...all)];
-    return (one) => (high > low ? (100 * (one - low)) / (high - low) : 50);
+    return (item) => (high > low ? (100 * (item - low)) / (high - low) : 50);
   };
   const [x, y] = [scale(times), scale(values)];
   const points = times.map((time, at) =>

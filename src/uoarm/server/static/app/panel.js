@@ -29,34 +29,34 @@ export function Panel({ store, address, close }) {
 }
 
 function FunctionPanel({ store, address }) {
-  const one = store.system.functions.find((other) => other.name === address.name);
-  if (!one) return html`<${Gone} what="function" />`;
-  const use = one.service ? "Call" : one.outputs.length ? "Watch" : "Send";
+  const func = store.system.functions.find((other) => other.name === address.name);
+  if (!func) return html`<${Gone} what="function" />`;
+  const use = func.service ? "Call" : func.outputs.length ? "Watch" : "Send";
   const tabs = [["", "Overview"], ["use", use], ["explain", "Explain"]];
   return html`
-    ${one.description && html`<p class="lead">${one.description}</p>`}
-    <nav class="tabs" aria-label=${`About ${one.name}`}>${tabs.map(([tab, label]) => html`
+    ${func.description && html`<p class="lead">${func.description}</p>`}
+    <nav class="tabs" aria-label=${`About ${func.name}`}>${tabs.map(([tab, label]) => html`
       <a key=${tab} href=${writeAddress({ ...address, tab })}
         aria-current=${address.tab === tab ? "page" : null}>${label}</a>`)}</nav>
     <div class="panel-body">
-      ${address.tab === "" && html`<${Overview} store=${store} one=${one} />`}
-      ${address.tab === "use" && html`<${Use} store=${store} one=${one} />`}
-      ${address.tab === "explain" && html`<${Explain} store=${store} one=${one} />`}
+      ${address.tab === "" && html`<${Overview} store=${store} func=${func} />`}
+      ${address.tab === "use" && html`<${Use} store=${store} func=${func} />`}
+      ${address.tab === "explain" && html`<${Explain} store=${store} func=${func} />`}
     </div>`;
 }
 
-function Use({ store, one }) {
-  if (one.service) return html`<${Call} store=${store} name=${one.name} />`;
+function Use({ store, func }) {
+  if (func.service) return html`<${Call} store=${store} name=${func.name} />`;
   return html`
-    ${one.outputs.length > 0 && html`<${Watch} store=${store} one=${one} />`}
-    ${one.inputs.length > 0 && html`<${Send} store=${store} one=${one} />`}`;
+    ${func.outputs.length > 0 && html`<${Watch} store=${store} func=${func} />`}
+    ${func.inputs.length > 0 && html`<${Send} store=${store} func=${func} />`}`;
 }
 
-function Overview({ store, one }) {
-  const connections = store.system.connections.filter((other) => other.function === one.name);
+function Overview({ store, func }) {
+  const connections = store.system.connections.filter((other) => other.function === func.name);
   return html`
     <h3>Components, in the order in which they are tried</h3>
-    <ul class="parts">${one.rows.map((row) => html`<${Part} key=${row.name} row=${row} />`)}</ul>
+    <ul class="parts">${func.rows.map((row) => html`<${Part} key=${row.name} row=${row} />`)}</ul>
     <h3>Applications that use it</h3>
     ${connections.length === 0 && html`<p class="quiet">None at this moment.</p>`}
     <ul class="parts">${connections.map((other) => html`
@@ -77,7 +77,7 @@ const Part = ({ row }) => html`
       ["invalid", row.invalid ? short(row.invalid) : ""],
       ["raised on", row.failed ? short(row.failed) : ""],
       ["used by", row.users.join(", ")],
-      ...row.commands.map((one) => [`input ${one.name}`, command(one)]),
+      ...row.commands.map((input) => [`input ${input.name}`, command(input)]),
     ]} />
     ${row.cause && html`<${Notice} kind="bad" title="Cause">${row.cause}</${Notice}>`}
     ${row.error && html`<${Notice} kind="warn" title="Last error">${row.error}</${Notice}>`}</li>`;
@@ -90,14 +90,14 @@ function command({ phase, left, lease }) {
 }
 
 function ConnectionPanel({ store, address }) {
-  const one = store.system.connections.find((other) => other.id === address.name);
-  if (!one) return html`<${Gone} what="connection" />`;
-  const routes = store.system.routes.filter((route) => route.to === one.id || one.components.includes(route.to));
+  const connection = store.system.connections.find((other) => other.id === address.name);
+  if (!connection) return html`<${Gone} what="connection" />`;
+  const routes = store.system.routes.filter((route) => route.to === connection.id || connection.components.includes(route.to));
   return html`<div class="panel-body">
-    <${Facts} of=${[["function", one.function], ["state", one.state],
-      ["components", one.components.join(" → ")], ["cause", one.cause]]} />
-    ${one.error && html`<${Notice} kind="bad" title="The application">${one.error}</${Notice}>`}
-    <p><${Kill} store=${store} connection=${one} /></p>
+    <${Facts} of=${[["function", connection.function], ["state", connection.state],
+      ["components", connection.components.join(" → ")], ["cause", connection.cause]]} />
+    ${connection.error && html`<${Notice} kind="bad" title="The application">${connection.error}</${Notice}>`}
+    <p><${Kill} store=${store} connection=${connection} /></p>
     <h3>Flows</h3>
     <ul class="parts">${routes.map((route) => html`<li key=${`${route.producer}>${route.consumer}`}>
       <div class="part-head"><b>${route.producer}</b><span>→ ${route.consumer}</span>
@@ -113,7 +113,7 @@ function ConnectionPanel({ store, address }) {
 function BridgePanel({ store, address }) {
   const live = store.system.bridges.find((other) => other.name === address.name);
   const machine = store.system.machines.find((other) => other.bridges.includes(address.name));
-  const rows = store.system.functions.flatMap((one) => one.rows).filter((row) => row.bridge === address.name);
+  const rows = store.system.functions.flatMap((func) => func.rows).filter((row) => row.bridge === address.name);
   return html`<div class="panel-body">
     <p><${Health} of=${live?.health ?? "idle"} word=${true} /></p>
     ${live && html`<${Facts} of=${[["plugin", live.plugin], ["open channels", short(live.open_channels)],
@@ -123,15 +123,15 @@ function BridgePanel({ store, address }) {
 }
 
 function MachinePanel({ store, address }) {
-  const one = store.system.machines.find((other) => other.name === address.name);
-  if (!one) return html`<${Gone} what="machine" />`;
+  const machine = store.system.machines.find((other) => other.name === address.name);
+  if (!machine) return html`<${Gone} what="machine" />`;
   const health = new Map(store.system.bridges.map((bridge) => [bridge.name, bridge.health]));
   return html`<div class="panel-body">
-    <p><${Health} of=${one.health} word=${true} /></p>
-    <${Facts} of=${[["clock", one.clock_offset === null ? "" : offset(one)]]} />
-    ${one.cause && html`<${Notice} kind="warn" title="Cause">${one.cause}</${Notice}>`}
+    <p><${Health} of=${machine.health} word=${true} /></p>
+    <${Facts} of=${[["clock", machine.clock_offset === null ? "" : offset(machine)]]} />
+    ${machine.cause && html`<${Notice} kind="warn" title="Cause">${machine.cause}</${Notice}>`}
     <h3>Frameworks</h3>
-    <ul class="parts">${one.bridges.map((name) => html`<li key=${name}><div class="part-head">
+    <ul class="parts">${machine.bridges.map((name) => html`<li key=${name}><div class="part-head">
       <${Health} of=${health.get(name) ?? "idle"} word=${true} /><span class="push"><${Framework} name=${name} /></span>
       </div></li>`)}</ul></div>`;
 }

@@ -13,8 +13,8 @@ export function findPicture(message, depth = 0) {
   if (message === null || typeof message !== "object" || depth > DEEPEST) return null;
   const found = compressed(message) ?? raw(message);
   if (found) return found;
-  for (const one of Object.values(message)) {
-    const inside = Array.isArray(one) ? null : findPicture(one, depth + 1);
+  for (const value of Object.values(message)) {
+    const inside = Array.isArray(value) ? null : findPicture(value, depth + 1);
     if (inside) return inside;
   }
   return null;
@@ -23,7 +23,7 @@ export function findPicture(message, depth = 0) {
 function compressed({ format, encoding, data }) {
   if (typeof data !== "string") return null;
   const words = `${format ?? encoding ?? ""}`.toLowerCase().split(/[^a-z0-9]+/);
-  const type = words.map((one) => TYPED[one]).find(Boolean) ?? bySignature(data);
+  const type = words.map((word) => TYPED[word]).find(Boolean) ?? bySignature(data);
   return type ? { url: `data:${type};base64,${data}` } : null;
 }
 

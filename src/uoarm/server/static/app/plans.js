@@ -8,10 +8,10 @@ export function usePlan(store, name) {
   const [turn, setTurn] = useState(0);
   useEffect(() => {
     let current = true;
-    const tell = (one) => current && setState(one);
+    const show = (found) => current && setState(found);
     store.wire.ask("Resolve", name).then(
-      ({ plan }) => tell({ plan, refusal: null }),
-      (refusal) => tell({ plan: null, refusal }),
+      ({ plan }) => show({ plan, refusal: null }),
+      (refusal) => show({ plan: null, refusal }),
     );
     return () => {
       current = false;

@@ -10,27 +10,27 @@ const INTEGER = /^-?\d+$/;
 
 /** What a schema asks for: { kind, ... }, references followed. */
 export function nodeOf(schema, root, depth = 0) {
-  const one = follow(schema, root);
-  if (one === null || typeof one !== "object" || depth > DEEPEST) return { kind: "json" };
-  const told = { title: one.description ?? one.title ?? "", preset: one.default };
-  if ("const" in one) return { ...told, kind: "fixed", value: one.const };
-  if (Array.isArray(one.enum)) return { ...told, kind: "choice", options: one.enum };
-  const branches = one.anyOf ?? one.oneOf;
-  if (branches) return { ...told, ...ofBranches(branches, root, depth) };
-  if (Array.isArray(one.type)) {
-    return { ...told, kind: "variants", branches: one.type.map((type) => ({ ...one, type })) };
+  const node = follow(schema, root);
+  if (node === null || typeof node !== "object" || depth > DEEPEST) return { kind: "json" };
+  const common = { title: node.description ?? node.title ?? "", preset: node.default };
+  if ("const" in node) return { ...common, kind: "fixed", value: node.const };
+  if (Array.isArray(node.enum)) return { ...common, kind: "choice", options: node.enum };
+  const branches = node.anyOf ?? node.oneOf;
+  if (branches) return { ...common, ...ofBranches(branches, root, depth) };
+  if (Array.isArray(node.type)) {
+    return { ...common, kind: "variants", branches: node.type.map((type) => ({ ...node, type })) };
   }
-  return { ...told, ...ofType(one) };
+  return { ...common, ...ofType(node) };
 }
 
 function follow(schema, root) {
-  let one = schema;
-  for (let hop = 0; typeof one?.$ref === "string" && hop < DEEPEST; hop += 1) {
-    const parts = one.$ref.replace(/^#/, "").split("/").slice(1);
+  let node = schema;
+  for (let hop = 0; typeof node?.$ref === "string" && hop < DEEPEST; hop += 1) {
+    const parts = node.$ref.replace(/^#/, "").split("/").slice(1);
     const unescape = (part) => decodeURIComponent(part).replaceAll("~1", "/").replaceAll("~0", "~");
-    one = parts.reduce((place, part) => place?.[unescape(part)], root);
+    node = parts.reduce((place, part) => place?.[unescape(part)], root);
   }
-  return typeof one?.$ref === "string" ? undefined : one;
+  return typeof node?.$ref === "string" ? undefined : node;
 }
 
 function ofBranches(branches, root, depth) {
@@ -42,28 +42,28 @@ function ofBranches(branches, root, depth) {
   return branches.length === 1 ? nodeOf(first, root, depth + 1) : { kind: "variants", branches };
 }
 
-function ofType(one) {
-  const { minimum, maximum, exclusiveMinimum, exclusiveMaximum } = one;
-  switch (one.type) {
+function ofType(node) {
+  const { minimum, maximum, exclusiveMinimum, exclusiveMaximum } = node;
+  switch (node.type) {
     case "object":
-      return one.properties
-        ? { kind: "object", fields: one.properties, required: one.required ?? [] }
+      return node.properties
+        ? { kind: "object", fields: node.properties, required: node.required ?? [] }
         : { kind: "json", empty: "{}" };
     case "array":
-      if (one.prefixItems) return { kind: "json", empty: "[]" };
-      return { kind: "list", items: one.items ?? true, least: one.minItems ?? 0, most: one.maxItems };
+      if (node.prefixItems) return { kind: "json", empty: "[]" };
+      return { kind: "list", items: node.items ?? true, least: node.minItems ?? 0, most: node.maxItems };
     case "integer":
     case "number":
-      return { kind: one.type, minimum, maximum, exclusiveMinimum, exclusiveMaximum };
+      return { kind: node.type, minimum, maximum, exclusiveMinimum, exclusiveMaximum };
     case "boolean":
       return { kind: "flag" };
     case "null":
       return { kind: "fixed", value: null };
     case "string":
-      if (one["x-octets"] || one.contentEncoding === "base64") return { kind: "octets" };
-      return { kind: "text", least: one.minLength ?? 0, most: one.maxLength, pattern: one.pattern };
+      if (node["x-octets"] || node.contentEncoding === "base64") return { kind: "octets" };
+      return { kind: "text", least: node.minLength ?? 0, most: node.maxLength, pattern: node.pattern };
     default:
-      return one.properties ? ofType({ ...one, type: "object" }) : { kind: "json" };
+      return node.properties ? ofType({ ...node, type: "object" }) : { kind: "json" };
   }
 }
 
@@ -90,7 +90,7 @@ export function start(schema, root, depth = 0) {
     case "flag":
       return node.preset ?? false;
     case "choice":
-      return Math.max(0, node.options.findIndex((one) => one === node.preset));
+      return Math.max(0, node.options.findIndex((option) => option === node.preset));
     case "json":
       return node.preset === undefined ? node.empty ?? "" : JSON.stringify(node.preset);
     default:
@@ -108,7 +108,7 @@ export function gather(schema, root, draft, path = "") {
 function read(schema, root, draft, path, problems) {
   const node = nodeOf(schema, root);
   const wrong = (text) => void problems.push({ path, text });
-  const inner = (one, its, name) => read(one, root, its, path ? `${path}.${name}` : name, problems);
+  const inner = (schema, its, name) => read(schema, root, its, path ? `${path}.${name}` : name, problems);
   switch (node.kind) {
     case "object": {
       const there = Object.keys(node.fields).filter((name) => draft[name] !== undefined);
@@ -117,7 +117,7 @@ function read(schema, root, draft, path, problems) {
     case "list":
       if (draft.length < node.least) wrong(`at least ${node.least} items`);
       if (draft.length > (node.most ?? Infinity)) wrong(`at most ${node.most} items`);
-      return draft.map((one, at) => inner(node.items, one, String(at)));
+      return draft.map((item, at) => inner(node.items, item, String(at)));
     case "variants":
       return read(node.branches[draft.at], root, draft.draft, path, problems);
     case "fixed":

@@ -5,9 +5,9 @@ import { MessageForm } from "./message-form.js";
 import { providerOf, usePlan } from "./plans.js";
 import { html, Notice } from "./ui.js";
 
-export function Send({ store, one }) {
-  const { plan, refusal } = usePlan(store, one.name);
-  const [input, setInput] = useState(one.inputs[0]);
+export function Send({ store, func }) {
+  const { plan, refusal } = usePlan(store, func.name);
+  const [input, setInput] = useState(func.inputs[0]);
   const [answer, setAnswer] = useState(null);
   if (refusal) return html`<${Notice} kind="bad" title="Nothing can be sent now">${refusal.message}</${Notice}>`;
   if (!plan) return html`<p class="quiet">Asking …</p>`;
@@ -15,7 +15,7 @@ export function Send({ store, one }) {
   const send = async (message) => {
     setAnswer(null);
     try {
-      const connection = await openFor(store, one);
+      const connection = await openFor(store, func);
       await store.wire.ask("Data", `${connection}.${input}`, message);
       setAnswer({ text: "It was handed over." });
     } catch (error) {
@@ -24,8 +24,8 @@ export function Send({ store, one }) {
   };
   return html`
     <h3>Send a message</h3>
-    ${one.inputs.length > 1 && html`<label class="bar">Input <select value=${input}
-      onChange=${(event) => setInput(event.target.value)}>${one.inputs.map((name) => html`
+    ${func.inputs.length > 1 && html`<label class="bar">Input <select value=${input}
+      onChange=${(event) => setInput(event.target.value)}>${func.inputs.map((name) => html`
         <option value=${name}>${name}</option>`)}</select></label>`}
     ${structure && html`<${MessageForm} key=${input} schema=${structure.schema} act=${send} word="Send" />`}
     <div aria-live="polite">${answer && html`<${Notice} kind=${answer.error ? "bad" : "info"}>
@@ -33,9 +33,9 @@ export function Send({ store, one }) {
 }
 
 /** The connection to send over: the one that is watched, else a new one. */
-async function openFor(store, one) {
+async function openFor(store, func) {
   const open = [...store.watches.byConnection.values()]
-    .find((watch) => watch.name.split(".")[0] === one.name);
-  const options = one.outputs.length > 0 ? { every: 0.1 } : { receive: false };
-  return (open ?? (await store.watches.open(one.name, options))).connection;
+    .find((watch) => watch.name.split(".")[0] === func.name);
+  const options = func.outputs.length > 0 ? { every: 0.1 } : { receive: false };
+  return (open ?? (await store.watches.open(func.name, options))).connection;
 }

@@ -26,9 +26,9 @@ export function Header({ store, address, query, setQuery }) {
     <header class="top">
       <a class="skip" href="#main" onClick=${skip}>Skip to the content</a>
       <h1><img src="icon.svg" alt="" width="26" height="26" /><span>uoarm</span></h1>
-      <nav aria-label="Views">${VIEWS.map((one) => html`
-        <a href=${writeAddress({ ...address, view: one })}
-          aria-current=${address.view === one ? "page" : null}>${NAMES[one]}</a>`)}</nav>
+      <nav aria-label="Views">${VIEWS.map((view) => html`
+        <a href=${writeAddress({ ...address, view: view })}
+          aria-current=${address.view === view ? "page" : null}>${NAMES[view]}</a>`)}</nav>
       <label class="search"><${Icon} name="search" /><span class="hidden">Search</span>
         <input type="search" ref=${input} value=${query} placeholder="Search" aria-keyshortcuts="/" autocomplete="off" spellcheck=${false}
           onInput=${(event) => setQuery(event.target.value)} /><kbd aria-hidden="true">/</kbd></label>
@@ -45,10 +45,10 @@ function skip(event) {
 
 /** Counts over everything, and what narrows the view. */
 export function Summary({ system, filter, setFilter }) {
-  const rows = system.functions.flatMap((one) => one.rows);
-  const running = rows.filter((one) => one.open).length;
-  const lost = rows.filter((one) => one.health === "lost").length;
-  const bridges = [...new Set(rows.map((one) => one.bridge))].sort();
+  const rows = system.functions.flatMap((func) => func.rows);
+  const running = rows.filter((row) => row.open).length;
+  const lost = rows.filter((row) => row.health === "lost").length;
+  const bridges = [...new Set(rows.map((row) => row.bridge))].sort();
   const toggle = (change) => setFilter({ ...filter, ...change });
   return html`
     <div class="summary">
@@ -59,9 +59,9 @@ export function Summary({ system, filter, setFilter }) {
       <div class="chips" role="group" aria-label="Show only">
         <button type="button" class="chip" aria-pressed=${filter.running}
           onClick=${() => toggle({ running: !filter.running })}>Running</button>
-        ${bridges.length > 1 && bridges.map((one) => html`
-          <button type="button" class="chip" key=${one} aria-pressed=${filter.bridge === one}
-            onClick=${() => toggle({ bridge: filter.bridge === one ? "" : one })}>${one}</button>`)}
+        ${bridges.length > 1 && bridges.map((bridge) => html`
+          <button type="button" class="chip" key=${bridge} aria-pressed=${filter.bridge === bridge}
+            onClick=${() => toggle({ bridge: filter.bridge === bridge ? "" : bridge })}>${bridge}</button>`)}
       </div>
     </div>`;
 }
@@ -76,7 +76,7 @@ export function Lock({ unlock, tried }) {
   return html`
     <form class="lock" onSubmit=${send}>
       <h2>This server needs a token</h2>
-      <p>Whoever runs it makes one with <code>uoarm token</code>. It stays in this tab.</p>
+      <p>Its operator makes one with <code>uoarm token</code>. It stays in this tab.</p>
       <label>Token <input type="password" autocomplete="off" required value=${token}
         onInput=${(event) => setToken(event.target.value)} /></label>
       ${tried && html`<p class="bad" role="alert">The server did not accept that token.</p>`}

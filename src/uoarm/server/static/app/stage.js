@@ -75,14 +75,14 @@ function listen(element, change) {
     const before = pointers.get(event.pointerId);
     if (!before) return;
     const now = place(event);
-    const other = [...pointers].find(([id]) => id !== event.pointerId)?.[1];
+    const finger = [...pointers].find(([id]) => id !== event.pointerId)?.[1];
     pointers.set(event.pointerId, now);
     travelled += Math.hypot(now.x - before.x, now.y - before.y);
     if (travelled < STILL) return;
     element.classList.add("moving");
-    if (other) {
-      const grown = distance(now, other) / Math.max(1, distance(before, other));
-      change((camera) => zoom(camera, grown, other.x, other.y));
+    if (finger) {
+      const grown = distance(now, finger) / Math.max(1, distance(before, finger));
+      change((camera) => zoom(camera, grown, finger.x, finger.y));
     } else {
       change((camera) => pan(camera, now.x - before.x, now.y - before.y));
     }
@@ -115,4 +115,4 @@ function listen(element, change) {
   };
 }
 
-const distance = (one, other) => Math.hypot(one.x - other.x, one.y - other.y);
+const distance = (start, end) => Math.hypot(start.x - end.x, start.y - end.y);

@@ -24,7 +24,7 @@ export class Store {
     this.frame = frame;
     this.changing = false;
     this.version = 0;
-    this.wire = new Wire(url, (...told) => this.#hear(...told), { isLocked, socket });
+    this.wire = new Wire(url, (...report) => this.#receive(...report), { isLocked, socket });
     this.watches = new Watches(this.wire, () => this.changed());
   }
 
@@ -40,15 +40,15 @@ export class Store {
     this.frame(() => {
       this.changing = false;
       this.version += 1;
-      for (const one of this.listeners) one(this.version);
+      for (const listener of this.listeners) listener(this.version);
     });
   }
 
   /** Asks for the status again, now. */
   async refresh() {
     const known = this.status;
-    const told = await this.wire.ask("Status", "", sinceStatus(known).jsonMessage);
-    this.#see(mergeStatus(known, told));
+    const report = await this.wire.ask("Status", "", sinceStatus(known).jsonMessage);
+    this.#see(mergeStatus(known, report));
   }
 
   unlock(token) {
@@ -58,7 +58,7 @@ export class Store {
     this.changed();
   }
 
-  #hear(op, type, message) {
+  #receive(op, type, message) {
     if (op === "link") this.#linked(type, message);
     else if (op === "Data") this.watches.take(type, message);
     else if (op === "Status" && type === "connection") this.watches.ended(message);
@@ -97,15 +97,15 @@ export class Store {
   #see(status) {
     this.status = status;
     this.watches.see(status);
-    for (const one of status.connections) this.owners.set(one.id, one.function);
+    for (const connection of status.connections) this.owners.set(connection.id, connection.function);
     this.system = join(this.functions, status, this.events);
     this.changed();
   }
 
-  #happened(told) {
+  #happened(report) {
     const now = Date.now();
-    const fresh = told.filter((one) => !this.events.some((other) => other.number === one.number));
-    for (const one of fresh) this.events.push({ ...one, at: new Date(now - one.age * 1000) });
+    const fresh = report.filter((event) => !this.events.some((other) => other.number === event.number));
+    for (const event of fresh) this.events.push({ ...event, at: new Date(now - event.age * 1000) });
     this.events = this.events.slice(-MOST_EVENTS);
     this.system = join(this.functions, this.status, this.events);
     this.changed();

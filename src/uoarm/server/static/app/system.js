@@ -3,10 +3,10 @@
 const WORST_FIRST = ["lost", "degraded", "ok", "finished", "idle"];
 export const MANY = 60; // with more components than this, cards begin folded
 
-export const worst = (healths) => WORST_FIRST.find((one) => healths.includes(one)) ?? "idle";
+export const worst = (healths) => WORST_FIRST.find((health) => healths.includes(health)) ?? "idle";
 
-const sum = (numbers) => numbers.reduce((total, one) => total + one, 0);
-const known = (numbers) => numbers.filter((one) => one !== null && one !== undefined);
+const sum = (numbers) => numbers.reduce((total, number) => total + number, 0);
+const known = (numbers) => numbers.filter((number) => number !== null && number !== undefined);
 const most = (numbers) => (known(numbers).length ? Math.max(...known(numbers)) : null);
 const least = (numbers) => (known(numbers).length ? Math.min(...known(numbers)) : null);
 
@@ -22,36 +22,36 @@ export const endOf = (place, names) =>
 /** Everything known about the system, joined: functions with rows, connections, frameworks, machines. */
 export function join(functions, status, events = []) {
   const deaths = lastDeaths(events);
-  const open = new Map(status.components.map((one) => [one.name, one]));
-  const names = new Set([...open.keys(), ...status.connections.map((one) => one.id)]);
-  const routes = status.routes.map((one) => ({
-    ...one,
-    from: endOf(one.producer, names),
-    to: endOf(one.consumer, names),
-    lost: drops(one),
+  const open = new Map(status.components.map((component) => [component.name, component]));
+  const names = new Set([...open.keys(), ...status.connections.map((connection) => connection.id)]);
+  const routes = status.routes.map((route) => ({
+    ...route,
+    from: endOf(route.producer, names),
+    to: endOf(route.consumer, names),
+    lost: drops(route),
   }));
-  const from = groupBy(routes, (one) => one.from);
-  const to = groupBy(routes, (one) => one.to);
+  const from = groupBy(routes, (route) => route.from);
+  const to = groupBy(routes, (route) => route.to);
   return {
-    functions: functions.map((one) => withRows(one, open, { from, to }, deaths)),
-    connections: status.connections.map((one) => withFlow(one, to.get(one.id) ?? from.get(one.id) ?? [])),
-    bridges: status.bridges.map((one) => ({ ...one })),
-    machines: status.machines.map((one) => ({ ...one, health: one.present ? "ok" : "lost" })),
+    functions: functions.map((func) => withRows(func, open, { from, to }, deaths)),
+    connections: status.connections.map((connection) => withFlow(connection, to.get(connection.id) ?? from.get(connection.id) ?? [])),
+    bridges: status.bridges.map((bridge) => ({ ...bridge })),
+    machines: status.machines.map((machine) => ({ ...machine, health: machine.present ? "ok" : "lost" })),
     routes,
   };
 }
 
 function withRows(described, open, routes, deaths) {
-  const rows = described.components.map((one) => {
-    const live = open.get(one.name);
-    const died = deaths.get(`component ${one.name}`);
+  const rows = described.components.map((part) => {
+    const live = open.get(part.name);
+    const died = deaths.get(`component ${part.name}`);
     const health = live?.health ?? (died ? "lost" : "idle");
     const cause = live?.cause || (live ? "" : died?.cause) || "";
     const users = live?.users ?? [];
     const own = { failed: live?.failed ?? 0, error: live?.last_error ?? "", commands: commandsOf(live) };
-    return { ...one, open: Boolean(live), health, cause, users, ...flowOf(one.name, routes), ...own };
+    return { ...part, open: Boolean(live), health, cause, users, ...flowOf(part.name, routes), ...own };
   });
-  return { ...described, rows, health: worst(rows.map((one) => one.health)) };
+  return { ...described, rows, health: worst(rows.map((row) => row.health)) };
 }
 
 /** The inputs of an open component that move something: what each was told last, and who may tell it. */
@@ -75,40 +75,40 @@ function flowOf(name, { from, to }) {
 
 function flow(routes) {
   return {
-    rate: most(routes.map((one) => one.rate)),
-    age: least(routes.map((one) => one.age)),
-    lost: sum(routes.map((one) => one.lost - raised(one))),
-    invalid: sum(routes.map((one) => one.invalid)),
-    received: most(routes.map((one) => one.received)) ?? 0,
-    native: routes.some((one) => one.native),
+    rate: most(routes.map((route) => route.rate)),
+    age: least(routes.map((route) => route.age)),
+    lost: sum(routes.map((route) => route.lost - raised(route))),
+    invalid: sum(routes.map((route) => route.invalid)),
+    received: most(routes.map((route) => route.received)) ?? 0,
+    native: routes.some((route) => route.native),
   };
 }
 
 /** The last change of each subject, where that was its death. */
 export function lastDeaths(events) {
   const last = new Map();
-  for (const one of events) last.set(one.subject, one);
-  return new Map([...last].filter(([, one]) => one.change === "lost" || one.change === "failed"));
+  for (const event of events) last.set(event.subject, event);
+  return new Map([...last].filter(([, event]) => event.change === "lost" || event.change === "failed"));
 }
 
 /** The functions that a search finds; every word must be found somewhere in it. */
 export function search(functions, query, { running = false, bridge = "" } = {}) {
   const words = query.toLowerCase().split(/\s+/).filter(Boolean);
-  return functions.filter((one) => {
-    if (running && !one.rows.some((row) => row.open)) return false;
-    if (bridge && !one.rows.some((row) => row.bridge === bridge)) return false;
-    const names = one.rows.map((row) => `${row.name} ${row.bridge}`).join(" ");
-    const text = `${one.name} ${one.description} ${names}`.toLowerCase();
+  return functions.filter((func) => {
+    if (running && !func.rows.some((row) => row.open)) return false;
+    if (bridge && !func.rows.some((row) => row.bridge === bridge)) return false;
+    const names = func.rows.map((row) => `${row.name} ${row.bridge}`).join(" ");
+    const text = `${func.name} ${func.description} ${names}`.toLowerCase();
     return words.every((word) => text.includes(word));
   });
 }
 
 export function groupBy(things, key) {
   const groups = new Map();
-  for (const one of things) {
-    const name = key(one);
+  for (const thing of things) {
+    const name = key(thing);
     if (!groups.has(name)) groups.set(name, []);
-    groups.get(name).push(one);
+    groups.get(name).push(thing);
   }
   return groups;
 }

@@ -36,10 +36,10 @@ export function saidOf({ subject, change, cause }, session = "") {
 /** The newest events that a search and a choice of kinds leave. */
 export function filterEvents(events, { query = "", kind = "", bad = false }) {
   const words = query.toLowerCase().split(/\s+/).filter(Boolean);
-  return events.filter((one) => {
-    const text = `${one.subject} ${one.change} ${saidOf(one).word} ${one.cause}`.toLowerCase();
-    const kindFits = !kind || subjectOf(one).kind === kind;
-    return kindFits && (!bad || gravity(one.change) === "lost") && words.every((word) => text.includes(word));
+  return events.filter((event) => {
+    const text = `${event.subject} ${event.change} ${saidOf(event).word} ${event.cause}`.toLowerCase();
+    const kindFits = !kind || subjectOf(event).kind === kind;
+    return kindFits && (!bad || gravity(event.change) === "lost") && words.every((word) => text.includes(word));
   }).slice(-SHOWN).reverse();
 }
 
@@ -53,12 +53,12 @@ export function Timeline({ events, since, query, owners, session, open }) {
   return html`
     <section class="timeline" aria-label="Timeline">
       <div class="chips" role="group" aria-label="Which events">
-        ${choice("", "All")}${KINDS.map(([one, label]) => choice(one, label))}
+        ${choice("", "All")}${KINDS.map(([kind, label]) => choice(kind, label))}
         <button type="button" class="chip" aria-pressed=${bad} onClick=${() => setBad(!bad)}>Only losses</button>
       </div>
       ${shown.length === 0 && html`<p class="empty">No such events since ${clock(since)}.
         Changes of connections, components and frameworks appear here.</p>`}
-      <ol>${shown.map((one) => html`<${Event} key=${one.number} of=${one} owner=${owners.get(subjectOf(one).name)} session=${session} open=${open} />`)}</ol>
+      <ol>${shown.map((event) => html`<${Event} key=${event.number} of=${event} owner=${owners.get(subjectOf(event).name)} session=${session} open=${open} />`)}</ol>
     </section>`;
 }
 

@@ -7,13 +7,13 @@ import { Picture } from "./pixels.js";
 import { Spark } from "./spark.js";
 import { Facts, html, Icon, Notice } from "./ui.js";
 
-const PACES = [[0, "every message"], [0.1, "10 a second"], [0.5, "2 a second"], [2, "one in 2 s"]];
+const PACES = [[0, "every message"], [0.1, "10 a second"], [0.5, "2 a second"], [2, "func in 2 s"]];
 
-export function Watch({ store, one }) {
-  const [output, setOutput] = useState(one.outputs[0]);
+export function Watch({ store, func }) {
+  const [output, setOutput] = useState(func.outputs[0]);
   const [every, setEvery] = useState(0.1);
   const [state, setState] = useState({ busy: false, refusal: "" });
-  const name = output === "default" ? one.name : `${one.name}.${output}`;
+  const name = output === "default" ? func.name : `${func.name}.${output}`;
   const watch = store.watches.byName.get(name);
   const running = Boolean(watch && !watch.end);
 
@@ -36,8 +36,8 @@ export function Watch({ store, one }) {
         ? html`<button type="button" class="button" onClick=${end}><${Icon} name="stop" /> Stop</button>`
         : html`<button type="button" class="button main" disabled=${state.busy} onClick=${begin}>
             <${Icon} name="play" /> ${state.busy ? "One moment …" : "Watch"}</button>`}
-      ${one.outputs.length > 1 && html`<label>Output <select value=${output} disabled=${running}
-        onChange=${(event) => setOutput(event.target.value)}>${one.outputs.map((other) => html`
+      ${func.outputs.length > 1 && html`<label>Output <select value=${output} disabled=${running}
+        onChange=${(event) => setOutput(event.target.value)}>${func.outputs.map((other) => html`
           <option value=${other}>${other}</option>`)}</select></label>`}
       <label>At most <select value=${String(every)} disabled=${running}
         onChange=${(event) => setEvery(Number(event.target.value))}>${PACES.map(([seconds, label]) => html`
@@ -56,7 +56,7 @@ function Shown({ store, watch }) {
     ${watch.away && html`<${Notice} kind="warn" title="Interrupted">The connection to the server broke.
       What is watched is opened again when it is back.</${Notice}>`}
     ${watch.note && html`<${Notice} kind="warn" title="A message could not be shown">${watch.note}</${Notice}>`}
-    ${watch.warnings.map((one) => html`<${Notice} kind="warn">${one}</${Notice}>`)}
+    ${watch.warnings.map((warning) => html`<${Notice} kind="warn">${warning}</${Notice}>`)}
     <${Facts} of=${[
       ["shown", `${short(watch.taken)} (${rate(store.watches.rate(watch))})`],
       ["left out", own?.left_out ? short(own.left_out) : ""],
@@ -72,7 +72,7 @@ function Shown({ store, watch }) {
 }
 
 function Lines({ watch }) {
-  const moving = [...watch.series].filter(([, line]) => line.values.some((one) => one !== line.values[0]));
+  const moving = [...watch.series].filter(([, line]) => line.values.some((value) => value !== line.values[0]));
   const [all, setAll] = useState(false);
   if (moving.length === 0) return null;
   const shown = all ? moving : moving.slice(0, 4);

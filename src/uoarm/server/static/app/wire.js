@@ -20,9 +20,9 @@ export class Refusal extends Error {
  * ("link", "open" | "closed" | "locked") when the connection itself changes.
  */
 export class Wire {
-  constructor(url, hear, { socket = WebSocket, isLocked = async () => false } = {}) {
+  constructor(url, receive, { socket = WebSocket, isLocked = async () => false } = {}) {
     this.url = url;
-    this.hear = hear;
+    this.receive = receive;
     this.socket = socket;
     this.isLocked = isLocked;
     this.token = "";
@@ -48,9 +48,9 @@ export class Wire {
         return;
       }
       this.asked.set(id, { resolve, reject });
-      const told = type ? { op, type, id } : { op, id };
-      if (message !== undefined) told.jsonMessage = message;
-      this.link.send(JSON.stringify(told));
+      const request = type ? { op, type, id } : { op, id };
+      if (message !== undefined) request.jsonMessage = message;
+      this.link.send(JSON.stringify(request));
     });
   }
 
@@ -62,9 +62,9 @@ export class Wire {
     else {
       if (op === "Status" && type === "hello") {
         this.wait = FIRST_WAIT;
-        this.hear("link", "open", jsonMessage);
+        this.receive("link", "open", jsonMessage);
       }
-      this.hear(op, type, jsonMessage);
+      this.receive(op, type, jsonMessage);
     }
   }
 
@@ -74,10 +74,10 @@ export class Wire {
     }
     this.asked.clear();
     if (await this.isLocked(this.token)) {
-      this.hear("link", "locked");
+      this.receive("link", "locked");
       return;
     }
-    this.hear("link", "closed");
+    this.receive("link", "closed");
     setTimeout(() => this.open(), this.wait);
     this.wait = Math.min(this.wait * 2, LONGEST_WAIT);
   }

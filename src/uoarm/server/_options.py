@@ -14,7 +14,7 @@ from uoarm.server._limits import Limits
 from uoarm.server.access import is_loopback
 from uoarm.server.http import own_certificate, state_folder
 
-__all__ = ["Settings"]
+__all__ = ["ServerOptions"]
 
 
 def _absolute(path: Path | None) -> Path | None:
@@ -23,7 +23,7 @@ def _absolute(path: Path | None) -> Path | None:
 
 
 @frozen
-class Settings:
+class ServerOptions:
     """Where the server listens and whom it lets in.
 
     Attributes:

@@ -2,6 +2,8 @@
 
 A component is an action when it has an open input `goal` and the outputs `status` and `result`;
 an input `cancel` and an output `feedback` may be there. Messages that come out carry `goal_id`.
+
+A service serves as one, too: the goal is its request, the result its reply; there is no feedback.
 """
 
 from __future__ import annotations
@@ -10,6 +12,10 @@ import asyncio
 from collections import deque
 from collections.abc import Callable, Mapping
 from contextlib import suppress
+from enum import IntEnum
+from typing import Protocol
+
+from attrs import define, field
 
 from uoarm import Connection
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, UoarmError, UsageError
@@ -24,12 +30,82 @@ from uoarm.server.front_end import (
     FeedKey,
     InputSender,
 )
-from uoarm_rosbridge._arguments import read_arguments
-from uoarm_rosbridge._goal import Goal, GoalStatus
-from uoarm_rosbridge._names import topic_of
+from uoarm_rosbridge._arguments import read_arguments, reader_of
+from uoarm_rosbridge._names import NamedPort, topic_of
 from uoarm_rosbridge._typedefs import check_type, service_type
 
-__all__ = ["StreamRunner", "is_action"]
+__all__ = ["CallRunner", "Goal", "GoalStatus", "Runner", "StreamRunner", "is_action"]
+
+
+class GoalStatus(IntEnum):
+    """How a goal stands, with the numbers of `action_msgs/msg/GoalStatus`."""
+
+    UNKNOWN = 0
+    ACCEPTED = 1
+    EXECUTING = 2
+    CANCELING = 3
+    SUCCEEDED = 4
+    CANCELED = 5
+    ABORTED = 6
+
+
+@define(eq=False)
+class Goal:
+    """A goal on its way; everything in the loop's thread.
+
+    After its end nothing more is heard of it, whatever still comes.
+
+    Attributes:
+        arguments: the goal as the client wrote it.
+        on_feedback: hears what comes before the result.
+        on_result: hears the result and how the goal ended.
+        on_failure: hears why there is no result.
+        octets: of memory that the arguments hold.
+        kind: the type of the action that the client states; empty: none.
+        ended: whether one of the two last was called, or the client has gone.
+    """
+
+    arguments: Message
+    on_feedback: Callable[[Message], None]
+    on_result: Callable[[Message, GoalStatus], None]
+    on_failure: Callable[[BaseException], None]
+    octets: int = 0
+    kind: str = ""
+    ended: bool = field(default=False, init=False)
+
+    def feed(self, values: Message) -> None:
+        """Pass feedback on."""
+        if not self.ended:
+            self.on_feedback(values)
+
+    def finish(self, values: Message, status: GoalStatus) -> None:
+        """Pass the result on."""
+        if not self.ended:
+            self.ended = True
+            self.on_result(values, status)
+
+    def fail(self, error: BaseException) -> None:
+        """Tell that there is no result."""
+        if not self.ended:
+            self.ended = True
+            self.on_failure(error)
+
+
+class Runner(Protocol):
+    """Who works on the goals of one action."""
+
+    def start(self, goal: Goal) -> None:
+        """Begin with a goal; raises UoarmError when it is refused at once."""
+
+    def cancel(self, goal: Goal, done: Done) -> None:
+        """Ask for a goal's end; raises UoarmError where that cannot be asked.
+
+        What the goal ends with comes as its result; `done` hears how the asking went.
+        """
+
+    def abandon(self, goal: Goal) -> None:
+        """Cancel, as far as it can be, a goal whose client has gone."""
+
 
 _ENDS = {
     "succeeded": GoalStatus.SUCCEEDED,
@@ -144,7 +220,7 @@ class StreamRunner:
 
     async def _join(self, name: str) -> Connection:
         feed = await self._backend.join(FeedKey(f"{self._function}.{name}"))
-        self._parts[_Part(name, self._heard, self._ended)] = feed
+        self._parts[_Part(name, self._receive, self._ended)] = feed
         assert feed.connection is not None, "join returns feeds that are open"
         return feed.connection
 
@@ -186,12 +262,12 @@ class StreamRunner:
             if self._timer is not None:
                 self._timer.cancel()
 
-    def _heard(self, part: str, message: Message) -> None:
+    def _receive(self, part: str, message: Message) -> None:
         if not isinstance(message, Mapping):
             return
         identity = str(message.get("goal_id"))
         if identity in self._running:
-            self._tell(part, self._running[identity], identity, message)
+            self._forward(part, self._running[identity], identity, message)
         elif self._asked is not None:
             if part == "status" and message.get("status") in {"accepted", "rejected"}:
                 self._decide(self._asked, identity, accepted=message["status"] == "accepted")
@@ -209,12 +285,14 @@ class StreamRunner:
             early = [pair for pair in self._early if pair[1].get("goal_id") == identity]
             self._early.clear()
             for part, message in early:
-                self._heard(part, message)
+                self._receive(part, message)
             if unwanted:
                 self.cancel(goal, _ignore)
         self._next()
 
-    def _tell(self, part: str, goal: Goal, identity: str, message: Mapping[str, Message]) -> None:
+    def _forward(
+        self, part: str, goal: Goal, identity: str, message: Mapping[str, Message]
+    ) -> None:
         if part == "feedback":
             goal.feed(message.get("feedback"))
         elif part == "result":
@@ -259,16 +337,16 @@ class _Part:
     def __init__(
         self,
         name: str,
-        heard: Callable[[str, Message], None],
+        on_message: Callable[[str, Message], None],
         ended: Callable[[str, str], None],
     ) -> None:
         self._name = name
-        self._heard = heard
+        self._receive = on_message
         self.ended = ended
 
     def offer(self, envelope: Envelope) -> None:
         """Pass one message on."""
-        self._heard(self._name, envelope.message)
+        self._receive(self._name, envelope.message)
 
     def refuse(self, envelope: Envelope, error: Exception) -> None:
         """Never called: nothing is written here."""
@@ -277,3 +355,47 @@ class _Part:
 def _ignore(error: BaseException | None) -> None:
     """Let a cancellation that failed pass: the result says what became of the goal."""
     del error
+
+
+class CallRunner:
+    """Calls one function for one client.
+
+    Args:
+        place: the function.
+        backend: where it is called.
+    """
+
+    def __init__(self, place: NamedPort, backend: Backend) -> None:
+        self._place = place
+        self._backend = backend
+        self._tasks: dict[Goal, asyncio.Task[None]] = {}
+
+    def start(self, goal: Goal) -> None:
+        """Call the function."""
+        task = self._tasks[goal] = asyncio.ensure_future(self._call(goal))
+        task.add_done_callback(lambda _: self._tasks.pop(goal, None))
+
+    def cancel(self, goal: Goal, done: Done) -> None:
+        """Refuse: a call runs to its end."""
+        del goal, done
+        raise UsageError(
+            f"{self._place.name} is a call, which cannot be cancelled; its result still comes"
+        )
+
+    def abandon(self, goal: Goal) -> None:
+        """Wait for the reply no more."""
+        if goal in self._tasks:
+            self._tasks[goal].cancel()
+
+    async def _call(self, goal: Goal) -> None:
+        try:
+            reply = await self._backend.call(
+                self._place.wanted,
+                goal.arguments,
+                reader_of(f"action {self._place.name!r}", goal.kind),
+                self._backend.limits.call_seconds,
+            )
+        except Exception as error:  # noqa: BLE001 - told to the one who sent it
+            goal.fail(error)
+        else:
+            goal.finish(reply, GoalStatus.SUCCEEDED)
