@@ -44,5 +44,7 @@ def master(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Master]:
 
 @pytest.fixture(scope="session")
 def lasting(master: Master) -> Peer:
-    """A node that serves every test."""
-    return master.peer("lasting")
+    """A node that serves every test, and is there to be discovered before any has asked it."""
+    peer = master.peer("lasting")
+    peer.do("advertise", topic="/lasting/there", type="std_msgs/Int64")
+    return peer
