@@ -191,7 +191,7 @@ def test_what_is_discovered_is_in_the_log_and_replays(
         assert list(map(repr, again)) == list(map(repr, actions)), line
     seen = [item for item in events if isinstance(item, ev.CandidatesChanged)]
     assert "camera@one/second" in seen[1].bridges
-    assert "+ component camera@one/second" in seen[1].told
+    assert "+ component camera@one/second" in seen[1].summary
 
 
 SOAK = """

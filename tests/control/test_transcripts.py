@@ -67,10 +67,12 @@ class Player(World):
         self.told.append(f"  {describe(action)}")
 
     def play_request(self, identity: str, wanted: str, *options: str) -> None:
-        """Options: heard, known (the plan is), a way to validate."""
+        """Options: callback, known (the plan is), a way to validate."""
         self.asked += (f"request {identity}",)
         function, dot, port = wanted.partition(".")
-        modes = [ValidationMode(option) for option in options if option not in {"heard", "known"}]
+        modes = [
+            ValidationMode(option) for option in options if option not in {"callback", "known"}
+        ]
         self.post(
             ev.Requested(
                 identity,
@@ -78,7 +80,7 @@ class Player(World):
                 modes[0] if modes else ValidationMode.OFF,
                 f"request {identity}",
                 self.plans(function, self.dead) if "known" in options else None,
-                "heard" in options,
+                "callback" in options,
                 self.state.revision,
             )
         )

@@ -340,7 +340,7 @@ class World:
         """Raise where something is open that nobody wants, or the other way round."""
         state = self.state
         assert not state.batches
-        assert not state.running_out
+        assert not state.draining
         assert not state.switchovers
         assert not state.outdated
         assert not state.postponed
@@ -379,7 +379,7 @@ class World:
                     components.setdefault(number, set()).add(placement.user)
                 for number in placement.edges:
                     edges.setdefault(number, set()).add(placement.user)
-        for ending in self.state.running_out.values():
+        for ending in self.state.draining.values():
             for number in ending.placement.components.values():
                 components.setdefault(number, set()).add(ending.placement.user)
         assert {n: set(one.users) for n, one in self.state.components.items()} == components

@@ -51,7 +51,7 @@ def test_who_joins_any_other_source_gets_the_next_message_first(outlet: Outlet) 
     outlet.attach(consumer.route)
     outlet.deliver(2)
     assert consumer.got == [2]
-    assert outlet.unheard == 2
+    assert outlet.undelivered == 2
 
 
 def test_what_comes_while_a_source_opens_is_retained(outlet: Outlet) -> None:
@@ -87,7 +87,7 @@ def test_who_left_gets_nothing_more(outlet: Outlet) -> None:
     outlet.detach(consumer.route)
     outlet.deliver(1)
     assert consumer.got == []
-    assert outlet.unheard == 1
+    assert outlet.undelivered == 1
 
 
 def test_who_was_dropping_gets_the_last_message_when_it_is_let_through(outlet: Outlet) -> None:
@@ -134,7 +134,7 @@ def test_what_more_than_one_route_got_counts_as_a_copy_for_all_but_the_first(
     assert received == ([5, 3, 3] if retains else [4, 2, 2])
     assert copies == ([1, 3, 2] if retains else [0, 2, 1])
     sent = 6
-    assert sent + sum(copies) == sum(received) + outlet.unheard
+    assert sent + sum(copies) == sum(received) + outlet.undelivered
 
 
 def test_a_message_that_emits_in_its_own_thread_does_not_hang(outlet: Outlet) -> None:
@@ -256,7 +256,7 @@ def test_a_message_that_comes_as_its_source_says_that_it_retains_nothing_arrives
     outlet.attach(consumer.route)
     monkeypatch.setattr(outlet, "_lock", _Said(outlet))
     outlet.deliver(1)
-    assert (consumer.got, outlet.unheard) == ([1], 0)
+    assert (consumer.got, outlet.undelivered) == ([1], 0)
     assert consumer.route.copies == 0
 
 

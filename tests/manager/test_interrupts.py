@@ -138,7 +138,7 @@ def is_nothing_left(robot: RobotManager) -> bool:
         or state.edges
         or state.parts
         or state.batches
-        or state.running_out
+        or state.draining
         or live.runtimes
         or live.components
         or live.edges
@@ -193,12 +193,12 @@ def test_a_request_that_is_given_up_and_interrupted_anywhere_leaves_nothing(
     while has_come:
         at += 1
         robot.resolve("face")
-        interrupt, goes_on = Interrupt(number, at), threading.Event()
-        one.before = goes_on.wait
+        interrupt, is_active = Interrupt(number, at), threading.Event()
+        one.before = is_active.wait
         with suppress(BridgeTimeoutError):
             interrupt.during(lambda: robot.request("face", timeout=0.01))
         left = robot.connections()  # while it hangs still
-        goes_on.set()
+        is_active.set()
         assert not left, at
         has_come = interrupt.has_come
         wait(lambda: is_nothing_left(robot), never=f"interrupted at call {at}")
@@ -395,15 +395,15 @@ def test_other_threads_leave_the_handler_alone() -> None:
 
 
 def test_what_comes_of_a_step_whose_waiter_was_interrupted_is_put_away() -> None:
-    goes_on, late = threading.Event(), SimpleQueue[str]()
+    is_active, late = threading.Event(), SimpleQueue[str]()
 
     def work() -> str:
         os.kill(os.getpid(), signal.SIGINT)
-        goes_on.wait()
+        is_active.wait()
         return "a bridge"
 
     with pytest.raises(KeyboardInterrupt):
         _bounded.run("starting it", patience(), work, on_late=late.put)
     assert late.empty()
-    goes_on.set()
+    is_active.set()
     assert late.get(timeout=patience()) == "a bridge"

@@ -221,7 +221,7 @@ def test_a_slow_bridge_delays_no_candidate_but_who_asks_waits_for_its_first_answ
     lab.far.may_answer.clear()
     with lab.manager(CAMERA) as manager:
         for _ in range(2):
-            with pytest.raises(BridgeTimeoutError, match=r"have not yet told .* 0\.01 s: "):
+            with pytest.raises(BridgeTimeoutError, match=r"have not yet listed .* 0\.01 s: "):
                 manager.resolve("camera", timeout=0.01)
             wait(lambda: candidates_of(manager, "camera") == ["camera@lab/small"])
         lab.far.may_answer.set()

@@ -193,7 +193,7 @@ class AsyncConnection(_Twin[Connection[T]], Generic[T]):
     def subscribe(self, callback: Callable[[T], None]) -> Callable[[], None]:
         """Give messages to a callback from now on, in the loop; returns what ends it.
 
-        As long as there is one, a task of the loop reads the connection, and nobody else should.
+        As long as there is one, a task of the loop reads the connection, and nothing else should.
         A callback that raises is logged and stays.
 
         Raises:
@@ -260,7 +260,7 @@ class AsyncConnection(_Twin[Connection[T]], Generic[T]):
                     except Exception:  # noqa: BLE001 - a callback may raise anything
                         _log.exception("callback %r raised", callback)
         except ConnectionClosedError as error:
-            _log.debug("%s", error)  # its state and cause say so to whoever asks
+            _log.debug("%s", error)  # its state and cause say so to a caller that asks
 
     def _wake(self) -> None:
         if not self._woken:
@@ -403,7 +403,7 @@ class AsyncRobotManager(_Twin[RobotManager]):
         return await self._outside(ask)
 
     def connections(self) -> tuple[AsyncConnection, ...]:
-        """Return the connections that have not ended, oldest first, whoever requested them.
+        """Return the connections that have not ended, oldest first, of every caller.
 
         Each is a handle of its own: one that is read here is no longer read elsewhere.
         """
@@ -427,14 +427,14 @@ class AsyncRobotManager(_Twin[RobotManager]):
 
     @arguments()
     def listen(self, listener: Callable[[StatusEvent], None]) -> Callable[[], None]:
-        """Tell a listener every change from now on, in order and in the loop; returns what ends it.
+        """Notify a listener of every change, in order and in the loop; returns what ends that.
 
         Call it in the loop.
         """
         loop = asyncio.get_running_loop()
         listening = True
 
-        def tell(event: StatusEvent) -> None:
+        def notify(event: StatusEvent) -> None:
             if listening:
                 try:
                     foreign(listener, event)
@@ -443,7 +443,7 @@ class AsyncRobotManager(_Twin[RobotManager]):
 
         def pass_on(event: StatusEvent) -> None:
             if not loop.is_closed():
-                loop.call_soon_threadsafe(tell, event)
+                loop.call_soon_threadsafe(notify, event)
 
         end_there = self.robot.listen(pass_on)
 

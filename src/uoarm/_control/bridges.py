@@ -152,7 +152,7 @@ class BridgeSet:
     Args:
         specs: the bridges of the configuration.
         registry: the plugins that make them.
-        listener: told of every health event.
+        listener: notified of every health event.
         ready: instances to use instead of making them; closed with the others.
         clock: seconds, for the waits between restarts.
         listening: where hosts on other machines join.
@@ -182,10 +182,10 @@ class BridgeSet:
         self._health: dict[str, tuple[Health, str]] = {}
         self._lock = threading.Lock()
         self._closed = False
-        self.machines = Machines(specs, listening, self._heard, self._state)
+        self.machines = Machines(specs, listening, self._note_health, self._state)
         for name, bridge in ready.items():
             self._bridges[name] = bridge
-            bridge.watch(self._heard)
+            bridge.watch(self._note_health)
 
     def get(self, name: str) -> Bridge:
         """Return the bridge of this name, starting it when it is the first time.
@@ -201,7 +201,7 @@ class BridgeSet:
         with self._lock:
             self._require_open()
             turn = self._turns.setdefault(name, threading.Lock())
-        with turn:  # one that is slow to start holds up nobody else
+        with turn:  # one that is slow to start holds up no other
             bridge = self._bridges.get(name)
             if bridge is not None:
                 return bridge
@@ -213,7 +213,7 @@ class BridgeSet:
                 if keep:
                     self._bridges[name] = bridge
                     was_lost = self._health.pop(name, _FINE)[0] is Health.LOST
-                    bridge.watch(self._heard)
+                    bridge.watch(self._note_health)
         if not keep:
             bridge.close()
             self._require_open()
@@ -278,11 +278,11 @@ class BridgeSet:
                 new = staged.made.pop(name, None)
                 if new is not None:
                     self._bridges[name] = new
-                    new.watch(self._heard)
+                    new.watch(self._note_health)
         self.machines.adopt(staged.machines, frozenset(changed))
 
     def retire_replaced(self, in_use: Callable[[Bridge], bool]) -> None:
-        """Close those that were replaced and that nobody uses any more; returns at once."""
+        """Close those that were replaced and that have no user any more; returns at once."""
         if not self._replaced:
             return
         with self._lock:
@@ -346,11 +346,11 @@ class BridgeSet:
         if self._closed:
             raise ConnectionClosedError("the robot manager is closed")
 
-    def _heard(self, event: HealthEvent) -> None:
-        """Note what happens to a whole bridge, then tell the listener.
+    def _note_health(self, event: HealthEvent) -> None:
+        """Note what happens to a whole bridge, then notify the listener.
 
-        One that is lost is there for nobody from this moment on: `get` makes a new one, which
-        bears the same name, so that nothing more is heard of the lost one.
+        One that is lost is given out no more from this moment on: `get` makes a new one, which
+        bears the same name, so that nothing more is reported of the lost one.
         """
         if event.channel is None and event.component is None:
             with self._lock:

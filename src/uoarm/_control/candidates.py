@@ -67,8 +67,8 @@ class Rounds:
         return max(_EVERY_SECONDS, _REST * (now - begun))
 
 
-class Untold:
-    """Components that could not tell their structures lately: each is asked again after a rest.
+class UndescribedComponents:
+    """Components whose structures were not to be had lately: each is asked again after a rest.
 
     For one that is not there a bridge waits as long as it may, and no round ends meanwhile. As
     rounds do, asking for one component takes a fifth of the time at most.
@@ -79,14 +79,14 @@ class Untold:
         self._found: dict[str, tuple[Unavailable, float]] = {}
 
     def known(self, base: Robot, name: str, now: float) -> Unavailable | None:
-        """Return why a component could not tell, until it is to be asked again."""
+        """Return why a component's structures were not to be had, until it is to be asked again."""
         if base is not self._base:
             self._base, self._found = base, {}
         found, due = self._found.get(name, (None, now))
         return found if now < due else None
 
     def note(self, name: str, found: Unavailable, begun: float, now: float) -> None:
-        """Note why a component could not tell; it was asked at `begun`."""
+        """Note why a component's structures were not to be had; it was asked at `begun`."""
         self._found = {key: kept for key, kept in self._found.items() if now < kept[1]}
         self._found[name] = found, now + _REST * (now - begun)
 
@@ -95,7 +95,7 @@ class CandidateWatch:
     """Has discovered components for candidates, while a configuration has functions with needs.
 
     One thread asks all bridges in rounds, two seconds apart, or four times as long as a round
-    takes; a component that cannot tell its structures is asked again as seldom. However often
+    takes; a component whose structures are not to be had is asked again as seldom. However often
     components come and go meanwhile, a round changes the candidates once at most. The thread begins
     with the first who needs candidates. A bridge that answers later than others is in a later
     round, and one that fails shows what it showed before, for three answers. In a new
@@ -125,7 +125,7 @@ class CandidateWatch:
         self._clock = clock
         self._proofs = Proofs(clock)
         self._rounds = Rounds()
-        self._untold = Untold()
+        self._undescribed = UndescribedComponents()
         self._changed = threading.Condition()
         self._thread: threading.Thread | None = None
         self._is_closed = False
@@ -152,7 +152,7 @@ class CandidateWatch:
                 self._thread.start()
             self._changed.notify_all()  # the thread may rest, and not know this configuration
             if not self._changed.wait_for(self._is_known, timeout):
-                said = "bridges have not yet told what components they see"
+                said = "bridges have not yet listed what components they see"
                 text = f"{said}, after {timeout:g} s: {self._step}"
                 raise BridgeTimeoutError(text)
         return max(0.1, round(deadline - time.monotonic(), 1))
@@ -223,12 +223,12 @@ class CandidateWatch:
             if name in asked:
                 return asked[name]
             begun = self._clock()
-            found: Structures | Unavailable | None = self._untold.known(base, name, begun)
+            found: Structures | Unavailable | None = self._undescribed.known(base, name, begun)
             if found is None:
                 self._step = f"bridge {component.bridge!r} is asked for the structures of {name!r}"
                 found = revision.structures.structures(component)
                 if isinstance(found, Unavailable):
-                    self._untold.note(name, found, begun, self._clock())
+                    self._undescribed.note(name, found, begun, self._clock())
             asked[name] = found
             return found
 

@@ -28,7 +28,7 @@ _MOST_OCTETS = 10_000_000
 class KeptFile:
     """A configuration file, and what stood in it when it was read or written last.
 
-    Of two writers none undoes the other's change unseen: where somebody else has written since,
+    Of two writers none undoes the other's change unseen: where another writer has written since,
     nothing is. For one thread at a time.
 
     Args:
@@ -48,7 +48,7 @@ class KeptFile:
         """Return what would stand in the file with another configuration; writes nothing.
 
         Raises:
-            UsageError: the configuration is of no file, or somebody else has changed that.
+            UsageError: the configuration is of no file, or another writer has changed that.
             ConfigurationError: the change cannot be written line by line.
         """
         self._require_unchanged(self._known())
@@ -61,7 +61,7 @@ class KeptFile:
         What can fail for want of room has failed before the block begins.
 
         Raises:
-            UsageError: somebody else has changed the file meanwhile; theirs stands.
+            UsageError: another writer has changed the file meanwhile; that change stands.
             ConfigurationError: it cannot be written.
         """
         place = self._known().resolve()
@@ -84,24 +84,24 @@ class KeptFile:
             )
         return self._path
 
-    def _require_unchanged(self, path: Path, told: str = "") -> None:
+    def _require_unchanged(self, path: Path, intro: str = "") -> None:
         try:
             with path.open("rb") as file:
                 now = file.read(_MOST_OCTETS + 1)
         except OSError as error:
-            raise ConfigurationError(f"{told}{path} cannot be read: {error}") from error
+            raise ConfigurationError(f"{intro}{path} cannot be read: {error}") from error
         if now.decode(errors="replace").removeprefix("\ufeff") != self._text:
             raise UsageError(
-                f"{told}{path} was changed since it was read: reload it, and make the change anew"
+                f"{intro}{path} was changed since it was read: reload it, and make the change anew"
             )
 
 
 @contextmanager
-def _writing(place: Path, told: str = "") -> Iterator[None]:
+def _writing(place: Path, intro: str = "") -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        raise ConfigurationError(f"{told}{place} cannot be written: {error}") from error
+        raise ConfigurationError(f"{intro}{place} cannot be written: {error}") from error
 
 
 class ConfigurationChanges:

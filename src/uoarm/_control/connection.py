@@ -40,7 +40,7 @@ class Connection(Generic[T]):
     """A running plan. Iterate over it, `send` to it, and `kill` it; also a context manager.
 
     Made by `RobotManager.request`. All methods may be called from any thread. `Connection[Scan]`
-    gives its messages as `Scan`, which `request` was told as `as_type`.
+    gives its messages as `Scan`, which `request` was given as `as_type`.
     """
 
     def __init__(
@@ -147,7 +147,7 @@ class Connection(Generic[T]):
 
         Raises:
             CommandRefusedError: the emergency stop holds the input, until it is released, or
-                somebody else its lease. What else the last hop refuses is counted in the status.
+                another client its lease. What else the last hop refuses is counted in the status.
             MessageError: the message does not match the input's structure, or has no form in the
                 framework.
             BridgeError: the component took it at once and failed, or the framework takes none.
@@ -169,7 +169,7 @@ class Connection(Generic[T]):
         """Send the stop message of an input that moves something, and give its lease back.
 
         Commands that were sent before and wait in a queue are discarded; those after it pass. Does
-        nothing where somebody else holds the lease, or nothing was sent. Blocks for `timeout`
+        nothing where another client holds the lease, or nothing was sent. Blocks for `timeout`
         seconds at most.
 
         Args:
@@ -317,7 +317,7 @@ class Connection(Generic[T]):
 
     def _ports(self) -> ApplicationPorts:
         ports = self._runtime.ports
-        if not self._record.goes_on or ports is None:
+        if not self._record.is_active or ports is None:
             raise ConnectionClosedError(f"connection {self.id} has ended: {self.cause or 'kill'}")
         return ports
 

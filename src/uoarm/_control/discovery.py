@@ -66,17 +66,17 @@ class _Question:
 
 
 class Discovery:
-    """Asks bridges what they see; one that is slow holds up nobody who does not wait for it.
+    """Asks bridges what they see; one that is slow holds up no caller that does not wait for it.
 
-    A bridge is asked once at a time. One that was too slow for a look is told as it answered last,
-    and what it answers then is in a later look. With a grace, a bridge rests after each answer for
-    four times as long as that took, and its start is not given up before the limit of starts: one
-    that takes longer than an answer may would else be begun again and again. For one thread at a
-    time, but for `close`.
+    A bridge is asked once at a time. One that was too slow for a look is listed as it answered
+    last, and what it answers then is in a later look. With a grace, a bridge rests after each
+    answer for four times as long as that took, and its start is not given up before the limit
+    of starts: one that takes longer than an answer may would else be begun again and again. For
+    one thread at a time, but for `close`.
 
     Args:
         get: gives a bridge, starting it where it must.
-        kept: for how many answers a bridge that fails is told as it answered last.
+        kept: for how many answers a bridge that fails is listed as it answered last.
 
     Attributes:
         is_whole: whether every bridge had answered once at least by the end of the last look, or
@@ -113,7 +113,7 @@ class Discovery:
                 or self._ask(name, question, timeout, rests=grace is not None)
             ]
 
-            def has_begun() -> bool:  # whether there is something to tell
+            def has_begun() -> bool:  # whether there is something to list
                 return len(asked) < len(self._questions) or not all(
                     question.is_under_way for question in asked
                 )
@@ -136,7 +136,7 @@ class Discovery:
         )
 
     def close(self) -> None:
-        """Ask nobody any more; what is under way goes on, within its limit. Idempotent."""
+        """Ask no bridge any more; what is under way goes on, within its limit. Idempotent."""
         self._pool.close()
 
     def _question(self, name: str, spec: BridgeSpec) -> _Question:

@@ -1,9 +1,9 @@
 """The executor: owns the state, gives `step` its events, and has the performer do what follows.
 
-One thread at a time owns the state: whoever posts an event while nobody does. It works until no
-event is left, calls nothing foreign meanwhile and waits for nothing, so that a post is quick and no
-event needs a thread of its own. Ctrl-C and SIGTERM, which may be raised after any call in the main
-thread, wait until what that thread has begun is whole.
+One thread at a time owns the state: the one that posts an event while it has no owner. It works
+until no event is left, calls nothing foreign meanwhile and waits for nothing, so that a post is
+quick and no event needs a thread of its own. Ctrl-C and SIGTERM, which may be raised after any
+call in the main thread, wait until what that thread has begun is whole.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ from uoarm.model import Component, ComponentStatus, Health, Robot
 
 __all__ = ["Executor"]
 
-_TOLD = 20
+_LISTED_CHANGES = 20
 _log = logging.getLogger("uoarm")
 _log_of_events = logging.getLogger("uoarm.control")
 
@@ -102,8 +102,8 @@ class Executor:
             self._work()
 
     def _work(self) -> None:
-        # Whoever finds the state owned leaves its event to the owner, which looks once more after
-        # it let go: an event that came between is not left lying.
+        # A thread that finds the state owned leaves its event to the owner, which looks once more
+        # after it let go: an event that came between is not left lying.
         while self._events and self._owning.acquire(blocking=False):
             try:
                 self._handle_all()
@@ -187,7 +187,7 @@ class Executor:
         except BaseException:
             self._lanes.abandon(event.waiter)
             raise
-        if not self._performer.wait_heard(max(0.0, deadline - time.monotonic())):
+        if not self._performer.wait_delivered(max(0.0, deadline - time.monotonic())):
             text = f"{step_name}: an application that is called now holds it up"
             raise BridgeTimeoutError(text)
 
@@ -215,7 +215,7 @@ class Executor:
             both = (*before.components(), *robot.components())
             every = {component.name: component.bridge for component in both}
             number += 1
-            text, superseded = "; ".join(difference.told[:_TOLD]), difference.superseded
+            text, superseded = "; ".join(difference.told[:_LISTED_CHANGES]), difference.superseded
             # A plan with a new candidate can be found only after the state knows its bridge.
             self._handle(ev.CandidatesChanged(every, text, number, superseded))
         self._revisions.use_candidates(robot, difference.superseded, number)
@@ -311,7 +311,7 @@ class Executor:
         return tuple(sorted(self._performer.takeovers.copy().items()))
 
     def close(self) -> None:
-        """End every connection, take no more requests, and tell no more when times are reached."""
+        """End every connection, and take no more requests or times that are reached."""
         self._ask(ev.Stopped(f"close {next(self._numbers)}"))
         self._timer.close()
         self._workers.close()
@@ -334,7 +334,7 @@ class Executor:
             _log_of_events.debug("%s", write_event(event, now))
         try:
             self.state, actions = step(self.state, event, now)
-        except Exception:  # noqa: BLE001 - whoever posted it must not pay for a fault of ours
+        except Exception:  # noqa: BLE001 - its caller must not pay for a fault of ours
             _log.exception("the control plane failed at %r", event)
             return
         if isinstance(event, ev.Opened):

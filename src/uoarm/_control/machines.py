@@ -29,8 +29,8 @@ class Machines:
     Args:
         specs: the bridges of the configuration.
         listening: where machines join.
-        heard: told of every bridge of another machine whether a host for it is there, unless
-            the bridge tells more of itself: it runs, or was lost.
+        notify: called for every bridge of another machine whether a host for it is there, unless
+            the bridge reports more of itself: it runs, or was lost.
         state: says how a bridge is: None when it neither runs nor was lost.
     """
 
@@ -38,14 +38,14 @@ class Machines:
         self,
         specs: Mapping[str, BridgeSpec],
         listening: Listening | None,
-        heard: Callable[[HealthEvent], None],
+        notify: Callable[[HealthEvent], None],
         state: Callable[[str], Health | None],
     ) -> None:
-        self._heard = heard
+        self._notify = notify
         self._state = state
         self._bridges = _by_machine(specs)
-        self._telling = threading.Lock()
-        self._told: dict[str, bool] = {}
+        self._reporting = threading.Lock()
+        self._reported: dict[str, bool] = {}
         self._listener = _Listener(listening, frozenset(self._bridges))
         self._retired: list[_Listener] = []
         self._beginning: set[threading.Thread] = set()
@@ -71,7 +71,7 @@ class Machines:
         """
         found, is_new = self._listener.registry(self._changed)
         if is_new:
-            for machine in tuple(self._bridges):  # who came before anybody listened
+            for machine in tuple(self._bridges):  # those that came before there was a listener
                 self._changed(machine, None)
         return found
 
@@ -108,7 +108,7 @@ class Machines:
             return
         self._bridges, self._listener = staged.bridges, after
         for name in changed:
-            self._told.pop(name, None)
+            self._reported.pop(name, None)
         lost = staged.cut_bridges() - changed
         if after is not before:
             self._retired = [listener for listener in self._retired if listener.is_open]
@@ -118,7 +118,7 @@ class Machines:
             for name in sorted(lost):
                 if self._state(name) not in {None, Health.LOST}:
                     cause = "the manager listens anew for other machines"
-                    self._heard(HealthEvent(name, Health.LOST, cause))
+                    self._notify(HealthEvent(name, Health.LOST, cause))
             before.retire() if after is not before else before.watch(frozenset(self._bridges))
             self.begin()
             self._beginning.discard(thread)
@@ -157,7 +157,7 @@ class Machines:
             bridges=bridges,
             clock_offset=offset.nanoseconds / 1e9 if offset is not None and known else None,
             clock_error=offset.round_trip / 2e9 if offset is not None and known else None,
-            cause=self._waiting(f"its {_told(missing)}") if missing else "",
+            cause=self._waiting(f"its {_listed(missing)}") if missing else "",
         )
 
     def _here(self, machine: str, bridge: str) -> bool:
@@ -165,29 +165,29 @@ class Machines:
         return any(registry is not None and registry.here(machine, bridge) for registry in opened)
 
     def _changed(self, machine: str, bridge: str | None) -> None:
-        """Tell what is new of each bridge of a machine."""
+        """Report what is new of each bridge of a machine."""
         mine = self._bridges.get(machine, ())
-        with self._telling:
+        with self._reporting:
             for name in mine if bridge is None else {bridge}.intersection(mine):
                 present = self._here(machine, name)
-                if self._told.get(name) != present:
-                    self._told[name] = present
-                    self._tell(machine, name, present=present)
+                if self._reported.get(name) != present:
+                    self._reported[name] = present
+                    self._report(machine, name, present=present)
 
-    def _tell(self, machine: str, bridge: str, *, present: bool) -> None:
+    def _report(self, machine: str, bridge: str, *, present: bool) -> None:
         state = self._state(bridge)
         if present and state in {None, Health.LOST}:
-            self._heard(HealthEvent(bridge, Health.OK, f"machine {machine!r} has joined"))
+            self._notify(HealthEvent(bridge, Health.OK, f"machine {machine!r} has joined"))
         elif not present and state is None:
             cause = self._waiting(f"machine {machine!r}")
-            self._heard(HealthEvent(bridge, Health.DEGRADED, cause))
+            self._notify(HealthEvent(bridge, Health.DEGRADED, cause))
 
     def _waiting(self, what: str) -> str:
         """Return the cause of a row; the names that the row itself has are not said again."""
         return f"waiting for {what}{self._listener.problem}"
 
 
-def _told(bridges: list[str]) -> str:
+def _listed(bridges: list[str]) -> str:
     return f"bridge{'s' * (len(bridges) > 1)} {', '.join(bridges)}"
 
 

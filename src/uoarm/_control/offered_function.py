@@ -40,7 +40,7 @@ Transfer = Callable[[Message], Message]
 
 
 class Functions(Protocol):
-    """What a manager gives to whoever asks for functions."""
+    """What a manager gives to the callers of functions."""
 
     def resolve(self, name: str) -> Plan:
         """Return the plan that a request would open."""
@@ -78,10 +78,10 @@ class _ServiceProof:
 
 
 class _GoalWatch:
-    """The goals that an offered function has: each that goes with a provider is told as lost.
+    """The goals that an offered function has: each that goes with a provider is reported as lost.
 
-    A function is an action where it takes a `goal` and tells a `status`, which has `goal_id` and
-    `status` as docs/serve.md says. Whoever sent a goal that was refused, or whose provider died or
+    A function is an action where it takes a `goal` and emits a `status`, which has `goal_id` and
+    `status` as docs/serve.md says. The sender of a goal that was refused, or whose provider died or
     was replaced, would wait for ever; so the status says it in the provider's place.
 
     Args:
@@ -92,13 +92,13 @@ class _GoalWatch:
     def __init__(self, connection: Any, give: Callable[[Message], None]) -> None:
         self._connection = connection
         self._give = give
-        # Held while a status is given: one is told at a time, and none of a goal after its end.
+        # Held while a status is given: one is given at a time, and none of a goal after its end.
         self._lock = threading.RLock()
         self._unanswered: deque[object] = deque()
         self._running: dict[str, object] = {}
 
     def send(self, message: Message) -> None:
-        """Hand a goal to the provider of now; one that is refused is told as rejected."""
+        """Hand a goal to the provider of now; one that is refused is reported as rejected."""
         # Read before the goal goes in: one that meets a change of provider is lost, never kept.
         provider = self._provider()
         with self._lock:
@@ -106,25 +106,25 @@ class _GoalWatch:
         try:
             self._connection.send(message, _GOAL)
         except BaseException:
-            self._tell("", "rejected")
+            self._report("", "rejected")
             raise
 
-    def tell(self, message: Message) -> None:
+    def report(self, message: Message) -> None:
         """Give a status of a provider."""
         if isinstance(message, Mapping):
-            self._tell(str(message.get("goal_id")), str(message.get("status")), message)
+            self._report(str(message.get("goal_id")), str(message.get("status")), message)
 
     def look(self) -> None:
-        """Tell of goals whose provider is not the one of now; called after each change."""
+        """Report goals whose provider is not the one of now; called after each change."""
         provider = self._provider()
         with self._lock:
-            refused = sum(each != provider for each in self._unanswered)
-            for name in [name for name, each in self._running.items() if each != provider]:
-                self._tell(name, "lost")
+            refused = sum(asked != provider for asked in self._unanswered)
+            for name in [name for name, asked in self._running.items() if asked != provider]:
+                self._report(name, "lost")
             for _ in range(refused):
-                self._tell("", "rejected")
+                self._report("", "rejected")
 
-    def _tell(self, name: str, status: str, message: Message = None) -> None:
+    def _report(self, name: str, status: str, message: Message = None) -> None:
         with self._lock:
             if status == "accepted" and self._unanswered:
                 self._running[name] = self._unanswered.popleft()
@@ -135,7 +135,7 @@ class _GoalWatch:
             self._give({"goal_id": name, "status": status} if message is None else message)
 
     def _provider(self) -> object:
-        """Return what tells the providers of a connection apart, as long as it goes on."""
+        """Return what identifies the provider of a connection, as long as it goes on."""
         gaps, state = self._connection.gaps, self._connection.state
         is_waiting = state is ConnectionState.WAITING
         return len(gaps), gaps[-1].time if gaps else 0.0, is_waiting
@@ -238,7 +238,7 @@ class OfferedFunction:
         if not offer.outputs:
             name = _any_output(offer, self._functions.resolve(offer.function))
             self._connections.append(self._functions.request(name))
-            if self._connections[0].output is not None:  # its messages are for nobody
+            if self._connections[0].output is not None:  # no consumer takes its messages
                 self._connections[0].subscribe(_pass_over)
         for port, connection in zip(offer.outputs, self._connections, strict=False):
             self._open_output(port, connection)
@@ -265,7 +265,7 @@ class OfferedFunction:
         hand: Callable[[Message], None] = sink.send
         if output == _STATUS and any(one.name == _GOAL for one in self.offer.inputs):
             self._goals = _GoalWatch(self._connections[0], sink.send)
-            hand = self._goals.tell
+            hand = self._goals.report
         queue = port.queue or (sink.default_queue if sink.blocking else None)
         route = Route(connection.id, place, hand, clock=self._clock, transfer=adapted, queue=queue)
         self._routes.append(route)
@@ -319,7 +319,7 @@ class OfferedFunction:
         )
 
     def _answer(self, service: OfferedService, message: Message) -> Message:
-        """Answer one caller; what goes wrong is counted, and the bridge tells the caller."""
+        """Answer one caller; what goes wrong is counted, and the bridge informs the caller."""
         try:
             proof = self._proof(service, self._functions.resolve(self.offer.function))
             asked = message if proof.request is None else proof.request(message)
@@ -350,21 +350,21 @@ def offered_structures(offer: Offer, bridge: Bridge) -> dict[str, MessageStructu
     the function's own structure, and is left out.
 
     Raises:
-        BridgeError: the bridge does not tell.
+        BridgeError: the bridge does not describe it.
     """
     found: dict[str, MessageStructure | None] = {}
     for port in (*offer.outputs, *offer.inputs):
         said = bridge.describe(port.endpoint, timeout=_DESCRIBE_SECONDS).message
         found[f"{port.endpoint.role.value}.{port.name}"] = port.declared or said
     if offer.service is not None:
-        told = bridge.describe(offer.service.endpoint, timeout=_DESCRIBE_SECONDS)
-        found["request"] = offer.service.request or told.request
-        found["reply"] = offer.service.reply or told.reply
+        described = bridge.describe(offer.service.endpoint, timeout=_DESCRIBE_SECONDS)
+        found["request"] = offer.service.request or described.request
+        found["reply"] = offer.service.reply or described.reply
     return {port: one for port, one in found.items() if one is not None}
 
 
 def _pass_over(message: Message) -> None:
-    """Take a message that nobody wants."""
+    """Take a message that has no consumer."""
 
 
 def _reference(offer: Offer, port: str) -> str:

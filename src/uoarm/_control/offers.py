@@ -34,7 +34,7 @@ def pause(failures: int) -> float:
 
 
 class Work(Enum):
-    """What is to be done; its end is told to the machine before anything else is."""
+    """What is to be done; its end is reported to the machine before anything else is."""
 
     OPEN = "open"
     CLOSE = "close"
@@ -42,7 +42,7 @@ class Work(Enum):
 
 @define(eq=False)
 class OfferMachine:
-    """One offer. Whoever calls holds a lock, does what `begin` returns, and tells what came of it.
+    """One offer. The caller holds a lock, does what `begin` returns, and reports what came of it.
 
     What broke is opened again at once, and with pauses where it breaks again and again. What has
     finished is closed and stays so: a source that ends is no failure, and is not played again.
@@ -146,7 +146,7 @@ Hold = Callable[[Offer, Bridge], None]
 
 
 class _Keeper:
-    """Keeps one offer open until it is told to end.
+    """Keeps one offer open until it is ended.
 
     No thread waits for it: `drive` has a worker thread do what is due, and has the timer call it
     when something will be.
@@ -177,7 +177,7 @@ class _Keeper:
         self._hold = hold
         self._lock = threading.Lock()
         self._machine = OfferMachine()
-        self._told = self._machine.state, ""
+        self._announced = self._machine.state, ""
         self._opened: OfferedFunction | None = None
         self._worker: threading.Thread | None = None
         self._ended = threading.Event()
@@ -216,12 +216,12 @@ class _Keeper:
         if channel is not None and channel.closed:
             return True
         if event.health is Health.LOST:
-            self._tell(lambda machine: machine.broke(event.cause))
+            self._report(lambda machine: machine.broke(event.cause))
         elif event.health is Health.FINISHED:
-            self._tell(lambda machine: machine.finished(event.cause))
+            self._report(lambda machine: machine.finished(event.cause))
         elif not is_whole:
             cause = event.cause if event.health is Health.DEGRADED else ""
-            self._tell(lambda machine: machine.degraded(cause))
+            self._report(lambda machine: machine.degraded(cause))
             self._events.post(f"offer {self.offer.name}", event.health.value, event.cause)
         return not is_whole
 
@@ -242,7 +242,7 @@ class _Keeper:
 
     def end(self) -> None:
         """Have it close what is open, and end. Returns at once; `join` waits."""
-        self._tell(lambda machine: machine.end())
+        self._report(lambda machine: machine.end())
 
     def join(self, timeout: float) -> None:
         """Wait until it has ended; not in the thread that is to end it."""
@@ -261,19 +261,19 @@ class _Keeper:
                 self._machine.failed(str(error), self._clock())
                 self._timer.wake_at(self._clock() + 1)
 
-    def _tell(self, told: Callable[[OfferMachine], None]) -> None:
+    def _report(self, report: Callable[[OfferMachine], None]) -> None:
         with self._lock:
-            told(self._machine)
+            report(self._machine)
         self.drive()
 
     def _next(self) -> Work | None:
-        """Return what is to be done now, and tell of what has changed."""
+        """Return what is to be done now, and announce what has changed."""
         with self._lock:
             machine = self._machine
             work = machine.begin(self._clock())
             now = machine.state, "" if machine.state is OfferState.OPEN else machine.cause
-            if now != self._told:  # under the lock, so that events come in order
-                self._told = now
+            if now != self._announced:  # under the lock, so that events come in order
+                self._announced = now
                 self._events.post(f"offer {self.offer.name}", now[0].value, now[1])
             if work is None and machine.due is not None:
                 self._timer.wake_at(machine.due)
@@ -311,7 +311,7 @@ class _Keeper:
         opened.open()
         with self._lock:
             self._machine.opened()
-        self._judge(opened)  # what ended before anybody could know whose connection it was
+        self._judge(opened)  # what ended before it could be known whose connection it was
 
     def _judge(self, opened: OfferedFunction) -> None:
         with self._lock:
@@ -335,7 +335,7 @@ class Offers:
         robot: gives the configuration in force.
         functions: where functions are requested, as every application does.
         bridges: of the manager.
-        events: told of every change, and listened to for those that concern an offer.
+        events: notified of every change, and listened to for those that concern an offer.
         clock: a monotonic clock, in seconds.
         hold: raises ResolutionError where an offer may not be opened.
     """
@@ -383,7 +383,7 @@ class Offers:
             if self._closed.is_set() or not self._has_begun or not (wanted or self._keepers):
                 return
             if self._stop_listening is None:
-                self._stop_listening = self._events.listen(self._heard)
+                self._stop_listening = self._events.listen(self._note_event)
             gone = [item for item in self._keepers if item.offer not in wanted]
         for keeper in gone:
             keeper.end()
@@ -448,7 +448,7 @@ class Offers:
         for keeper in self._keepers:
             keeper.drive()
 
-    def _heard(self, event: StatusEvent) -> None:
+    def _note_event(self, event: StatusEvent) -> None:
         """Have offers look again after what may concern them: an end, or something that is well."""
         kind = event.subject.partition(" ")[0]
         wanted = _CONNECTION_CHANGES if kind == "connection" else {Health.OK.value}

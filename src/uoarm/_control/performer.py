@@ -1,8 +1,8 @@
 """The performer: does what `step` asks for.
 
 Quick steps of our own are done at once, by the thread that owns the state. Calls into bridges are
-made in lanes, by whoever waits for them or by worker threads, under time limits; what became of
-them comes back as events.
+made in lanes, by their caller or by worker threads, under time limits; what became of them comes
+back as events.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ _log = logging.getLogger("uoarm")
 
 
 class Performer:
-    """Does actions, one after another; whoever owns the state calls it.
+    """Does actions, one after another; the owner of the state calls it.
 
     Args:
         state: gives the state of this moment.
@@ -76,7 +76,7 @@ class Performer:
         self._announcements = announcements
         self._revisions = revisions
         self._cancelled: set[int] = set()
-        self._unheard: tuple[_LetThrough, ...] = ()
+        self._undelivered: tuple[_LetThrough, ...] = ()
         self._doers: dict[type[Any], Callable[[Any], None]] = {
             act.Publish: self._publish,
             act.Announce: self._announce,
@@ -156,12 +156,12 @@ class Performer:
         keep_newest(self.takeovers, function, self.takeovers.get(function, 0) + 1)
         ports = self._live.ports[action.after.ports]
         runtime = self._live.runtimes[action.connection]
-        if action.is_heard:
+        if action.is_receiving:
             runtime.hand_over(action, ports)
         else:
             letting = _LetThrough(action, runtime, ports)
-            self._unheard = (
-                *(let_through for let_through in self._unheard if not let_through.is_over),
+            self._undelivered = (
+                *(let_through for let_through in self._undelivered if not let_through.is_over),
                 letting,
             )
             self._lanes.put(action.lane, letting)
@@ -169,22 +169,23 @@ class Performer:
             # In a lane, as everything foreign: what takes a finished span may export it at once.
             self._lanes.put(action.lane, lambda: _record_takeover(action, runtime))
 
-    def wait_heard(self, timeout: float) -> bool:
-        """Wait until applications hear the plans that have taken over; False when time ran out.
+    def wait_delivered(self, timeout: float) -> bool:
+        """Wait until applications receive from plans that have taken over; False when time ran out.
 
         Any thread; one in which an application is given a retained message now does not wait for
         itself.
         """
         deadline = time.monotonic() + timeout
         return all(
-            let_through.wait(max(0.0, deadline - time.monotonic())) for let_through in self._unheard
+            let_through.wait(max(0.0, deadline - time.monotonic()))
+            for let_through in self._undelivered
         )
 
     def _listen(self, action: act.Listen) -> None:
         ports = self._live.ports.get(action.ports)
         runtime = self._live.runtimes.get(action.connection)
         if ports is not None and runtime is not None:
-            runtime.receiver.hear(ports.route, ports.outlet)
+            runtime.receiver.deliver_from(ports.route, ports.outlet)
 
     def _stop(self, action: act.Stop) -> None:
         for number in action.edges:
@@ -212,7 +213,7 @@ class Performer:
         self._end(action, lambda: self._live.close(ending, ends=action.ends), ended)
 
     def _finish(self, action: act.Finish) -> None:
-        ending = self._live.take_running_out(action)
+        ending = self._live.take_draining(action)
         self._end(action, lambda: self._live.finish(ending), ev.RanOut(action.placement.user))
 
     def _end(
@@ -298,7 +299,7 @@ class Performer:
 
 
 class _LetThrough:
-    """A job: have an application hear a plan that was open already, its retained message first."""
+    """A job: have an application receive from a plan that is open, its retained message first."""
 
     def __init__(
         self, action: act.HandOver, runtime: ConnectionRuntime, ports: ApplicationPorts

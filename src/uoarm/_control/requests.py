@@ -56,7 +56,7 @@ class Requests:
         revisions: of the configuration, in which plans are found.
         executor: opens what a plan needs.
         candidates: of functions with needs; the first round of discovery is waited for.
-        events: where what a callback raises is told.
+        events: where what a callback raises is reported.
         clock: seconds.
     """
 
@@ -117,7 +117,7 @@ class Requests:
             mode,
             waiter=f"request {runtime.id}",
             plan=self._known(wanted.function, revision),
-            is_heard=on_message is not None,
+            has_callback=on_message is not None,
             revision=revision.number,
             candidates=revision.candidates,
         )
@@ -173,7 +173,7 @@ class Services:
         bridge: gives the bridge of this name.
         limits: gives when one is lost.
         clock: seconds.
-        tell: told when the verdict on one changes.
+        report: called when the verdict on one changes.
         is_avoided: says whether one that was lost is still avoided; after that it has another
             chance.
         emergency_stop: refuses and cancels calls of what moves something.
@@ -184,14 +184,14 @@ class Services:
         bridge: Callable[[str], Bridge],
         limits: Callable[[], FailureLimits],
         clock: Clock,
-        tell: Callable[[Component, Health, str], None],
+        report: Callable[[Component, Health, str], None],
         is_avoided: Callable[[str], bool],
         emergency_stop: EmergencyStop,
     ) -> None:
         self._bridge = bridge
         self._limits = limits
         self._clock = clock
-        self._tell = tell
+        self._report = report
         self._is_avoided = is_avoided
         self._emergency_stop = emergency_stop
         self._lock = threading.Lock()
@@ -237,7 +237,7 @@ class Services:
             with self._emergency_stop.calling(bridge, endpoint, name) as number:
                 reply = _answer(bridge, step, endpoint, message, timeout, number)
         except CommandRefusedError:
-            raise  # nobody is to blame
+            raise  # no component is to blame
         except Exception as error:
             self._failed(component, error)
             raise
@@ -267,7 +267,7 @@ class Services:
             return
         if found[1].health is Health.LOST:
             self._begin(component)
-            self._tell(component, Health.OK, "it answers again")
+            self._report(component, Health.OK, "it answers again")
         elif found[1].is_alert:
             found[1].took()
 
@@ -284,7 +284,7 @@ class Services:
     def _begin(self, component: Component) -> FailureWatch:
         """Judge a service afresh; what was counted stays."""
         watch = FailureWatch(
-            component.name, self._limits(), self._clock, partial(self._tell, component)
+            component.name, self._limits(), self._clock, partial(self._report, component)
         )
         with self._lock:
             before = self._watches.get(component.name)

@@ -71,7 +71,7 @@ class Resolving(Protocol):
 
 
 def seek_replacement(action: act.FindReplacement, revision: Resolving) -> ev.ReplacementSought:
-    """Look for a plan that the application cannot tell from its own."""
+    """Look for a plan that gives the application what its own gave."""
     asked = action.connection, action.attempt
     try:
         plan = find_replacement(
@@ -110,7 +110,7 @@ def find_replacement(
     failed: tuple[str, ...],
     resolve: Resolve,
 ) -> Plan:
-    """Return the plan of highest priority that the application cannot tell from its own.
+    """Return the plan of highest priority that gives the application what its own gave.
 
     Its provider has the same output and inputs, emits nothing that the old one could not emit,
     and takes all that the old one took. What failed lately is used only where there is nothing
@@ -247,7 +247,7 @@ class Revision:
 
 @frozen(eq=False)
 class StagedRevision:
-    """A configuration that may be adopted; its new bridges run, for nobody but itself."""
+    """A configuration that may be adopted; its new bridges run, for itself alone."""
 
     revision: Revision
     difference: Difference
@@ -256,13 +256,13 @@ class StagedRevision:
 
 
 class Revisions:
-    """Holds the revision in force and tells what another would do. Thread safe.
+    """Holds the revision in force and says what another would do. Thread safe.
 
     Args:
         robot: the configuration to begin with.
         bridges: of the manager.
         clock: a monotonic clock, in seconds.
-        tell: called for what is not as in the lock, with the place and a sentence.
+        notify: called for what is not as in the lock, with the place and a sentence.
 
     Raises:
         LockError: the configuration asks for a lock that is not there or cannot be read.
@@ -273,13 +273,13 @@ class Revisions:
         robot: Robot,
         bridges: BridgeSet,
         clock: Clock,
-        tell: Callable[[str, str], None],
+        notify: Callable[[str, str], None],
     ) -> None:
         self._bridges = bridges
         self._clock = clock
-        self._tell = tell
+        self._notify = notify
         self._changing = threading.Lock()
-        guard = guard_of(robot, tell)
+        guard = guard_of(robot, notify)
         structures = StructureCache(bridges.get, _hold(guard))
         resolver = Resolver(robot, structures, check_edge, clock=clock)
         self.current = Revision(0, robot, structures, resolver, robot, guard)
@@ -360,7 +360,7 @@ class Revisions:
         """
         before = self.current
         base = without_candidates(base)
-        guard = guard_of(base, self._tell, before.guard)
+        guard = guard_of(base, self._notify, before.guard)
         robot = _with_candidates_of(before.robot, base)
         difference = compare(before.robot, robot)
         try:
@@ -428,7 +428,7 @@ class Revisions:
         effects = (
             self._effect(revision, difference, record, last, avoided, cut)
             for record in state.connections.values()
-            if record.goes_on and record.current is not None
+            if record.is_active and record.current is not None
         )
         return [effect for effect in effects if effect is not None]
 

@@ -110,7 +110,7 @@ class RobotManager:
             robot,
             self._bridges,
             clock,
-            lambda place, told: self._events.post(f"lock {place}", "differs", told),
+            lambda place, difference: self._events.post(f"lock {place}", "differs", difference),
         )
         self._executor = Executor(
             State(
@@ -311,7 +311,7 @@ class RobotManager:
         )
 
     def connections(self) -> tuple[Connection, ...]:
-        """Return the connections that have not ended, oldest first, whoever requested them."""
+        """Return the connections that have not ended, oldest first, of every caller."""
         runtimes = self._executor.connections()
         return tuple(runtime.handle for runtime in runtimes if runtime.handle is not None)
 
@@ -430,7 +430,7 @@ class RobotManager:
 
         Args:
             timeout: seconds for each bridge, its start included; all are asked at once.
-            grace: seconds that the others have after the first answer. A slower bridge is told as
+            grace: seconds that the others have after the first answer. A slower bridge is listed as
                 it answered the last call with a grace, or as one that has not answered yet; what
                 it answers is in a later such call. None: every bridge is waited for.
         """
@@ -447,7 +447,7 @@ class RobotManager:
 
     @arguments()
     def listen(self, listener: Callable[[StatusEvent], None]) -> Callable[[], None]:
-        """Tell a listener every change from now on, in order; returns what ends that.
+        """Notify a listener of every change from now on, in order; returns what ends that.
 
         Listeners run in one thread of the manager, never in a thread that moves messages.
         """
@@ -491,7 +491,7 @@ class RobotManager:
                 or other machines cannot join at the address that it has for them. Or the file
                 cannot be written. Nothing has changed, unless the text says that it is in force.
             UsageError: another revision is in force. Or it cannot be kept: nothing was read from a
-                file, or somebody else has changed the file. Nothing has changed, unless likewise.
+                file, or another writer has changed the file. Nothing has changed, unless likewise.
             BridgeTimeoutError: a bridge hangs. Nothing has changed, unless the text says that
                 connections were changing already.
         """
@@ -597,8 +597,8 @@ class RobotManager:
         """Let commands through again; what has stopped stands still until the next one.
 
         Raises:
-            BridgeError: some inputs could not be told; they go on refusing commands. Or nothing was
-                released: the stop file cannot be removed, or another stop came meanwhile.
+            BridgeError: some inputs could not be notified; they go on refusing commands. Or nothing
+                was released: the stop file cannot be removed, or another stop came meanwhile.
         """
         self._executor.live.emergency_stop.release(timeout)
 

@@ -29,7 +29,7 @@ class _Done:
 
 @define(eq=False)
 class _Lane:
-    """Jobs, and whether somebody is doing them or waits for them.
+    """Jobs, and whether a thread is doing them or waits for them.
 
     Attributes:
         are_quick: says of each job whether it is quick.
@@ -150,7 +150,7 @@ _LEAST_SECONDS = 0.02
 class Timer:
     """Calls back at the earliest of the times asked for, then waits to be asked again.
 
-    It may call early where the clock is not the machine's own: whoever is called looks at the
+    It may call early where the clock is not the machine's own: what is called looks at the
     clock. Times that lie close together are one call, since each has everything looked at that
     waits. The thread begins with the first time asked for.
 

@@ -126,7 +126,7 @@ class Outlet:
         reader: what the output's component is judged by; None: nothing is.
 
     Attributes:
-        unheard: messages that came while no route was there.
+        undelivered: messages that came while no route was there.
     """
 
     __slots__ = (
@@ -138,7 +138,7 @@ class Outlet:
         "_routes",
         "_standing",
         "_turns",
-        "unheard",
+        "undelivered",
     )
 
     def __init__(self, reader: Reader | None = None) -> None:
@@ -150,7 +150,7 @@ class Outlet:
         self._turns: dict[Route, _Turn] = {}
         self._last: tuple[int, Message] = 0, None
         self._standing = _Standing()
-        self.unheard = 0
+        self.undelivered = 0
 
     @property
     def routes(self) -> tuple[Route, ...]:
@@ -202,7 +202,7 @@ class Outlet:
         for other in routes[1:]:
             other.copies += 1
         if not routes:
-            self.unheard += 1
+            self.undelivered += 1
 
     __call__ = deliver
 
@@ -244,7 +244,7 @@ class Outlet:
         for place, turn in enumerate(turns):
             turn.deliver(number, message, is_copy=place > 0)
         if not turns:
-            self.unheard += 1
+            self.undelivered += 1
         return True
 
     def attach(self, route: Route) -> None:
@@ -252,7 +252,7 @@ class Outlet:
 
         An output that retains gives it what stands first, in this thread.
 
-        A closed route counts what is lost as long as nobody has taken its place; from the message
+        A closed route counts what is lost as long as no route has taken its place; from the message
         on that another one gets, it would be counted twice.
         """
         turn = _Turn(route)
@@ -300,7 +300,7 @@ class Outlet:
             self._turns.pop(route, None)
 
     def _hand_standing(self, turn: _Turn, number: int, message: Message) -> None:
-        """Hand on what counts for another route already, or as unheard, if it stands still."""
+        """Hand on what counts for another route already, or as undelivered, if it stands still."""
         if number in self._standing.messages:
             turn.route.copies += 1
             turn.route.deliver(message)

@@ -182,7 +182,7 @@ class Inbox:
     Args:
         policy: what to do when the application is slower than the messages.
         on_drop: counts each lost message by reason.
-        on_raised: told what a callback raised.
+        on_raised: called with what a callback raised.
     """
 
     def __init__(

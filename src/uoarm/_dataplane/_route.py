@@ -31,11 +31,11 @@ class Watched(Protocol):
 
     @property
     def is_alert(self) -> bool:
-        """Whether a success should be told; read for each message, so a plain attribute."""
+        """Whether a success should be reported; read for each message, so a plain attribute."""
 
 
 class Consumer(Protocol):
-    """Told by a route what became of messages, so that who raises is blamed and nobody else."""
+    """Called by a route with what became of messages, so that the right part is blamed."""
 
     @property
     def component(self) -> Watched:
@@ -61,7 +61,7 @@ class Route:
             be replaced at any time, as `check`.
         queue: None to call the consumer in the producer's thread; else a bounded queue with
             one worker stands between.
-        watch: told what became of messages, and of what the adapter raised; None: nobody is.
+        watch: called with what became of messages, and what the adapter raised; None: not watched.
 
     Attributes:
         copies: the messages received that count for another route of the output; the output counts.

@@ -35,7 +35,7 @@ class Producer(Protocol):
 
     @property
     def component(self) -> Watched:
-        """Whose messages they are; it says whether one that matches should be told."""
+        """Whose messages they are; it says whether one that matches should be reported."""
 
     def took(self) -> None:
         """Take in that a message matched."""
@@ -59,7 +59,7 @@ def make_check(
         mode: OFF gives None; SAMPLED checks the first and then every 128th message, and all of the
             128 that come after one that does not match.
         place: the port, for the error's text.
-        watch: told what was found; None: nobody is.
+        watch: called with what was found; None: not watched.
         is_suspected: whether one that did not match came before: the first 128 are checked.
     """
     if mode is ValidationMode.OFF and not is_suspected:
@@ -81,11 +81,11 @@ def _make_whole_check(structure: MessageStructure, place: str) -> Callable[[Mess
         try:
             if accepts(message):
                 return
-            told = judgement.told(message)
+            mismatch = judgement.mismatch(message)
         except RecursionError:
             raise MessageError(f"{place}: the message is nested too deep") from None
-        if told:
-            raise MessageError(f"{place}: {told}")
+        if mismatch:
+            raise MessageError(f"{place}: {mismatch}")
 
     return check
 
@@ -133,7 +133,7 @@ class _Judgement:
     def __attrs_post_init__(self) -> None:
         self.accepts = compile_check(self.schema, self._judge)
 
-    def told(self, message: Message) -> str:
+    def mismatch(self, message: Message) -> str:
         """Return all that is wrong with a message, and where; nothing where it matches."""
         speller = Speller()
         reports: dict[tuple[Path, str], str] = {}

@@ -2,6 +2,8 @@
 
 The actions of one lane are done one after another, in the order given; lanes know nothing of each
 other. What needs to come after something else is asked for only when that is done.
+What a call is about is taken from the state as it is asked for: by the time that it is done, the
+state may have forgotten it.
 """
 
 from __future__ import annotations
@@ -50,6 +52,8 @@ class Resolve:
         avoided: components to do without, where anything else can do.
     """
 
+    # That of the request, which its caller's thread drives: so resolving and opening are one call
+    # under one time limit. Searches of connections that run have lanes of their own, by attempt.
     lane: str
     connection: str
     function: str
@@ -61,29 +65,32 @@ class Open:
     """Open parts in this order, up to the first that fails; comes back as `Opened`.
 
     Attributes:
-        is_heard: whether the application hears a new provider from its first message on, else
-            from `HandOver`.
+        is_receiving: whether the application receives from a new provider at once, else from
+            `HandOver` on.
     """
 
     lane: str
     batch: int
     connection: str
     placement: Placement
+    # Only what no other batch opens and nothing has open: opening twice is impossible by design.
     parts: tuple[Part, ...]
-    is_heard: bool
+    is_receiving: bool
 
 
 @frozen
 class Close:
-    """Close what an end or an opening in vain leaves behind.
+    """Close what an end or an abandoned opening leaves behind.
 
     Attributes:
-        placement: whose losses are counted with it; those of one that ran out since it was
+        placement: whose losses are counted with it; those of one that drained since it was
             replaced.
         lost: components of it that died: what was under way in them is lost.
         ends: whether the connection has ended: comes back as `Ended`.
     """
 
+    # Of an end: that of the kill, so that the caller closes what it had open. Of anything else:
+    # one of its own, since a close may take long and nothing waits for it.
     lane: str
     connection: str
     parts: Parts
@@ -98,12 +105,14 @@ class Finish:
 
     Attributes:
         parts: edges and application ports to be closed then, and components, to be drained, which
-            nobody else uses.
+            no other plan uses.
         lost: components of the plan that died.
     """
 
     lane: str
     connection: str
+    # The components are not closed here but after `RanOut`, by a `Close`, where no other plan has
+    # begun to use them meanwhile.
     parts: Parts
     placement: Placement
     lost: tuple[int, ...]
@@ -120,7 +129,7 @@ class Drain:
 
 @frozen
 class FindReplacement:
-    """Look for a plan that the application cannot tell from its own; `ReplacementSought`.
+    """Look for a plan that gives the application what its own gave; `ReplacementSought`.
 
     Attributes:
         excluded: components that may not be used.
@@ -130,6 +139,7 @@ class FindReplacement:
 
     lane: str
     connection: str
+    # Comes back with the result, which is dropped where the connection has gone on since.
     attempt: int
     plan: Plan
     output: str | None
@@ -157,6 +167,8 @@ class SwitchInputs:
         edges: ids, each with the one whose place it takes, if there is one.
     """
 
+    # The lane of the switchover, after the openings of all members: nothing is switched before
+    # everything is open.
     lane: str
     switchover: int
     edges: tuple[tuple[int, int | None], ...]
@@ -170,20 +182,21 @@ class Release:
         components: ids; what they lose is counted when their plans end.
     """
 
+    # That in which the replacement is sought and opened next, so that it comes after this.
     lane: str
     components: tuple[int, ...]
 
 
 @frozen
 class Publish:
-    """Show a connection as it is from now on, to whoever holds its handle."""
+    """Show a connection as it is from now on to the holders of its handle."""
 
     record: ConnectionRecord
 
 
 @frozen
 class Announce:
-    """Tell the listeners of a change, with the function concerned, where there is one."""
+    """Notify the listeners of a change, with the function concerned, where there is one."""
 
     subject: str
     change: str
@@ -193,7 +206,7 @@ class Announce:
 
 @frozen
 class Reply:
-    """Wake whoever waits for a request or a kill."""
+    """Wake the caller that waits for a request, a kill or a change."""
 
     waiter: str
     error: BaseException | None = None
@@ -201,13 +214,13 @@ class Reply:
 
 @frozen
 class HandOver:
-    """Let the application hear the next plan and no other, and note the gap.
+    """Let the application receive from the next plan and no other, and note the gap.
 
     Attributes:
-        lane: where it is done when that may call the application: see `is_heard`.
-        is_heard: whether the application hears the next plan already, from when it was opened;
+        lane: where it is done when that may call the application: see `is_receiving`.
+        is_receiving: whether the application receives from it already, since it was opened;
             otherwise it may get a retained message now.
-        record: the connection from then on, for who sees the gap before it is published.
+        record: the connection from then on, for readers of the gap before it is published.
         since: when messages ceased.
         time: of the change.
     """
@@ -216,7 +229,8 @@ class HandOver:
     connection: str
     before: Placement
     after: Placement
-    is_heard: bool
+    is_receiving: bool
+    # Set with the gap, in the thread that notes it: who reads the gap sees the plan behind it.
     record: ConnectionRecord
     since: float
     time: float
@@ -225,7 +239,7 @@ class HandOver:
 
 @frozen
 class Listen:
-    """Let the application hear the application ports of this id again."""
+    """Let the application receive at the application ports of this id again."""
 
     connection: str
     ports: int
@@ -235,6 +249,8 @@ class Listen:
 class Stop:
     """Let nothing more through these edges, so that what each of them had counted stands."""
 
+    # Done at once and not in a lane: a component that died must not be fed, nor feed, until a
+    # worker thread comes to it.
     edges: tuple[int, ...]
 
 
@@ -249,6 +265,7 @@ class SetCheck:
 class CancelBatch:
     """Begin to open no further part of a batch."""
 
+    # The call under way is not interrupted; what it opens comes back in `Opened` and is closed.
     batch: int
 
 
@@ -263,6 +280,7 @@ class Forget:
 class RetireBridge:
     """Close a bridge that was lost."""
 
+    # By a thread of its own: what is dying may hang as it is closed.
     bridge: str
 
 
@@ -270,13 +288,16 @@ class RetireBridge:
 class Adopt:
     """Resolve with this revision of the configuration, and start bridges as it says."""
 
+    # Done by the owner of the state, between two events: no event sees a state of one revision
+    # and bridges of another.
     revision: int
 
 
 @frozen
 class WakeAt:
-    """Tell when this time is reached."""
+    """Post `TimeReached` at this time."""
 
+    # Always later than now, or the timer would turn without a pause; the tests' world asserts it.
     time: float
 
 
@@ -288,6 +309,7 @@ class Warn:
     text: str
 
 
+# May block, fail or call foreign code: done in a lane, and answered by an event.
 CallAction: TypeAlias = (
     Resolve
     | Open
@@ -299,6 +321,7 @@ CallAction: TypeAlias = (
     | SwitchInputs
     | Release
 )
+# Quick and without foreign code: done at once, in order, by the thread that owns the state.
 LocalAction: TypeAlias = (
     Publish
     | Announce

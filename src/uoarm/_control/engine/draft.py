@@ -21,15 +21,15 @@ from uoarm._control.engine.state import (
     Batch,
     ComponentRecord,
     ConnectionRecord,
+    DrainingPlan,
     EdgeRecord,
     Kind,
     Part,
     Parts,
     Placement,
-    RunningOut,
     State,
     names,
-    only_runs_out,
+    only_drains,
     recently,
 )
 from uoarm.errors import ResolutionError
@@ -57,7 +57,7 @@ class InputInUseError(ResolutionError):
 class Draft:
     """A state that may be changed, and the actions that follow from the changes.
 
-    Every method keeps the records consistent: a part that nobody uses is in no record, and what
+    Every method keeps the records consistent: a part without a user is in no record, and what
     new users share is neither lost nor closing.
 
     Args:
@@ -68,6 +68,7 @@ class Draft:
     def __init__(self, state: State, now: float) -> None:
         self.now = now
         self.actions: list[Action] = []
+        # Copies: where a step raises, the executor goes on with the state before it, untouched.
         self.policy = state.policy
         self.bridges = state.bridges
         self.connections = _copied(state.connections)
@@ -78,7 +79,7 @@ class Draft:
         self.feeding = _copied(state.feeding)
         self.beside = _copied(state.beside)
         self.batches = _copied(state.batches)
-        self.running_out = _copied(state.running_out)
+        self.draining = _copied(state.draining)
         self.switchovers = _copied(state.switchovers)
         self.failed = _copied(state.failed)
         self.avoided = _copied(state.avoided)
@@ -105,7 +106,7 @@ class Draft:
             feeding=self.feeding,
             beside=self.beside,
             batches=self.batches,
-            running_out=self.running_out,
+            draining=self.draining,
             switchovers=self.switchovers,
             failed=self.failed,
             avoided=self.avoided,
@@ -131,13 +132,13 @@ class Draft:
         self.connections[record.id] = changed
         return changed
 
-    def tell(self, record: ConnectionRecord) -> None:
-        """Have the handle of a connection and the listeners told its new state."""
+    def publish(self, record: ConnectionRecord) -> None:
+        """Have the new state of a connection shown at its handle, and announced."""
         self.actions.append(Publish(record))
         self.announce(record, record.state.value, record.cause)
 
     def announce(self, record: ConnectionRecord, change: str, cause: str = "") -> None:
-        """Have the listeners told a change of a connection."""
+        """Have a change of a connection announced to the listeners."""
         function = record.wanted.function
         self.actions.append(Announce(f"connection {record.id}", change, cause, function))
 
@@ -171,12 +172,16 @@ class Draft:
         Raises:
             InputInUseError: an input is in use, fed by another component. Nothing has changed.
         """
+        # All is judged before anything is changed, so that a refusal leaves nothing behind.
         into: dict[str, list[Edge]] = {}
         for edge in plan.edges:
             self._require_free(edge, beside=beside)
             into.setdefault(edge.consumer, []).append(edge)
+        # `plan.steps` has producers first, and consumers open first.
         ids = {step.component.name: self._use(step, user) for step in reversed(plan.steps)}
         provider = plan.provider.component.name
+        # An application that keeps its provider keeps its ports: its inbox loses nothing and gets
+        # nothing twice when only something upstream is replaced.
         so_far = record.current
         stays = so_far is not None and so_far.provider == ids[provider]
         ports = so_far.ports if so_far is not None and stays else self.new_id()
@@ -186,6 +191,8 @@ class Draft:
             parts.append(Part(Kind.RECEIVE, ports))
             outputs[provider] = {record.output}
         edges: dict[str, list[int]] = {name: [] for name in reversed(ids)}  # producers first
+        # An output comes after every edge that it feeds, as its source delivers from the moment in
+        # which it opens. The edges of a component open, and then the outputs that they come from.
         for name, id_ in ids.items():
             parts += [Part(Kind.OUTPUT, id_, port) for port in sorted(outputs.get(name, ()))]
             for edge in into.get(name, ()):
@@ -193,42 +200,49 @@ class Draft:
                 joined = self._join(edge, ids, user, record.validate)
                 parts.append(Part(Kind.EDGE, joined))
                 edges[edge.producer].append(joined)
+        # Last: what the application sends finds all that it leads to.
         parts.append(Part(Kind.SEND, ports))
         return Placement(user, plan, ids, tuple(chain(*edges.values())), ports, tuple(parts))
 
     def unplace(self, placement: Placement, *, ports: bool = True) -> Parts:
-        """Use the parts of a plan no more; return those that nobody uses now.
+        """Use the parts of a plan no more; return those that are without a user now.
 
         Args:
             placement: the plan.
             ports: whether the application ports end with it.
         """
+        # What a batch has opened by now comes back with `Opened` and is closed as unused then; so
+        # only parts that are open already are returned here.
         opening = (n for n, batch in self.batches.items() if batch.user == placement.user)
         self.actions += map(CancelBatch, opening)
         edges = self._part_edges(placement)
         closed = self._close_ports(placement) if ports else ()
         return Parts(self._leave_all(placement), edges, closed)
 
-    def run_out(
+    def start_draining(
         self, connection: str, placement: Placement, lost: tuple[int, ...], *, ports: bool
     ) -> Parts:
-        """Use a plan no more but for what is under way; return the parts that nobody else uses.
+        """Use a plan for nothing but what is under way; return the parts that no other plan uses.
 
         Its edges, and its application ports where these end with it, end at once. Its components
-        are open until `end_run_out`.
+        stay open until `end_draining`.
         """
-        self.running_out[placement.user] = RunningOut(connection, placement, lost)
+        # It stays a user of its components, so that they stay open; but where another plan comes to
+        # use one meanwhile, that one goes on when this has drained.
+        self.draining[placement.user] = DrainingPlan(connection, placement, lost)
         edges = self._part_edges(placement)
         closed = self._close_ports(placement) if ports else ()
         return Parts(
-            tuple(producer for producer in _producers_first(placement) if self._runs_out(producer)),
+            tuple(
+                producer for producer in _producers_first(placement) if self._only_drains(producer)
+            ),
             edges,
             closed,
         )
 
-    def end_run_out(self, user: str) -> tuple[RunningOut, Parts]:
-        """Use the components of a plan no more, as nothing is under way in it; return the last."""
-        ended = self.running_out.pop(user)
+    def end_draining(self, user: str) -> tuple[DrainingPlan, Parts]:
+        """Use the components of a plan no more, as nothing is under way; return those left."""
+        ended = self.draining.pop(user)
         return ended, Parts(self._leave_all(ended.placement))
 
     def lose(self, lost: Iterable[int]) -> tuple[int, ...]:
@@ -236,6 +250,7 @@ class Draft:
         dead = frozenset(lost)
         for number in dead:
             record = self.components[number]
+            # Its users stay: what they lost with it is counted as each of them ends or moves.
             self.components[number] = record._replace(is_lost=True)
             if self.serving.get(record.name) == number:
                 del self.serving[record.name]
@@ -252,38 +267,46 @@ class Draft:
     def supersede(self, names: Iterable[str]) -> None:
         """Share components no more that are others in the configuration from now on.
 
-        They go on for those who use them; other edges may feed their consumers after a switchover.
+        They keep their users; other edges may feed their consumers after a switchover.
         """
         for name in names:
-            one = self.serving.pop(name, None)
-            if one is None:
+            number = self.serving.pop(name, None)
+            if number is None:
                 continue
-            self.components[one] = self.components[one]._replace(is_superseded=True)
+            self.components[number] = self.components[number]._replace(is_superseded=True)
+            # Edges into it leave `feeding` with it: that is by name, and the next instance of this
+            # name has inputs of its own. Edges out of it stay, as their consumers serve still.
             for joined in self.edges.values():
-                if joined.consumer == one:
+                if joined.consumer == number:
                     self._unlist(joined)
 
     def open(
-        self, record: ConnectionRecord, placement: Placement, lane: str, *, is_heard: bool
+        self, record: ConnectionRecord, placement: Placement, lane: str, *, is_receiving: bool
     ) -> bool:
         """Have what is missing of a plan opened, unless some of it is being opened already.
 
-        Who waits for a batch, its own or that of somebody else, looks again when that is over.
+        A connection that waits for a batch, its own or another's, is advanced when that is over.
         Returns whether all of it is open.
         """
+        # Where another batch opens some of it, even the rest waits: opened beside it, an output
+        # might come before an edge that it feeds. What that batch fails at is asked for again here.
         missing = [part for part in placement.parts if self.parts.get(part) != OPEN]
         if missing and self.parts.keys().isdisjoint(missing):
             batch = self.new_id()
             parts = tuple(missing)
             self.parts.update(dict.fromkeys(parts, batch))
             self.batches[batch] = Batch(placement.user, parts)
-            self.actions.append(Open(lane, batch, record.id, placement, parts, is_heard=is_heard))
+            self.actions.append(
+                Open(lane, batch, record.id, placement, parts, is_receiving=is_receiving)
+            )
         return not missing
 
     def settle(self, batch: Batch, done: Iterable[Part]) -> Parts:
-        """Note what became of a batch that is over; return what was opened for nobody."""
+        """Note what became of a batch that is over; return what was opened and has no user."""
         for part in batch.parts:
             del self.parts[part]
+        # What was used as the opening began may have lost its last user since. Ports are the
+        # connection's own, and in no record: its two plans say which ids are in use.
         record = self.connections.get(connection_of(batch.user))
         ports = () if record is None else record.ports
         used: dict[Kind, Container[int]] = {
@@ -293,20 +316,20 @@ class Draft:
             Kind.RECEIVE: ports,
             Kind.SEND: ports,
         }
-        vain: list[Part] = []
+        unused: list[Part] = []
         for part in done:
             if part.id in used[part.kind]:
                 self.parts[part] = OPEN
             else:
-                vain.append(part)
+                unused.append(part)
         return Parts(
-            tuple(part.id for part in vain if part.kind is Kind.COMPONENT),
-            tuple(part.id for part in vain if part.kind is Kind.EDGE),
-            tuple({part.id for part in vain if part.kind in PORTS}),
+            tuple(part.id for part in unused if part.kind is Kind.COMPONENT),
+            tuple(part.id for part in unused if part.kind is Kind.EDGE),
+            tuple({part.id for part in unused if part.kind in PORTS}),
         )
 
     def waiting_for(self, batch: Batch) -> list[str]:
-        """Return the connections that use a part of a batch: who waited for it, oldest first."""
+        """Return the connections that use a part of a batch and so waited for it, oldest first."""
         users = {batch.user}
         for part in batch.parts:
             if part.kind is Kind.EDGE:
@@ -315,7 +338,10 @@ class Draft:
             elif part.kind not in PORTS:  # which are one connection's own
                 component = self.components.get(part.id)
                 users.update(() if component is None else component.users)
-        return sorted(set(map(connection_of, users)), key=lambda item: (len(item), item))
+        # By length first: c9 is older than c10.
+        return sorted(
+            set(map(connection_of, users)), key=lambda identity: (len(identity), identity)
+        )
 
     def rivals(self, plan: Plan) -> set[str]:
         """Return the connections with edges that feed what a plan would feed from elsewhere."""
@@ -330,13 +356,14 @@ class Draft:
         """Let edges that are held take the places of others; return each with the other one.
 
         Raises:
-            ResolutionError: somebody else uses an edge that would end. Nothing has changed.
+            ResolutionError: another connection uses an edge that would end. Nothing has changed.
         """
+        # Judged for all edges before the first is switched: either all inputs change or none.
         held = [self.edges[number] for number in dict.fromkeys(edges) if self.edges[number].is_held]
         pairs = [(joined, self.feeding.get(joined.key)) for joined in held]
         for joined, other in pairs:
-            theirs = {} if other is None else self.edges[other].users
-            left = set(map(connection_of, theirs)) - set(map(connection_of, joined.users))
+            users = {} if other is None else self.edges[other].users
+            left = set(map(connection_of, users)) - set(map(connection_of, joined.users))
             if left:
                 raise ResolutionError(
                     f"input {'.'.join(joined.key)} is fed for {', '.join(sorted(left))} by "
@@ -353,6 +380,8 @@ class Draft:
         standing = self.feeding.get(key)
         if standing is None or self._is_origin(standing, edge):
             return
+        # Beside the edge that feeds there is room for one more: of two plans that want to take the
+        # place of a third, one is refused here and its switchover abandoned.
         waiting = self.beside.get(key)
         if beside and (waiting is None or self._is_origin(waiting, edge)):
             return
@@ -367,15 +396,19 @@ class Draft:
 
     def _is_origin(self, number: int, edge: Edge) -> bool:
         """Say whether an edge comes from where another one would come from."""
+        # Of the same name, and yet another: what it was before the configuration changed.
         record = self.edges[number]
         is_another = self.components[record.producer].is_superseded
         return record.origin == (edge.producer, edge.output) and not is_another
 
     def _use(self, step: Step, user: str) -> int:
         """Use the instance of a component that is there already, or a new one."""
+        # An instance that only drains is taken over as it is, or an application would get each of
+        # its messages twice. Not one that is commanded: it was stopped when it was replaced, and
+        # refuses whatever comes then.
         name = step.component.name
         found = self.serving.get(name)
-        if found is None or (self._runs_out(found) and _is_commanded(step.component)):
+        if found is None or (self._only_drains(found) and _is_commanded(step.component)):
             found = self.serving[name] = self.new_id()
             self.components[found] = ComponentRecord(found, step, (user,))
         else:
@@ -404,11 +437,12 @@ class Draft:
         if strictest(users) is not strictest(record.users):
             self.actions.append(SetCheck(edge))
 
-    def _runs_out(self, component: int) -> bool:
-        return only_runs_out(self.components[component], self.running_out)
+    def _only_drains(self, component: int) -> bool:
+        return only_drains(self.components[component], self.draining)
 
     def _part_edges(self, placement: Placement) -> tuple[int, ...]:
-        """Use the edges of a plan no more; return those that are open, and nobody uses now."""
+        """Use the edges of a plan no more; return those that are open, and have no user now."""
+        # One that is being opened is in no list here: `settle` returns it when its batch is over.
         edges = [edge for edge in placement.edges if self._part_edge(edge, placement.user)]
         return tuple(edge for edge in edges if self._close_part(Part(Kind.EDGE, edge)))
 
@@ -418,7 +452,7 @@ class Draft:
         return (placement.ports,)
 
     def _leave_all(self, placement: Placement) -> tuple[int, ...]:
-        """Use the components of a plan no more; return those that nobody uses now."""
+        """Use the components of a plan no more; return those that have no user now."""
         left = _producers_first(placement)
         return tuple(number for number in left if self._leave(number, placement.user))
 
@@ -434,6 +468,7 @@ class Draft:
         return True
 
     def _unlist(self, record: EdgeRecord) -> None:
+        # By id: another edge may have taken its place at the input since.
         for places in (self.feeding, self.beside):
             if places.get(record.key) == record.id:
                 del places[record.key]
@@ -446,6 +481,7 @@ class Draft:
             self.components[component] = record._replace(users=users)
             return False
         del self.components[component]
+        # Another instance of the name may serve by now.
         if self.serving.get(record.name) == component:
             del self.serving[record.name]
         self._close_part(Part(Kind.COMPONENT, component))

@@ -1,6 +1,10 @@
-"""What the control plane is told: what applications ask, and what became of its actions.
+"""What happens to the control plane: what applications ask, and what became of its actions.
 
-Frozen values without objects of bridges, so that a trace of them can be kept and replayed.
+Frozen values without objects of bridges, so that a log of them can be kept and replayed: what
+happened in the field becomes a test by pasting its log. There a plan is written as its function and
+its components, by which it is found in the robot's configuration. An error is written as the name
+of its class, its text and, where it has one, its reason; it is read back as of that class, without
+the class's other attributes.
 """
 
 from __future__ import annotations
@@ -8,6 +12,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Hashable, Mapping
 from enum import Enum
+from functools import partial
 from typing import Any, TypeAlias, get_args
 
 import attrs
@@ -47,7 +52,7 @@ class Requested:
     Attributes:
         waiter: gets exactly one reply.
         plan: the one that is known already, None when it must be sought.
-        is_heard: whether a callback waits for the messages.
+        has_callback: whether a callback waits for the messages.
         revision: of the configuration that the plan was found with.
         candidates: number of the candidates that it was found with.
     """
@@ -56,8 +61,10 @@ class Requested:
     wanted: PortRef
     validate: ValidationMode
     waiter: str
+    # Resolving a plan that is known costs nothing, and an event less. It may be outdated when the
+    # event is handled: then it is sought anew, as one that was found is (`Resolved`).
     plan: Plan | None = None
-    is_heard: bool = False
+    has_callback: bool = False
     revision: int = 0
     candidates: int = 0
 
@@ -106,13 +113,14 @@ class CandidatesChanged:
 
     Attributes:
         bridges: the bridge of each component, those that are no candidates any more included.
-        told: what is different.
+        summary: what is different.
         number: how many changes of candidates led to these, in one configuration.
         superseded: those before that are gone or are others; none of them is in use.
     """
 
+    # Of those that are gone, too: an instance that runs on has its bridge's reports still.
     bridges: Mapping[str, str]
-    told: str
+    summary: str
     number: int
     superseded: frozenset[str]
 
@@ -122,8 +130,8 @@ class Killed:
     """A connection shall end.
 
     Attributes:
-        waiter: gets exactly one reply, when everything is closed; empty: nobody.
-        cause: why it failed, or who else killed it; empty for a kill by the application itself.
+        waiter: gets exactly one reply, when everything is closed; empty: there is none.
+        cause: why it failed, or what else killed it; empty for a kill by the application itself.
         is_failure: whether it ends as failed, which is no kill.
     """
 
@@ -143,6 +151,7 @@ class Opened:
     """
 
     batch: int
+    # Also of a batch that was given up or that failed: what is open must be closed.
     done: tuple[Part, ...]
     error: BaseException | None = None
 
@@ -158,7 +167,7 @@ class HealthReported:
         spared: instances that were opened since then, at the bridge that followed.
         is_avoided: whether it emits too little or raises too often, which no bridge would notice:
             it is avoided for a while.
-        function: of a service, of which nothing is open that could tell.
+        function: of a service, of which no instance is open that would have it.
     """
 
     bridge: str
@@ -166,6 +175,8 @@ class HealthReported:
     cause: str
     component: str | None = None
     part: Hashable = "bridge"
+    # By number and not by name: a report that comes late, after its bridge was started again, must
+    # not be taken for one about the components that the new bridge has opened.
     spared: frozenset[int] = frozenset()
     is_avoided: bool = False
     function: str = ""
@@ -207,6 +218,7 @@ class ReplacementSought:
     """
 
     connection: str
+    # A result of an earlier attempt is dropped: what it was sought for has changed.
     attempt: int
     plan: Plan | None
     error: str = ""
@@ -216,7 +228,7 @@ class ReplacementSought:
 
 @frozen
 class PreferredChecked:
-    """Somebody has looked whether the preferred plan of a connection is available."""
+    """A look whether the preferred plan of a connection is available has ended."""
 
     connection: str
     is_available: bool
@@ -264,6 +276,7 @@ Event: TypeAlias = (
     | CandidatesChanged
 )
 
+# All events, and no other class of any module: a line of a log can have nothing else made.
 _EVENTS: Mapping[str, Callable[..., Event]] = {kind.__name__: kind for kind in get_args(Event)}
 
 FindPlan = Callable[[str, tuple[str, ...]], Plan]
@@ -282,13 +295,13 @@ def read_event(line: str, find_plan: FindPlan) -> tuple[Event, float]:
     Raises:
         KeyError: there is no such event.
     """
-    said: dict[str, Any] = json.loads(line)
-    now, kind = said.pop("at"), said.pop("event")
-    readers: dict[str, Callable[[Any], object]] = dict(_READERS)
-    readers["plan"] = lambda told: _plan(told, find_plan)
-    values = {name: readers.get(name, _same)(value) for name, value in said.items()}
-    make: Callable[..., Event] = _EVENTS[kind]
-    return make(**values), now
+    fields: dict[str, Any] = json.loads(line)
+    now, kind = fields.pop("at"), fields.pop("event")
+    readers: dict[str, Callable[[Any], object]] = {**_READERS, "plan": partial(_plan, find_plan)}
+    values = {
+        name: readers[name](value) if name in readers else value for name, value in fields.items()
+    }
+    return _EVENTS[kind](**values), now
 
 
 def _plain(value: object) -> object:
@@ -302,7 +315,7 @@ def _plain(value: object) -> object:
         return [value.function, value.port]
     if isinstance(value, Enum):
         return value.value
-    if isinstance(value, frozenset):
+    if isinstance(value, frozenset):  # sorted, so that equal events are equal lines
         return [_plain(item) for item in sorted(value)]
     if isinstance(value, tuple):
         return [_plain(item) for item in value]
@@ -311,14 +324,14 @@ def _plain(value: object) -> object:
     return value
 
 
-def _plan(told: list[str] | None, find_plan: FindPlan) -> Plan | None:
-    return None if told is None else find_plan(told[0], tuple(told[1:]))
+def _plan(find_plan: FindPlan, words: list[str] | None) -> Plan | None:
+    return None if words is None else find_plan(words[0], tuple(words[1:]))
 
 
-def _error(told: list[str] | str | None) -> BaseException | str | None:
-    if not isinstance(told, list):
-        return told
-    name, text, *reason = told
+def _error(value: list[str] | str | None) -> BaseException | str | None:
+    if not isinstance(value, list):  # of some events the text is all that was known
+        return value
+    name, text, *reason = value
     kind = _error_class(name)
     made = kind.__new__(kind)  # its own __init__ may want what the log does not have
     made.args = (text,)
@@ -340,23 +353,21 @@ def _error_class(name: str) -> type[BaseException]:
     return type(name, (Exception,), {})
 
 
-def _part(told: list[str] | str) -> object:
-    return told if isinstance(told, str) else (Role(told[0]), told[1])
-
-
-def _same(value: object) -> object:
-    return value
+def _part(value: list[str] | str) -> object:
+    return value if isinstance(value, str) else (Role(value[0]), value[1])
 
 
 _READERS: Mapping[str, Callable[[Any], object]] = {
-    "wanted": lambda told: PortRef(*told),
+    "wanted": lambda value: PortRef(*value),
     "validate": ValidationMode,
     "health": Health,
     "error": _error,
     "part": _part,
-    "done": lambda told: tuple(Part(Kind(kind), *rest) for kind, *rest in told),
+    "done": lambda value: tuple(Part(Kind(kind), *rest) for kind, *rest in value),
     "spared": frozenset,
-    "policy": lambda told: FailoverPolicy(**{**told, "failing": FailureLimits(**told["failing"])}),
+    "policy": lambda value: FailoverPolicy(
+        **{**value, "failing": FailureLimits(**value["failing"])}
+    ),
     "superseded": frozenset,
     "functions": frozenset,
 }

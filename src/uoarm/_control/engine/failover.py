@@ -1,4 +1,7 @@
-"""When components die: which connections go on with another plan, which wait, and which end."""
+"""When components die: which connections take another plan, which wait, and which end.
+
+How a connection ends is here, too, and how a plan that was opened for it is abandoned.
+"""
 
 from __future__ import annotations
 
@@ -53,6 +56,11 @@ __all__ = [
     "try_another",
 ]
 
+_MINUTE = 60.0
+# Between two searches of a connection that waits: an eighth of what it has waited, within these.
+_AGAIN_SECONDS = 0.1
+_SELDOM_SECONDS = 5.0
+_SHARE = 8
 _LEAST_LOOK_SECONDS = 0.05
 
 
@@ -70,14 +78,17 @@ def end(
         record: the connection, which has a plan.
         outcome: CLOSED or FAILED.
         cause: why; empty for a kill by the application.
-        lane: where to close what only it used; empty: one of its own, which waits for nobody.
+        lane: where to close what only it used; empty: one of its own, for which no caller waits.
     """
+    # A death while it is being killed, say, must not turn an orderly end into a failure.
     if record.state is ConnectionState.CLOSING:
         return
     record = drop_next(draft, record)
+    # While inputs change hands the others go on, and this one is passed over when they have.
     if record.switchover and not draft.switchovers[record.switchover].is_switching:
         cancel_switchover(draft, record.switchover)
         record = draft.connections[record.id]
+    # From here on it uses nothing: what is opened for it from now on comes back as unused.
     placement = record.placement
     parts = draft.unplace(placement)
     lost = record.failure.lost if record.failure is not None else ()
@@ -91,13 +102,17 @@ def end(
 
 
 def drop_next(draft: Draft, record: ConnectionRecord) -> ConnectionRecord:
-    """Close a plan that was opened in vain, hear the one so far again, and count what was lost."""
+    """Abandon a plan that was opened: receive from the one so far again, and count the losses."""
     placement = record.next
     if placement is None:
         return record
+    # A new attempt, so that the user of the parts that are given up here is none that comes back,
+    # and a search that is under way is for nothing.
     record = draft.put(record, next=None, attempt=record.attempt + 1)
+    # Where the provider stays, so do the ports: they are the running plan's, too.
     ports = record.placement.ports
     parts = draft.unplace(placement, ports=placement.ports != ports)
+    # It may have received from the next one already, which was opened for that.
     draft.actions += [
         Listen(record.id, ports),
         Close(f"{placement.user}!", record.id, parts, placement),
@@ -105,7 +120,7 @@ def drop_next(draft: Draft, record: ConnectionRecord) -> ConnectionRecord:
     return record
 
 
-def cancel_switchover(draft: Draft, number: int, *, is_vain: bool = False) -> None:
+def cancel_switchover(draft: Draft, number: int, *, is_abandoned: bool = False) -> None:
     """Leave the members of a return where they are; each looks for its plan again later.
 
     None has ended: the first that did would have cancelled it. Not while inputs change hands.
@@ -113,10 +128,12 @@ def cancel_switchover(draft: Draft, number: int, *, is_vain: bool = False) -> No
     Args:
         draft: the state.
         number: of the return.
-        is_vain: whether members of a reconfiguration should not try it together once more.
+        is_abandoned: whether members of a reconfiguration should not try it together once more.
     """
     group = draft.switchovers.pop(number)
-    if group.is_reconfiguration and not is_vain:
+    # A change of configuration is owed to its caller: it is begun again when what disturbed it is
+    # over. A return is only better, and is looked for anew by each member.
+    if group.is_reconfiguration and not is_abandoned:
         draft.outdated |= frozenset(group.members)
     for identity in group.members:
         record = drop_next(draft, draft.connections[identity])
@@ -133,15 +150,10 @@ def finish_if_asked(draft: Draft, record: ConnectionRecord) -> None:
 
 def look_later(draft: Draft, record: ConnectionRecord) -> None:
     """Look for the preferred plan of a connection after a while."""
+    # Four looks within the time for which it must be there without a break.
     wait = max(_LEAST_LOOK_SECONDS, (draft.policy.return_after or 0.0) / 4)
     draft.put(record, look_at=draft.now + wait)
     draft.actions.append(WakeAt(draft.now + wait))
-
-
-_MINUTE = 60.0
-_AGAIN_SECONDS = 0.1
-_SELDOM_SECONDS = 5.0
-_SHARE = 8
 
 
 def health_reported(draft: Draft, event: HealthReported) -> None:
@@ -154,24 +166,29 @@ def health_reported(draft: Draft, event: HealthReported) -> None:
         if bridge == event.bridge and event.component in {None, name}
     ]
     is_lost = event.health is Health.LOST
+    # Before anything is sought below: a search must ask anew, not use what was known before.
     draft.actions.append(Forget(tuple(concerned)))
     if event.component is None:
         subject = f"bridge {event.bridge}"
         draft.actions.append(Announce(subject, event.health.value, event.cause))
     lost: list[int] = []
     for name in concerned:
-        one = draft.serving.get(name)
-        if one is None and event.part == "messages":
+        number = draft.serving.get(name)
+        if number is None and event.part == "messages":
             _judge_service(draft, name, event)
-        if one is None or (is_lost and one in event.spared):
+        # Spared are those that the next bridge of this name has opened already: the death of the
+        # one before was reported late.
+        if number is None or (is_lost and number in event.spared):
             continue
-        record = _note(draft, draft.components[one], event)
+        record = _note(draft, draft.components[number], event)
         if event.health is Health.FINISHED:
             _finish(draft, record)
         elif is_lost:
-            lost.append(one)
+            lost.append(number)
+    # All that one bridge had dies at once: no plan that is sought from here on may have any of it.
     if lost:
         _lose(draft, lost, frozenset(concerned), event)
+    # After the edges were stopped, as its closing may bring last messages.
     if is_lost and event.component is None:
         draft.actions.append(RetireBridge(event.bridge))
     if event.health is Health.OK and not draft.serving.keys() >= set(concerned):
@@ -207,7 +224,9 @@ def _finish(draft: Draft, component: ComponentRecord) -> None:
         if record.state is ConnectionState.CLOSING:
             continue
         record = draft.put(record, finished=f"component {component.name!r} finished")  # noqa: PLW2901
-        if record.goes_on:
+        # One that is still being opened drains when it is open (`step._run`): what has come by
+        # then is for the application.
+        if record.is_active:
             finish_if_asked(draft, record)
 
 
@@ -216,6 +235,7 @@ def _lose(draft: Draft, lost: list[int], concerned: frozenset[str], event: Healt
     forget_earlier(draft.failed, draft.now)
     forget_earlier(draft.avoided, draft.now)
     for name in dead:
+        # Taken out first, so that it stands last: the order is that of the times.
         draft.failed.pop(name, None)
         draft.failed[name] = draft.now
         if event.is_avoided:
@@ -229,10 +249,12 @@ def _lose(draft: Draft, lost: list[int], concerned: frozenset[str], event: Healt
 
 
 def replace(draft: Draft, failure: ComponentFailure) -> None:
-    """Let no message through what was lost, and have the connections that use it go on without."""
+    """Let no message through what was lost, and have the connections that use it do without."""
+    # First all edges, then the connections: what one of them finds may not use another's dead.
     lost = failure.lost
     draft.actions.append(Stop(draft.lose(lost)))
     for identity in tuple(draft.connections):
+        # Read anew: what was done for one before may have changed it, as members of a switchover.
         record = draft.connections[identity]
         if record.state is ConnectionState.CLOSING:
             continue
@@ -244,6 +266,7 @@ def replace(draft: Draft, failure: ComponentFailure) -> None:
 
 def _lose_current(draft: Draft, record: ConnectionRecord, failure: ComponentFailure) -> None:
     """Replace the plan that runs, or end; an end while it is opened is the request's failure."""
+    # A second death while the first is being replaced adds to it: the gap counts from the first.
     before = record.failure
     if before is not None:
         failure = evolve(
@@ -256,10 +279,10 @@ def _lose_current(draft: Draft, record: ConnectionRecord, failure: ComponentFail
     if record.state is ConnectionState.OPENING:
         text = f"connection {record.id} ended while it was being opened: {failure.cause}"
         record = draft.put(record, error=BridgeError(text, FailureReason.UNAVAILABLE))
-    if not draft.policy.enabled or not record.goes_on:
+    if not draft.policy.enabled or not record.is_active:
         end(draft, record, ConnectionState.FAILED, failure.cause)
     elif record.switchover and draft.switchovers[record.switchover].is_switching:
-        return  # looked at when the inputs have changed hands
+        return  # `inputs_switched` seeks for it, whatever the switch comes to
     elif record.switchover:
         cancel_switchover(draft, record.switchover)
         seek(draft, draft.connections[record.id])
@@ -282,6 +305,7 @@ def seek(draft: Draft, record: ConnectionRecord) -> None:
     """Look for a plan that can take over, unless it changed too often already."""
     failure = record.failure
     assert failure is not None, "only what failed is replaced"
+    # Components that die one after another would else be tried in turns for ever.
     recent = [move for move in record.moves if draft.now - move < _MINUTE]
     if len(recent) >= draft.policy.limit:
         text = f"its providers changed {draft.policy.limit} times within a minute"
@@ -289,7 +313,8 @@ def seek(draft: Draft, record: ConnectionRecord) -> None:
         return
     record = draft.put(record, attempt=record.attempt + 1, failure=evolve(failure, retry_at=None))
     ids = record.placement.components
-    runs = {name for name, id_ in ids.items() if id_ not in failure.lost}  # again, and well
+    # What died lately is tried last, but not what runs in this very plan: it is well again.
+    runs = {name for name, id_ in ids.items() if id_ not in failure.lost}
     draft.actions.append(
         FindReplacement(
             lane=f"{record.id}#{record.attempt}",
@@ -309,6 +334,7 @@ def found(draft: Draft, record: ConnectionRecord, event: ReplacementSought) -> N
     failure = record.failure
     if failure is None:
         return
+    # The search began before candidates changed, and found one that is gone or another by now.
     if event.plan is not None and draft.is_outdated(event.plan, event.candidates):
         seek(draft, record)
         return
@@ -335,18 +361,19 @@ def found(draft: Draft, record: ConnectionRecord, event: ReplacementSought) -> N
     waited, until = draft.now - failure.time, failure.time + draft.policy.wait
     pause = max(_AGAIN_SECONDS, min(waited / _SHARE, _SELDOM_SECONDS))
     retry_at = min(draft.now + pause, until)
+    # Nothing stays excluded: the dead are asked again, and what failed to open may do better.
     failure = evolve(failure, excluded=frozenset(), retry_at=retry_at)
     runs = record.state is ConnectionState.RUNNING
     record = draft.put(record, failure=failure, state=ConnectionState.WAITING, cause=failure.cause)
-    if runs:
-        draft.tell(record)
+    if runs:  # once, and not after each search
+        draft.publish(record)
     draft.actions += [Forget(tuple(sorted(failure.dead))), WakeAt(retry_at)]
 
 
 def look_again(draft: Draft, record: ConnectionRecord) -> None:
     """Look again for what takes over, when it is time."""
     failure = record.failure
-    if failure is None or failure.retry_at is None or not record.goes_on:
+    if failure is None or failure.retry_at is None or not record.is_active:
         return
     if failure.retry_at <= draft.now:
         seek(draft, record)
@@ -356,6 +383,7 @@ def look_again(draft: Draft, record: ConnectionRecord) -> None:
 
 def look_soon(draft: Draft) -> None:
     """Have connections that wait look for what takes over, now that something may."""
+    # Not at once: where much comes back, each report of it calls this, and one search is enough.
     soon = draft.now + _AGAIN_SECONDS
     for record in tuple(draft.connections.values()):
         failure = record.failure
@@ -367,7 +395,7 @@ def look_soon(draft: Draft) -> None:
 def advance(draft: Draft, record: ConnectionRecord) -> None:
     """Have what is missing of the next plan opened; hand over when all of it is open."""
     assert record.next is not None, "there is a plan to open"
-    is_open = draft.open(record, record.next, record.next.user, is_heard=True)
+    is_open = draft.open(record, record.next, record.next.user, is_receiving=True)
     failure = record.failure
     if failure is not None and is_open:
         hand_over(draft, record, failure.time, failure.cause)
@@ -384,11 +412,12 @@ def try_another(draft: Draft, record: ConnectionRecord, error: str) -> None:
 def hand_over(
     draft: Draft, record: ConnectionRecord, since: float, cause: str, *, is_planned: bool = False
 ) -> None:
-    """Let the next plan be the one that runs, and the one so far run out."""
+    """Let the next plan be the one that runs, and the one so far drain."""
     before, after = record.placement, record.next
-    assert after is not None, "there is a plan to go on with"
+    assert after is not None, "there is a plan to hand over to"
     lost = record.failure.lost if record.failure is not None else ()
     waited = record.state is ConnectionState.WAITING
+    # The first plan that was lost, however many follow: it returns to that one, in one step.
     preferred = None
     if draft.policy.return_after is not None and not is_planned:
         preferred = record.preferred or before.plan
@@ -407,17 +436,21 @@ def hand_over(
         switchover=0,
         moves=(*(move for move in record.moves if draft.now - move < _MINUTE), draft.now),
     )
-    lane, is_heard = f"{after.user}>", not is_planned or before.ports == after.ports
+    # After a death the application has received from the next plan since that was opened, as there
+    # was nothing else to receive. In a switchover it receives from the old one up to this moment.
+    lane, is_receiving = f"{after.user}>", not is_planned or before.ports == after.ports
     draft.actions += [
-        HandOver(lane, record.id, before, after, is_heard, record, since, draft.now, cause),
+        HandOver(lane, record.id, before, after, is_receiving, record, since, draft.now, cause),
         Publish(record),
     ]
     if waited:
         draft.announce(record, record.state.value)
     new = [n for n in names(after.plan) if after.components[n] != before.components.get(n)]
-    goes_on = f"{', '.join(new or names(after.plan)[-1:])} {'go' if len(new) > 1 else 'goes'} on"
-    draft.announce(record, "replaced", f"{cause}; {goes_on}")
-    parts = draft.run_out(record.id, before, lost, ports=before.ports != after.ports)
+    successors = f"{', '.join(new or names(after.plan)[-1:])} {'go' if len(new) > 1 else 'goes'} on"
+    draft.announce(record, "replaced", f"{cause}; {successors}")
+    # In the lane of the handing over, and after it: nothing of the old plan is closed before the
+    # application receives from the new one.
+    parts = draft.start_draining(record.id, before, lost, ports=before.ports != after.ports)
     draft.actions.append(Finish(lane, record.id, parts, before, lost))
     if preferred is not None:
         look_later(draft, record)

@@ -1,7 +1,7 @@
 """What the control plane knows: frozen values, of which `step` makes the next.
 
 Whatever is open is a numbered part with its users. A component that is closed and opened again is
-another part, so that nothing late is taken for something new.
+another part, so that a late result is never taken for one of the new instance.
 """
 
 from __future__ import annotations
@@ -32,19 +32,19 @@ __all__ = [
     "ComponentHealth",
     "ComponentRecord",
     "ConnectionRecord",
+    "DrainingPlan",
     "EdgeRecord",
     "Kind",
     "Part",
     "Parts",
     "Placement",
-    "RunningOut",
     "State",
     "Switchover",
     "forget_earlier",
     "keep_newest",
     "listed",
     "names",
-    "only_runs_out",
+    "only_drains",
     "recently",
 ]
 
@@ -83,8 +83,11 @@ class ComponentHealth:
         return now == (health, cause) or now != (before.health, before.cause)
 
 
+# For so long what failed is tried last, and what was avoided is done without.
 _REMEMBERED_SECONDS = 300.0
+# Of a cause that names components; thousands may die with one bridge.
 _LISTED = 8
+# Names of discovered components come and go for ever: what is counted by name needs a bound.
 _NAMES = 1000
 _WELL = ComponentHealth()
 T = TypeVar("T")
@@ -109,6 +112,8 @@ PORTS = frozenset({Kind.RECEIVE, Kind.SEND})
 """Where the application touches a plan; these call a bridge for inputs that it feeds, only."""
 
 
+# A tuple and no class of attrs, as all records that a step copies or hashes many times: of a
+# thousand connections each event copies the mappings that hold them.
 class Part(NamedTuple):
     """Something that is opened by one call into a bridge, or attached.
 
@@ -125,7 +130,7 @@ class Part(NamedTuple):
 
 @frozen
 class Parts:
-    """Parts that nobody uses any more: what is to be closed.
+    """Parts without a user: what is to be closed.
 
     Attributes:
         components: ids, producers first.
@@ -141,6 +146,9 @@ class Parts:
         return bool(self.components or self.edges or self.ports)
 
 
+# Records of one name may be open side by side: one that serves new users, and those that died,
+# were superseded or only drain. So a name identifies no instance, and nothing late is found by
+# it.
 class ComponentRecord(NamedTuple):
     """One instance of a component, open or on the way there.
 
@@ -176,7 +184,10 @@ class EdgeRecord(NamedTuple):
     edge: Edge
     producer: int
     consumer: int
+    # The mode of each user and not the strictest: as that one leaves, the check is relaxed.
     users: Mapping[str, ValidationMode]
+    # A held edge is in `State.beside` and no other is; it moves to `feeding` in one step with the
+    # end of the one before, so that an input never has two edges that let messages through.
     is_held: bool = False
 
     @property
@@ -205,7 +216,11 @@ class Placement(NamedTuple):
     plan: Plan
     components: Mapping[str, int]
     edges: tuple[int, ...]
+    # The same number as in the plan before where the provider stays: the application's inbox and
+    # its inputs then go through the change untouched.
     ports: int
+    # Consumers open before what feeds them, so that a first message finds its input open; the
+    # application's inputs come last, when all that their messages lead to is there.
     parts: tuple[Part, ...]
 
     @property
@@ -226,11 +241,11 @@ class Batch(NamedTuple):
     parts: tuple[Part, ...]
 
 
-class RunningOut(NamedTuple):
+class DrainingPlan(NamedTuple):
     """A plan that was replaced, while what is under way in it arrives.
 
-    Its edges are closed; its components are open until nothing is under way, for whoever wants
-    them meanwhile: a second instance of one would get the same messages once more.
+    Its edges are closed. Its components stay open until nothing is under way, and other plans may
+    use them meanwhile: a second instance of one would get the same messages once more.
 
     Attributes:
         connection: whose plan it was.
@@ -252,8 +267,8 @@ class ComponentFailure:
         cause: as the status and the gap show it.
         lost: ids of components that died.
         dead: names of what may come back: all of a dead bridge.
-        excluded: names that cannot take over: the dead, and what was tried in vain.
-        retry_at: when to look again for what takes over; None: somebody is looking.
+        excluded: names that cannot take over: the dead, and those that failed to open.
+        retry_at: when to search again for what takes over; None: a search is under way.
     """
 
     time: float
@@ -271,22 +286,22 @@ class ConnectionRecord(NamedTuple):
         id: `c1`, `c2`, ...
         wanted: the function, and the output where one is named.
         validate: how many messages are checked.
-        waiter: who waits for the reply to the request; empty: nobody any more.
-        killer: who waits for its end; empty: nobody.
-        is_killed: whether it ends because it was killed, so that nobody reads what waits.
+        waiter: the caller that waits for the reply to the request; empty: none any more.
+        killer: the caller that waits for its end; empty: none.
+        is_killed: whether it ends because it was killed, so that what waits is not read.
         outcome: how it ends, while it is closing.
         error: what the request fails with, where that is more than the cause.
-        is_heard: whether a callback waits for the messages, so that there must be an output.
+        has_callback: whether a callback waits for the messages, so that there must be an output.
         output: of the provider, whose messages the application receives.
         current: the plan that runs; while the first is being opened, that one. None before there
             is a plan.
         next: the plan that is being opened in its place.
-        failure: why it is looking for a replacement; None: it is not.
+        failure: why it needs a replacement; None: it does not.
         attempt: counts plans and searches, so that a late result is known as such.
         preferred: the plan to return to, the first one that was lost.
         available_since: when that was seen first without a break; None: it is not there.
         look_at: when to look for it.
-        is_looking: whether somebody is looking.
+        is_looking: whether a look for it is under way.
         switchover: id of the switchover that it takes part in; 0: none.
         moves: when its plan changed within the last minute.
         finished: why it ends when all that is under way has arrived; empty: it does not.
@@ -295,6 +310,7 @@ class ConnectionRecord(NamedTuple):
     id: str
     wanted: PortRef
     validate: ValidationMode
+    # Emptied with the one `Reply` to the request, so that there never is a second one.
     waiter: str
     state: ConnectionState = ConnectionState.OPENING
     cause: str = ""
@@ -302,18 +318,25 @@ class ConnectionRecord(NamedTuple):
     is_killed: bool = False
     outcome: ConnectionState = ConnectionState.CLOSED
     error: BaseException | None = None
-    is_heard: bool = False
+    has_callback: bool = False
     output: str | None = None
+    # `current` is None only while the first plan is sought. `next` is there only beside a failure
+    # or in a switchover, never in a connection that closes.
     current: Placement | None = None
     next: Placement | None = None
     failure: ComponentFailure | None = None
+    # Grows with each search and each plan that is given up. A result with an earlier number is
+    # dropped (`step`), and parts of an abandoned plan belong to a user that no plan has any more.
     attempt: int = 1
     preferred: Plan | None = None
     available_since: float | None = None
     look_at: float | None = None
     is_looking: bool = False
+    # Where it is not 0, the connection is a member of that switchover. One that ended while the
+    # inputs changed hands is still listed there, and passed over.
     switchover: int = 0
     moves: tuple[float, ...] = ()
+    # Set once and never taken back: a source that has finished is not played again.
     finished: str = ""
 
     @property
@@ -322,7 +345,7 @@ class ConnectionRecord(NamedTuple):
         return self.state in {ConnectionState.CLOSED, ConnectionState.FAILED}
 
     @property
-    def goes_on(self) -> bool:
+    def is_active(self) -> bool:
         """Whether it runs, or waits for what can take over."""
         return self.state in {ConnectionState.RUNNING, ConnectionState.WAITING}
 
@@ -364,6 +387,8 @@ class Switchover:
     id: int
     members: Mapping[str, Plan | None]
     began: float
+    # From `SwitchInputs` to `InputsSwitched`. Meanwhile the state says that the new edges feed,
+    # and the objects may not yet: neither a death nor a change may undo what is half done.
     is_switching: bool = False
     is_reconfiguration: bool = False
 
@@ -379,38 +404,47 @@ class State(NamedTuple):
         feeding: the edge that feeds each input.
         beside: the edge that will, after a switchover.
         batches: what is being opened, by number.
-        running_out: what was replaced and is open still, by the user of its parts.
+        draining: what was replaced and is open still, by the user of its parts.
         failed: when a component died last, longest ago first.
         avoided: the same for those that emitted too little or raised too often.
         number: the last id given.
         is_closing: whether no request is taken any more.
-        closers: who waits until every connection has ended.
+        closers: callers that wait until every connection has ended.
         revision: of the configuration.
         outdated: connections whose plan may be another in this revision.
         postponed: connections whose first plan, placed now, would be in the way of those.
-        configurers: who waits until all those have moved.
+        configurers: callers that wait until all those have moved.
         candidates: how many changes of candidates there were in this revision.
         replaced: the candidates that were superseded by the last of these, newest last.
     """
 
     policy: FailoverPolicy
     bridges: Mapping[str, str]
+    # The invariants below are checked after each event by `World.check` in tests/control/world.py.
+    # In the order of their requests; of several that may be meant, the oldest acts first.
     connections: Mapping[str, ConnectionRecord] = _NOTHING
+    # An instance is here as long as it has a user: a running, an opening or a draining plan.
     components: Mapping[int, ComponentRecord] = _NOTHING
     edges: Mapping[int, EdgeRecord] = _NOTHING
+    # A part is in one batch at most, and none is opened that is open or being opened.
     parts: Mapping[Part, int] = _NOTHING
+    # One instance a name. One that died or was superseded leaves at once, though its users stay.
     serving: Mapping[str, int] = _NOTHING
+    # One edge an input, from a producer that lives to the instance that serves.
     feeding: Mapping[tuple[str, str], int] = _NOTHING
     beside: Mapping[tuple[str, str], int] = _NOTHING
     batches: Mapping[int, Batch] = _NOTHING
-    running_out: Mapping[str, RunningOut] = _NOTHING
+    draining: Mapping[str, DrainingPlan] = _NOTHING
     switchovers: Mapping[int, Switchover] = _NOTHING
+    # Their order is that of the times: a name is taken out before it is set anew.
     failed: Mapping[str, float] = _NOTHING
     avoided: Mapping[str, float] = _NOTHING
+    # Counts on over everything that is numbered: no id of an object is ever given again.
     number: int = 0
     is_closing: bool = False
     closers: tuple[str, ...] = ()
     revision: int = 0
+    # These three are settled together, in `switchover.continue_reconfiguration`.
     outdated: frozenset[str] = frozenset()
     postponed: tuple[str, ...] = ()
     configurers: tuple[str, ...] = ()
@@ -418,9 +452,9 @@ class State(NamedTuple):
     replaced: tuple[frozenset[str], ...] = ()
 
     def shared(self) -> tuple[ComponentRecord, ...]:
-        """Return the instances that new users share, without those that nobody uses any more."""
+        """Return the instances that new users share, without those that only drain."""
         every = (self.components[one] for one in self.serving.values())
-        return tuple(one for one in every if not only_runs_out(one, self.running_out))
+        return tuple(one for one in every if not only_drains(one, self.draining))
 
 
 def names(plan: Plan) -> tuple[str, ...]:
@@ -428,9 +462,9 @@ def names(plan: Plan) -> tuple[str, ...]:
     return tuple(step.component.name for step in plan.steps)
 
 
-def only_runs_out(record: ComponentRecord, running_out: Mapping[str, RunningOut]) -> bool:
-    """Say whether nobody uses an instance but plans that run out."""
-    return running_out.keys() >= set(record.users)
+def only_drains(record: ComponentRecord, draining: Mapping[str, DrainingPlan]) -> bool:
+    """Say whether only draining plans use an instance."""
+    return draining.keys() >= set(record.users)
 
 
 def forget_earlier(times: dict[str, float], now: float) -> None:

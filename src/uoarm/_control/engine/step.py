@@ -1,8 +1,8 @@
-"""The reconciler: one event and the state before it give the state after it, and what to do.
+"""The engine: one event and the state before it give the state after it, and what to do.
 
-`step` touches no thread, clock, lock, log or bridge. Requests, sharing, kills and ends are here;
-`failover` and `failback` have what happens when components die and come back, `switchover` how
-connections change to better plans.
+`step` touches no thread, clock, lock, log or bridge. Requests, openings and kills are here;
+`failover` has what happens when components die and how connections end, `switchover` how
+connections change to better plans, and to another configuration.
 """
 
 from __future__ import annotations
@@ -51,6 +51,7 @@ def step(state: State, event: Event, now: float) -> tuple[State, tuple[Action, .
     """
     draft = Draft(state, now)
     _HANDLERS[type(event)](draft, event)
+    # Whatever happened may have been the last thing that a change of configuration waited for.
     switchover.continue_reconfiguration(draft)
     return draft.state(), tuple(draft.actions)
 
@@ -61,9 +62,15 @@ def _requested(draft: Draft, event: Requested) -> None:
         return
     record = draft.put(
         ConnectionRecord(
-            event.connection, event.wanted, event.validate, event.waiter, is_heard=event.is_heard
+            event.connection,
+            event.wanted,
+            event.validate,
+            event.waiter,
+            has_callback=event.has_callback,
         )
     )
+    # The plan was found in the caller's thread, before the event: the configuration, or a
+    # candidate, may have changed in between. Then it is only sought once more.
     if event.plan is None or _is_outdated(draft, event):
         draft.resolve(record)
     else:
@@ -71,6 +78,7 @@ def _requested(draft: Draft, event: Requested) -> None:
 
 
 def _resolved(draft: Draft, event: Resolved) -> None:
+    # The request was given up meanwhile, or has a plan: this is the answer of a search before.
     record = draft.connections.get(event.connection)
     if record is None or record.current is not None:
         return
@@ -96,7 +104,7 @@ def _begin(draft: Draft, record: ConnectionRecord, plan: Plan) -> None:
     except UsageError as error:
         _refuse(draft, record, error)
         return
-    if output is None and record.is_heard:
+    if output is None and record.has_callback:
         text = f"function {plan.function!r} has no output to read"
         _refuse(draft, record, UsageError(text))
         return
@@ -104,18 +112,23 @@ def _begin(draft: Draft, record: ConnectionRecord, plan: Plan) -> None:
     try:
         placement = draft.place(record, plan, record.id)
     except InputInUseError as error:
-        if draft.configurers:  # others move from what is in the way
+        # Connections that move to the new configuration may leave what is in the way. To ask the
+        # caller to try again would be to let a race of ours fail its request.
+        if draft.configurers:
             draft.postponed = (*draft.postponed, record.id)
         else:
             _refuse(draft, record, ResolutionError(str(error)))
         return
+    # Published before anything opens: the objects that open read the plan's mode of checking, and
+    # the inbox, from the record that was published last.
     record = draft.put(record, current=placement)
-    draft.tell(record)
+    draft.publish(record)
     _advance(draft, record)
 
 
 def _refuse(draft: Draft, record: ConnectionRecord, error: BaseException | None) -> None:
     """Answer a request of which nothing was opened."""
+    # No end to be waited for, and nothing was published: the record just goes.
     del draft.connections[record.id]
     draft.actions.append(Reply(record.waiter, error))
 
@@ -127,15 +140,15 @@ def _output(plan: Plan, wanted: PortRef) -> str | None:
         return None
     output = component.output(wanted.port)
     if output is None:
-        has = ", ".join(f"{wanted.function}.{one.name}" for one in component.outputs)
+        has = ", ".join(f"{wanted.function}.{output.name}" for output in component.outputs)
         raise UsageError(f"say which output of {wanted.function!r} is meant: {has or 'none'}")
     return output.name
 
 
 def _advance(draft: Draft, record: ConnectionRecord) -> None:
-    """Have what a connection still needs opened; go on where that is all there."""
+    """Have what a connection still needs opened; proceed where all of it is open."""
     if record.state is ConnectionState.OPENING and record.current is not None:
-        if draft.open(record, record.current, record.waiter, is_heard=True):
+        if draft.open(record, record.current, record.waiter, is_receiving=True):
             _run(draft, record)
     elif record.next is not None and record.switchover:
         switchover.advance(draft, draft.switchovers[record.switchover])
@@ -144,14 +157,16 @@ def _advance(draft: Draft, record: ConnectionRecord) -> None:
 
 
 def _run(draft: Draft, record: ConnectionRecord) -> None:
+    # Published before the reply: who has the handle finds it running.
     waiter = record.waiter
     record = draft.put(record, state=ConnectionState.RUNNING, waiter="")
-    draft.tell(record)
+    draft.publish(record)
     draft.actions.append(Reply(waiter))
     finish_if_asked(draft, record)
 
 
 def _opened(draft: Draft, event: Opened) -> None:
+    # Who waits is read first: a failure, below, changes who uses what.
     batch = draft.batches.pop(event.batch)
     waiting = draft.waiting_for(batch)
     late = draft.settle(batch, event.done)
@@ -160,6 +175,8 @@ def _opened(draft: Draft, event: Opened) -> None:
     record = draft.connections.get(connection_of(batch.user))
     if event.error is not None and record is not None:
         _failed_to_open(draft, record, batch.user, event.error)
+    # Those that shared what has failed have it opened in a batch of their own, and fail by
+    # themselves where it fails again. What failed above may have ended some of these connections.
     for identity in waiting:
         record = draft.connections.get(identity)
         if record is not None:
@@ -170,7 +187,8 @@ def _failed_to_open(
     draft: Draft, record: ConnectionRecord, user: str, error: BaseException
 ) -> None:
     """Do without the plan that could not be opened, unless the connection has left it already."""
-    if user not in {one.user for one in (record.current, record.next) if one is not None}:
+    placements = (record.current, record.next)
+    if user not in {placement.user for placement in placements if placement is not None}:
         return
     if record.state is ConnectionState.OPENING:
         draft.actions.append(Forget(names(record.placement.plan)))
@@ -183,6 +201,8 @@ def _failed_to_open(
 
 
 def _killed(draft: Draft, event: Killed) -> None:
+    # Idempotent: what has ended, or is ending, is answered at once. The caller of the first kill
+    # closes; a second one does not wait for it.
     record = draft.connections.get(event.connection)
     if record is None or record.current is None:
         if record is not None:
@@ -206,26 +226,28 @@ def _drained(draft: Draft, event: Drained) -> None:
 
 
 def _ran_out(draft: Draft, event: RanOut) -> None:
-    ended, parts = draft.end_run_out(event.user)
+    # Only now it is known which of its components another plan uses by this time.
+    ended, parts = draft.end_draining(event.user)
     lane = f"ran out {event.user}"
     draft.actions.append(Close(lane, ended.connection, parts, ended.placement, ended.lost))
 
 
 def _ended(draft: Draft, event: Ended) -> None:
+    # In no list any more when the caller's thread goes on, and published before that.
     record = draft.connections.pop(event.connection)
     error = record.error
     if error is None and record.waiter:
         text = f"connection {record.id} ended while it was being opened"
         error = ConnectionClosedError(f"{text}: {record.cause or 'kill'}")
-    record = draft.put(record, state=record.outcome)
-    del draft.connections[record.id]
-    draft.tell(record)
+    record = record._replace(state=record.outcome)
+    draft.publish(record)
     draft.actions += [Reply(record.waiter, error)] if record.waiter else []
     draft.actions += [Reply(record.killer)] if record.killer else []
     _reply_when_closed(draft)
 
 
 def _stopped(draft: Draft, event: Stopped) -> None:
+    # First, so that nothing that is asked from here on begins anew.
     draft.is_closing, draft.closers = True, (*draft.closers, event.waiter)
     for identity in tuple(draft.connections):
         record = draft.connections[identity]  # an end may change others, with which it returns
@@ -244,6 +266,8 @@ def _reply_when_closed(draft: Draft) -> None:
 
 
 def _time_reached(draft: Draft, event: TimeReached) -> None:
+    # The timer keeps one time only, the earliest. So all that waits is looked at; each says anew
+    # when it is due where that is not yet, and times that lie close together are one event.
     del event
     for identity in tuple(draft.connections):
         failover.look_again(draft, draft.connections[identity])
@@ -251,8 +275,9 @@ def _time_reached(draft: Draft, event: TimeReached) -> None:
 
 
 def _replacement_sought(draft: Draft, event: ReplacementSought) -> None:
+    # A death, a kill or a change since the search began has begun another, or none.
     record = draft.connections.get(event.connection)
-    if record is None or record.attempt != event.attempt or not record.goes_on:
+    if record is None or record.attempt != event.attempt or not record.is_active:
         return
     if event.switchover:
         switchover.found(draft, record, event)

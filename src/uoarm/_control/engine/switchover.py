@@ -1,7 +1,9 @@
 """Changing to better plans while all goes well: all connections that share an input at once.
 
-What is new opens beside what runs; when all of it is open, the inputs change hands. Failback and
-changes of configuration begin one.
+What is new opens beside what runs; when all of it is open, the inputs change hands. The return to a
+preferred plan begins one, and so does a change of configuration: those for which nothing changes
+notice nothing, the others move together, as they may share inputs. Where that cannot be done, what
+the configuration has no more is closed first and replaced like what died.
 """
 
 from __future__ import annotations
@@ -66,6 +68,7 @@ __all__ = [
 
 _RETURNED = "its preferred components are available again"
 _RECONFIGURED = "the configuration was changed"
+_KNOWN_CHANGES = 16
 
 
 def begin(
@@ -77,12 +80,15 @@ def begin(
     draft.switchovers[number] = Switchover(
         number, plans, draft.now, is_reconfiguration=is_reconfiguration
     )
+    # One search at a time, all in the lane of the switchover: what the plan of one member moves
+    # along may be members itself, of which the search for the next must know.
     first, *_ = [draft.put(record, switchover=number) for record in records]
     _seek_for(draft, first)
 
 
 def found(draft: Draft, record: ConnectionRecord, event: ReplacementSought) -> None:
     """Note the better plan of a member; open all when each has one."""
+    # Cancelled meanwhile, or this one was moved into another group.
     group = draft.switchovers.get(event.switchover)
     if group is None or record.switchover != group.id:
         return
@@ -93,17 +99,19 @@ def found(draft: Draft, record: ConnectionRecord, event: ReplacementSought) -> N
     rivals = set[str]() if event.plan is None else draft.rivals(event.plan)
     if group.is_reconfiguration:
         if event.plan is None or _serves(draft, record, event.plan):
-            del members[record.id]  # what it cannot go on with is replaced after the switchover
+            del members[record.id]  # what it must not keep is replaced after the switchover
             draft.put(record, switchover=0)
         if event.plan is None and not _is_superseded(draft, record):
             draft.actions.append(Warn(record.id, f"stays where it is: {event.error}"))
     elif event.plan is None or names(event.plan) == names(record.placement.plan):
         abandon(draft, group, event.error or "its preferred components are gone again")
         return
+    # An input that this plan takes from another connection would stop that one's messages; so it
+    # moves, too, where it may. Where it may not, `switch_inputs` refuses in the end, and all stay.
     for identity in sorted(rivals - set(members)):
-        for other in _with_whom(draft, identity):
-            draft.put(drop_next(draft, draft.connections[other]), switchover=group.id)
-            members[other] = None
+        for member in _joining_with(draft, identity):
+            draft.put(drop_next(draft, draft.connections[member]), switchover=group.id)
+            members[member] = None
     group = draft.switchovers[group.id] = evolve(group, members=members)
     for identity, plan in members.items():
         if plan is None:
@@ -112,16 +120,17 @@ def found(draft: Draft, record: ConnectionRecord, event: ReplacementSought) -> N
     if not members:
         del draft.switchovers[group.id]
         return
+    # Nothing of any member is placed before each has its plan: until then a death costs nothing.
     for identity, plan in members.items():
-        member = draft.connections[identity]
-        assert plan is not None, "each has one"
-        user = f"{identity}#{member.attempt}"
+        record = draft.connections[identity]
+        assert plan is not None, "every member has one"
+        user = f"{identity}#{record.attempt}"
         try:
-            placement = draft.place(member, plan, user, beside=True)
+            placement = draft.place(record, plan, user, beside=True)
         except ResolutionError as error:
             abandon(draft, group, str(error))
             return
-        draft.put(member, next=placement)
+        draft.put(record, next=placement)
     advance(draft, group)
 
 
@@ -149,10 +158,11 @@ def advance(draft: Draft, group: Switchover) -> None:
     is_open = True
     for identity in group.members:
         record = draft.connections[identity]
-        if record.next is None:
+        if record.next is None:  # it is being placed, in `found`
             return
+        # All are asked for, also after one that is not open: they open one after another anyway.
         lane = f"switchover {group.id}"
-        is_open = draft.open(record, record.next, lane, is_heard=False) and is_open
+        is_open = draft.open(record, record.next, lane, is_receiving=False) and is_open
         edges += record.next.edges
     if not is_open:
         return
@@ -161,6 +171,7 @@ def advance(draft: Draft, group: Switchover) -> None:
     except ResolutionError as error:
         abandon(draft, group, str(error))
         return
+    # From here on to `InputsSwitched` nothing takes this back: see `Switchover.is_switching`.
     draft.switchovers[group.id] = evolve(group, is_switching=True)
     draft.actions.append(SwitchInputs(f"switchover {group.id}", group.id, pairs))
 
@@ -169,22 +180,26 @@ def inputs_switched(draft: Draft, event: InputsSwitched) -> None:
     """Let the better plans be the ones that run; where that failed, look for any plan."""
     group = draft.switchovers.pop(event.switchover)
     for identity in group.members:
+        # Killed, or ended, while the inputs changed hands.
         record = draft.connections.get(identity)
-        if record is None or record.next is None or not record.goes_on:
+        if record is None or record.next is None or not record.is_active:
             continue
         failure = record.failure
         if event.error:
             what = "its move" if group.is_reconfiguration else "its return"
             cause = f"{what} failed: {event.error}"
             record = draft.put(drop_next(draft, record), switchover=0, available_since=None)
+            # Some inputs may have been switched and others not: it is a failure like a death, after
+            # which any plan that can be had is taken, the one so far included.
             failure = failure or ComponentFailure(group.began, cause, (), frozenset(), frozenset())
             seek(draft, draft.put(record, failure=failure))
             continue
         moves, cause = record.moves, _RECONFIGURED if group.is_reconfiguration else _RETURNED
         hand_over(draft, record, group.began, cause, is_planned=True)
         record = draft.connections[identity]
-        if group.is_reconfiguration:  # what somebody asked for is no sign of trouble
+        if group.is_reconfiguration:  # a move that was asked for is no sign of a failure
             record = draft.put(record, moves=moves)
+        # Deaths that came while the inputs changed hands were left for this moment.
         ids = set(record.placement.components.values())
         if any(draft.components[id_].is_lost for id_ in ids):
             lost = tuple(id_ for id_ in ids if draft.components[id_].is_lost)
@@ -198,7 +213,7 @@ def abandon(draft: Draft, group: Switchover, error: str) -> None:
     """Leave all where they are."""
     first = next(iter(group.members))
     draft.actions.append(Warn(first, f"stays where it is: {error}"))
-    cancel_switchover(draft, group.id, is_vain=True)
+    cancel_switchover(draft, group.id, is_abandoned=True)
 
 
 def _seek_for(draft: Draft, record: ConnectionRecord) -> None:
@@ -220,8 +235,8 @@ def _seek_for(draft: Draft, record: ConnectionRecord) -> None:
     )
 
 
-def _with_whom(draft: Draft, identity: str) -> tuple[str, ...]:
-    """Return who comes along with a connection: all with which it was about to return by itself.
+def _joining_with(draft: Draft, identity: str) -> tuple[str, ...]:
+    """Return the members that join with a connection: all with which it was about to return.
 
     An input changes hands once, so that of two returns that share one, one must be left.
     """
@@ -238,7 +253,7 @@ def _with_whom(draft: Draft, identity: str) -> tuple[str, ...]:
 
 
 def _serves(draft: Draft, record: ConnectionRecord, plan: Plan) -> bool:
-    """Say whether the plan that runs is the one that was found, and all of it may go on."""
+    """Say whether the plan that runs is the one that was found, and all of it may stay."""
     is_same = names(plan) == names(record.placement.plan)
     return is_same and not _is_superseded(draft, record)
 
@@ -260,7 +275,7 @@ def may_move(record: ConnectionRecord) -> bool:
 
 
 def look_for_preferred(draft: Draft, record: ConnectionRecord) -> None:
-    """Have somebody look for the preferred plan, when it is time."""
+    """Have it checked whether the preferred plan is available, when it is time."""
     if record.look_at is None or record.is_looking or record.preferred is None:
         return
     if record.look_at > draft.now:
@@ -269,6 +284,7 @@ def look_for_preferred(draft: Draft, record: ConnectionRecord) -> None:
     if not may_move(record):
         look_later(draft, record)
         return
+    # One look at a time: a bridge that hangs in it holds up no other connection's.
     draft.put(record, is_looking=True, look_at=None)
     lane = f"{record.id}?"
     draft.actions.append(
@@ -281,6 +297,7 @@ def preferred_checked(draft: Draft, event: PreferredChecked) -> None:
     record = draft.connections.get(event.connection)
     if record is None or record.preferred is None:
         return
+    # A look that was under way as the connection moved says nothing of the time since.
     record = draft.put(record, is_looking=False)
     if not event.is_available or not may_move(record):
         look_later(draft, draft.put(record, available_since=None))
@@ -293,18 +310,17 @@ def preferred_checked(draft: Draft, event: PreferredChecked) -> None:
     begin(draft, [record])
 
 
-_KNOWN_CHANGES = 16
-
-
 def configured(draft: Draft, event: Configured) -> None:
     """Take a configuration over, and have every connection that it concerns look for its plan."""
     draft.revision, draft.policy, draft.bridges = event.revision, event.policy, event.bridges
     draft.candidates, draft.replaced = 0, ()
     draft.configurers = (*draft.configurers, event.waiter)
+    # Before any connection is looked at: what is placed from here on shares nothing old.
     draft.supersede(event.superseded)
     for name in event.superseded:
         draft.failed.pop(name, None)
         draft.avoided.pop(name, None)
+    # Before the searches that follow, which are to be made in this revision.
     report = Announce("configuration", f"revision {event.revision}")
     draft.actions += [Adopt(event.revision), report]
     for identity in tuple(draft.connections):
@@ -319,15 +335,16 @@ def candidates_changed(draft: Draft, event: CandidatesChanged) -> None:
     """Know the bridges of the components that plans may have from now on.
 
     A connection that waits for a candidate looks again, and one that runs goes back to a better
-    candidate only where `failover.return_after` says so: what comes and goes moves nobody.
+    candidate only where `failover.return_after` says so: what comes and goes moves no connection.
     A plan that is being sought, or was found and is not in use yet, must not have what is gone.
     """
     draft.bridges = event.bridges
     draft.candidates = event.number
+    # Of searches that began longer ago than these, every result counts as outdated.
     draft.replaced = (*draft.replaced, event.superseded)[-_KNOWN_CHANGES:]
     seek_outdated(draft)
     look_soon(draft)
-    draft.actions.append(Announce("candidates", "changed", event.told))
+    draft.actions.append(Announce("candidates", "changed", event.summary))
 
 
 def _outdate(draft: Draft, record: ConnectionRecord) -> None:
@@ -335,7 +352,8 @@ def _outdate(draft: Draft, record: ConnectionRecord) -> None:
         cancel_switchover(draft, record.switchover)
         record = draft.connections[record.id]
     record = draft.put(record, preferred=None, available_since=None, look_at=None)
-    if record.failure is not None and record.goes_on and not record.switchover:
+    # One that needs a replacement anyway seeks it in the new configuration, and needs no move.
+    if record.failure is not None and record.is_active and not record.switchover:
         failure = evolve(record.failure, excluded=frozenset())
         seek(draft, draft.put(drop_next(draft, record), failure=failure))
     else:
@@ -347,40 +365,31 @@ def continue_reconfiguration(draft: Draft) -> None:
     if not draft.configurers:
         return
     records = [
-        draft.connections[connection]
-        for connection in sorted(draft.outdated & set(draft.connections))
+        record
+        for identity in sorted(draft.outdated & set(draft.connections))
+        if (record := draft.connections[identity]).state is not ConnectionState.CLOSING
     ]
-    records = [
-        connection_record
-        for connection_record in records
-        if connection_record.state is not ConnectionState.CLOSING
-    ]
-    draft.outdated = frozenset(connection_record.id for connection_record in records)
-    if _moves(draft) or any(
-        connection_record.state is ConnectionState.OPENING or connection_record.switchover
-        for connection_record in records
+    draft.outdated = frozenset(record.id for record in records)
+    # All move at once or not at all, so that what is opening or switching now is waited for. Each
+    # of these ends with an event, after which this is called again.
+    if any(group.is_reconfiguration for group in draft.switchovers.values()) or any(
+        record.state is ConnectionState.OPENING or record.switchover for record in records
     ):
         return
     draft.outdated = frozenset()
-    members = [
-        connection_record
-        for connection_record in records
-        if connection_record.failure is None and not connection_record.finished
-    ]
+    members = [record for record in records if record.failure is None and not record.finished]
     if members:
         begin(draft, members, is_reconfiguration=True)
         return
+    # What could not move by now is closed first. Then the requests that were in the way of moves,
+    # with plans that are sought anew: those that they had may be in the way still.
     _replace_what_is_left(draft)
     for identity in draft.postponed:
-        record = draft.connections.get(identity)
-        if record is not None and record.current is None:
-            draft.resolve(record)
+        postponed = draft.connections.get(identity)
+        if postponed is not None and postponed.current is None:
+            draft.resolve(postponed)
     draft.actions += map(Reply, draft.configurers)
     draft.postponed, draft.configurers = (), ()
-
-
-def _moves(draft: Draft) -> bool:
-    return any(group.is_reconfiguration for group in draft.switchovers.values())
 
 
 def _superseded(draft: Draft, record: ConnectionRecord) -> tuple[int, ...]:
@@ -399,7 +408,9 @@ def _replace_what_is_left(draft: Draft) -> None:
     """Close what the configuration has no more, and let connections that use it look further."""
     left: set[int] = set()
     for record in draft.connections.values():
-        if record.goes_on and record.failure is None and not record.finished:
+        if record.is_active and record.failure is None and not record.finished:
+            # In the lane in which `replace` has the next plan sought and opened: a device that can
+            # be open once is free by then.
             rest = _superseded(draft, record)
             left.update(rest)
             if rest:

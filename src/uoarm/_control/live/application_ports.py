@@ -38,11 +38,11 @@ _LAST_SECONDS = 0.5
 
 
 @define(eq=False)
-class _Heard:
-    """The route that is heard, if there is one: what its messages come to is told to it.
+class _DeliveringRoute:
+    """The route that delivers, if there is one: what its messages come to is reported to it.
 
     Attributes:
-        on_raised: told what a callback of the application raised first.
+        on_raised: called with what a callback of the application raised first.
     """
 
     on_raised: Callable[[str], None]
@@ -66,31 +66,31 @@ class OutputReceiver:
 
     Args:
         queue: what to do when the application is slower than the messages.
-        on_raised: told what a callback of the application raised first.
+        on_raised: called with what a callback of the application raised first.
 
     Attributes:
         inbox: where the application reads.
         arrived: how many messages have come so far.
-        began: how many had come before the plan that is heard now.
+        began: how many had come before the plan that delivers now.
     """
 
     def __init__(self, queue: QueuePolicy, on_raised: Callable[[str], None]) -> None:
-        self._heard = _Heard(on_raised)
+        self._delivering = _DeliveringRoute(on_raised)
         self._outlet: Outlet | None = None
-        self.inbox = Inbox(queue, self._heard.count_drop, self._heard.raised)
+        self.inbox = Inbox(queue, self._delivering.count_drop, self._delivering.raised)
         self.arrived = 0
         self.began = 0
 
     def route(
         self, provider: LiveComponent, output: str, user: str, mode: ValidationMode, clock: Clock
     ) -> Route:
-        """Make the route of a provider's output; before it is heard its messages are dropped.
+        """Make the route of a provider's output; before it delivers its messages are dropped.
 
         They are counted as `replaced`.
         """
 
         def arrive(message: Message) -> None:
-            if route is self._heard.route:
+            if route is self._delivering.route:
                 self.arrived += 1
                 self.inbox.put(message)
             else:
@@ -107,15 +107,15 @@ class OutputReceiver:
         route.judge = judge
         return route
 
-    def hear(self, route: Route | None, outlet: Outlet | None) -> None:
+    def deliver_from(self, route: Route | None, outlet: Outlet | None) -> None:
         """Let the messages of this route, from this outlet, through from now on; of no other."""
         self._outlet = outlet
-        if route is not self._heard.route:
-            self._heard.route = route
+        if route is not self._delivering.route:
+            self._delivering.route = route
             self.began = self.arrived
 
     def standing(self) -> tuple[Message, ...]:
-        """Return what stands at the output that is heard, the very objects that it delivers."""
+        """Return what stands at the output that delivers, the very objects that it delivers."""
         outlet = self._outlet
         return () if outlet is None else outlet.standing()
 
@@ -139,7 +139,7 @@ class Sender:
     """One application's route into one input.
 
     What goes to an input that moves something is looked at twice: as it is sent, so that the
-    sender is told who else commands it, and when its turn has come, after whatever queue there is.
+    sender learns which client commands it, and when its turn has come, after its queue.
 
     Args:
         live: the open component.
@@ -191,7 +191,7 @@ class Sender:
         """Hand one message over.
 
         Raises:
-            CommandRefusedError: the emergency stop holds the input, or somebody else its lease.
+            CommandRefusedError: the emergency stop holds the input, or another client its lease.
             MessageError: it does not match the input's structure, or has no form there.
             BridgeError: the component took it at once, and failed, or is not there.
         """
@@ -224,7 +224,7 @@ class Sender:
         return self._policy is not None and self._policy.stop is not None
 
     def stop(self, sender: LeaseHolder, timeout: float) -> None:
-        """Stop the input, and give its lease back; nothing where somebody else holds that.
+        """Stop the input, and give its lease back; nothing where another client holds that.
 
         What was sent before and waits in a queue is not sent any more.
 
@@ -283,7 +283,7 @@ class Sender:
     def flush(self, timeout: float) -> bool:
         """Wait until nothing waits; False when time ran out, or what was sent was not taken.
 
-        Each failure is told by one flush, the next after it.
+        Each failure is reported by one flush, the next after it.
         """
         drained = self._route.drain(timeout)
         report, self._failures = self._failures, self._route.failures
@@ -305,7 +305,7 @@ class ApplicationPorts:
     """What receives from one provider, and what feeds it.
 
     A plan that is replaced upstream of its provider leaves its ports to the next plan, so that
-    nothing is lost or heard twice on the way out of a component that stays.
+    nothing is lost or received twice on the way out of a component that stays.
 
     Args:
         provider: the open component that provides the function asked for.
@@ -330,7 +330,7 @@ class ApplicationPorts:
 
     @contextmanager
     def letting_through(self) -> Iterator[None]:
-        """Have the application hear the retained message, if any, after it began to hear these."""
+        """Give the application the retained message, if any, after it receives from these."""
         if self.route is None or self.output is None:
             yield
         else:

@@ -49,7 +49,7 @@ class LiveComponent:
         bridge: opens its channels.
         failures: watches what it raises.
         emergency_stop: holds its inputs that move something.
-        announce: told, in a sentence, when an input has another holder of its lease.
+        announce: called, with a sentence, when an input has another holder of its lease.
         replaced: components in whose place it comes: they are stopped, and take no commands any
             more, before the first one is sent here.
 
@@ -110,9 +110,9 @@ class LiveComponent:
         """How many messages were lost with it, as known now.
 
         What its closed channels took and did not deliver, what came when they were closed, and
-        what it emitted while nobody took it, as it was being let go.
+        what it emitted while no route took it, as it was being let go.
         """
-        undelivered = sum(outlet.unheard for outlet in self.outlets.values())
+        undelivered = sum(outlet.undelivered for outlet in self.outlets.values())
         return undelivered + sum(_lost(channel) for channel in tuple(self._closed))
 
     @property
@@ -232,7 +232,7 @@ class LiveComponent:
         return None if sink is None else sink.halt(timeout)
 
     def watch(self, name: str) -> InputWatch:
-        """Return what the routes into an input tell what became of messages."""
+        """Return what the routes into an input report to what became of messages."""
         return self._watches[name]
 
     def check(
@@ -291,7 +291,7 @@ class LiveComponent:
         )
 
     def _take_turn(self) -> None:
-        """Open nothing beside whoever opens something of it already; end it with `_end_turn`."""
+        """Open nothing beside another thread that does so already; end it with `_end_turn`."""
         if not self._busy.acquire(timeout=_BUSY_SECONDS):
             raise BridgeError(f"component {self.component.name!r} is still being opened")
         if self._doomed:
@@ -326,7 +326,7 @@ class LiveComponent:
 def _in_turn(
     turn: threading.Lock, is_over: Callable[[], bool], send: Callable[[Any], None]
 ) -> Callable[[Any], None]:
-    """Return a send that waits for its turn, but not when nobody waits for it any more."""
+    """Return a send that waits for its turn, but not when its caller waits no more."""
 
     def send_in_turn(given: Any) -> None:
         while not turn.acquire(timeout=_TURN_SECONDS):
@@ -355,8 +355,8 @@ def _channel_statuses(
     # A copy at once: channels open and close meanwhile.
     for name, channel in tuple(channels.items()):
         facts = facts_of(channel)
-        if name in outlets and outlets[name].unheard:
-            facts = (*facts, ("undelivered", outlets[name].unheard))
+        if name in outlets and outlets[name].undelivered:
+            facts = (*facts, ("undelivered", outlets[name].undelivered))
         if isinstance(channel, Source) and channel.unreadable:
             facts = (*facts, ("unreadable", channel.unreadable))
         lost = dict(facts).get("lost_on_link", 0)

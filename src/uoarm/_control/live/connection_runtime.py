@@ -169,7 +169,7 @@ class ConnectionRuntime:
     Args:
         identity: of the connection.
         queue: what to do when the application is slower than the messages.
-        on_raised: told what a callback of the application raised first.
+        on_raised: called with what a callback of the application raised first.
 
     Attributes:
         record: the connection as it was published last; None while its request is being resolved.
@@ -213,7 +213,7 @@ class ConnectionRuntime:
         """
         before, after = action.before, action.after
         self.ports = ports
-        self.receiver.hear(ports.route, ports.outlet)
+        self.receiver.deliver_from(ports.route, ports.outlet)
         stays = before.ports == after.ports
         gap = Gap(
             time=action.time,
@@ -226,7 +226,7 @@ class ConnectionRuntime:
             counted=False,
         )
         self._uncounted[before.user] = gap
-        if action.is_heard:  # else it was published before
+        if action.is_receiving:  # else it was published before
             self.record = action.record
         self.losses.add(gap)
 

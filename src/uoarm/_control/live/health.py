@@ -16,7 +16,7 @@ from uoarm._raised import LimitedLog, is_raised, text_of
 from uoarm.errors import MessageError
 from uoarm.model import FailureLimits, Health
 
-__all__ = ["FailureRule", "FailureWatch", "InputWatch", "OutputWatch", "Tell"]
+__all__ = ["FailureRule", "FailureWatch", "InputWatch", "Notify", "OutputWatch"]
 
 
 @define
@@ -82,7 +82,7 @@ class FailureRule:
 _ORDER = (Health.OK, Health.DEGRADED, Health.LOST)
 _TAKING = ""  # the name of no output
 
-Tell = Callable[[Health, str], None]
+Notify = Callable[[Health, str], None]
 """Takes a new verdict and its cause; must not block."""
 
 
@@ -117,7 +117,7 @@ class FailureWatch:
         name: of the component.
         limits: when it is lost.
         clock: seconds.
-        tell: told each time the verdict changes.
+        notify: called each time the verdict changes.
 
     Attributes:
         failed: how many messages or calls it raised on, and how many could not be read or did
@@ -127,12 +127,12 @@ class FailureWatch:
         is_alert: whether successes count, too: it has failed and is not well again.
     """
 
-    def __init__(self, name: str, limits: FailureLimits, clock: Clock, tell: Tell) -> None:
+    def __init__(self, name: str, limits: FailureLimits, clock: Clock, notify: Notify) -> None:
         self._name = name
         self._limits = limits
         self._rules: dict[Hashable, FailureRule] = {_TAKING: FailureRule(limits)}
         self._clock = clock
-        self._tell = tell
+        self._notify = notify
         self._lock = threading.Lock()
         self._records = LimitedLog(f"uoarm.component.{name}", clock=clock)
         self.failed = 0
@@ -152,8 +152,8 @@ class FailureWatch:
         self.note(_Deed.raising(place), 0, 1, text)
         self._log(place, text, error)
 
-    def told_later(self, place: str, taken: int, failed: int, text: str) -> None:
-        """Take in what a channel tells of messages that were sent before."""
+    def note_later_report(self, place: str, taken: int, failed: int, text: str) -> None:
+        """Take in what a channel reports of messages that were sent before."""
         self.note(_Deed.raising(place), taken, failed, text)
         if failed:
             self._log(place, text)
@@ -189,26 +189,26 @@ class FailureWatch:
             rule.note(taken, failed, self._clock())
             health, count = self.health, self.failed
             self.is_alert = health is not Health.OK
-            # Within the lock, so that verdicts are told in their order; nobody waits there for us.
+            # Within the lock, so that verdicts are reported in their order.
             if health is not before:
                 message = _cause(health, deed, count, text)
                 self.cause = "" if health is Health.OK else message
-                self._tell(health, message)
+                self._notify(health, message)
             return rule.health is not Health.OK
 
 
 class InputWatch:
-    """Watches one input: what a route that feeds it tells of its messages.
+    """Watches one input: what a route that feeds it reports of its messages.
 
     Args:
         component: watches all of it; the attribute, too.
         port: name of the input.
 
     Attributes:
-        is_later: whether the channel tells what became of messages, later than `send` returns.
+        is_later: whether the channel reports what became of messages, later than `send` returns.
         suspect: called, by edge that feeds it, when messages came that were wrong themselves.
-        refusal: why the last of those was not taken of which the channel told later; empty where
-            one was taken since.
+        refusal: why the last of those was not taken of which the channel reported later; empty
+            where one was taken since.
     """
 
     __slots__ = ("_place", "component", "is_later", "refusal", "suspect")
@@ -221,7 +221,7 @@ class InputWatch:
         self.suspect: dict[Hashable, Callable[[], None]] = {}
 
     def took(self) -> None:
-        """Take in that a message was taken, unless the channel tells that itself."""
+        """Take in that a message was taken, unless the channel reports that itself."""
         if not self.is_later:
             self.component.took()
 
@@ -241,7 +241,7 @@ class InputWatch:
         if failed or wrong or taken:
             self.refusal = text if failed or wrong else ""
         if failed or (taken and self.component.is_alert):
-            self.component.told_later(self._place, taken, failed, text)
+            self.component.note_later_report(self._place, taken, failed, text)
         if wrong:
             for suspect in tuple(self.suspect.values()):
                 suspect()

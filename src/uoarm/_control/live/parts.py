@@ -42,12 +42,12 @@ T = TypeVar("T")
 
 _HANGING = 4
 _DRAIN_SECONDS = 30.0
-_RUN_OUT_SECONDS = 2.0
+_PLAN_DRAIN_SECONDS = 2.0
 
 
 @define(eq=False)
 class Ending:
-    """Objects of which nobody else takes care any more, and what is accounted for with them.
+    """Objects in no other list any more, and what is accounted for with them.
 
     Attributes:
         user: the name under which the plan used them; empty: they were of none.
@@ -88,7 +88,7 @@ class LiveParts:
         bridges: gives the bridge of a component, starting it where it must.
         state: gives the state of this moment.
         clock: seconds.
-        judged: told, with a component's id, when the verdict on what it raises changes.
+        judged: called, with a component's id, when the verdict on what it raises changes.
         emergency_stop: holds all inputs that move something.
         announce: takes a subject, a change, its cause and the function, for listeners.
     """
@@ -112,7 +112,7 @@ class LiveParts:
         self.components: dict[int, LiveComponent] = {}
         self.edges: dict[int, LiveEdge] = {}
         self.ports: dict[int, ApplicationPorts] = {}
-        self._running_out: dict[str, Ending] = {}
+        self._draining: dict[str, Ending] = {}
         self._ending: set[LiveComponent] = set()
         self._hanging: dict[str, list[LiveComponent]] = {}
 
@@ -123,7 +123,7 @@ class LiveParts:
     def take(
         self, connection: str, parts: Parts, placement: Placement | None, lost: Iterable[int]
     ) -> Ending:
-        """Return the objects of parts that nobody uses any more, and what went with their plan.
+        """Return the objects of parts without a user, and what went with their plan.
 
         Args:
             connection: which accounts for it.
@@ -132,19 +132,19 @@ class LiveParts:
             lost: its components that died.
         """
         user = "" if placement is None else placement.user
-        ending = self._running_out.pop(user, None)
+        ending = self._draining.pop(user, None)
         if ending is None:
             ending = self._ending_of(connection, parts, placement, lost)
         ending.components = _there(self.components, parts.components)
-        # Before they are gone from the others: somebody may look.
+        # Before they are gone from the others: another thread may look.
         self._ending.update(ending.components)
         _taken(self.components, parts.components)
         return ending
 
-    def take_running_out(self, action: Finish) -> Ending:
-        """Return the objects of a plan that runs out; its components are still there for others."""
+    def take_draining(self, action: Finish) -> Ending:
+        """Return the objects of a plan that drains; its components are still there for others."""
         ending = self._ending_of(action.connection, action.parts, action.placement, action.lost)
-        self._running_out[action.placement.user] = ending
+        self._draining[action.placement.user] = ending
         return ending
 
     def is_quick(self, action: Open) -> bool:
@@ -200,7 +200,7 @@ class LiveParts:
             done.append(part)
 
     def close(self, ending: Ending, *, ends: bool) -> None:
-        """Close what nobody uses, and account for it.
+        """Close what has no user, and account for it.
 
         Args:
             ending: what to close.
@@ -224,7 +224,7 @@ class LiveParts:
             if joined in ending.edges:
                 joined.finish()
             if joined.consumer in ending.components:
-                joined.consumer.drain(_RUN_OUT_SECONDS)
+                joined.consumer.drain(_PLAN_DRAIN_SECONDS)
         for ports in ending.ports:
             ports.close()
 
@@ -307,7 +307,7 @@ class LiveParts:
             bridge,
             failures,
             self.emergency_stop,
-            lambda told: self._announce(subject, "leased", told, function),
+            lambda cause: self._announce(subject, "leased", cause, function),
             tuple(live for live in replaced if live.component.function == function),
         )
 
@@ -334,8 +334,8 @@ class LiveParts:
 
     def _receive(self, action: Open) -> None:
         runtime, ports = self._ports_of(action)
-        if action.is_heard:
-            runtime.receiver.hear(ports.route, ports.outlet)
+        if action.is_receiving:
+            runtime.receiver.deliver_from(ports.route, ports.outlet)
         ports.attach()  # an output that retains a message gives it at once
 
     def _send(self, action: Open) -> None:

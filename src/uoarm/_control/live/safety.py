@@ -114,10 +114,10 @@ class _Call:
     def hold(self, timeout: float) -> CommandStatus | str:
         """Cancel it, and wait for its end; say what came of it."""
         self.is_cancelled = True
-        is_told = self._bridge.cancel_call(self._number)
+        is_reported = self._bridge.cancel_call(self._number)
         if self.ended.wait(timeout):
             return CommandStatus(CommandPhase.STOPPED, since=0.0, held=True)
-        if is_told:
+        if is_reported:
             return "a call of it was cancelled, and has not ended yet"
         return "a call of it is under way, which its framework cannot cancel"
 
@@ -270,7 +270,7 @@ class EmergencyStop:
         """Let commands through again; what has stopped stays so until the next one.
 
         Raises:
-            BridgeError: inputs could not be told, which go on refusing commands; or nothing was
+            BridgeError: inputs could not be reached, which go on refusing commands; or nothing was
                 released, since the file cannot be removed, or another stop came meanwhile.
         """
         asked = self._asked
@@ -337,18 +337,18 @@ def _each(
         thread.join(max(0.0, deadline - time.monotonic()))
 
 
-def _outcome(moved: Sink | _Call, function: str, told: CommandStatus | str) -> StopOutcome:
+def _outcome(moved: Sink | _Call, function: str, answer: CommandStatus | str) -> StopOutcome:
     endpoint = moved.endpoint
     component, port = endpoint.component, endpoint.port
-    if isinstance(told, str):
-        return StopOutcome(function, component, port, stopped=False, cause=told)
-    if told.phase is CommandPhase.STOPPED and told.held:
-        return StopOutcome(function, component, port, stopped=True, since=told.since)
+    if isinstance(answer, str):
+        return StopOutcome(function, component, port, stopped=False, cause=answer)
+    if answer.phase is CommandPhase.STOPPED and answer.held:
+        return StopOutcome(function, component, port, stopped=True, since=answer.since)
     assert endpoint.command is not None, "only those are listed"
     if endpoint.command.stop is None:
         cause = "it has no stop message; commands are refused"
     else:
-        cause = told.cause or "it has not taken the stop message yet"
+        cause = answer.cause or "it has not taken the stop message yet"
     return StopOutcome(function, component, port, stopped=False, cause=cause)
 
 
@@ -387,7 +387,7 @@ class Lease:
         return ""
 
     def passes(self, sender: LeaseHolder, now: float) -> bool:
-        """Say whether a command that was let in still may go on: nobody else has it meanwhile."""
+        """Say whether a command that was let in may still go on: no other client has the input."""
         holder = self.holder(now)
         if holder is None or holder.id == sender.id:
             return True
@@ -420,8 +420,8 @@ class InputLease:
     Args:
         policy: of the input.
         place: of the input, `base.default`.
-        announce: told who holds it now, in a sentence, whenever that changes by what somebody did;
-            nobody is told when it lapses.
+        announce: called with a sentence on who holds it, whenever a client's call changes that;
+            a lapse is not announced.
         clock: seconds.
     """
 
@@ -442,7 +442,7 @@ class InputLease:
         """Give it to a sender or renew it; see `Lease.ask`.
 
         Raises:
-            CommandRefusedError: somebody else holds it, whom the text names.
+            CommandRefusedError: another client holds it, which the text names.
         """
         with self._lock:
             now = self._clock()
@@ -458,7 +458,7 @@ class InputLease:
         """Refuse a command whose sender has lost it since.
 
         Raises:
-            CommandRefusedError: somebody else holds it.
+            CommandRefusedError: another client holds it.
         """
         with self._lock:
             passes = self._lease.passes(sender, self._clock())
@@ -467,7 +467,7 @@ class InputLease:
             raise CommandRefusedError(text, "leased")
 
     def is_open_to(self, sender: LeaseHolder) -> bool:
-        """Say whether this sender holds it, or nobody does."""
+        """Say whether this sender holds it, or no client does."""
         with self._lock:
             holder = self._lease.holder(self._clock())
         return holder is None or holder.id == sender.id

@@ -28,7 +28,7 @@ class _Window:
 
     Attributes:
         route: one of the output's.
-        feeds: those into the component's inputs; of a native link nobody knows what passes.
+        feeds: those into the component's inputs; of a native link it is not known what passes.
         count: of the messages of that route at the beginning.
         reached: how many had passed each of the feeds then.
     """
