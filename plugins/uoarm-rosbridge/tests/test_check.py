@@ -16,7 +16,7 @@ from uoarm.testing import patience
 def test_doctor_names_the_endpoint() -> None:
     command = [sys.executable, "-m", "uoarm", "doctor", "--json"]
     done = subprocess.run(command, capture_output=True, check=True, timeout=patience())
-    found = json.loads(done.stdout)["rosbridge"]
+    found = json.loads(done.stdout)["rosbridge server"]
     assert found == {"usable": "yes", "endpoint": "/rosbridge of uoarm serve"}
 
 

@@ -22,4 +22,4 @@ def _run() -> dict[str, str]:
 @hookimpl
 def uoarm_checks() -> list[Check]:
     """Return the check of this plugin."""
-    return [Check("rosbridge", _run, contract=1)]
+    return [Check("rosbridge server", _run, contract=1)]
