@@ -127,13 +127,29 @@ def find_replacement(
     Raises:
         ResolutionError: there is none; the text says why each candidate is none.
     """
-    while True:
+    failed = tuple(name for name in failed if name not in excluded)
+
+    def found_without(*, first: int) -> Plan | None:
         try:
-            return _find(plan, output, excluded.union(failed), resolve)
+            return _find(plan, output, excluded.union(failed[first:]), resolve)
         except ResolutionError:
-            if not failed:
-                raise
-            failed = failed[1:]
+            return None
+
+    found = found_without(first=0) if failed else None
+    if found is not None:
+        return found
+    found = _find(plan, output, excluded, resolve)  # where even this fails, nothing helps
+    # As few as possible of those that failed longest ago are allowed. What is found with fewer is
+    # found with more, so that halving finds them: thousands may have died with one bridge.
+    too_few, enough = 0, len(failed)
+    while enough - too_few > 1:
+        middle = (too_few + enough) // 2
+        with_fewer = found_without(first=middle)
+        if with_fewer is None:
+            too_few = middle
+        else:
+            found, enough = with_fewer, middle
+    return found
 
 
 def _find(plan: Plan, output: str | None, excluded: frozenset[str], resolve: Resolve) -> Plan:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Container, Iterable, Mapping
+from collections.abc import Set as AbstractSet
 from itertools import chain
 from typing import Any, TypeVar
 
@@ -68,6 +69,7 @@ class Draft:
     def __init__(self, state: State, now: float) -> None:
         self.now = now
         self.actions: list[Action] = []
+        self._failed_lately: tuple[str, ...] | None = None
         # Copies: where a step raises, the executor goes on with the state before it, untouched.
         self.policy = state.policy
         self.bridges = state.bridges
@@ -259,26 +261,35 @@ class Draft:
             self._unlist(joined)
         return tuple(joined.id for joined in ended)
 
-    def failed_lately(self) -> tuple[str, ...]:
-        """Return the components that died within the last minutes, longest ago first."""
-        recent = recently(self.failed, self.now)
-        return tuple(name for name in self.failed if name in recent)
+    def failed_lately(self, but: AbstractSet[str]) -> tuple[str, ...]:
+        """Return the components that died within the last minutes, longest ago first.
+
+        Args:
+            but: those that are left out.
+        """
+        # Once for all connections that seek in one step: thousands may, after as many deaths. What
+        # changes `failed` in a step does so before the first of them seeks.
+        if self._failed_lately is None:
+            recent = recently(self.failed, self.now)
+            self._failed_lately = tuple(name for name in self.failed if name in recent)
+        failed = self._failed_lately
+        if self.failed.keys().isdisjoint(but):
+            return failed
+        return tuple(name for name in failed if name not in but)
 
     def supersede(self, names: Iterable[str]) -> None:
         """Share components no more that are others in the configuration from now on.
 
         They keep their users; other edges may feed their consumers after a switchover.
         """
-        for name in names:
-            number = self.serving.pop(name, None)
-            if number is None:
-                continue
+        numbers = {self.serving.pop(name) for name in names if name in self.serving}
+        for number in numbers:
             self.components[number] = self.components[number]._replace(is_superseded=True)
-            # Edges into it leave `feeding` with it: that is by name, and the next instance of this
-            # name has inputs of its own. Edges out of it stay, as their consumers serve still.
-            for joined in self.edges.values():
-                if joined.consumer == number:
-                    self._unlist(joined)
+        # Edges into them leave `feeding` with them: that is by name, and the next instance of a
+        # name has inputs of its own. Edges out of them stay, as their consumers serve still.
+        for joined in self.edges.values() if numbers else ():
+            if joined.consumer in numbers:
+                self._unlist(joined)
 
     def open(
         self, record: ConnectionRecord, placement: Placement, lane: str, *, is_receiving: bool

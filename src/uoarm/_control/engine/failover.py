@@ -5,8 +5,6 @@ How a connection ends is here, too, and how a plan that was opened for it is aba
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-
 from attrs import evolve
 
 from uoarm._control.engine.actions import (
@@ -158,13 +156,7 @@ def look_later(draft: Draft, record: ConnectionRecord) -> None:
 
 def health_reported(draft: Draft, event: HealthReported) -> None:
     """Note the health of components; end what finished, replace what was lost."""
-    # Candidates may be open that were discovered once and are seen no more.
-    there = {key: draft.components[n].step.component.bridge for key, n in draft.serving.items()}
-    concerned = [
-        name
-        for name, bridge in {**draft.bridges, **there}.items()
-        if bridge == event.bridge and event.component in {None, name}
-    ]
+    concerned = _concerned(draft, event)
     is_lost = event.health is Health.LOST
     # Before anything is sought below: a search must ask anew, not use what was known before.
     draft.actions.append(Forget(tuple(concerned)))
@@ -195,6 +187,21 @@ def health_reported(draft: Draft, event: HealthReported) -> None:
         look_soon(draft)  # what is not open may be a candidate again
 
 
+def _concerned(draft: Draft, event: HealthReported) -> list[str]:
+    """Return the names of the components that a report is about."""
+    # Candidates may be open that were discovered once and are seen no more.
+    name = event.component
+    if name is not None:
+        number = draft.serving.get(name)
+        bridge = draft.bridges.get(name)
+        if number is not None:
+            bridge = draft.components[number].step.component.bridge
+        return [name] if bridge == event.bridge else []
+    there = {key: draft.components[n].step.component.bridge for key, n in draft.serving.items()}
+    bridges = {**draft.bridges, **there}
+    return [name for name, bridge in bridges.items() if bridge == event.bridge]
+
+
 def _judge_service(draft: Draft, name: str, event: HealthReported) -> None:
     """Note that a service, of which nothing is open, raises or answers again."""
     subject = f"component {name}"
@@ -219,7 +226,7 @@ def _note(draft: Draft, record: ComponentRecord, event: HealthReported) -> Compo
 def _finish(draft: Draft, component: ComponentRecord) -> None:
     """Have connections end when what is under way has arrived."""
     for record in tuple(draft.connections.values()):
-        if not _uses(record.current, [component.id]) or record.finished:
+        if not _uses(record.current, frozenset({component.id})) or record.finished:
             continue
         if record.state is ConnectionState.CLOSING:
             continue
@@ -251,8 +258,8 @@ def _lose(draft: Draft, lost: list[int], concerned: frozenset[str], event: Healt
 def replace(draft: Draft, failure: ComponentFailure) -> None:
     """Let no message through what was lost, and have the connections that use it do without."""
     # First all edges, then the connections: what one of them finds may not use another's dead.
-    lost = failure.lost
-    draft.actions.append(Stop(draft.lose(lost)))
+    lost = frozenset(failure.lost)
+    draft.actions.append(Stop(draft.lose(failure.lost)))
     for identity in tuple(draft.connections):
         # Read anew: what was done for one before may have changed it, as members of a switchover.
         record = draft.connections[identity]
@@ -268,6 +275,11 @@ def _lose_current(draft: Draft, record: ConnectionRecord, failure: ComponentFail
     """Replace the plan that runs, or end; an end while it is opened is the request's failure."""
     # A second death while the first is being replaced adds to it: the gap counts from the first.
     before = record.failure
+    # Its own alone: a bridge may have died with thousands, and every plan counts what it lost.
+    ids = frozenset(record.placement.components.values())
+    if record.next is not None:
+        ids |= frozenset(record.next.components.values())
+    failure = evolve(failure, lost=tuple(number for number in failure.lost if number in ids))
     if before is not None:
         failure = evolve(
             before,
@@ -286,7 +298,7 @@ def _lose_current(draft: Draft, record: ConnectionRecord, failure: ComponentFail
     elif record.switchover:
         cancel_switchover(draft, record.switchover)
         seek(draft, draft.connections[record.id])
-    elif _uses(record.next, failure.lost):
+    elif _uses(record.next, frozenset(failure.lost)):
         seek(draft, drop_next(draft, record))
     elif record.next is None:
         seek(draft, record)
@@ -323,7 +335,7 @@ def seek(draft: Draft, record: ConnectionRecord) -> None:
             plan=record.placement.plan,
             output=record.output,
             excluded=failure.excluded,
-            failed=tuple(name for name in draft.failed_lately() if name not in runs),
+            failed=draft.failed_lately(but=runs),
             avoided=recently(draft.avoided, draft.now),
         )
     )
@@ -470,5 +482,5 @@ def _seek_without(draft: Draft, record: ConnectionRecord, more: frozenset[str]) 
     seek(draft, draft.put(record, failure=failure))
 
 
-def _uses(placement: Placement | None, components: Iterable[int]) -> bool:
-    return placement is not None and not set(placement.components.values()).isdisjoint(components)
+def _uses(placement: Placement | None, components: frozenset[int]) -> bool:
+    return placement is not None and not components.isdisjoint(placement.components.values())

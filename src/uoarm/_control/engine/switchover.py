@@ -228,7 +228,7 @@ def _seek_for(draft: Draft, record: ConnectionRecord) -> None:
             plan=record.placement.plan,
             output=record.output,
             excluded=frozenset(),
-            failed=draft.failed_lately() if is_reconfiguration else (),
+            failed=draft.failed_lately(frozenset()) if is_reconfiguration else (),
             avoided=recently(draft.avoided, draft.now),
             switchover=record.switchover,
         )
