@@ -312,6 +312,10 @@ class Draft:
             )
         return not missing
 
+    def is_open(self, placement: Placement) -> bool:
+        """Say whether all of a plan is open."""
+        return all(self.parts.get(part) == OPEN for part in placement.parts)
+
     def settle(self, batch: Batch, done: Iterable[Part]) -> Parts:
         """Note what became of a batch that is over; return what was opened and has no user."""
         for part in batch.parts:

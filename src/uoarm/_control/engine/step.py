@@ -151,7 +151,7 @@ def _advance(draft: Draft, record: ConnectionRecord) -> None:
         if draft.open(record, record.current, record.waiter, is_receiving=True):
             _run(draft, record)
     elif record.next is not None and record.switchover:
-        switchover.advance(draft, draft.switchovers[record.switchover])
+        switchover.advance(draft, draft.switchovers[record.switchover], (record.id,))
     elif record.next is not None:
         failover.advance(draft, record)
 

@@ -8,7 +8,7 @@ the configuration has no more is closed first and replaced like what died.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 from attrs import evolve
 
@@ -108,7 +108,7 @@ def found(draft: Draft, record: ConnectionRecord, event: ReplacementSought) -> N
         return
     # An input that this plan takes from another connection would stop that one's messages; so it
     # moves, too, where it may. Where it may not, `switch_inputs` refuses in the end, and all stay.
-    for identity in sorted(rivals - set(members)):
+    for identity in sorted(rival for rival in rivals if rival not in members):
         for member in _joining_with(draft, identity):
             draft.put(drop_next(draft, draft.connections[member]), switchover=group.id)
             members[member] = None
@@ -131,7 +131,7 @@ def found(draft: Draft, record: ConnectionRecord, event: ReplacementSought) -> N
             abandon(draft, group, str(error))
             return
         draft.put(record, next=placement)
-    advance(draft, group)
+    advance(draft, group, members)
 
 
 def seek_outdated(draft: Draft) -> None:
@@ -150,22 +150,23 @@ def seek_outdated(draft: Draft) -> None:
         draft.switchovers[group.id] = evolve(group, members=members)
 
 
-def advance(draft: Draft, group: Switchover) -> None:
-    """Have what is missing opened; let the inputs change hands when all is open."""
+def advance(draft: Draft, group: Switchover, members: Iterable[str]) -> None:
+    """Have what is missing of these members opened; switch the inputs when all is open."""
     if group.is_switching:
         return
-    edges: list[int] = []
     is_open = True
-    for identity in group.members:
+    for identity in members:
         record = draft.connections[identity]
         if record.next is None:  # it is being placed, in `found`
             return
         # All are asked for, also after one that is not open: they open one after another anyway.
         lane = f"switchover {group.id}"
         is_open = draft.open(record, record.next, lane, is_receiving=False) and is_open
-        edges += record.next.edges
-    if not is_open:
+    # The last member first: it opens last, so that the end of each batch looks at few of them.
+    plans = [draft.connections[identity].next for identity in reversed(tuple(group.members))]
+    if not is_open or not all(plan is not None and draft.is_open(plan) for plan in plans):
         return
+    edges = [edge for plan in reversed(plans) if plan is not None for edge in plan.edges]
     try:
         pairs = draft.switch_inputs(edges)
     except ResolutionError as error:
