@@ -62,7 +62,7 @@ def client(url: str, *, path: str = "/", binary: bool = False) -> Iterator[Clien
         yield made
 
 
-def told(frame: str | bytes) -> str:
+def kind_of_answer(frame: str | bytes) -> str:
     """Return what one message of the server comes to, in a few words."""
     message: Any = json.loads(frame) if isinstance(frame, str) else cbor2.loads(frame)
     kind = message.get("op")
@@ -79,7 +79,7 @@ def answers(made: ClientConnection, count: int, seconds: float = SECONDS) -> str
     end = time.monotonic() + seconds
     try:
         while came.total() < count:
-            came[told(made.recv(timeout=max(0.0, end - time.monotonic())))] += 1
+            came[kind_of_answer(made.recv(timeout=max(0.0, end - time.monotonic())))] += 1
     except TimeoutError:
         came["no answer"] = count - came.total()
     except ConnectionClosed as error:
@@ -160,10 +160,10 @@ def hanging_calls(url: str) -> str:
 
 
 def wrong_type(url: str) -> str:
-    with client(url, path="/rosbridge") as one, client(url, path="/rosbridge") as other:
-        one.send('{"op":"subscribe","topic":"/chatter","type":"a/Wrong"}')
-        one.send('{"op":"call_service","service":"/rosapi/get_time"}')
-        answers(one, 1)
+    with client(url, path="/rosbridge") as subscriber, client(url, path="/rosbridge") as other:
+        subscriber.send('{"op":"subscribe","topic":"/chatter","type":"a/Wrong"}')
+        subscriber.send('{"op":"call_service","service":"/rosapi/get_time"}')
+        answers(subscriber, 1)
         other.send('{"op":"advertise","topic":"/chatter","type":"a/Right","id":"a"}')
         other.send('{"op":"call_service","service":"/rosapi/get_time"}')
         first = answers(other, 1)
@@ -210,9 +210,11 @@ def half_open(url: str) -> str:
     made = []
     with suppress(OSError):
         for _ in range(500):
-            one = socket.create_connection((str(parts.hostname), int(parts.port or 0)), timeout=2)
-            one.sendall(b"GET / HTTP/1.1\r\nHost: ")
-            made.append(one)
+            client = socket.create_connection(
+                (str(parts.hostname), int(parts.port or 0)), timeout=2
+            )
+            client.sendall(b"GET / HTTP/1.1\r\nHost: ")
+            made.append(client)
     time.sleep(SECONDS)
     return f"{len(made)} open"
 
@@ -225,10 +227,12 @@ def two_hosts(url: str) -> str:
         ("//[x", "Host: localhost\r\n"),
     ):
         for _ in range(100):
-            with socket.create_connection((str(parts.hostname), int(parts.port or 0))) as one:
-                one.settimeout(SECONDS)
-                one.sendall(f"GET {line} HTTP/1.1\r\n{more}\r\n".encode())
-                came[one.recv(100).decode(errors="replace").partition("\r\n")[0][9:] or "cut"] += 1
+            with socket.create_connection((str(parts.hostname), int(parts.port or 0))) as client:
+                client.settimeout(SECONDS)
+                client.sendall(f"GET {line} HTTP/1.1\r\n{more}\r\n".encode())
+                came[
+                    client.recv(100).decode(errors="replace").partition("\r\n")[0][9:] or "cut"
+                ] += 1
     return ", ".join(f"{count} x {what}" for what, count in came.items())
 
 
@@ -251,18 +255,18 @@ def unfinished(clients: int, frames: bytes) -> Callable[[str], str]:
     def run(url: str) -> str:
         came: Counter[str] = Counter()
         made = [plain(url, deflate=True) for _ in range(clients)]
-        for one in made:
-            one.settimeout(SECONDS)
+        for client in made:
+            client.settimeout(SECONDS)
             with suppress(OSError):
-                one.sendall(frames)
+                client.sendall(frames)
         end = time.monotonic() + SECONDS
         while time.monotonic() < end:
-            for one in made:
+            for client in made:
                 with suppress(OSError):
-                    one.sendall(masked(0x8A, b""))
+                    client.sendall(masked(0x8A, b""))
             time.sleep(0.5)
-        for one in made:
-            came[ending(one)] += 1
+        for client in made:
+            came[ending(client)] += 1
         return ", ".join(f"{count} x {what}" for what, count in came.items())
 
     return run

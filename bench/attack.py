@@ -229,7 +229,7 @@ async def attack(name: str, source: Path) -> tuple[str, ...]:
             caller, stopper = Client(call_socket), Client(stop_socket)
             beside = [asyncio.ensure_future(caller.call()), asyncio.ensure_future(stopper.stop())]
             await asyncio.sleep(QUIET_SECONDS)
-            quiet, quiet_stop = (statistics.median(one.take()) for one in (caller, stopper))
+            quiet, quiet_stop = (statistics.median(client.take()) for client in (caller, stopper))
             before = use(process.pid)
             answer, peak = await attacked(name, url, process.pid)
             waits, stops = caller.take(), stopper.take()

@@ -138,8 +138,8 @@ async def service_call(peer: Peer) -> list[float]:
         async def call() -> None:
             fields = {"id": "1", "args": {"data": True}, "type": "std_srvs/SetBool"}
             await reader.send("call_service", "toggle", "service", **fields)
-            told = await reader.receive()
-            assert told["result"], told
+            message = await reader.receive()
+            assert message["result"], message
 
         return sorted([await timed(call()) for _ in range(1000)][50:])
 
@@ -156,8 +156,8 @@ async def flow(peer: Peer, source: str) -> str:
         return f"{rate:,.0f}, {lost:.1%} lost, {_each(peer, busy, count)}"
 
 
-def _stamp(told: Any) -> tuple[int, int]:
-    number, moment, _ = told["msg"]["data"].split(" ", 2)
+def _stamp(message: Any) -> tuple[int, int]:
+    number, moment, _ = message["msg"]["data"].split(" ", 2)
     return int(number), int(moment)
 
 

@@ -164,7 +164,7 @@ def test_a_callback_that_fails_is_logged_and_the_next_call_is_done(
     pool.close()
 
 
-def test_what_has_not_begun_when_it_closes_is_dropped_and_told_so() -> None:
+def test_what_has_not_begun_when_it_closes_is_dropped_and_reported() -> None:
     before = Census()
     pool = WorkerPool("test", 1)
     gate, begun = threading.Event(), threading.Event()

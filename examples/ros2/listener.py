@@ -17,7 +17,7 @@ def main() -> None:
     node = Node("listener")
     received = 0
 
-    def hear(face: RegionOfInterest) -> None:
+    def show(face: RegionOfInterest) -> None:
         nonlocal received
         received += 1
         place = f"({face.x_offset}, {face.y_offset})"
@@ -25,7 +25,7 @@ def main() -> None:
         if received == most:
             raise ExternalShutdownException
 
-    node.create_subscription(RegionOfInterest, "/face", hear, 10)
+    node.create_subscription(RegionOfInterest, "/face", show, 10)
     try:
         rclpy.spin(node)
     except (KeyboardInterrupt, ExternalShutdownException):

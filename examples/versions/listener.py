@@ -17,12 +17,12 @@ def main() -> None:
     node = Node("listener")
     name = Path(sys.prefix).name
 
-    def hear(message: String) -> None:
+    def show(message: String) -> None:
         nonlocal left
         left -= 1
         print(f"{name} heard: {message.data}", flush=True)
 
-    node.create_subscription(String, "/chatter", hear, 10)
+    node.create_subscription(String, "/chatter", show, 10)
     while left > 0:
         rclpy.spin_once(node, timeout_sec=0.5)
     node.destroy_node()

@@ -74,10 +74,10 @@ def serve(port: int, console: Console) -> None:
     with RobotManager(endless(HERE / "robot.yaml")) as robot:
         enrol_persons(robot.resolve("faceRecognition"), footage, console)
         with robot.request("faceRecognition", on_message=ignore):
-            run(robot, ServerOptions(port=port), partial(tell, console))
+            run(robot, ServerOptions(port=port), partial(announce, console))
 
 
-def tell(console: Console, server: Server) -> None:
+def announce(console: Console, server: Server) -> None:
     """Say where the pictures are: the dashboard shows them once they are asked for."""
     page = f"http://127.0.0.1:{server.ports[0]}/#/graph/function/faceRecognition/use"
     console.print(f"open {page}", "and press Watch; Ctrl-C ends", sep="\n", soft_wrap=True)

@@ -370,7 +370,7 @@ def test_an_enum_map_must_name_every_value() -> None:
     assert "'RUN'" in verdict.reasons[0].sentence
 
 
-def test_every_mistake_of_a_mapping_is_told() -> None:
+def test_every_mistake_of_a_mapping_is_reported() -> None:
     with pytest.raises(MappingError) as caught:
         parse({"a": {"form": "x"}, "b": {"const": 1, "scale": 2}, "c": 7, "d": "x", "d.e": "y"})
     for part in ("'form'", "const stands alone", "map.c", "fill the same field"):
@@ -440,9 +440,9 @@ def test_a_clamp_works_on_arrays_of_every_kind_and_leaves_nan() -> None:
         ({"from": "state", "clamp": [0, 1]}, "needs a number"),
     ],
 )
-def test_a_clamp_that_cannot_be_is_refused(rule: dict[str, Any], told: str) -> None:
+def test_a_clamp_that_cannot_be_is_refused(rule: dict[str, Any], expected: str) -> None:
     verdict = check_edge(MessageStructure(SOURCE), MessageStructure(ANY), {"a": rule})
-    assert told in verdict.reasons[0].sentence
+    assert expected in verdict.reasons[0].sentence
 
 
 WITHOUT_PINT = """

@@ -101,7 +101,7 @@ class AnyOrder(RuleBasedStateMachine):
             assert self.last == {"stop"}
 
     @invariant()
-    def whoever_moves_will_be_woken(self) -> None:
+    def what_moves_will_be_woken(self) -> None:
         if self.state.phase is CommandPhase.MOVING:
             assert self.state.wake_at() <= self.now + LIFETIME
 

@@ -125,7 +125,7 @@ def test_a_bridge_that_hangs_is_given_up_and_what_opens_late_is_closed() -> None
     assert bridge.open_channels == 0
 
 
-def test_a_bridge_that_lies_about_its_results_is_told_so() -> None:
+def test_a_bridge_that_lies_about_its_results_is_refused() -> None:
     bridge = Puppet()
     with pytest.raises(BridgeError, match="breaks the contract") as caught:
         bridge.open_sink(ENDPOINT, ANY)
@@ -171,16 +171,16 @@ def test_an_inner_step_that_hangs_is_the_one_that_is_named() -> None:
     gate.set()
 
 
-def test_the_name_of_a_step_is_put_together_only_where_it_is_told(
+def test_the_name_of_a_step_is_put_together_only_where_it_is_shown(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     reports: list[Endpoint] = []
 
-    def tell(endpoint: Endpoint) -> str:
+    def counted(endpoint: Endpoint) -> str:
         reports.append(endpoint)
         return "the camera"
 
-    monkeypatch.setattr(Endpoint, "__str__", tell)
+    monkeypatch.setattr(Endpoint, "__str__", counted)
     bridge = Puppet()
     bridge.open_source(ENDPOINT, ANY, lambda _: None).close()
     assert not reports
@@ -206,7 +206,7 @@ def point(name: str, module: str) -> EntryPoint:
     return EntryPoint(name, module, "uoarm.bridges")
 
 
-def test_a_broken_plugin_is_reported_and_hurts_nobody() -> None:
+def test_a_broken_plugin_is_reported_and_hurts_no_other() -> None:
     registry = Registry([point("broken", "no_such_module_at_all"), point("python", "uoarm.local")])
     assert list(registry.types) == ["python"]
     (problem,) = registry.problems
@@ -294,21 +294,24 @@ def test_a_silence_names_what_came_and_could_not_be_read(take: Callable[[], Any]
     bridge.watch(events.append)
     channel = bridge.open_source(ENDPOINT, ANY, got if callable(got) else got.append)
 
-    def told(health: Health = Health.LOST) -> str:
+    def reported_cause(health: Health = Health.LOST) -> str:
         bridge.report(health, "no message for 5 s", channel=channel)
         return events[-1].cause
 
-    assert told() == "no message for 5 s"
+    assert reported_cause() == "no message for 5 s"
     bridge.deliver.unreadable("cut short")
-    assert told() == "no message for 5 s; the last message that came cannot be read: cut short"
-    assert told(Health.FINISHED) == told(Health.OK) == "no message for 5 s"
+    assert (
+        reported_cause()
+        == "no message for 5 s; the last message that came cannot be read: cut short"
+    )
+    assert reported_cause(Health.FINISHED) == reported_cause(Health.OK) == "no message for 5 s"
     bridge.report(Health.LOST, "it is cut short again", channel=channel)
     assert events[-1].cause == "it is cut short again"
     bridge.deliver.readable()
-    assert told() == "no message for 5 s"
+    assert reported_cause() == "no message for 5 s"
     bridge.deliver.unreadable("cut short")
     bridge.deliver(1)
-    assert told() == "no message for 5 s"
+    assert reported_cause() == "no message for 5 s"
 
 
 def test_a_bridge_that_keeps_the_limit_of_a_call_says_what_it_waited_for() -> None:

@@ -90,7 +90,7 @@ def stopped(sink: Sink) -> bool:
     return phase(sink) is CommandPhase.STOPPED
 
 
-def test_a_command_that_nobody_renews_is_followed_by_one_stop(base: Base) -> None:
+def test_a_command_that_is_not_renewed_is_followed_by_one_stop(base: Base) -> None:
     sink = base.open_sink(ENDPOINT, ANY)
     assert phase(sink) is CommandPhase.IDLE
     sink.send(GO)
@@ -116,7 +116,7 @@ def test_what_is_too_old_is_refused_with_both_figures(base: Base) -> None:
     assert base.taken == []
 
 
-def test_a_stop_that_is_not_taken_is_told_and_sent_until_it_is(base: Base) -> None:
+def test_a_stop_that_is_not_taken_is_reported_and_sent_until_it_is(base: Base) -> None:
     events: list[HealthEvent] = []
     base.watch(events.append)
     base.refuses = True
@@ -195,7 +195,7 @@ def test_a_stop_has_arrived_before_its_input_is_closed(base: Base, how: str) -> 
     assert base.drained == [[GO, STOP]]
 
 
-def test_an_input_that_was_told_nothing_is_closed_at_once(base: Base) -> None:
+def test_an_input_that_was_sent_nothing_is_closed_at_once(base: Base) -> None:
     base.open_sink(ENDPOINT, ANY).close()
     assert base.drained == []
 
@@ -223,7 +223,7 @@ def test_a_machine_that_was_suspended_lets_no_command_through_before_its_stop() 
 
 
 @pytest.mark.skipif(not hasattr(time, "CLOCK_BOOTTIME"), reason="Linux has it")
-def test_commands_expire_by_a_clock_that_nobody_sets_and_that_goes_on_in_a_suspension(
+def test_commands_expire_by_a_clock_that_is_not_set_and_that_goes_on_in_a_suspension(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     asked: list[int] = []

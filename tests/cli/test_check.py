@@ -84,8 +84,8 @@ def test_a_request_says_the_hint_first_too(folder: Path, component: str) -> None
         pytest.raises(ResolutionError) as caught,
     ):
         robot.resolve("asked")
-    told = str(caught.value)
-    assert told.index("a type hint") < told.index("declare it in the configuration")
+    output = str(caught.value)
+    assert output.index("a type hint") < output.index("declare it in the configuration")
 
 
 @pytest.mark.parametrize(
@@ -131,8 +131,8 @@ def test_it_ends_with_what_was_not_looked_at(folder: Path) -> None:
         "  components of bridge far (nowhere): are they there, of such types?",
         "  do messages fit from component to component?",
     ]
-    told = json.loads(CliRunner().invoke(main, [*arguments, "--json"]).stdout)
-    assert told["unchecked"] == [line.strip() for line in last[1:]]
+    output = json.loads(CliRunner().invoke(main, [*arguments, "--json"]).stdout)
+    assert output["unchecked"] == [line.strip() for line in last[1:]]
 
 
 def test_what_a_plugin_doubts_is_a_warning_at_its_place(
@@ -150,7 +150,7 @@ def test_what_a_plugin_doubts_is_a_warning_at_its_place(
     types = {**Registry().types, "doubting": memory_type(doubts)}
     report = inspect(file, types, parameters=True, missing=str)
     assert asked == [({}, frozenset({("/a", "wrong"), ("/b",)}))]
-    assert [(one.path, one.sentence) for one in report.warnings] == [
+    assert [(warning.path, warning.sentence) for warning in report.warnings] == [
         ("$.bridges.doubting", "an option is odd"),
         ("$.functions.f.components[0].output.endpoint", "there is no type 'wrong'"),
     ]

@@ -38,7 +38,7 @@ def _without_its_package() -> dict[str, str]:
     return {"usable": import_module("no_such_module").__name__}
 
 
-def test_what_a_plugin_lacks_is_told_with_the_command_that_brings_it(
+def test_what_a_plugin_lacks_is_reported_with_the_command_that_brings_it(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     (python,) = (entry for entry in entry_points(group="uoarm.bridges") if entry.name == "python")

@@ -153,7 +153,7 @@ def test_check_counts_what_is_there(robot: str) -> None:
     assert "no errors (functions: 14, bridges: 1)" in result.output
 
 
-def test_check_exits_with_three_and_tells_where(tmp_path: Path) -> None:
+def test_check_exits_with_three_and_says_where(tmp_path: Path) -> None:
     file = tmp_path / "bad.yaml"
     file.write_text("version: 1\nbridges: {}\nfunctions: {a: {components: []}}\n")
     result = run("check", str(file), "--json")
@@ -175,8 +175,8 @@ def test_resolve_explains(robot: str) -> None:
 def test_resolve_shows_where_a_function_is_offered(robot: str) -> None:
     with Path(robot).open("a") as file:
         file.write("offer: {python: {count: {output: {endpoint: ['cli_counting:keep']}}}}\n")
-    told = run("resolve", "count", "-f", robot, "--explain").output
-    assert told.endswith("offered in python at cli_counting:keep\n")
+    result = run("resolve", "count", "-f", robot, "--explain").output
+    assert result.endswith("offered in python at cli_counting:keep\n")
     plan = json.loads(run("resolve", "count", "-f", robot, "--json").stdout)
     assert plan["offers"] == [{"bridge": "python", "endpoints": [["cli_counting:keep"]]}]
 
@@ -191,10 +191,10 @@ def test_a_refusal_exits_with_one_and_shows_the_counterexample(robot: str) -> No
 def test_a_refusal_is_data_too(robot: str) -> None:
     result = run("resolve", "misfit", "-f", robot, "--json")
     assert result.exit_code == 1
-    told = json.loads(result.stdout)
-    assert told["function"] == "misfit"
-    assert "misfit" in told["error"]
-    assert [one["component"] for one in told["rejected"]] == ["misfit"]
+    result = json.loads(result.stdout)
+    assert result["function"] == "misfit"
+    assert "misfit" in result["error"]
+    assert [rejection["component"] for rejection in result["rejected"]] == ["misfit"]
 
 
 def test_request_ends_with_the_cause_when_what_it_waits_for_raises(robot: str) -> None:
@@ -228,8 +228,8 @@ def test_request_says_what_it_waits_for(robot: str) -> None:
 def test_request_ends_with_the_cause_when_too_few_came_since_a_component_raised(robot: str) -> None:
     result = run("request", "failed", "-n", "1", "-f", robot)
     assert result.exit_code == 4
-    told = "it ended after 0 of 1 messages: short.default raised OSError: the sensor is gone"
-    assert told in result.stderr
+    sentence = "it ended after 0 of 1 messages: short.default raised OSError: the sensor is gone"
+    assert sentence in result.stderr
 
 
 @pytest.mark.parametrize(
@@ -316,7 +316,7 @@ def test_the_doctor_says_that_a_plugin_without_its_middleware_is_not_usable(
 ) -> None:
     pytest.importorskip("uoarm_ros2")
     monkeypatch.setitem(sys.modules, "rclpy", None)
-    for name in [one for one in sys.modules if one.startswith("uoarm_ros2._middleware")]:
+    for name in [module for module in sys.modules if module.startswith("uoarm_ros2._middleware")]:
         monkeypatch.delitem(sys.modules, name)
     found = json.loads(run("doctor", "--json").stdout)["ros2"]
     assert found["usable"].startswith("no: rclpy cannot be imported: install it with pip install")
@@ -327,8 +327,8 @@ def test_the_doctor_asks_the_environments_of_a_configuration(tmp_path: Path) -> 
     pytest.importorskip("uoarm._host")
     there = tmp_path / "bin" / "python"
     there.parent.mkdir()
-    told = {"uoarm": {"version": "9.9"}, "python": {"usable": "yes", "library": "old 1.2"}}
-    there.write_text(f"#!/bin/sh\necho \"$@\" >&2\necho '{json.dumps(told)}'\n")
+    result = {"uoarm": {"version": "9.9"}, "python": {"usable": "yes", "library": "old 1.2"}}
+    there.write_text(f"#!/bin/sh\necho \"$@\" >&2\necho '{json.dumps(result)}'\n")
     there.chmod(0o755)
     file = tmp_path / "robot.yaml"
     file.write_text(
@@ -394,10 +394,11 @@ def test_status_says_what_can_be_had_and_what_cannot(robot: str) -> None:
     assert result.exit_code == 1
     assert "doubled  from doubler" in result.output
     assert "misfit  cannot be had" in result.output
-    told = {one["name"]: one for one in json.loads(run("status", "-f", robot, "--json").stdout)}
-    assert told["count"]["provider"] == "counter"
-    assert told["count"]["candidates"][0]["cause"] == ""
-    assert told["misfit"]["provider"] is None
+    shown = json.loads(run("status", "-f", robot, "--json").stdout)
+    functions = {function["name"]: function for function in shown}
+    assert functions["count"]["provider"] == "counter"
+    assert functions["count"]["candidates"][0]["cause"] == ""
+    assert functions["misfit"]["provider"] is None
 
 
 @pytest.mark.parametrize(
@@ -436,11 +437,14 @@ functions:
 """)
     done = CliRunner().invoke(main, ["check", str(tmp_path / "robot.yaml"), "--json"])
     assert done.exit_code == 0, done.output
-    told = json.loads(done.stdout)
-    assert told["problems"] == []
-    at = {(one["place"]["line"], one["sentence"].partition(":")[0]) for one in told["warnings"]}
+    result = json.loads(done.stdout)
+    assert result["problems"] == []
+    at = {
+        (warning["place"]["line"], warning["sentence"].partition(":")[0])
+        for warning in result["warnings"]
+    }
     assert at == {(2, "it was not checked")} | {(n, "it cannot be had here") for n in (7, 8, 9)}
-    texts = " ".join(one["sentence"] for one in told["warnings"])
+    texts = " ".join(warning["sentence"] for warning in result["warnings"])
     assert "no module 'kitchn'" in texts
     assert "did you mean 'stove'" in texts
     assert "RuntimeError: the licence has ended" in texts

@@ -30,7 +30,7 @@ def file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def run(*arguments: str | Path) -> Result:
-    return CliRunner().invoke(main, [str(one) for one in arguments])
+    return CliRunner().invoke(main, [str(argument) for argument in arguments])
 
 
 def test_what_is_seen_is_shown_with_who_uses_it(file: Path) -> None:
@@ -42,7 +42,7 @@ def test_what_is_seen_is_shown_with_who_uses_it(file: Path) -> None:
 
 def test_as_json(file: Path) -> None:
     (lab,) = json.loads(run("discover", "-f", file, "--json").stdout)
-    assert [one["name"] for one in lab["components"]] == ["detector", "head"]
+    assert [component["name"] for component in lab["components"]] == ["detector", "head"]
 
 
 def test_the_suggestion_can_be_pasted(file: Path) -> None:
@@ -80,8 +80,8 @@ def test_frameworks_are_shown_with_what_they_offer(file: Path) -> None:
     assert "lab  memory  reachable\n" in done.output
     assert "  sees components: 2, ports: 3\n" in done.output
     assert "  for camera\n" in done.output
-    told = json.loads(run("status", "--bridges", "-f", file, "--json").stdout)
-    (lab,) = [one for one in told if one["bridge"] == "lab"]
+    printed = json.loads(run("status", "--bridges", "-f", file, "--json").stdout)
+    (lab,) = [finding for finding in printed if finding["bridge"] == "lab"]
     assert (lab["is_configured"], lab["is_reachable"], lab["functions"]) == (True, True, ["camera"])
     assert "detector" in lab["components"]
 
@@ -97,14 +97,14 @@ def test_without_a_bridge_that_can_answer_the_exit_code_says_so(tmp_path: Path) 
         assert "there is no plugin 'nowhere'" in run("suggest", "-f", path).output
 
 
-def test_what_is_different_is_told_as_lines() -> None:
+def test_what_is_different_is_reported_as_lines() -> None:
     lab = make_lab()
     with RobotManager(loads(FILE), bridges={"lab": lab}) as robot:
         before = robot.discover()
         lab.emitter("torch", {"type": "boolean"})
         after = robot.discover()
-    told = set(_discover.rows(after)) - set(_discover.rows(before))
-    assert told == {"lab  torch", "lab  torch  output  torch"}
+    printed = set(_discover.rows(after)) - set(_discover.rows(before))
+    assert printed == {"lab  torch", "lab  torch  output  torch"}
 
 
 EMPTY = ["", "\n", "# my robot\n", "---\n# my robot\n"]

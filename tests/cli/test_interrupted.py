@@ -68,7 +68,7 @@ def test_the_script_runs_the_command_which_ctrl_c_interrupts_as_ever(
     assert (seen.code, "".join(seen.text.split())) == (130, "itimportsinterrupted")
 
 
-def test_a_crash_in_c_is_told_with_the_line_that_called_it(tmp_path: Path) -> None:
+def test_a_crash_in_c_is_reported_with_the_line_that_called_it(tmp_path: Path) -> None:
     (tmp_path / "robot.yaml").write_text(ROBOT)
     (tmp_path / "late.py").write_text(
         "import ctypes\ndef crash(value: int) -> int:\n    return len(ctypes.string_at(0))\n"

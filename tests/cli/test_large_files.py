@@ -16,7 +16,7 @@ FRAME = "version: 1\nbridges: {}\nfunctions: {}\n"
 
 @pytest.mark.parametrize(("octets", "told"), [(2_000_000, True), (2_000, False)])
 def test_a_check_that_takes_a_while_says_so_on_a_terminal(
-    tmp_path: Path, octets: int, *, told: bool
+    tmp_path: Path, octets: int, *, is_announced: bool
 ) -> None:
     file = tmp_path / "robot.yaml"
     file.write_text(FRAME + "#" * octets, encoding="utf-8")
@@ -32,7 +32,7 @@ def test_a_check_that_takes_a_while_says_so_on_a_terminal(
         os.close(ours)
         os.close(terminal)
     assert done.returncode == 0
-    assert ("2.0 MB: this takes a while" in seen) is told
+    assert ("2.0 MB: this takes a while" in seen) is is_announced
     assert "no errors" in done.stdout.decode()
 
 

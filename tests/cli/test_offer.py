@@ -51,7 +51,7 @@ functions:
 """
 
 
-def told(folder: Path, offers: str) -> tuple[int, str]:
+def offered(folder: Path, offers: str) -> tuple[int, str]:
     (folder / "parts.py").write_text(PARTS)
     (folder / "robot.yaml").write_text(ROBOT.format(offers))
     words = ["offer", "--once", "--json", "-f", str(folder / "robot.yaml")]
@@ -59,14 +59,16 @@ def told(folder: Path, offers: str) -> tuple[int, str]:
     return done.exit_code, done.stdout or done.output
 
 
-def test_what_is_offered_is_told_with_its_state(tmp_path: Path) -> None:
-    code, output = told(tmp_path, "offer: {python: {count: {output: {endpoint: ['parts:take']}}}}")
+def test_what_is_offered_is_reported_with_its_state(tmp_path: Path) -> None:
+    code, output = offered(
+        tmp_path, "offer: {python: {count: {output: {endpoint: ['parts:take']}}}}"
+    )
     status = json.loads(output)
     assert (code, status["name"], status["state"]) == (0, "python:count", "open")
 
 
 def test_what_cannot_be_offered_is_a_failure_with_its_cause(tmp_path: Path) -> None:
-    code, output = told(
+    code, output = offered(
         tmp_path, "offer: {python: {count: {output: {endpoint: ['parts:narrow']}}}}"
     )
     status = json.loads(output)
@@ -85,13 +87,13 @@ def test_it_ends_when_all_that_is_offered_has_finished(tmp_path: Path) -> None:
 
 
 def test_a_file_without_offers_is_no_use(tmp_path: Path) -> None:
-    code, output = told(tmp_path, "")
+    code, output = offered(tmp_path, "")
     assert code == 3
     assert "has no `offer:`" in output
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_what_fails_is_told_once_on_a_terminal_and_ending_it_is_no_failure(
+def test_what_fails_is_printed_once_on_a_terminal_and_ending_it_is_no_failure(
     tmp_path: Path, number: signal.Signals
 ) -> None:
     (tmp_path / "parts.py").write_text(PARTS)

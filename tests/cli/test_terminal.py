@@ -115,7 +115,7 @@ def test_a_long_message_takes_one_line_and_is_no_markup(folder: Path) -> None:
 
 
 @pytest.mark.parametrize("width", [40, 60])
-def test_on_a_narrow_terminal_flows_are_told_in_full_in_lines(folder: Path, width: int) -> None:
+def test_on_a_narrow_terminal_flows_are_shown_in_full_in_lines(folder: Path, width: int) -> None:
     seen = on_a_terminal(["request", "doubled"], folder, width=width, height=20)
     assert seen.code == 0, seen.text
     [*_, flows] = seen.text.rpartition("counter.default")

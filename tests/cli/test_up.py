@@ -54,14 +54,14 @@ def follower(
     return _up._Follower(manager, unfed=unfed, as_json=as_json, echo=echo)
 
 
-def look_until(looking: _up._Follower, lines: list[str], told: str) -> None:
+def look_until(looking: _up._Follower, lines: list[str], expected: str) -> None:
     """Look again until a line tells something; candidates come in rounds of their own."""
 
-    def is_told() -> bool:
+    def is_printed() -> bool:
         looking.look()
-        return any(told in one for one in lines)
+        return any(expected in line for line in lines)
 
-    wait(is_told)
+    wait(is_printed)
 
 
 def test_what_appears_is_a_function_that_is_fed_by_what_fits_and_runs() -> None:
@@ -117,9 +117,9 @@ def test_as_json_each_change_is_a_line() -> None:
     with RobotManager(loads(EMPTY), bridges={"lab": lab}) as manager:
         looking = follower(manager, lines, as_json=True)
         look_until(looking, lines, "@lab/camera")
-    told = json.loads(lines[-1])
-    assert told["functions"] == {"camera": "camera@lab/camera"}
-    assert [one["name"] for one in told["findings"][0]["components"]] == ["camera"]
+    expected = json.loads(lines[-1])
+    assert expected["functions"] == {"camera": "camera@lab/camera"}
+    assert [component["name"] for component in expected["findings"][0]["components"]] == ["camera"]
     with pytest.raises(ConnectionClosedError):
         looking.look()
 
@@ -155,7 +155,7 @@ def test_what_is_about_a_component_itself_is_no_function() -> None:
     assert need.ports == ("grip",)
 
 
-def test_the_command_serves_until_it_is_told_to_end(
+def test_the_command_serves_until_it_is_asked_to_end(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     registry, lab, serving = Registry(()), MemoryBridge("lab", {}), threading.Event()

@@ -12,7 +12,7 @@ from uoarm.cli import _main
 from uoarm.testing import patience
 
 
-def test_whoever_waits_at_a_terminal_for_a_plan_is_told_for_what_and_how_long(
+def test_waiting_for_a_plan_at_a_terminal_says_for_what_and_how_long(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     ours, theirs = os.openpty()
@@ -20,7 +20,7 @@ def test_whoever_waits_at_a_terminal_for_a_plan_is_told_for_what_and_how_long(
     try:
         with os.fdopen(theirs, "w") as terminal:
             monkeypatch.setattr(sys, "stderr", terminal)
-            with _main._telling_that_it_waits(7.0):
+            with _main._saying_that_it_waits(7.0):
                 assert select.select([ours], [], [], patience())[0]
                 assert b"waiting for bridges to start" in os.read(ours, 4096)
             monkeypatch.undo()

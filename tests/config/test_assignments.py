@@ -68,7 +68,7 @@ def test_a_bridge_in_our_own_process_keeps_its_default() -> None:
     assert islands("a: {plugin: isles}", f"b: {{plugin: isles, {JAZZY}}}") == {"a": None, "b": 64}
 
 
-def test_what_is_written_stays_and_is_given_to_nobody_else() -> None:
+def test_what_is_written_stays_and_is_given_to_no_other_bridge() -> None:
     written = f"a: {{plugin: isles, {HUMBLE}, options: {{island: 64}}}}"
     assert islands(written, f"b: {{plugin: isles, {JAZZY}}}") == {"a": 64, "b": 65}
 

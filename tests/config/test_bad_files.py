@@ -453,7 +453,7 @@ def written(problem: Problem) -> str:
 
 
 @pytest.mark.parametrize("bad", TABLE.values(), ids=TABLE.keys())
-def test_a_mistake_is_told_at_its_place(bad: Bad, tmp_path: Path) -> None:
+def test_a_mistake_is_reported_at_its_place(bad: Bad, tmp_path: Path) -> None:
     path = tmp_path / "robot.yaml"
     path.write_text(bad.text, encoding="utf-8")
     report = inspect(path)

@@ -76,7 +76,7 @@ def test_a_stop_message_may_be_null_and_any_other_input_has_none() -> None:
         ("lease: {duration: 1, priorities: {safety: most}}", "priorities"),
     ],
 )
-def test_mistakes_are_told_with_their_place(settings: str, told: str) -> None:
+def test_mistakes_are_reported_with_their_place(settings: str, expected: str) -> None:
     with pytest.raises(ConfigurationError) as caught:
         read(settings)
-    assert told in str(caught.value)
+    assert expected in str(caught.value)

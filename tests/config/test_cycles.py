@@ -48,7 +48,7 @@ def test_there_is_an_unavoidable_cycle_exactly_when_something_cannot_be_grounded
 
 
 @given(NEEDS)
-def test_every_cycle_told_is_a_cycle(needs: Needs) -> None:
+def test_every_reported_cycle_is_a_cycle(needs: Needs) -> None:
     good = grounded(needs)
     for cycle in unavoidable_cycles(needs):
         assert good.isdisjoint(cycle)
@@ -62,13 +62,15 @@ def test_every_cycle_told_is_a_cycle(needs: Needs) -> None:
 
 
 @given(NEEDS)
-def test_avoidable_cycles_are_told_where_grounded_functions_reach_themselves(needs: Needs) -> None:
+def test_avoidable_cycles_are_reported_where_grounded_functions_reach_themselves(
+    needs: Needs,
+) -> None:
     good = grounded(needs)
     among = {name: [w & good for w in ws] for name, ws in needs.items() if name in good}
     assert bool(avoidable_cycles(needs)) == any(reaches(among, name, name) for name in among)
 
 
-def test_each_independent_knot_is_told_once() -> None:
+def test_each_independent_knot_is_reported_once() -> None:
     needs = {
         "a": [frozenset("b")],
         "b": [frozenset("a")],
@@ -78,7 +80,7 @@ def test_each_independent_knot_is_told_once() -> None:
     assert unavoidable_cycles(needs) == [("a", "b", "a"), ("c", "c")]
 
 
-def test_what_only_waits_for_another_knot_is_not_told() -> None:
+def test_what_only_waits_for_another_knot_is_not_reported() -> None:
     needs = {"c": [frozenset("d")], "d": [frozenset("c"), frozenset("a")], "a": [frozenset("a")]}
     assert unavoidable_cycles(needs) == [("a", "a")]
 

@@ -49,7 +49,7 @@ def test_a_machine_is_read(tmp_path: Path) -> None:
         ("true", "hosts: {certificates: keys}", 'the key "listen" is missing'),
     ],
 )
-def test_mistakes_are_told(tmp_path: Path, host: str, hosts: str, says: str) -> None:
+def test_mistakes_are_reported(tmp_path: Path, host: str, hosts: str, says: str) -> None:
     report = inspect(_write(tmp_path, host, hosts))
     assert report.robot is None
     assert [says in str(problem) for problem in report.problems].count(True) == 1

@@ -76,7 +76,7 @@ def test_many_values_without_an_alias_are_refused() -> None:
     assert "more than 200,000 values" in refusal("[" + "1," * 200_001 + "]")
 
 
-def test_thousands_of_wrong_references_are_told_in_bounded_text() -> None:
+def test_thousands_of_wrong_references_are_reported_in_bounded_text() -> None:
     functions = "".join(
         f"  f{n}: {{components: [{{name: c{n}, bridge: p, "
         f"input: {{from: g{n}, endpoint: [x]}}}}]}}\n"

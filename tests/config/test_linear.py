@@ -117,6 +117,6 @@ VALUES = st.recursive(
 
 
 @given(st.lists(VALUES, max_size=6))
-def test_what_stands_twice_is_told_as_json_schema_tells_it(values: Any) -> None:
+def test_what_stands_twice_is_reported_as_json_schema_has_it(values: Any) -> None:
     ours = _validator({"uniqueItems": True}).is_valid(values)
     assert ours == Draft202012Validator({"uniqueItems": True}).is_valid(values)

@@ -191,7 +191,7 @@ functions:
         assert self.said(text, tmp_path) == [(4, expected)]
 
 
-def test_mistakes_of_yaml_shape_and_meaning_are_told_together_in_order() -> None:
+def test_mistakes_of_yaml_shape_and_meaning_are_reported_together_in_order() -> None:
     text = """version: 1
 bridges: {p: {}, p: {}}
 functions:
@@ -311,7 +311,7 @@ functions:
 """
 
 
-def test_functions_that_nobody_uses_are_named_where_applications_are_declared() -> None:
+def test_functions_without_a_user_are_named_where_applications_are_declared() -> None:
     robot = loads(APPLICATIONS % "camera")
     assert robot.applications == {"reception": ("face", "camera")}
     (warning,) = robot.warnings

@@ -56,7 +56,7 @@ PROBE = BridgeType(
 )
 
 
-def test_every_mistake_in_options_and_endpoints_is_told_with_its_place() -> None:
+def test_every_mistake_in_options_and_endpoints_is_reported_with_its_place() -> None:
     with pytest.raises(ConfigurationError) as caught:
         loads(TEXT, types={"probe": PROBE})
     lines = str(caught.value).splitlines()

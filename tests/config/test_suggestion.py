@@ -59,20 +59,20 @@ STREAM = """
 """
 
 
-def told(text: str) -> Robot:
+def expected(text: str) -> Robot:
     """Read a configuration whose components are here."""
     return loads(text.replace("here:", f"{__name__}:"))
 
 
 def suggested(functions: str) -> dict[str, Component]:
     """Return what a robot that reads the suggestion has, by the names of components."""
-    robot = told(HEAD + (functions or "  {}\n"))
+    robot = expected(HEAD + (functions or "  {}\n"))
     with RobotManager(robot) as manager:
         text = suggest(robot, manager.discover(), configured=robot.bridges)
     text = text[text.index("functions:") :]
     return {
         component.name: component
-        for component in told(HEAD.replace("functions:\n", text)).components()
+        for component in expected(HEAD.replace("functions:\n", text)).components()
     }
 
 
@@ -92,13 +92,13 @@ def test_what_is_named_is_not_suggested_in_its_other_role(used: str) -> None:
 def test_of_two_that_differ_in_parameters_the_one_that_is_named_is_used() -> None:
     assert set(suggested(RECORDED)) == {"live", "double", "double_default"}
     assert set(suggested(OTHER)) == {"double", "double_default"}, "its parameters are of neither"
-    with RobotManager(told(HEAD + RECORDED)) as manager:
+    with RobotManager(expected(HEAD + RECORDED)) as manager:
         [findings] = manager.discover()
     assert f'output  {__name__}:camera  {{"at": 3}}\n' in str(findings)
     assert str(findings).count("used by seen") == 1
 
 
-def test_who_hears_a_topic_is_not_fed_by_who_sends_to_it() -> None:
+def test_a_subscriber_of_a_topic_is_not_fed_by_its_publisher() -> None:
     """It hears that already, and each message would come back without end."""
     number = MessageStructure({"type": "integer"})
 

@@ -89,7 +89,7 @@ def test_a_log_of_events_replays_to_the_same_actions(
 
 # How those are made that need more than a text.
 MADE: Mapping[type[UoarmError], Callable[[str], UoarmError]] = {
-    NoPlanError: lambda text: NoPlanError(text, (), asked_in_vain=True),
+    NoPlanError: lambda text: NoPlanError(text, (), is_unavailable=True),
     InputInUseError: lambda text: InputInUseError(text, "best"),
     CommandRefusedError: lambda text: CommandRefusedError(text, "leased"),
     ServerError: lambda text: ServerError("busy", text),

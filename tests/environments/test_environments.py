@@ -89,7 +89,7 @@ def test_a_longer_name_does_not_stand_for_the_plugin(more: str, stands: bool) ->
     assert wanted[1:] == ((more,) if stands else ("uoarm-absent", more))
 
 
-def test_uv_makes_it_and_every_line_is_told(tmp_path: Path, home: Path) -> None:
+def test_uv_makes_it_and_every_line_is_shown(tmp_path: Path, home: Path) -> None:
     reports: list[str] = []
     uv = _fake_uv(tmp_path, "echo installing")
     python = environments.create(
@@ -105,14 +105,16 @@ def test_uv_makes_it_and_every_line_is_told(tmp_path: Path, home: Path) -> None:
     assert (made.name, made.requirements, made.is_whole) == ("jazzy", ("a", "b[c]"), True)
 
 
-def test_one_that_fails_is_removed_and_its_last_lines_are_told(tmp_path: Path, home: Path) -> None:
+def test_one_that_fails_is_removed_and_its_last_lines_are_reported(
+    tmp_path: Path, home: Path
+) -> None:
     uv = _fake_uv(tmp_path, "echo no such project >&2; exit 2")
     with pytest.raises(PluginError, match=r"ended with status 2:\nno such project"):
         environments.create("jazzy", ("a",), uv=uv)
     assert not (home / "jazzy").exists()
 
 
-def test_last_lines_that_were_told_are_not_told_again(tmp_path: Path, home: Path) -> None:
+def test_last_lines_that_were_shown_are_not_shown_again(tmp_path: Path, home: Path) -> None:
     uv = _fake_uv(tmp_path, "echo no such project >&2; exit 2")
     reports: list[str] = []
     with pytest.raises(PluginError, match=r" a ended with status 2$"):
@@ -238,7 +240,7 @@ def test_what_was_made_can_be_removed_and_nothing_else(tmp_path: Path, home: Pat
     assert not (home / "one").exists()
 
 
-def test_the_doctor_tells_what_is_missing(tmp_path: Path, home: Path) -> None:
+def test_the_doctor_reports_what_is_missing(tmp_path: Path, home: Path) -> None:
     environments.create("good", ("a",), uv=_fake_uv(tmp_path, ""))
     good = home / "good" / "bin" / "python"
     good.unlink()
@@ -295,7 +297,7 @@ if [ "$1" = venv ]; then mkdir -p "$4/bin"; cp {asked} "$4/bin/python"; fi"""
     assert CliRunner().invoke(main, [*make, "humble-hawksbill"]).exit_code == 0
 
 
-def test_extras_are_those_that_an_interpreter_tells(tmp_path: Path) -> None:
+def test_extras_are_those_that_an_interpreter_reports(tmp_path: Path) -> None:
     found = _doctor.extras_in(Path(sys.executable), ("uoarm", "absent-of-all"))
     assert "hosts" in found.pop("uoarm")
     assert found == {}
@@ -303,7 +305,7 @@ def test_extras_are_those_that_an_interpreter_tells(tmp_path: Path) -> None:
         assert _doctor.extras_in(_executable(tmp_path / "p", f"echo '{said}'"), ("uoarm",)) == {}
 
 
-def test_a_plugin_that_lacks_its_middleware_in_an_environment_is_told(
+def test_a_plugin_that_lacks_its_middleware_in_an_environment_is_reported(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     message = json.dumps({"uoarm": {"version": "1"}, "python": {"usable": "no: it has no camera"}})

@@ -21,7 +21,7 @@ class Scene:
 
     Attributes:
         run: its folder.
-        told: what it printed until everything was ready.
+        output: what it printed until everything was ready.
         pids: of its parts, by name.
     """
 
@@ -36,29 +36,29 @@ class Scene:
             wait(self._ready)
         except AssertionError as error:
             self.close()
-            raise AssertionError(f"the scene did not start:\n{self.told}") from error
+            raise AssertionError(f"the scene did not start:\n{self.output}") from error
 
     def _ready(self) -> bool:
-        return "Everything is ready" in self.told or self._process.poll() is not None
+        return "Everything is ready" in self.output or self._process.poll() is not None
 
     @property
-    def told(self) -> str:
+    def output(self) -> str:
         return self._output.read_text()
 
     @property
     def pids(self) -> Mapping[str, int]:
         return {
             name: int(pid)
-            for name, pid in re.findall(r"^(\S+) .* pid (\d+)", self.told, re.MULTILINE)
+            for name, pid in re.findall(r"^(\S+) .* pid (\d+)", self.output, re.MULTILINE)
         }
 
     @property
     def robot(self) -> str:
-        return str(re.findall(r"uoarm serve at (\S+)", self.told)[0])
+        return str(re.findall(r"uoarm serve at (\S+)", self.output)[0])
 
     @property
     def page(self) -> str:
-        return str(re.findall(r"browser application at (\S+)", self.told)[0])
+        return str(re.findall(r"browser application at (\S+)", self.output)[0])
 
     def interrupt(self) -> int:
         """Press Ctrl-C; returns the exit code."""

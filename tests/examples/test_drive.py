@@ -47,18 +47,18 @@ class Drive:
             )
 
     @property
-    def told(self) -> str:
+    def output(self) -> str:
         return self._output.read_text()
 
     def address(self, pattern: str) -> str:
-        wait(lambda: re.search(pattern, self.told) is not None or self.process.poll() is not None)
-        found = re.search(pattern, self.told)
-        assert found is not None, self.told
+        wait(lambda: re.search(pattern, self.output) is not None or self.process.poll() is not None)
+        found = re.search(pattern, self.output)
+        assert found is not None, self.output
         return found[1]
 
     def moves(self) -> list[str]:
         """What the base said that it does, in order."""
-        return re.findall(r"standing still|driving at [-.\d]+ m/s", self.told)
+        return re.findall(r"standing still|driving at [-.\d]+ m/s", self.output)
 
 
 @pytest.fixture
@@ -66,7 +66,7 @@ def drive(tmp_path: Path) -> Iterator[Drive]:
     drive = Drive(tmp_path)
     yield drive
     drive.process.send_signal(signal.SIGINT)
-    assert drive.process.wait(patience()) == 0, drive.told
+    assert drive.process.wait(patience()) == 0, drive.output
 
 
 def test_the_base_drives_while_a_button_is_held(drive: Drive) -> None:

@@ -12,7 +12,7 @@ from uoarm.testing import patience
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "drive"
 
 
-def test_a_port_that_is_taken_is_told_before_anything_is_started() -> None:
+def test_a_port_that_is_taken_is_reported_before_anything_is_started() -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = str(taken.getsockname()[1])
         done = subprocess.run(

@@ -180,7 +180,7 @@ def test_a_spare_takes_over_in_mid_stream(scene: Scene) -> None:
             report = json.loads(socket.recv(timeout=patience()))
             assert report["op"] == "Data", report
             numbers.append(report["x-number"])
-    wait(lambda: "detector ended" in scene.told, "the scene does not tell of the death")
+    wait(lambda: "detector ended" in scene.output, "the scene does not tell of the death")
 
 
 def test_ctrl_c_leaves_nothing_behind(scene: Scene) -> None:
@@ -189,7 +189,7 @@ def test_ctrl_c_leaves_nothing_behind(scene: Scene) -> None:
     assert lives(pids["robot"])
     assert scene.interrupt() == 0
     assert not any(map(lives, pids.values()))
-    assert "Everything is ended" in scene.told
+    assert "Everything is ended" in scene.output
 
 
 def test_the_page_shares_no_code_with_the_terminal() -> None:

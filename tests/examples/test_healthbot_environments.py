@@ -40,7 +40,7 @@ def made(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Made:
     return names
 
 
-def test_what_is_missing_is_made_once_and_told(made: Made) -> None:
+def test_what_is_missing_is_made_once_and_announced(made: Made) -> None:
     reports: list[str] = []
     separate.prepare_environments(reports.append)
     assert [name for name, _ in made] == ["healthbot-jazzy", "healthbot-rtm"]

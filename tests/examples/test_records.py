@@ -105,8 +105,8 @@ def test_a_measurement_becomes_an_observation_with_its_codes() -> None:
 @pytest.mark.parametrize(
     ("change", "told"), [({"time": "2026-11-21T09:00:00"}, "no offset"), ({"value": None}, "value")]
 )
-def test_a_measurement_that_says_too_little_is_refused(change: Any, told: str) -> None:
-    with pytest.raises(ValueError, match=told):
+def test_a_measurement_that_says_too_little_is_refused(change: Any, expected: str) -> None:
+    with pytest.raises(ValueError, match=expected):
         observation({**PULSE, **change})
 
 
@@ -157,13 +157,13 @@ def test_nothing_is_lost_while_the_service_is_down(
     ],
 )
 def test_the_service_says_what_is_wrong_with_a_resource(
-    service: Service, body: bytes, told: str
+    service: Service, body: bytes, expected: str
 ) -> None:
     answer = httpx.put(f"{service.url}/Observation/x", content=body, timeout=patience())
     assert answer.status_code == 400
     outcome = answer.json()
     assert outcome["resourceType"] == "OperationOutcome"
-    assert told in outcome["issue"][0]["diagnostics"]
+    assert expected in outcome["issue"][0]["diagnostics"]
 
 
 def test_what_the_service_refuses_for_good_holds_up_nothing(

@@ -70,11 +70,11 @@ def test_detectors_find_the_one_face(
     assert boxes[0]["y"] < inside[1] < boxes[0]["y"] + boxes[0]["height"]
 
 
-def test_detectors_find_nobody_in_an_empty_picture(detector: Detector) -> None:
+def test_detectors_find_no_face_in_an_empty_picture(detector: Detector) -> None:
     assert detector(EMPTY)["boxes"] == []
 
 
-def test_accurate_chain_names_everybody_rightly(footage: Footage, accurate: Chain) -> None:
+def test_accurate_chain_names_every_person_rightly(footage: Footage, accurate: Chain) -> None:
     for name, person in footage.expected.items():
         assert names(accurate, still(footage, name)) == [person], name
 
@@ -90,7 +90,7 @@ def test_light_chain_does_not_know_the_passenger(footage: Footage, light: Chain)
         assert names(light, still(footage, "passenger")) == [None]
 
 
-def test_nobody_is_recognised_without_a_face(accurate: Chain, light: Chain) -> None:
+def test_no_person_is_recognised_without_a_face(accurate: Chain, light: Chain) -> None:
     assert names(accurate, EMPTY) == names(light, EMPTY) == []
 
 
@@ -131,7 +131,7 @@ def test_enrolling_refuses_photos_without_a_face(tmp_path: Path, enrol: Enrol) -
 
 
 @pytest.mark.parametrize("recogniser", [ResnetRecogniser, LbphRecogniser])
-def test_recognisers_say_that_nobody_is_enrolled(
+def test_recognisers_say_that_no_person_is_enrolled(
     tmp_path: Path, recogniser: Callable[[str], object]
 ) -> None:
     with pytest.raises(FileNotFoundError, match="nobody is enrolled"):

@@ -40,7 +40,7 @@ def run(vision: Path, output: Path, *options: str, **environment: str) -> tuple[
     return done.returncode, json.loads(done.stdout) if done.stdout else None, done.stderr
 
 
-def test_everybody_is_recognised_for_who_they_are(
+def test_every_person_is_recognised_for_who_they_are(
     vision: Path, footage: Footage, tmp_path: Path
 ) -> None:
     code, result, text = run(vision, tmp_path)
@@ -57,7 +57,7 @@ def test_everybody_is_recognised_for_who_they_are(
     assert picture.shape[0] == 360
 
 
-def test_without_dlib_lighter_candidates_are_chosen_and_the_reason_told(
+def test_without_dlib_lighter_candidates_are_chosen_and_the_reason_shown(
     vision: Path, footage: Footage, tmp_path: Path
 ) -> None:
     code, result, text = run(vision, tmp_path, "--light")
@@ -131,7 +131,7 @@ def test_an_interrupt_closes_everything(vision: Path, tmp_path: Path) -> None:
     assert "interrupted; everything is closed" in rest
 
 
-def test_a_photo_without_a_face_is_told_and_leaves_no_thread(
+def test_a_photo_without_a_face_is_reported_and_leaves_no_thread(
     vision: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A thread of the progress bar that goes on keeps the whole program from ending."""
@@ -187,7 +187,7 @@ def test_a_person_must_be_named_in_more_than_half_of_the_pictures() -> None:
     assert tally.missed() == []
 
 
-def test_whoever_was_never_played_counts_as_missed() -> None:
+def test_a_person_who_was_never_played_counts_as_missed() -> None:
     assert Tally({"a": "Ann", "s": None}).missed() == ["Ann"]
 
 
@@ -214,7 +214,7 @@ def test_lost_pictures_and_dropped_messages_are_problems(perfect: Result) -> Non
     assert dropping.problems == ["0 pictures were lost, 4 messages dropped"]
 
 
-def test_whoever_is_not_recognised_is_a_problem(perfect: Result) -> None:
+def test_a_person_who_is_not_recognised_is_a_problem(perfect: Result) -> None:
     perfect.tally.expected = {"a": "Bob", "s": None}
     assert "Bob was not recognised" in perfect.problems
 

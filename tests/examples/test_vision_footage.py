@@ -87,7 +87,7 @@ def test_a_client_that_fails_is_quoted(tmp_path: Path, monkeypatch: pytest.Monke
         fetch(PHOTOS, tmp_path)
 
 
-def test_packages_are_told_before_they_are_fetched(cache: Path) -> None:
+def test_packages_are_reported_before_they_are_fetched(cache: Path) -> None:
     reports: list[str] = []
     prepare(cache, lambda package: reports.append(package.name))
     assert reports == [package.name for package in PACKAGES]

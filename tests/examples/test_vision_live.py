@@ -32,7 +32,7 @@ def test_an_interrupt_before_it_serves_ends_it_as_one_afterwards_does(
     assert live.main() == 0
 
 
-def test_a_port_that_is_taken_is_told_before_anything_is_fetched(
+def test_a_port_that_is_taken_is_reported_before_anything_is_fetched(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("UOARM_CACHE", str(tmp_path / "cache"))
@@ -45,7 +45,7 @@ def test_a_port_that_is_taken_is_told_before_anything_is_fetched(
 
 def test_the_address_that_it_prints_shows_the_pictures() -> None:
     console = Console(record=True, width=40)
-    live.tell(console, Mock(ports=(9080,)))
+    live.announce(console, Mock(ports=(9080,)))
     text = console.export_text()
     assert "http://127.0.0.1:9080/#/graph/function/faceRecognition/use\n" in text
     assert "press Watch" in text

@@ -114,7 +114,7 @@ def test_a_vehicle_without_power_charges_first() -> None:
     fleet.settle()
 
 
-def test_who_died_is_driven_round_by_a_coordinator_that_never_heard_of_it() -> None:
+def test_a_dead_vehicle_is_driven_round_by_a_coordinator_without_reports_of_it() -> None:
     fleet = Fleet(2)
     fleet.place("box1", "shelf4", "dock1")
     fleet.run(8)
@@ -130,7 +130,7 @@ def test_who_died_is_driven_round_by_a_coordinator_that_never_heard_of_it() -> N
     fleet.check()
 
 
-def test_who_is_heard_first_waits_for_nobody_and_hits_nobody() -> None:
+def test_the_first_to_report_waits_for_no_vehicle_and_hits_none() -> None:
     fleet = Fleet(2)
     fleet.place("box1", "shelf4", "dock1")
     fleet.run(8)
@@ -144,7 +144,7 @@ def test_who_is_heard_first_waits_for_nobody_and_hits_nobody() -> None:
     fleet.settle()
 
 
-def test_what_a_vehicle_was_told_is_its_own_until_it_says_that_it_stands() -> None:
+def test_what_a_vehicle_was_ordered_is_its_own_until_it_says_that_it_stands() -> None:
     coordinator = Coordinator()
     coordinator.place(Order("box", "shelf4", "dock1", 5.0))
     report = Report(
@@ -156,8 +156,8 @@ def test_what_a_vehicle_was_told_is_its_own_until_it_says_that_it_stands() -> No
     def say(stopped: int = 0, speed: float = 0.0, *, is_blocked: bool = False) -> Command:
         nonlocal seconds
         seconds += 1
-        told = evolve(report, stopped=stopped, speed=speed, is_blocked=is_blocked)
-        coordinator.report("one", told, seconds)
+        latest = evolve(report, stopped=stopped, speed=speed, is_blocked=is_blocked)
+        coordinator.report("one", latest, seconds)
         (command,) = coordinator.tick(seconds)
         return command
 
@@ -231,7 +231,7 @@ def happen(fleet: Fleet, fault: str, which: int, box: str, load: float) -> None:
         fleet.coordinator = None
 
 
-def test_a_vehicle_off_the_floor_is_told_nothing() -> None:
+def test_a_vehicle_off_the_floor_gets_no_order() -> None:
     fleet = Fleet(1)
     fleet.floor.bodies["vehicle1"].pose = (100.0, 100.0, 0.0)
     fleet.place("box", "shelf1")
@@ -241,7 +241,7 @@ def test_a_vehicle_off_the_floor_is_told_nothing() -> None:
     fleet.settle()
 
 
-def test_a_vehicle_that_gets_nowhere_is_told_anew() -> None:
+def test_a_vehicle_that_gets_nowhere_is_ordered_anew() -> None:
     fleet = Fleet(1)
     fleet.place("box", "shelf4")
     fleet.run(3)

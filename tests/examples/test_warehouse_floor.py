@@ -35,7 +35,7 @@ def coast(floor: Floor, now: float, seconds: float) -> float:
     return now
 
 
-def test_a_base_stops_when_nobody_commands_it() -> None:
+def test_a_base_stops_when_it_gets_no_command() -> None:
     floor = Floor()
     body = floor.add("one", "home1")
     now = drive(floor, 2)

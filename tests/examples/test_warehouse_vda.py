@@ -26,56 +26,56 @@ def leg(number: int, carry: str = "") -> Command:
     return {"leg": number, "points": points, "carry": carry}
 
 
-def told(agv: vda.Agv, command: Command) -> list[tuple[str, str]]:
+def sent(agv: vda.Agv, command: Command) -> list[tuple[str, str]]:
     emitted: list[Any] = list(agv.command(command))
     return [
         (item.port, item.message.get("orderId", item.message.get("goal_id"))) for item in emitted
     ]
 
 
-def test_a_goal_is_given_again_until_it_is_heard_of(clock: list[float]) -> None:
+def test_a_goal_is_given_again_until_it_is_reported(clock: list[float]) -> None:
     agv = vda.Agv(payload=10)
-    assert told(agv, leg(7)) == [("goal", "7-1")]
-    assert told(agv, leg(7)) == []
+    assert sent(agv, leg(7)) == [("goal", "7-1")]
+    assert sent(agv, leg(7)) == []
     clock[0] += 3
-    assert told(agv, leg(7)) == [("goal", "7-1")]
+    assert sent(agv, leg(7)) == [("goal", "7-1")]
     agv.status({"goal_id": "7-1", "status": "accepted"})
     clock[0] += 3
-    assert told(agv, leg(7)) == []
+    assert sent(agv, leg(7)) == []
 
 
 def test_one_order_has_ended_before_the_next_begins(clock: list[float]) -> None:
     agv = vda.Agv(payload=10)
-    told(agv, leg(7))
+    sent(agv, leg(7))
     agv.status({"goal_id": "7-1", "status": "accepted"})
     clock[0] += 3
-    assert told(agv, leg(8)) == [("cancel", "7-1")]
-    assert told(agv, leg(8)) == []
+    assert sent(agv, leg(8)) == [("cancel", "7-1")]
+    assert sent(agv, leg(8)) == []
     agv.status({"goal_id": "7-1", "status": "canceled"})
-    assert told(agv, leg(8, "box")) == [("goal", "8-2")]
+    assert sent(agv, leg(8, "box")) == [("goal", "8-2")]
 
 
-def test_an_order_that_nobody_knows_is_forgotten(clock: list[float]) -> None:
+def test_an_order_that_no_vehicle_reports_is_forgotten(clock: list[float]) -> None:
     agv = vda.Agv(payload=10)
-    told(agv, leg(7))
+    sent(agv, leg(7))
     for _ in range(6):
         clock[0] += 3
-        assert told(agv, NOTHING) == [("cancel", "7-1")]
-    assert told(agv, leg(8)) == [("goal", "8-2")]
+        assert sent(agv, NOTHING) == [("cancel", "7-1")]
+    assert sent(agv, leg(8)) == [("goal", "8-2")]
 
 
 def test_what_was_refused_is_given_again_under_another_number(clock: list[float]) -> None:
     agv = vda.Agv(payload=10)
-    told(agv, leg(7))
+    sent(agv, leg(7))
     agv.status({"goal_id": "7-1", "status": "rejected"})
-    assert told(agv, leg(7)) == []
+    assert sent(agv, leg(7)) == []
     clock[0] += 3
-    assert told(agv, leg(7)) == [("goal", "7-2")]
+    assert sent(agv, leg(7)) == [("goal", "7-2")]
 
 
 def test_what_is_done_is_not_given_again(clock: list[float]) -> None:
     agv = vda.Agv(payload=10)
-    told(agv, leg(7))
+    sent(agv, leg(7))
     agv.status({"goal_id": "7-1", "status": "succeeded"})
     clock[0] += 3
-    assert told(agv, leg(7)) == []
+    assert sent(agv, leg(7)) == []

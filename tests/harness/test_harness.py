@@ -267,8 +267,8 @@ def test_threads_begin_late_and_one_of_four_waits_ends_late_by_a_number() -> Non
         out = subprocess.run(
             command, env={DELAYS: number}, stdout=subprocess.PIPE, text=True, check=True
         ).stdout
-        is_same, told = json.loads(out)
-        return is_same, told
+        is_same, output = json.loads(out)
+        return is_same, output
 
     assert late("") == (True, [[], [], []])
     is_same, (waits, gets, begins) = late("1")

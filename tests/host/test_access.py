@@ -211,12 +211,12 @@ def test_a_missing_certificate_is_named(folder: Path) -> None:
     ],
 )
 def test_a_machine_that_answers_rubbish_is_an_error_and_its_clock_is_not_believed(
-    registry: MachineRegistry, folder: Path, place: str, told: bytes
+    registry: MachineRegistry, folder: Path, place: str, answer: bytes
 ) -> None:
     link = _join(place, Identity.find(folder, "arm"))
     raw = link._session.declare_queryable(
         f"{keys.MACHINES}/{keys.clock('arm', 'x')}",
-        lambda query: query.reply(str(query.key_expr), told),
+        lambda query: query.reply(str(query.key_expr), answer),
     )
     _settle(registry, link, "arm")
     with suppress(UoarmError):

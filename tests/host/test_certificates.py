@@ -72,7 +72,7 @@ def test_a_key_without_its_certificate_is_not_overwritten(tmp_path: Path) -> Non
         Authority.of(tmp_path).certify_machine("arm", 10)
 
 
-def test_a_folder_that_is_gone_is_told(tmp_path: Path) -> None:
+def test_a_folder_that_is_gone_is_reported(tmp_path: Path) -> None:
     authority = Authority.of(tmp_path / "gone")
     shutil.rmtree(tmp_path / "gone")
     with pytest.raises(UsageError, match=r"arm\.pem cannot be made"):

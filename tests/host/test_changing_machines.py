@@ -129,7 +129,7 @@ def test_another_address_is_listened_at_beside_the_one_in_use(there: There) -> N
             assert connection.gaps == ()
 
 
-def test_a_machine_that_the_link_does_not_know_is_told_whom_it_would_cut(there: There) -> None:
+def test_a_refused_machine_is_named_the_one_that_it_would_cut(there: There) -> None:
     place = f"tls/127.0.0.1:{free_port()}"
     authority = Authority.of(there.certificates)
     authority.certify_manager(["127.0.0.1"], 1)

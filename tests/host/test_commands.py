@@ -99,15 +99,15 @@ def test_the_status_has_what_the_host_says_and_an_emergency_stop_reaches_it(fold
             return component.channels[0].command
 
         def refused(reason: str) -> int:
-            told = status()
-            return 0 if told is None else dict(told.dropped).get(reason, 0)
+            status_now = status()
+            return 0 if status_now is None else dict(status_now.dropped).get(reason, 0)
 
         def send(v: float) -> bool:
             drive.send({"v": v})
             return True
 
         def rests() -> bool:
-            return (told := status()) is not None and told.phase is CommandPhase.STOPPED
+            return (status_now := status()) is not None and status_now.phase is CommandPhase.STOPPED
 
         # A command that was more than its lifetime on its way is refused: then another one is sent.
         wait(lambda: send(0.5) and taken(folder))

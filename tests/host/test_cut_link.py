@@ -103,14 +103,14 @@ def cable() -> Iterator[Cable]:
         made.remove()
 
 
-class Tale:
+class EventLog:
     """What a manager tells, and when: a listener hears of a change after it is in the status."""
 
     def __init__(self, manager: RobotManager) -> None:
         self.all: list[tuple[float, StatusEvent]] = []
         manager.listen(lambda event: self.all.append((time.monotonic(), event)))
 
-    def told(self, subject: str, change: str, *, after: float) -> bool:
+    def has(self, subject: str, change: str, *, after: float) -> bool:
         """Say whether there was such an event after a time."""
         return any(
             at > after and (event.subject, event.change) == (subject, change)
@@ -144,7 +144,7 @@ def test_a_cut_link_is_noticed_and_another_takes_over_until_it_heals(
         RobotManager.from_file(file) as manager,
         _host(cable, tmp_path, port, "--silence", str(SILENCE)) as host,
     ):
-        tale = Tale(manager)
+        log = EventLog(manager)
         connection = manager.request("ticks")
         assert connection.get(patience()) == 0
         cut = time.monotonic()
@@ -152,7 +152,7 @@ def test_a_cut_link_is_noticed_and_another_takes_over_until_it_heals(
         wait(lambda: connection.gaps)
         assert connection.gaps[0].after == ("spare",)
         assert "machine 'arm'" in connection.gaps[0].cause
-        wait(lambda: tale.told("bridge far", Health.LOST.value, after=cut))
+        wait(lambda: log.has("bridge far", Health.LOST.value, after=cut))
         wait(lambda: not manager.status().machines[0].present)
         assert manager.status().machines[0].cause == "waiting for its bridge far"
         wait(lambda: "bridge far is let go" in host.log)
@@ -160,7 +160,7 @@ def test_a_cut_link_is_noticed_and_another_takes_over_until_it_heals(
         cable.mend()
         wait(lambda: len(connection.gaps) == 2)
         assert connection.gaps[1].after == ("ticker",)
-        wait(lambda: tale.told("bridge far", Health.OK.value, after=mended))
+        wait(lambda: log.has("bridge far", Health.OK.value, after=mended))
         assert connection.get(patience()) is not None
         assert connection.state is ConnectionState.RUNNING
 
@@ -174,13 +174,13 @@ def test_a_connection_without_another_candidate_waits_for_the_link_to_heal(
         RobotManager.from_file(file) as manager,
         _host(cable, tmp_path, port, "--silence", str(SILENCE)),
     ):
-        tale = Tale(manager)
+        log = EventLog(manager)
         # None is read while the cable is cut, and the component begins anew when it is mended.
         connection = manager.request("ticks", queue=QueuePolicy(length=100_000))
         assert connection.get(patience()) == 0
         cut = time.monotonic()
         cable.cut()
-        wait(lambda: tale.told("bridge far", Health.LOST.value, after=cut))
+        wait(lambda: log.has("bridge far", Health.LOST.value, after=cut))
         wait(lambda: connection.state is ConnectionState.WAITING)
         assert "machine 'arm'" in connection.cause
         cable.mend()

@@ -73,16 +73,16 @@ def test_a_stopped_host_is_given_up_after_its_silence(tmp_path: Path) -> None:
     _harmed(tmp_path, stop, "has not answered")
 
 
-def test_a_host_that_is_given_up_is_gone_before_anybody_is_told(tmp_path: Path) -> None:
+def test_a_host_that_is_given_up_is_gone_before_it_is_reported(tmp_path: Path) -> None:
     """What it took after its losses were counted would be counted twice."""
     bridge = hosted.bridge(tmp_path)
     lived: list[bool] = []
 
-    def told(event: HealthEvent) -> None:
+    def take(event: HealthEvent) -> None:
         if event.health is Health.LOST:
             lived.append(lives(bridge.process))
 
-    bridge.watch(told)
+    bridge.watch(take)
     os.kill(bridge.process, signal.SIGSTOP)
     hosted.hasten(bridge, 0.5)
     wait(lambda: lived)

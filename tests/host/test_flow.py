@@ -240,7 +240,7 @@ def test_the_end_comes_after_the_last_message(ends: Ends) -> None:
     assert seen == [50]
 
 
-def test_what_the_consumer_raises_is_counted_and_told(ends: Ends) -> None:
+def test_what_the_consumer_raises_is_counted_and_reported(ends: Ends) -> None:
     near, far = ends
     taker = _Taker()
     incoming = taker.incoming(near)
@@ -494,7 +494,9 @@ def test_confirmations_that_are_none_change_nothing(ends: Ends) -> None:
     assert incoming.received == 1
 
 
-def test_the_first_failure_is_told_at_once_and_what_is_told_twice_counts_once(ends: Ends) -> None:
+def test_the_first_failure_is_reported_at_once_and_what_is_reported_twice_counts_once(
+    ends: Ends,
+) -> None:
     near, far = ends
     taker = _Taker()
     incoming = taker.incoming(near)

@@ -139,7 +139,7 @@ def test_who_takes_its_time_has_a_thread_of_its_own(
     assert len({reading, own, *other.threads}) == 3
 
 
-def test_what_raises_is_told_and_the_next_one_is_taken(
+def test_what_raises_is_reported_and_the_next_one_is_taken(
     flows: Ends, caplog: pytest.LogCaptureFixture
 ) -> None:
     near, far = flows
@@ -182,7 +182,7 @@ def test_two_ends_that_take_by_writing_lose_nothing_on_a_full_link(
     assert all(item == _numbers(*range(count)) for item in back.values())
 
 
-def test_an_end_in_the_midst_of_a_take_waits_for_nobody(flows: Ends) -> None:
+def test_an_end_in_the_midst_of_a_take_does_not_wait(flows: Ends) -> None:
     near, far = flows
     taker = _Taker(near)
     _send(far, 0, payload=b"hang")

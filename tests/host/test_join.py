@@ -56,7 +56,7 @@ def test_its_bridges_close_at_the_same_time() -> None:
     assert sorted(met) == [0, 1]
 
 
-def test_a_host_whose_link_tells_the_manager_nothing_joins_anew(
+def test_a_host_whose_link_reports_nothing_to_the_manager_joins_anew(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """As one that joined in the moment in which the manager began to listen anew."""

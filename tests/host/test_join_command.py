@@ -28,7 +28,7 @@ def test_half_of_what_it_needs_is_not_enough(words: str) -> None:
     assert "give --join PLACE and --machine NAME, or one BRIDGE and --xmlrpc PORT" in done.output
 
 
-def test_it_joins_nobody_elsewhere_without_tls() -> None:
+def test_it_joins_no_other_machine_without_tls() -> None:
     words = ["--join", "tcp/192.0.2.1:7447", "--machine", "arm"]
     done = CliRunner().invoke(main, ["host", *words])
     assert done.exit_code == 1

@@ -85,7 +85,7 @@ def test_an_answer_that_cannot_be_written_is_an_error(ends: Ends) -> None:
         near.ask("test/ask", 0, timeout=patience())
 
 
-def test_nobody_there_is_unavailable(ends: Ends) -> None:
+def test_no_host_there_is_unavailable(ends: Ends) -> None:
     with pytest.raises(BridgeError, match="nobody answers") as caught:
         ends[0].ask("test/nothing", None, timeout=patience())
     assert caught.value.reason is FailureReason.UNAVAILABLE
@@ -173,13 +173,13 @@ def test_who_takes_one_flow_holds_up_no_other_and_no_request(ends: Ends) -> None
     assert held == [b"1", b"2", b"3"]
 
 
-def test_an_error_of_the_engine_does_not_tell_where_that_was_built() -> None:
+def test_an_error_of_the_engine_does_not_show_where_that_was_built() -> None:
     with pytest.raises(BridgeError, match="opening the link") as caught:
         ZenohTransport("tcp/127.0.0.1:1", listen=False, timeout=0.1)
     assert ".rs" not in str(caught.value)
 
 
-def test_an_end_that_tries_to_reach_somebody_mute_again_still_closes_soon() -> None:
+def test_an_end_that_tries_to_reach_a_mute_peer_again_still_closes_soon() -> None:
     port = free_port()
     place = f"tcp/127.0.0.1:{port}"
     near = ZenohTransport(place, listen=True)

@@ -34,20 +34,20 @@ def test_silence_is_counted_from_the_last_answer_and_by_questions(
             silence.asked()
             unanswered += 1
         else:
-            silence.heard(now)
+            silence.answered(now)
             received, unanswered = now, 0
         assert silence.seconds(now) == min(now - received, unanswered * INTERVAL)
         assert silence.is_over(now) is (silence.seconds(now) > 3.0)
 
 
 @given(moments)
-def test_doubt_is_told_when_it_begins_and_when_it_is_over(
+def test_doubt_is_reported_when_it_begins_and_when_it_is_over(
     happened: list[tuple[str, float]],
 ) -> None:
     silence, now, reports = Silence(3.0, 0.0), 0.0, [False]
     for what, later in happened:
         now += later
-        silence.asked() if what == "asked" else silence.heard(now)
+        silence.asked() if what == "asked" else silence.answered(now)
         change = silence.doubt(now)
         if change is not None:
             reports.append(change)
@@ -127,10 +127,10 @@ def test_why_a_host_died_is_waited_for_only_where_the_link_is_lost(
 
 
 def heart(
-    transport: LateTransport, told: list[object], over: threading.Event, limit: float
+    transport: LateTransport, doubts: list[object], over: threading.Event, limit: float
 ) -> Heartbeat:
     def end(silent: float) -> None:
-        told.append(silent)
+        doubts.append(silent)
         over.set()
 
     return Heartbeat(
@@ -138,7 +138,7 @@ def heart(
         cast(Transport, transport),
         silence=limit,
         on_answer=lambda _: None,
-        on_doubt=told.append,
+        on_doubt=doubts.append,
         on_silence=end,
     )
 

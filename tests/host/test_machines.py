@@ -102,7 +102,7 @@ def test_a_machine_that_comes_late_is_waited_for(tmp_path: Path, port: int) -> N
             wait(lambda: any(event.cause == "machine 'arm' has joined" for event in events))
 
 
-def test_a_link_that_fails_while_closing_is_told_and_the_manager_closes_all_the_same(
+def test_a_link_that_fails_while_closing_is_reported_and_the_manager_closes_all_the_same(
     tmp_path: Path, port: int, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     file = robot(tmp_path, port)
@@ -120,7 +120,7 @@ def test_a_link_that_fails_while_closing_is_told_and_the_manager_closes_all_the_
     before.check()
 
 
-def test_an_address_that_is_taken_is_told_and_tried_again(tmp_path: Path, port: int) -> None:
+def test_an_address_that_is_taken_is_reported_and_tried_again(tmp_path: Path, port: int) -> None:
     file = robot(tmp_path, port)
     with socket.create_server(("127.0.0.1", port)):
         manager = RobotManager.from_file(file)
@@ -148,7 +148,7 @@ LATE = """
 """
 
 
-def test_a_host_that_is_told_to_end_waits_for_no_component(tmp_path: Path, port: int) -> None:
+def test_a_host_that_is_asked_to_end_waits_for_no_component(tmp_path: Path, port: int) -> None:
     file = robot(tmp_path, port)
     file.write_text(file.read_text() + LATE)
     with Joined(tmp_path, _place(port)) as host, RobotManager.from_file(file) as manager:

@@ -53,7 +53,7 @@ def test_a_source_delivers_all_in_order_and_then_finishes(far: RemoteBridge) -> 
     assert channel.facts()["lost_on_link"] == 0
 
 
-def test_what_has_no_room_for_too_long_is_counted_and_the_end_is_told(tmp_path: Path) -> None:
+def test_what_has_no_room_for_too_long_is_counted_and_the_end_is_reported(tmp_path: Path) -> None:
     """A host gives up a message when the receiver has handled none for a second."""
     far = hosted.bridge(tmp_path, variables={})
     events, got = Events(), list[int]()
@@ -147,7 +147,7 @@ def test_what_the_host_prints_reaches_the_log_with_its_name(
     assert any(record.name == "uoarm.host.far" for record in caplog.records)
 
 
-def test_a_crash_in_c_is_told_with_the_line_that_called_it(
+def test_a_crash_in_c_is_reported_with_the_line_that_called_it(
     far: RemoteBridge, caplog: pytest.LogCaptureFixture
 ) -> None:
     with pytest.raises(BridgeError, match="SIGSEGV"):

@@ -103,7 +103,7 @@ def test_a_frame_that_finds_a_full_link_is_dropped_whole(
     far.close()
 
 
-def test_whoever_asks_next_writes_on_at_what_was_begun(
+def test_the_next_caller_writes_on_at_what_was_begun(
     bare: tuple[SocketTransport, LinkSockets], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     near, other = bare
@@ -156,12 +156,12 @@ def test_a_write_that_a_signal_interrupts_ends_the_link_and_garbles_nothing(
 )
 @pytest.mark.parametrize("place", ["requests", "outgoing"])
 def test_what_is_no_frame_ends_the_link_for_both(
-    bare: tuple[SocketTransport, LinkSockets], told: bytes, place: str
+    bare: tuple[SocketTransport, LinkSockets], garbage: bytes, place: str
 ) -> None:
     near, other = bare
     for item in (other.requests, other.incoming):
         item.settimeout(patience())
-    getattr(other, place).sendall(told)
+    getattr(other, place).sendall(garbage)
     assert other.requests.recv(1) == other.incoming.recv(1) == b""
     with pytest.raises(BridgeError, match="the link is closed") as caught:
         near.ask("test/ask", None, timeout=patience())
@@ -184,7 +184,7 @@ def test_a_frame_for_which_there_is_no_memory_ends_the_link(
         near.publish("test/frames", b"", b"")
 
 
-def test_who_waits_for_an_answer_hears_of_the_end_at_once(
+def test_a_caller_that_waits_for_an_answer_sees_the_end_at_once(
     bare: tuple[SocketTransport, LinkSockets],
 ) -> None:
     near, other = bare
@@ -204,7 +204,7 @@ def test_who_waits_for_an_answer_hears_of_the_end_at_once(
     asking.join(patience())
 
 
-def test_late_questions_that_nobody_answers_are_forgotten(
+def test_late_questions_without_an_answer_are_forgotten(
     bare: tuple[SocketTransport, LinkSockets],
 ) -> None:
     near, _ = bare
@@ -237,7 +237,7 @@ def test_the_oldest_frames_of_a_subscription_are_lost_first(
     far.close()
 
 
-def test_nothing_is_heard_after_an_end(bare: tuple[SocketTransport, LinkSockets]) -> None:
+def test_nothing_is_received_after_an_end(bare: tuple[SocketTransport, LinkSockets]) -> None:
     near, other = bare
     far = SocketTransport(other, "far")
     seen: list[bytes] = []
@@ -245,7 +245,7 @@ def test_nothing_is_heard_after_an_end(bare: tuple[SocketTransport, LinkSockets]
     near.answer("test/ask", lambda request, reply: reply(request))()
     with pytest.raises(BridgeError, match="nobody answers at test/ask"):
         far.ask("test/ask", None, timeout=patience())
-    far.tell("test/one", b"late")
+    far.notify("test/one", b"late")
     near.answer("test/ask", lambda request, reply: reply(request))
     assert far.ask("test/ask", "told", timeout=patience()) == "told"
     assert seen == []

@@ -44,7 +44,7 @@ def _proxy(face: XmlRpcServer) -> ServerProxy:
     return ServerProxy(f"http://127.0.0.1:{face.port}/RPC2")
 
 
-def test_components_ports_and_structures_are_told(face: XmlRpcServer) -> None:
+def test_components_ports_and_structures_are_reported(face: XmlRpcServer) -> None:
     with _proxy(face) as proxy:
         assert proxy.components() == ["absent", "camera"]
         assert proxy.ports("camera") == ["default"]

@@ -270,11 +270,11 @@ def test_a_missing_module_is_named_as_it_was_written(tmp_path: Path) -> None:
         ),
     ],
 )
-def test_what_fails_as_a_module_is_imported_is_told_with_its_line(
-    tmp_path: Path, code: str, told: str
+def test_what_fails_as_a_module_is_imported_is_reported_with_its_line(
+    tmp_path: Path, code: str, expected: str
 ) -> None:
     place = folder(tmp_path, "failing", fails=code, other="\nwho = 1 / 0", other_names="")
-    with pytest.raises(BridgeError, match=told) as caught:
+    with pytest.raises(BridgeError, match=expected) as caught:
         call(place, "fails:who", None)
     assert "uoarm.local" not in str(caught.value)
 

@@ -56,15 +56,17 @@ def test_what_takes_the_message_depends_on_what_is_given() -> None:
         ("double", {"other": 0}, "'other': there is no such parameter: it takes none"),
     ],
 )
-def test_wrong_parameters_are_told_when_a_plan_is_made(name: str, given: Any, told: str) -> None:
+def test_wrong_parameters_are_reported_when_a_plan_is_made(
+    name: str, given: Any, expected: str
+) -> None:
     port = "left" if name == "Named" else "default"
     address = "tests.local.parts:double" if name == "double" else name
     with talk.bridge() as made:
         endpoint = talk.at(address, Role.INPUT, port, **given)
-        with pytest.raises(BridgeError, match=told) as caught:
+        with pytest.raises(BridgeError, match=expected) as caught:
             made.describe(endpoint)
         assert caught.value.reason is FailureReason.BAD_ENDPOINT
-        with pytest.raises(BridgeError, match=told):
+        with pytest.raises(BridgeError, match=expected):
             made.open_sink(endpoint, talk.ANY)
 
 
@@ -85,18 +87,18 @@ def test_a_robot_with_wrong_parameters_has_no_plan() -> None:
         ("near: 1.0", "components[0]", "comes whole, in 'message'"),
     ],
 )
-def test_check_tells_the_place_of_a_wrong_parameter(
-    tmp_path: Path, written: str, place: str, told: str
+def test_check_reports_the_place_of_a_wrong_parameter(
+    tmp_path: Path, written: str, place: str, expected: str
 ) -> None:
     file = tmp_path / "robot.yaml"
     file.write_text(ROBOT.replace("PARAMETERS", written), encoding="utf-8")
     done = CliRunner().invoke(main, ["check", str(file)])
     assert done.exit_code == 3, done.output
     assert f"{place}: " in done.output
-    assert told in done.output
+    assert expected in done.output
 
 
-def test_check_tells_the_place_of_an_endpoint_that_can_be_nowhere(tmp_path: Path) -> None:
+def test_check_reports_the_place_of_an_endpoint_that_can_be_nowhere(tmp_path: Path) -> None:
     file = tmp_path / "robot.yaml"
     written = ROBOT.replace("PARAMETERS", "").replace(":clip", ":Named.left")
     file.write_text(written, encoding="utf-8")

@@ -98,7 +98,7 @@ def test_what_comes_of_a_message_that_was_taken_is_counted_when_its_output_is_cl
     bridge.close()
 
 
-def test_a_source_whose_last_listener_leaves_emits_a_message_or_hears_that_it_was_not_taken() -> (
+def test_a_source_whose_last_listener_leaves_emits_a_message_or_sees_that_it_was_not_taken() -> (
     None
 ):
     emitted: list[int] = []

@@ -84,8 +84,10 @@ def test_structures_are_those_of_the_objects() -> None:
         ({"header": {"stamp": 1, "mode": "fst", "note": None}}, "'fst' is not a valid Mode"),
     ],
 )
-def test_a_message_of_another_structure_is_refused_with_its_path(change: Any, told: str) -> None:
-    with pytest.raises(MessageError, match=told):
+def test_a_message_of_another_structure_is_refused_with_its_path(
+    change: Any, expected: str
+) -> None:
+    with pytest.raises(MessageError, match=expected):
         talk.call("ask_scan", {**SCAN, **change})
 
 

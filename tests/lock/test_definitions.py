@@ -119,7 +119,7 @@ def test_a_plugin_that_cannot_be_loaded_is_an_error(
     assert "the plugin gone cannot be used: ModuleNotFoundError" in done.output
 
 
-def test_what_the_definitions_do_not_have_is_told(tmp_path: Path) -> None:
+def test_what_the_definitions_do_not_have_is_reported(tmp_path: Path) -> None:
     done = check(tmp_path, Other__fields="width")
     assert done.exit_code == 0, done.output
     assert "and taken to be as they were: mine/Grip" in done.stderr

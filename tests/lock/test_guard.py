@@ -49,7 +49,7 @@ def changed(tmp_path: Path) -> Path:
     return write(tmp_path, "enforce", unit="[degF]", module="newer")
 
 
-def test_what_is_as_it_was_locked_is_used_and_nothing_is_told(
+def test_what_is_as_it_was_locked_is_used_and_nothing_is_reported(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     path = write(tmp_path, "enforce")
@@ -95,7 +95,7 @@ def test_a_component_that_the_lock_does_not_have_is_another(changed: Path) -> No
         robot.request("temperature")
 
 
-def test_warned_of_another_structure_is_used_and_told_once_and_counted(
+def test_warned_of_another_structure_is_used_and_reported_once_and_counted(
     changed: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     changed.write_text(changed.read_text().replace("enforce", "warn"), encoding="utf-8")

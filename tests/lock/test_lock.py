@@ -87,7 +87,7 @@ def test_a_lock_is_the_same_text_for_the_same_plans_and_fits_itself(tmp_path: Pa
 
 
 @pytest.mark.parametrize("suffix", [".json", ".schema"])
-def test_another_unit_breaks_the_edge_and_the_line_that_mends_it_is_told(
+def test_another_unit_breaks_the_edge_and_the_line_that_mends_it_is_shown(
     tmp_path: Path, suffix: str
 ) -> None:
     locked(tmp_path / "a")

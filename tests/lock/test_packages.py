@@ -63,7 +63,7 @@ def test_of_the_application_it_is_what_is_installed_here() -> None:
     assert gone == LockedBridge("arm", "there-is-none")
 
 
-def test_other_versions_are_told_by_bridge() -> None:
+def test_other_versions_are_reported_by_bridge() -> None:
     before = {"arm": LockedBridge("arm", "", {"a": "1", "b": "1", "c": "1"})}
     after = {"arm": LockedBridge("arm", "", {"a": "1", "b": "2", "d": "1"})}
     assert differing_packages(before, {**after, "leg": before["arm"]}) == [

@@ -254,7 +254,7 @@ KINDS = st.sampled_from(["null", "boolean", "integer", "number", "string", "arra
 
 def _record(inner: st.SearchStrategy[Any]) -> st.SearchStrategy[Any]:
     members = st.dictionaries(KEYS, inner, min_size=1, max_size=3)
-    return st.builds(lambda told: closed(**told), members)
+    return st.builds(lambda values: closed(**values), members)
 
 
 def _schema(inner: st.SearchStrategy[Any]) -> st.SearchStrategy[Any]:

@@ -132,7 +132,7 @@ def test_what_an_object_says_holds_for_what_is_in_it() -> None:
     assert carried.reasons[0].sentence == "the units differ: mm becomes m with scale: 0.001"
 
 
-def test_what_nobody_says_rests_on_shape_and_is_named() -> None:
+def test_what_is_not_declared_rests_on_shape_and_is_named() -> None:
     flag, code = {"type": "boolean"}, {"enum": [1, 2]}
     one = record(a=NUMBER, b=unit("m"), c=flag, d=code, e=OCTETS, f=unit("m"))
     verdict = edge(one, record(a=NUMBER, b=NUMBER, c=flag, d=code, e=OCTETS, f=unit("m")))

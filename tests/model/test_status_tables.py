@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from uoarm.model import tell_status
+from uoarm.model import format_status
 
 STATUS = {
     "connections": [
@@ -25,7 +25,7 @@ STATUS = {
 
 
 def test_a_table_has_its_columns_one_below_the_other() -> None:
-    _, _, *lines = tell_status({"routes": STATUS["routes"]}).splitlines()[2:]
+    _, _, *lines = format_status({"routes": STATUS["routes"]}).splitlines()[2:]
     heads, row = lines
     assert heads.index("received") == row.index("720")
     assert heads.index("dropped") == row.index("queue-full 354")
@@ -33,7 +33,7 @@ def test_a_table_has_its_columns_one_below_the_other() -> None:
 
 @pytest.mark.parametrize("width", [40, 60])
 def test_where_a_table_is_too_wide_each_row_says_what_it_has(width: int) -> None:
-    text = tell_status(STATUS, width)
+    text = format_status(STATUS, width)
     assert max(map(len, text.splitlines())) <= width
     joined = " ".join(text.split())
     assert "c1 function faceRecognition, state running, lost 0 c2" in joined
@@ -47,4 +47,4 @@ def test_where_a_table_is_too_wide_each_row_says_what_it_has(width: int) -> None
 
 def test_a_table_that_fits_stays_one() -> None:
     few = {"connections": STATUS["connections"][:1]}
-    assert tell_status(few, 60) == tell_status(few)
+    assert format_status(few, 60) == format_status(few)

@@ -51,7 +51,7 @@ def test_a_chain_that_doubles_costs_its_length(depth: int) -> None:
         (rows(2_000_000, ANY), {"items": {"minimum": 1}}),
     ],
 )
-def test_a_long_counterexample_is_told_and_not_built(producer: Any, consumer: Any) -> None:
+def test_a_long_counterexample_is_reported_and_not_built(producer: Any, consumer: Any) -> None:
     verdict = check(producer, consumer, budget=Budget(steps=2_000, seconds=PATIENT))
     assert verdict.incompatible
     assert verdict.abridged
@@ -114,7 +114,7 @@ def deep_object(levels: int) -> dict[str, object]:
 
 
 @pytest.mark.parametrize("levels", [200, 1_500])
-def test_a_deep_counterexample_is_told_in_a_form_that_json_can_write(levels: int) -> None:
+def test_a_deep_counterexample_is_reported_in_a_form_that_json_can_write(levels: int) -> None:
     verdict = check(deep_object(levels), {"type": "string"}, budget=Budget(seconds=PATIENT))
     assert verdict.incompatible
     assert verdict.abridged is (levels > 250)
@@ -135,7 +135,7 @@ def losing(fields: int) -> tuple[Any, Any]:
     return {"type": "object", **ours}, {"type": "object", **theirs}
 
 
-def test_what_is_lost_is_told_within_the_budget() -> None:
+def test_what_is_lost_is_reported_within_the_budget() -> None:
     """Less of it is told where the budget ends; what was proven stays."""
     whole = check(*losing(200), budget=Budget(seconds=PATIENT))
     assert whole.compatible
@@ -147,7 +147,7 @@ def test_what_is_lost_is_told_within_the_budget() -> None:
     assert not find_losses(producer, consumer, Meter(0, PATIENT, 10**9))
 
 
-def test_what_is_lost_is_told_beside_patterns_that_are_not_decided() -> None:
+def test_what_is_lost_is_reported_beside_patterns_that_are_not_decided() -> None:
     one = {"properties": {"a": ANY}, "patternProperties": {"(?<=a)b": ANY}}
     patient = Budget(seconds=PATIENT)
     assert check({"allOf": [one], "properties": {"a": ANY}}, one, budget=patient).compatible
@@ -220,7 +220,7 @@ def spend_often(meter: Meter, steps: int) -> None:
         meter.spend(steps)
 
 
-def test_what_ran_out_is_told_with_the_part_that_took_longest() -> None:
+def test_what_ran_out_is_reported_with_the_part_that_took_longest() -> None:
     meter = clocked(50.0)
     with meter.part("the search"), pytest.raises(BudgetError, match=r"time.*the search"):
         spend_often(meter, 1)

@@ -81,7 +81,7 @@ def test_a_gap_in_any_place_is_never_taken_for_nothing(
     assert check(place({"$ref": "tag:nowhere,2026:one"}), place(GAP)).undecided
 
 
-def test_numbers_that_nobody_can_write_are_no_yes_among_hundreds_of_ranges() -> None:
+def test_numbers_that_cannot_be_written_are_no_yes_among_hundreds_of_ranges() -> None:
     """Between neighbours of doubles there are numbers; that none was found proves nothing."""
     ranges = [{"minimum": n + 0.25, "maximum": n + 0.5} for n in range(2, 400)]
     between = {"exclusiveMinimum": 1, "exclusiveMaximum": math.nextafter(1, 2)}

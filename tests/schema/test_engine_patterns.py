@@ -199,7 +199,7 @@ def test_a_hostile_look_ahead_ends() -> None:
         "[b-a]",
     ],
 )
-def test_a_malformed_pattern_is_told(pattern: str) -> None:
+def test_a_malformed_pattern_is_reported(pattern: str) -> None:
     with pytest.raises(SchemaError):
         check({"pattern": pattern}, True)
 

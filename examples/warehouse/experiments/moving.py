@@ -83,12 +83,12 @@ async def to_the_wheel(robot: RemoteRobot, floor: Floor, vehicle: str, count: in
     async with held, await robot.request(f"transport{name}.state", wait=_LIMIT) as stream:
         reached = 0
 
-        async def hear() -> None:
+        async def listen() -> None:
             nonlocal reached
             async for state in stream:
                 reached = state["leg"]
 
-        hearing = asyncio.create_task(hear())
+        listening = asyncio.create_task(listen())
         first = int(time.time())
         for leg in range(first, first + 1 + count):
             node = nodes[(leg - first) % 2]
@@ -102,7 +102,7 @@ async def to_the_wheel(robot: RemoteRobot, floor: Floor, vehicle: str, count: in
                 await stream.send(command, "command")
                 await asyncio.sleep(_AGAIN)
             found.append(moves.result())
-        hearing.cancel()
+        listening.cancel()
     return found[1:]  # with the first one what is lazy comes up
 
 

@@ -115,7 +115,7 @@ class Application:
             if uses.intersection(vehicles):
                 self._keep(function["name"], self._hold(robot, function["name"]))
         for name in vehicles:
-            self._keep(name, self._hear(robot, name))
+            self._keep(name, self._listen(robot, name))
 
     def _keep(self, name: str, work: Any) -> None:
         task = self._tasks.get(name)
@@ -133,7 +133,7 @@ class Application:
         except UoarmError as error:
             self._report(name, error)
 
-    async def _hear(self, robot: RemoteRobot, name: str) -> None:
+    async def _listen(self, robot: RemoteRobot, name: str) -> None:
         """Take what a vehicle says, as long as it can be had."""
         try:
             async with await robot.request(f"{name}.state", wait=_WAIT_SECONDS) as stream:

@@ -164,7 +164,7 @@ class Coordinator:
     ) -> None:
         self.orders: dict[str, Order] = {order.name: order for order in orders}
         self.vehicles: dict[str, Vehicle] = {
-            reservation.vehicle: _unheard(reservation) for reservation in held
+            reservation.vehicle: _unreported(reservation) for reservation in held
         }
         self._reserved = {reservation.vehicle: reservation for reservation in held}
         self._leg = max([first_leg, *(reservation.leg for reservation in held)])
@@ -415,7 +415,7 @@ class Coordinator:
         return Command(vehicle.name, vehicle.leg, way, carry)
 
 
-def _unheard(known: Reservation) -> Vehicle:
+def _unreported(known: Reservation) -> Vehicle:
     """Return a vehicle of which nothing is known but what it holds."""
     name, held = known.vehicle, known.nodes
     x, y = NODES[held[0]] if held else (0.0, 0.0)

@@ -200,7 +200,7 @@ BUGS: tuple[Bug, ...] = (
         _link.BrokerConnection,
         "_down",
         reported_twice,
-        Breaking.test_a_break_is_told_with_its_cause_and_so_is_its_end,
+        Breaking.test_a_break_is_reported_with_its_cause_and_so_is_its_end,
         "told again",
     ),
     Bug(
@@ -208,7 +208,7 @@ BUGS: tuple[Bug, ...] = (
         _health.Disconnection,
         "up",
         unsaid,
-        Breaking.test_a_break_is_told_with_its_cause_and_so_is_its_end,
+        Breaking.test_a_break_is_reported_with_its_cause_and_so_is_its_end,
         "it was not reported",
     ),
     Bug(
@@ -216,7 +216,7 @@ BUGS: tuple[Bug, ...] = (
         _link.BrokerConnection,
         "_down",
         nothing,
-        Breaking.test_a_break_is_told_with_its_cause_and_so_is_its_end,
+        Breaking.test_a_break_is_reported_with_its_cause_and_so_is_its_end,
         "a break was not reported",
     ),
     Bug(
@@ -276,7 +276,7 @@ BUGS: tuple[Bug, ...] = (
         _discovery.RetainedTopic,
         "_take",
         keeping_only,
-        Trouble.test_a_death_is_told_with_its_cause,
+        Trouble.test_a_death_is_reported_with_its_cause,
         "a killed component was not reported",
     ),
     Bug(
@@ -284,7 +284,7 @@ BUGS: tuple[Bug, ...] = (
         _discovery.Components,
         "__init__",
         of_no_component,
-        Trouble.test_each_death_is_told_of_its_own_component,
+        Trouble.test_each_death_is_reported_of_its_own_component,
         "it was not reported",
     ),
     Bug(

@@ -72,8 +72,8 @@ def check_edge(
         suggest_seconds: of work for a suggestion of what would mend a refusal; 0: there is none.
     """
     verdict = _judge(producer, consumer, mapping, allow_loss, meaning, Budget(seconds=seconds))
-    is_told = verdict.compatible or not verdict.reasons or bool(verdict.reasons[0].suggestion)
-    if is_told or not suggest_seconds:
+    is_explained = verdict.compatible or not verdict.reasons or bool(verdict.reasons[0].suggestion)
+    if is_explained or not suggest_seconds:
         return verdict
     end = time.thread_time() + suggest_seconds
 

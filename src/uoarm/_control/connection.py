@@ -29,7 +29,7 @@ from uoarm.model import (
     Plan,
     RouteStatus,
     StatusMap,
-    tell_trouble,
+    format_trouble,
 )
 
 __all__ = ["Connection"]
@@ -292,7 +292,7 @@ class Connection(Generic[T]):
             connections=(self.status(),),
             routes=(*(route for route in routes if route is not None), *self.routes()),
         )
-        return tell_trouble(asdict(status), self.id)
+        return format_trouble(asdict(status), self.id)
 
     def _on_wake(self, wake: Callable[[], None] | None) -> None:
         """Have `wake` called when a message or the end can be read; for event loops."""

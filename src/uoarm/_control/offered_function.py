@@ -23,7 +23,7 @@ from uoarm.model import (
     OfferedService,
     Plan,
     RouteStatus,
-    tell_reason,
+    format_reason,
 )
 
 __all__ = ["Functions", "OfferedFunction", "offered_structures"]
@@ -406,6 +406,6 @@ def _proven(what: str, edge: Edge, meaning: Meaning) -> Transfer | None:
         edge.producer_structure, edge.consumer_structure, edge.mapping, edge.losses, meaning
     )
     if not verdict.compatible:
-        reasons = [line for reason in verdict.reasons for line in tell_reason(reason)]
+        reasons = [line for reason in verdict.reasons for line in format_reason(reason)]
         raise ResolutionError("\n  ".join([what, *reasons]))
     return transfer(edge)

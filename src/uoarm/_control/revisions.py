@@ -397,7 +397,7 @@ class Revisions:
         except BaseException:
             bridges.close()
             raise
-        change = ConfigurationChange(revision.number, difference.told, effects, robot=base)
+        change = ConfigurationChange(revision.number, difference.changes, effects, robot=base)
         return StagedRevision(revision, difference, bridges, change)
 
     def expect(self, staged: StagedRevision) -> None:

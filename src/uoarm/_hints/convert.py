@@ -49,8 +49,10 @@ def reader(hint: Any, place: str) -> Callable[[Message], Any] | None:
         try:
             return structure(message, hint)
         except Exception as error:
-            told = "; ".join(transform_error(error, path="the message", format_exception=_tell))
-            raise MessageError(f"{place} takes {name}: {told}") from error
+            mistakes = "; ".join(
+                transform_error(error, path="the message", format_exception=_sentence_of)
+            )
+            raise MessageError(f"{place} takes {name}: {mistakes}") from error
 
     return read
 
@@ -80,8 +82,8 @@ def writer(hint: Any, place: str) -> Callable[[Any], Message] | None:
             return write(value) if own is None or value.__class__ is own else plain(value)
         except Exception as error:
             where = ".".join(_path_to_fault(hint, value))
-            told = f"{where}: {error}" if where else str(error)
-            text = f"{place} gave something else than {name}: {told}"
+            mistakes = f"{where}: {error}" if where else str(error)
+            text = f"{place} gave something else than {name}: {mistakes}"
             raise BridgeError(text, FailureReason.BAD_MESSAGE) from error
 
     return unstructure
@@ -157,7 +159,7 @@ def _compiled(hint: Any, get_hook: Callable[[Any], Any]) -> Any:
         raise HintError(text) from error
 
 
-def _tell(error: BaseException, kind: type | None) -> str:
+def _sentence_of(error: BaseException, kind: type | None) -> str:
     del kind
     if isinstance(error, KeyError):
         return f"the field {error.args[0]!r} is missing"

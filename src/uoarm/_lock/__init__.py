@@ -4,7 +4,7 @@ from uoarm._lock._compare import Finding, Outcome, compare
 from uoarm._lock._guard import LockGuard, guard_of
 from uoarm._lock._packages import LockedBridge, differing_packages
 from uoarm._lock._record import Lock, LockError, read_lock, record, write_lock
-from uoarm._lock._schemas import read_schemas, untold
+from uoarm._lock._schemas import read_schemas, uncompared_types
 
 __all__ = [
     "Finding",
@@ -19,6 +19,6 @@ __all__ = [
     "read_lock",
     "read_schemas",
     "record",
-    "untold",
+    "uncompared_types",
     "write_lock",
 ]

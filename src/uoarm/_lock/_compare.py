@@ -89,11 +89,11 @@ def _in_lock(other: Lock) -> Find:
 def _in_schemas(schemas: Mapping[str, Any]) -> Find:
     def find(_: Port, before: MessageStructure) -> MessageStructure:
         schema = before.schema
-        told = name_of_type(schema.get("x-type")) if isinstance(schema, Mapping) else ""
-        for name in (before.native_type, told):
+        declared = name_of_type(schema.get("x-type")) if isinstance(schema, Mapping) else ""
+        for name in (before.native_type, declared):
             if name in schemas:
                 after = schemas[name]
-                if told and name_of_type(after.get("x-type")) == "":
+                if declared and name_of_type(after.get("x-type")) == "":
                     after = {**after, "x-type": schema["x-type"]}  # type: ignore[index] # told
                 return MessageStructure(after, native_type=before.native_type)
         return before
@@ -117,7 +117,7 @@ def _edge(
     if sent == ports[producer] and taken == ports[consumer]:
         return Finding(function, subject, Outcome.FITS, changed=False)
     verdict = check_edge(sent, taken, edge.map, edge.allow_loss, meaning_of(edge))
-    return _told(function, subject, verdict)
+    return _judged(function, subject, verdict)
 
 
 def _offered(
@@ -139,9 +139,9 @@ def _offered(
         elif after == before:
             yield Finding(name, port, Outcome.FITS, changed=False)
         elif kind in {"output", "reply"}:
-            yield _told(name, port, check_edge(after, before, suggest_seconds=0))
+            yield _judged(name, port, check_edge(after, before, suggest_seconds=0))
         else:
-            yield _told(name, port, check_edge(before, after, suggest_seconds=0))
+            yield _judged(name, port, check_edge(before, after, suggest_seconds=0))
 
 
 def _gone(function: str, subject: str, port: Port) -> Finding:
@@ -149,7 +149,7 @@ def _gone(function: str, subject: str, port: Port) -> Finding:
     return Finding(function, subject, Outcome.BREAKS, changed=True, sentence=sentence)
 
 
-def _told(function: str, subject: str, verdict: EdgeVerdict) -> Finding:
+def _judged(function: str, subject: str, verdict: EdgeVerdict) -> Finding:
     if verdict.compatible:
         return Finding(function, subject, Outcome.FITS, changed=True)
     first = verdict.reasons[0]

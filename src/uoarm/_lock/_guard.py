@@ -25,13 +25,13 @@ class LockGuard:
     Args:
         lock: what was written down.
         mode: whether a component with other structures may be used.
-        tell: called once for each difference that was not told yet, with the place and a sentence.
+        report: called once for each new difference, with the place and a sentence.
     """
 
-    def __init__(self, lock: Lock, mode: LockMode, tell: Callable[[str, str], None]) -> None:
+    def __init__(self, lock: Lock, mode: LockMode, report: Callable[[str, str], None]) -> None:
         self.lock = lock
         self.mode = mode
-        self._tell = tell
+        self._report = report
         self._ports = {
             (part.component, port): fingerprint
             for part in lock.parts()
@@ -93,18 +93,18 @@ class LockGuard:
             )
         if before is None:
             _log.warning("%s%s", sentence, "; it is not used" if is_refused else "")
-            self._tell(place, sentence)
+            self._report(place, sentence)
         return sentence
 
 
 def guard_of(
-    robot: Robot, tell: Callable[[str, str], None], before: LockGuard | None = None
+    robot: Robot, report: Callable[[str, str], None], before: LockGuard | None = None
 ) -> LockGuard | None:
     """Return the guard that a configuration asks for, None where it asks for none. Reads the lock.
 
     Args:
         robot: the configuration.
-        tell: as the guard has it.
+        report: as the guard has it.
         before: the guard in force, which stays where the lock is the same.
 
     Raises:
@@ -121,4 +121,4 @@ def guard_of(
     lock = read_lock(path)
     if before is not None and (before.lock, before.mode) == (lock, robot.lock):
         return before
-    return LockGuard(lock, robot.lock, tell)
+    return LockGuard(lock, robot.lock, report)

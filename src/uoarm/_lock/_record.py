@@ -142,12 +142,14 @@ def record(
     structures: dict[str, LockedStructure] = {}
     functions: dict[str, LockedFunction] = {}
 
-    def part(one: Component | Offer, ports: Mapping[str, MessageStructure]) -> LockedPart:
-        for told in ports.values():
-            structures[told.fingerprint] = LockedStructure(told.native_type, told.schema)
-        by_port = {port: told.fingerprint for port, told in sorted(ports.items())}
-        plugin = robot.bridges[one.bridge].plugin
-        return LockedPart(one.name, one.function, one.bridge, plugin, by_port)
+    def part(subject: Component | Offer, ports: Mapping[str, MessageStructure]) -> LockedPart:
+        for structure in ports.values():
+            structures[structure.fingerprint] = LockedStructure(
+                structure.native_type, structure.schema
+            )
+        by_port = {port: structure.fingerprint for port, structure in sorted(ports.items())}
+        plugin = robot.bridges[subject.bridge].plugin
+        return LockedPart(subject.name, subject.function, subject.bridge, plugin, by_port)
 
     for name, plan in sorted(plans.items()):
         used = () if isinstance(plan, str) else [step.component.name for step in plan.steps]

@@ -14,7 +14,7 @@ from uoarm._plugins import cause_of, values_of
 from uoarm.errors import ConfigurationError, PluginError
 from uoarm.plugins import CONTRACT_VERSION, DefinitionFormat, DefinitionHooks, Definitions
 
-__all__ = ["read_schemas", "untold"]
+__all__ = ["read_schemas", "uncompared_types"]
 
 _DEFINITIONS = "uoarm.definitions"
 _SCHEMAS = frozenset({".json", ".schema"})
@@ -73,7 +73,7 @@ def read_schemas(folder: Path, lock: Lock, *, is_installed: bool = False) -> dic
     return found
 
 
-def untold(lock: Lock, schemas: Mapping[str, Any]) -> list[str]:
+def uncompared_types(lock: Lock, schemas: Mapping[str, Any]) -> list[str]:
     """Return the types of a lock that are not among schemas, and so are not compared."""
     names = {
         frozenset({structure.native_type, name_of_type(structure.structure.get("x-type"))} - {""})

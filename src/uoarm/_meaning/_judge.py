@@ -50,11 +50,11 @@ BUILT_IN: tuple[frozenset[str], ...] = (
 )  # fmt: skip
 
 
-def name_of_type(told: object) -> str:
+def name_of_type(declared: object) -> str:
     """Return the name in what `x-type` says, nothing where it says none."""
-    if isinstance(told, Mapping):
-        told = told.get("name")
-    return told if isinstance(told, str) else ""
+    if isinstance(declared, Mapping):
+        declared = declared.get("name")
+    return declared if isinstance(declared, str) else ""
 
 
 def are_alike(one: str, other: str, declared: tuple[frozenset[str], ...]) -> bool:

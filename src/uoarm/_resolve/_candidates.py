@@ -318,7 +318,7 @@ class _Matching:
         name = candidate_name(function.name, spec.name, offer.found, offer.port)
         own = _endpoint(offer.port, name, need)
         inputs: list[Input] = []
-        reports = [offer.told]
+        reports = [offer.why]
         streams = [
             found_port for found_port in offer.found.ports if found_port.endpoint.role is Role.INPUT
         ]

@@ -33,14 +33,14 @@ class Offer:
     Attributes:
         spec: its bridge.
         rank: less is better; the last part of it is its name.
-        told: the rules by which it stands there.
+        why: the rules by which it stands there.
     """
 
     spec: BridgeSpec
     found: FoundComponent
     port: FoundPort
     rank: tuple[object, ...]
-    told: str
+    why: str
 
     @property
     def alike(self) -> tuple[object, ...]:

@@ -61,7 +61,7 @@ class _Answer(Generic[T]):
         again: never, where it was decided.
     """
 
-    told: T
+    result: T
     factor: int = 1
     again: float = math.inf
 
@@ -104,10 +104,10 @@ class Proofs:
         def judge(factor: int) -> tuple[str, bool]:
             seconds = factor * _PAIR_SECONDS
             verdict = check_edge(producer, consumer, seconds=seconds, suggest_seconds=0)
-            told = [
+            reasons = [
                 f"{reason.path}: {reason.sentence}".removeprefix(": ") for reason in verdict.reasons
             ]
-            refused = "" if verdict.compatible else "; ".join(told[:3]) or "refused"
+            refused = "" if verdict.compatible else "; ".join(reasons[:3]) or "refused"
             return refused, not verdict.is_undecided
 
         return self._answer(self._refusals, key, judge, _NOT_COMPARED)
@@ -174,7 +174,7 @@ class Proofs:
         if known is None or now >= known.again:
             if now > self._end:
                 self.unjudged += 1
-                return unjudged if known is None else known.told
+                return unjudged if known is None else known.result
             factor = 1 if known is None else min(_MOST_FACTOR, 2 * known.factor)
             report, is_decided = judge(factor)
             again = math.inf if is_decided else self._clock() + _PATIENCE * factor * _PAIR_SECONDS
@@ -182,7 +182,7 @@ class Proofs:
             if len(answers) > _REMEMBERED:
                 answers.popitem(last=False)
         answers.move_to_end(key)
-        return known.told
+        return known.result
 
 
 def _rules_for(consumer: MessageStructure, rules: Options) -> dict[str, object]:

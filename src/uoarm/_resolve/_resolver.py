@@ -15,7 +15,7 @@ from uoarm._resolve._proofs import Fit
 from uoarm._resolve._search import Search
 from uoarm.config import fed_by
 from uoarm.errors import ResolutionError
-from uoarm.model import Function, Plan, Rejection, Robot, tell_rejections
+from uoarm.model import Function, Plan, Rejection, Robot, format_rejections
 
 __all__ = ["NoPlanError", "Resolver"]
 
@@ -32,17 +32,21 @@ class NoPlanError(ResolutionError):
     Attributes:
         function: the function asked for.
         rejections: its candidates, each with its reasons and what those rest on.
-        asked_in_vain: whether a component that was tried was not available: once it is, there may
+        is_unavailable: whether a component that was tried was not available: once it is, there may
             be a plan.
     """
 
     def __init__(
-        self, function: str, rejections: tuple[Rejection, ...], *, asked_in_vain: bool = False
+        self,
+        function: str,
+        rejections: tuple[Rejection, ...],
+        *,
+        is_unavailable: bool = False,
     ) -> None:
-        super().__init__(f"no component can provide {function!r}:\n{tell_rejections(rejections)}")
+        super().__init__(f"no component can provide {function!r}:\n{format_rejections(rejections)}")
         self.function = function
         self.rejections = rejections
-        self.asked_in_vain = asked_in_vain
+        self.is_unavailable = is_unavailable
 
 
 @frozen
@@ -119,9 +123,9 @@ class Resolver:
             if revision == self._revision:
                 break
         if not isinstance(found, Plan):
-            raise NoPlanError(name, found, asked_in_vain=search.asked_in_vain is not None)
+            raise NoPlanError(name, found, is_unavailable=search.seconds_unavailable is not None)
         if not excluded:
-            until = self._until(search.asked_in_vain)
+            until = self._until(search.seconds_unavailable)
             with self._lock:
                 if revision == self._revision:
                     self._plans[name] = _Kept(found, until)
@@ -162,8 +166,8 @@ class Resolver:
             gone = fed_by(changed, components)
             self._plans = {name: plan for name, plan in self._plans.items() if name not in gone}
 
-    def _until(self, asked_in_vain: float | None) -> float:
-        if asked_in_vain is None:
+    def _until(self, seconds_unavailable: float | None) -> float:
+        if seconds_unavailable is None:
             return math.inf
-        seconds = max(_LEAST_SECONDS, min(_MOST_SECONDS, _PATIENCE * asked_in_vain))
+        seconds = max(_LEAST_SECONDS, min(_MOST_SECONDS, _PATIENCE * seconds_unavailable))
         return self._clock() + seconds

@@ -82,7 +82,7 @@ class Search:
         self._excluded = excluded
         self._budget = budget
         self._clock = clock
-        self._asked_in_vain: float | None = None
+        self._seconds_unavailable: float | None = None
         self._checked = 0.0
         self._frames: list[_Frame] = []
         self._assigned: dict[str, _Frame] = {}
@@ -90,9 +90,9 @@ class Search:
         self._impossible: dict[str, tuple[Rejection, ...]] = {}
 
     @property
-    def asked_in_vain(self) -> float | None:
+    def seconds_unavailable(self) -> float | None:
         """Seconds spent on components that were not available; None: all that were tried were."""
-        return self._asked_in_vain
+        return self._seconds_unavailable
 
     def run(self, name: str) -> Plan | tuple[Rejection, ...]:
         """Return the plan, or the rejected candidates of the function asked for.
@@ -143,7 +143,7 @@ class Search:
         begun = self._clock()
         structures = self._fit.structures(candidate)
         if not isinstance(structures, Structures):
-            self._asked_in_vain = (self._asked_in_vain or 0.0) + self._clock() - begun
+            self._seconds_unavailable = (self._seconds_unavailable or 0.0) + self._clock() - begun
             return _Refusal((Reason(structures.sentence),))
         mistakes = command_mistakes(candidate, structures)
         if mistakes:

@@ -190,11 +190,11 @@ class Bridge(ABC):
         )
         if endpoint.command is not None and self._is_last_hop:
 
-            def tell(cause: str) -> None:
+            def report_stop(cause: str) -> None:
                 health = Health.DEGRADED if cause else Health.OK
                 self.report(health, cause or "its stop message was taken", channel=sink)
 
-            sink.guard(tell)
+            sink.guard(report_stop)
         return sink
 
     @final

@@ -190,10 +190,10 @@ class Source(Channel):
         return "" if self._gate is None else self._gate.refusal
 
     @final
-    def watch_refused(self, told: Callable[[], object]) -> None:
+    def watch_refused(self, on_refused: Callable[[], object]) -> None:
         """Have each message told that comes after it was closed, in its thread; for the core."""
         if self._gate is not None:
-            self._gate.on_refused = told
+            self._gate.on_refused = on_refused
 
 
 class Sink(Channel):
@@ -262,16 +262,20 @@ class Sink(Channel):
             self._watchdog.send(message, age)
 
     @final
-    def guard(self, tell: Callable[[str], None]) -> None:
+    def guard(self, report_stop: Callable[[str], None]) -> None:
         """Keep to the endpoint's command policy from now on; called once, by the core.
 
         Args:
-            tell: told why a stop message was not taken, and with nothing when one was again.
+            report_stop: told why a stop message was not taken, and with nothing when one was again.
         """
         if self.endpoint.command is not None:
             name = f"{self.endpoint.component}.{self.endpoint.port}"
             self._watchdog = Watchdog(
-                self.endpoint.command, self._send, name, parallel=self.parallel, tell=tell
+                self.endpoint.command,
+                self._send,
+                name,
+                parallel=self.parallel,
+                report_stop=report_stop,
             )
 
     def hold(self, timeout: float) -> CommandStatus | None:

@@ -150,18 +150,19 @@ def _require_fitting(spec: BridgeSpec, kind: BridgeType) -> None:
 
     speller = Speller()
     errors = list(Draft202012Validator(kind.options_schema).iter_errors(dict(spec.options)))
-    missing = [one for one in errors if one.validator == "required" and not one.path]
+    missing = [error for error in errors if error.validator == "required" and not error.path]
     if errors and len(missing) == len(errors):  # as of a bridge that no configuration names
         names = kind.lacking(spec.options)
         s = "" if len(names) == 1 else "s"
         text = f"plugin {kind.name!r} needs the option{s} {', '.join(names)}"
         text += f", which a file gives under `bridges`, such as {kind.line(spec.name, names)}"
         raise ConfigurationError(f"bridge {spec.name!r}: {text}")
-    told = "; ".join(
+    problems = "; ".join(
         f"{write_path(path)}: {sentence}{f' ({hint})' if hint else ''}"
         for error in errors
         for path, sentence, hint, _ in mistakes(error, speller)
     )
-    if told:
-        text = f"bridge {spec.name!r}: the plugin {kind.name!r} does not take these options: {told}"
+    if problems:
+        text = f"bridge {spec.name!r}: the plugin {kind.name!r} does not take these options: "
+        text += problems
         raise ConfigurationError(text)

@@ -45,7 +45,8 @@ class Watchdog:
         name: of the input, for people.
         parallel: whether `send` may be called while another call of it is under way. Otherwise
             the stop waits for a `send` that does not return.
-        tell: told when a stop was not taken, with the cause, and with nothing when one was again.
+        report_stop: called when a stop was not taken, with the cause; with an empty text when one
+            was taken again.
         clock: seconds.
     """
 
@@ -56,12 +57,12 @@ class Watchdog:
         name: str,
         *,
         parallel: bool = False,
-        tell: Callable[[str], None] = lambda _: None,
+        report_stop: Callable[[str], None] = lambda _: None,
         clock: Callable[[], float] = boot_seconds,
     ) -> None:
         self._send = send
         self._name = name
-        self._tell = tell
+        self._report_stop = report_stop
         self._clock = clock
         self._stop = policy.stop
         self._state = CommandState(policy, clock())
@@ -202,7 +203,7 @@ class Watchdog:
             self._state.stop_taken(self._clock())
             self._changed.notify_all()
         if was_failing:
-            self._tell("")
+            self._report_stop("")
 
     def _failed(self, cause: str) -> None:
         with self._changed:
@@ -210,4 +211,4 @@ class Watchdog:
             self._state.stop_failed(self._clock(), cause)
         self._records.write(logging.ERROR, f"{self._name} did not take its stop message: {cause}")
         if not was_failing:
-            self._tell(f"its stop message was not taken: {cause}")
+            self._report_stop(f"its stop message was not taken: {cause}")

@@ -61,8 +61,8 @@ def apply(
             )
         except errors.ConfigurationError as error:
             # The server took the text for that of its own file: the places in it are of this one.
-            told = _PLACE.sub(lambda item: f"{file}:{item[1]}", str(error))
-            raise errors.ConfigurationError(told) from error
+            moved = _PLACE.sub(lambda item: f"{file}:{item[1]}", str(error))
+            raise errors.ConfigurationError(moved) from error
         return change
 
     change = asked(server, change_it)

@@ -72,7 +72,7 @@ def discover(file: str | None, *, watch: bool, every: float, timeout: float, as_
                 _print_json(findings, in_one_line=True)
             else:
                 _print_differences(before, findings)
-        sys.exit(0 if any(not one.cause for one in findings) else BRIDGE)
+        sys.exit(0 if any(not found.cause for found in findings) else BRIDGE)
 
 
 @click.command()
@@ -113,7 +113,7 @@ def suggest(file: str | None, *, into: str | None, timeout: float) -> None:
             click.echo(lines, nl=False)
         else:
             _merge_into(Path(into), before, lines)
-        sys.exit(0 if any(not one.cause for one in findings) else BRIDGE)
+        sys.exit(0 if any(not found.cause for found in findings) else BRIDGE)
 
 
 def _say_unasked(registry: Registry, file: str) -> None:
@@ -170,7 +170,7 @@ def _is_empty(file: str) -> bool:
 
 def with_every_plugin(robot: Robot, registry: Registry) -> Robot:
     """Return the configuration, with a bridge for each plugin that it does not mention."""
-    plugins = {one.plugin for one in robot.bridges.values()}
+    plugins = {bridge.plugin for bridge in robot.bridges.values()}
     more = {
         name: BridgeSpec(name, name)
         for name in registry.types
@@ -200,10 +200,10 @@ def _print_differences(
 
 def rows(findings: Iterable[BridgeFindings]) -> Iterable[str]:
     """Yield what is seen as lines of which each can be read alone."""
-    for each in findings:
-        if each.cause:
-            yield f"{each.bridge}  {each.cause}"
-        for one in each.components:
-            yield f"{each.bridge}  {one.name}"
-            for port in one.ports:
-                yield f"{each.bridge}  {one.name}  {evolve(port, rate=None)}"
+    for found in findings:
+        if found.cause:
+            yield f"{found.bridge}  {found.cause}"
+        for component in found.components:
+            yield f"{found.bridge}  {component.name}"
+            for port in component.ports:
+                yield f"{found.bridge}  {component.name}  {evolve(port, rate=None)}"

@@ -7,7 +7,7 @@ import sys
 import click
 
 from uoarm import environments
-from uoarm.cli._shared import BRIDGE, json_option, print_json, reporting, tell_warning
+from uoarm.cli._shared import BRIDGE, json_option, print_json, print_warning, reporting
 
 __all__ = ["env"]
 
@@ -52,7 +52,7 @@ def create(
     click.echo(f"environment {name} is ready: {made}")
     if plugin in found.unusable:
         hint = "--distribution names the middleware to install with it"
-        tell_warning(
+        print_warning(
             f"the plugin {plugin} cannot be used in it yet ({hint}): {found.unusable[plugin]}"
         )
 
@@ -103,6 +103,6 @@ def doctor(*, as_json: bool) -> None:
             facts = ", ".join(f"{key} {value}" for key, value in finding.facts.items())
             click.echo(f"{finding.name}: {finding.problem or facts}")
             for plugin, cause in finding.unusable.items():
-                tell_warning(f"{finding.name}: the plugin {plugin} cannot be used in it: {cause}")
+                print_warning(f"{finding.name}: the plugin {plugin} cannot be used in it: {cause}")
     if any(finding.problem for finding in found):
         sys.exit(BRIDGE)

@@ -26,7 +26,7 @@ def _text(findings: list[Finding], _: Path) -> str:
     lines = []
     for finding in findings:
         if finding.changed:
-            lines.append(_told(finding))
+            lines.append(_sentence(finding))
             lines += (f"    {line}" for line in finding.suggestion.splitlines())
     counts = Counter(finding.outcome for finding in findings)
     lines.append(", ".join(f"{kind.value}: {counts[kind]}" for kind in Outcome))
@@ -40,7 +40,8 @@ def _json(findings: list[Finding], _: Path) -> str:
 def _github(findings: list[Finding], lock: Path) -> str:
     """Return annotations of a pull request, one for each line that does not fit as it is."""
     return "\n".join(
-        f"::error file={lock}::" + "%0A".join([_told(finding), *finding.suggestion.splitlines()])
+        f"::error file={lock}::"
+        + "%0A".join([_sentence(finding), *finding.suggestion.splitlines()])
         for finding in _unfit(findings)
     )
 
@@ -61,8 +62,8 @@ def _junit(findings: list[Finding], _: Path) -> str:
             case = ET.SubElement(suite, "testcase", classname=function, name=finding.subject)
             if finding.outcome is not Outcome.FITS:
                 kind = _RULES[finding.outcome][0]
-                report = ET.SubElement(case, "failure", type=kind, message=_told(finding))
-                report.text = "\n".join([_told(finding), finding.suggestion]).rstrip()
+                report = ET.SubElement(case, "failure", type=kind, message=_sentence(finding))
+                report.text = "\n".join([_sentence(finding), finding.suggestion]).rstrip()
     ET.indent(root)
     return '<?xml version="1.0" encoding="utf-8"?>\n' + ET.tostring(root, encoding="unicode")
 
@@ -96,7 +97,7 @@ def _result(one: Finding, place: str) -> dict[str, Any]:
         "ruleId": name,
         "ruleIndex": [rule[0] for rule in _RULES.values()].index(name),
         "level": level,
-        "message": {"text": "\n".join([_told(one), one.suggestion]).rstrip()},
+        "message": {"text": "\n".join([_sentence(one), one.suggestion]).rstrip()},
         "locations": [{"physicalLocation": location, "logicalLocations": [logical]}],
         # What it is about, not how it is worded, makes it the finding that was seen before.
         "partialFingerprints": {"subject/v1": f"{one.function}/{one.subject}/{one.path}"},
@@ -107,7 +108,7 @@ def _unfit(findings: Iterable[Finding]) -> Iterable[Finding]:
     return (finding for finding in findings if finding.outcome is not Outcome.FITS)
 
 
-def _told(one: Finding) -> str:
+def _sentence(one: Finding) -> str:
     text = f"{one.function}: {one.subject}: {one.outcome.value}"
     if not one.sentence:
         return text

@@ -60,9 +60,9 @@ def show_live(robot: RobotManager, connection: Connection, messages: Iterable[Me
 
     def table() -> Table | Text:
         routes = _routes(robot, connection)
-        told = _table(routes, str(shown))
-        whole = Measurement.get(console, console.options.update(max_width=_WHOLE), told)
-        return told if whole.maximum <= console.width else _lines(routes, str(shown))
+        table = _table(routes, str(shown))
+        whole = Measurement.get(console, console.options.update(max_width=_WHOLE), table)
+        return table if whole.maximum <= console.width else _lines(routes, str(shown))
 
     period = 1 / _REFRESH_SECONDS
     with Live(get_renderable=table, console=console, refresh_per_second=period):

@@ -11,7 +11,7 @@ import click
 
 from uoarm.cli._remote import Remote, asked
 from uoarm.cli._width import fitted, terminal_width
-from uoarm.model import tell_status, to_json, write_json
+from uoarm.model import format_status, to_json, write_json
 
 __all__ = ["show_live_status"]
 
@@ -56,5 +56,5 @@ def _print_json(status: Mapping[str, Any]) -> None:
 
 
 def _print_tables(status: Mapping[str, Any]) -> None:
-    for line in tell_status(status, terminal_width()).splitlines():
+    for line in format_status(status, terminal_width()).splitlines():
         click.echo(line if line.startswith(" ") else click.style(line, bold=True))

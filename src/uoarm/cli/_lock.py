@@ -20,14 +20,14 @@ from uoarm._lock import (
     read_lock,
     read_schemas,
     record,
-    untold,
+    uncompared_types,
     write_lock,
 )
 from uoarm._whole_file import write_whole
 from uoarm.bridge import Registry
 from uoarm.cli._file import takes_configuration
 from uoarm.cli._findings import FORMS
-from uoarm.cli._shared import REFUSED, reporting, tell_warning
+from uoarm.cli._shared import REFUSED, print_warning, reporting
 from uoarm.config import load
 from uoarm.errors import ResolutionError
 from uoarm.model import Plan
@@ -94,7 +94,7 @@ def _against(before: Lock, other: Path, *, is_installed: bool = False) -> list[F
     if not other.is_dir():
         return _compared(before, read_lock(other))
     schemas = read_schemas(other, before, is_installed=is_installed)
-    missing = untold(before, schemas)
+    missing = uncompared_types(before, schemas)
     if missing:
         click.echo(f"not in {other}, and taken to be as they were: {', '.join(missing)}", err=True)
     return list(compare(before, schemas))
@@ -124,7 +124,7 @@ def _write(file: str, path: Path) -> int:
         name: function.refused for name, function in made.functions.items() if function.refused
     }
     for name, why in refused.items():
-        tell_warning(f"{name} has no plan: {why}")
+        print_warning(f"{name} has no plan: {why}")
     functions, structures = len(made.functions), len(made.structures)
     click.echo(f"{path}: functions: {functions}, structures: {structures}")
     return REFUSED if refused else 0

@@ -73,8 +73,8 @@ def _checked_level(given: str) -> str:
     level = given.rpartition("=")[2].lower()
     if level not in _LEVELS:
         hint = Speller().guess(level, _LEVELS)
-        told = f"expected {any_of(_LEVELS)}, or LOGGER=LEVEL such as uoarm.control=debug"
-        raise ValueError(f"{told}; got {given!r}{hint and f'; {hint}'}")
+        expected = f"expected {any_of(_LEVELS)}, or LOGGER=LEVEL such as uoarm.control=debug"
+        raise ValueError(f"{expected}; got {given!r}{hint and f'; {hint}'}")
     return given
 
 
@@ -93,8 +93,8 @@ def logging_to_stderr(context: click.Context) -> Iterator[None]:
             try:
                 log.take(given)
             except ValueError as error:
-                told = f"{_VARIABLE}: {error}; or {any_of(_FORMS)}"
-                raise click.UsageError(told, ctx=context) from error
+                expected = f"{_VARIABLE}: {error}; or {any_of(_FORMS)}"
+                raise click.UsageError(expected, ctx=context) from error
         context.meta[_META] = log
         yield
     finally:

@@ -36,10 +36,10 @@ from uoarm.cli._shared import (
     function_argument,
     json_option,
     open_robot,
+    print_error,
     print_json,
+    print_warning,
     reporting,
-    tell_error,
-    tell_warning,
     terminable,
 )
 from uoarm.cli._status import status
@@ -92,9 +92,9 @@ def check(file: str, *, as_json: bool) -> None:
         )
     else:
         for problem in report.problems:
-            tell_error(problem)
+            print_error(problem)
         for warning in report.warnings:
-            tell_warning(warning)
+            print_warning(warning)
         if report.robot is not None:
             functions, bridges = len(report.robot.functions), len(report.robot.bridges)
             click.echo(f"{file}: no errors (functions: {functions}, bridges: {bridges})")
@@ -129,7 +129,7 @@ def list_functions(file: str, *, as_json: bool) -> None:
 
 
 @contextmanager
-def _telling_that_it_waits(timeout: float) -> Iterator[None]:
+def _saying_that_it_waits(timeout: float) -> Iterator[None]:
     """Tell whoever waits at a terminal that it is bridges that are waited for."""
     text = f"waiting for bridges to start and tell what they see, at most {timeout:g} s"
     timer = threading.Timer(_SILENT_SECONDS, partial(click.echo, text, err=True))
@@ -160,7 +160,7 @@ def resolve(name: str, file: str, *, explain: bool, timeout: float, as_json: boo
     """Find the plan for a function without opening anything."""
     with open_robot(file) as robot:
         try:
-            with _telling_that_it_waits(timeout):
+            with _saying_that_it_waits(timeout):
                 plan = robot.resolve(name, timeout=timeout)
         except NoPlanError as error:
             if as_json:

@@ -62,7 +62,7 @@ def _follow(robot: RobotManager, statuses: tuple[OfferStatus, ...], *, as_json: 
     over = threading.Event()
     reports = {f"offer {status.name}": (status.state.value, status.cause) for status in statuses}
 
-    def heard(event: StatusEvent) -> None:
+    def print_event(event: StatusEvent) -> None:
         # What was told may come as an event only now.
         if event.subject.startswith("offer ") and reports.pop(event.subject, None) != (
             event.change,
@@ -72,7 +72,7 @@ def _follow(robot: RobotManager, statuses: tuple[OfferStatus, ...], *, as_json: 
         if _is_over(robot.status().offers):
             over.set()
 
-    robot.listen(heard)
+    robot.listen(print_event)
     if not _is_over(robot.status().offers):  # before anybody listened
         over.wait()
 

@@ -20,7 +20,7 @@ from uoarm.cli._shared import (
     json_option,
     open_robot,
     plain,
-    tell_warning,
+    print_warning,
 )
 from uoarm.errors import UsageError
 from uoarm.model import ConnectionState, Health, Message, RouteStatus, read_json, write_json
@@ -199,7 +199,7 @@ class _Reading:
     def _say(self, text: str) -> None:
         if text not in self._said:
             self._said.add(text)
-            tell_warning(text)
+            print_warning(text)
 
 
 def _said_of(route: RouteStatus) -> str:

@@ -24,9 +24,9 @@ from uoarm.cli._shared import (
     fail,
     needing,
     open_robot,
+    print_error,
+    print_warning,
     reporting,
-    tell_error,
-    tell_warning,
 )
 from uoarm.errors import UoarmError
 
@@ -195,7 +195,7 @@ def stopping(manager: RobotManager) -> Iterator[None]:
             manager.release()
         except UoarmError as error:
             audit.released("SIGUSR2", "", str(error))
-            tell_error(error)
+            print_error(error)
         else:
             audit.released("SIGUSR2", "")
             click.echo("commands are let through again", err=True)
@@ -305,7 +305,7 @@ def say(server: Server, settings: ServerOptions, *, err: bool = False) -> None:
     if certificate is not None:
         click.echo(f"certificate {certificate}, SHA-256 {fingerprint_of(certificate)}", err=err)
     elif not settings.local:
-        tell_warning("without TLS, tokens and data can be read on the network")
+        print_warning("without TLS, tokens and data can be read on the network")
     if settings.everywhere:
         text = f"listening on every address of this machine: elsewhere it is {socket.gethostname()}"
         click.echo(f"{text}, or an address of it, in place of {main.rpartition(':')[0]}", err=err)

@@ -28,10 +28,10 @@ __all__ = [
     "needing",
     "open_robot",
     "plain",
+    "print_error",
     "print_json",
+    "print_warning",
     "reporting",
-    "tell_error",
-    "tell_warning",
     "terminable",
 ]
 
@@ -184,15 +184,15 @@ def plain(message: Message, most: int | None = None) -> Any:
 
 def fail(error: Exception | str, code: int) -> NoReturn:
     """Say on stderr what is wrong, and exit."""
-    tell_error(error)
+    print_error(error)
     sys.exit(code)
 
 
-def tell_error(error: object) -> None:
+def print_error(error: object) -> None:
     """Say on stderr what is wrong."""
     click.echo(f"{click.style('error:', fg='red')} {error}", err=True)
 
 
-def tell_warning(warning: object) -> None:
+def print_warning(warning: object) -> None:
     """Say on stderr what is worth a look."""
     click.echo(f"{click.style('warning:', fg='yellow')} {warning}", err=True)

@@ -12,7 +12,7 @@ from uoarm._types import read_functions, write_document, write_python, write_typ
 from uoarm._whole_file import write_whole
 from uoarm.cli._file import takes_configuration
 from uoarm.cli._lock import lock_of, open_unlocked
-from uoarm.cli._shared import REFUSED, reporting, tell_warning
+from uoarm.cli._shared import REFUSED, print_warning, reporting
 
 __all__ = ["types"]
 
@@ -49,7 +49,7 @@ def types(file: str, form: str | None, path: str | None, output: str | None) -> 
             _write(Path(output), text)
     refused = [name for name, function in robot.functions.items() if function.refused]
     for name in refused:
-        tell_warning(f"{name} has no plan: no types")
+        print_warning(f"{name} has no plan: no types")
     sys.exit(REFUSED if refused else 0)
 
 

@@ -122,31 +122,31 @@ class _Follower:
             self._manager.apply(grown, revision=revision)
         before, self._findings = self._findings, findings
         if not self._as_json:
-            self._tell_findings(before, findings)
-        functions = {name: self._told(name) for name in self._manager.config.functions}
+            self._print_findings(before, findings)
+        functions = {name: self._plan_text(name) for name in self._manager.config.functions}
         others, self._functions = self._functions, functions
         if not self._as_json:
-            for name, told in functions.items():
-                if others.get(name) != told:
-                    self._echo(f"{click.style(name, bold=True)}  {told}")
+            for name, plan in functions.items():
+                if others.get(name) != plan:
+                    self._echo(f"{click.style(name, bold=True)}  {plan}")
         elif (before, others) != (findings, functions):
             self._echo(write_json({"findings": to_json(findings), "functions": functions}))
 
-    def _told(self, name: str) -> str:
+    def _plan_text(self, name: str) -> str:
         try:
             plan = self._manager.resolve(name, timeout=_RESOLVE_SECONDS)
         except ConnectionClosedError:
             raise
         except UoarmError as error:
             return f"cannot be had: {str(error).splitlines()[-1].strip().removeprefix('- ')}"
-        return " -> ".join(f"{one.component.name}" for one in plan.steps)
+        return " -> ".join(step.component.name for step in plan.steps)
 
-    def _tell_findings(
+    def _print_findings(
         self, before: tuple[BridgeFindings, ...], after: tuple[BridgeFindings, ...]
     ) -> None:
-        for mark, one, other in (("-", before, after), ("+", after, before)):
-            known = set(rows(other))
-            for row in rows(one):
+        for mark, shown, known_before in (("-", before, after), ("+", after, before)):
+            known = set(rows(known_before))
+            for row in rows(shown):
                 if row not in known:
                     self._echo(f"{mark} {row}")
 

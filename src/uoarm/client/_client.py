@@ -22,7 +22,7 @@ from uoarm._hints.applications import MessageType, T, as_message
 from uoarm._wire import BINARY_FORM, TEXT_FORM, Form
 from uoarm.client._link import LARGEST, Link, Open
 from uoarm.client._stream import RemoteStream
-from uoarm.model import Message, QueuePolicy, StatusEvent, ValidationMode, tell_trouble
+from uoarm.model import Message, QueuePolicy, StatusEvent, ValidationMode, format_trouble
 
 __all__ = ["RemoteRobot", "ServerError", "connect"]
 
@@ -366,7 +366,7 @@ class RemoteRobot:
     async def _diagnose(self, connection: str) -> str:
         """Say what keeps messages from coming, as far as the server says so at once."""
         with suppress(errors.UoarmError, asyncio.TimeoutError):
-            return tell_trouble(await result_within(_DIAGNOSIS_SECONDS, self.status()), connection)
+            return format_trouble(await result_within(_DIAGNOSIS_SECONDS, self.status()), connection)
         return ""
 
     async def watch(self) -> AsyncIterator[StatusEvent]:

@@ -22,14 +22,14 @@ class Difference:
             bridge that is another. A priority alone makes no other component.
         functions: those for which a request may get another plan, since they, or what they are
             fed by, have other candidates or another order of them.
-        told: every difference as a line, `+ component x`, `- bridge y`, `~ function z`,
+        changes: every difference as a line, `+ component x`, `- bridge y`, `~ function z`,
             `~ hosts tls/192.168.1.10:7447`.
     """
 
     bridges: frozenset[str]
     superseded: frozenset[str]
     functions: frozenset[str]
-    told: tuple[str, ...]
+    changes: tuple[str, ...]
 
 
 def compare(before: Robot, after: Robot) -> Difference:
@@ -46,16 +46,16 @@ def compare(before: Robot, after: Robot) -> Difference:
         or any(candidate.name in superseded for candidate in _candidates(before, name))
     }
     reports = (
-        *_told("hosts", _listening(before), _listening(after)),
+        *_changes_of("hosts", _listening(before), _listening(after)),
         *(
             f"{line}: its code" if _is_code(line, before, after) else line
-            for line in _told("bridge", before.bridges, after.bridges)
+            for line in _changes_of("bridge", before.bridges, after.bridges)
         ),
-        *_told("component", old, new),
-        *_told("function", _named(before), _named(after)),
+        *_changes_of("component", old, new),
+        *_changes_of("function", _named(before), _named(after)),
         *(() if before.failover == after.failover else ("~ failover",)),
         *(() if before.lock == after.lock else ("~ lock",)),
-        *_told("offer", _offers(before), _offers(after)),
+        *_changes_of("offer", _offers(before), _offers(after)),
         *(() if before.applications == after.applications else ("~ applications",)),
     )
     functions = fed_by(own, (*before.components(), *after.components()))
@@ -104,7 +104,9 @@ def _differing(
     return frozenset(name for name in {*before, *after} if before.get(name) != after.get(name))
 
 
-def _told(kind: str, before: Mapping[str, object], after: Mapping[str, object]) -> Iterable[str]:
+def _changes_of(
+    kind: str, before: Mapping[str, object], after: Mapping[str, object]
+) -> Iterable[str]:
     for name in dict.fromkeys((*before, *after)):
         if name not in after:
             yield f"- {kind} {name}"

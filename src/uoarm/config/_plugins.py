@@ -101,14 +101,14 @@ class PluginChecker:
                 if isinstance(error, BridgeError) and error.reason is FailureReason.BAD_ENDPOINT:
                     yield self._problem((*ports[0].path, "endpoint"), sentence)
                     continue
-                told = f"it cannot be had here: {sentence}"
-                self._absent.append(self._problem(component.path, told))
+                text = f"it cannot be had here: {sentence}"
+                self._absent.append(self._problem(component.path, text))
                 continue
             for name, sentence in wrong.items():
                 is_written = name in given
                 path = (*component.path, "parameters", name) if is_written else component.path
-                told = sentence if is_written else f"the parameter {name}: {sentence}"
-                yield self._problem(path, told, at_key=is_written)
+                text = sentence if is_written else f"the parameter {name}: {sentence}"
+                yield self._problem(path, text, at_key=is_written)
 
     def _without_structure(
         self, kind: BridgeType, component: ComponentPart, options: Mapping[str, Any]
@@ -177,8 +177,8 @@ class PluginChecker:
         """
         for name, plugin in self._unknown.items():
             if installation(self._hosts[name]) == installation(None):
-                told = f"it was not checked: {missing(plugin)}"
-                yield self._problem(("bridges", name), told, at_key=True)
+                text = f"it was not checked: {missing(plugin)}"
+                yield self._problem(("bridges", name), text, at_key=True)
         yield from self._absent
         yield from self._undescribed
         for name in self._bridges:
@@ -217,7 +217,7 @@ class PluginChecker:
 
     def unchecked(self) -> Iterator[str]:
         """Yield what was not looked at, and who knows it: a sentence each, without a full stop."""
-        used = {str(one.text("bridge")) for one in components(self._document.value)}
+        used = {str(part.text("bridge")) for part in components(self._document.value)}
         for name in sorted(used & self._hosts.keys()):
             kind, _ = self._bridges.get(name, (None, None))
             if self._is_hosted(name):
@@ -247,7 +247,7 @@ class PluginChecker:
         if kind is None or kind.topic is None:
             return None
         address, options = port.value.get("endpoint"), port.value.get("options", {})
-        if not isinstance(address, list) or not all(isinstance(one, str) for one in address):
+        if not isinstance(address, list) or not all(isinstance(part, str) for part in address):
             return None
         if not address or not isinstance(options, dict):
             return None
@@ -265,18 +265,19 @@ class PluginChecker:
         """Yield what several installations of a plugin have in common and should not have."""
         seen: dict[tuple[str, str, str], tuple[str, str]] = {}
         for name, (kind, options) in self._bridges.items():
-            for one in assignables(kind) if isinstance(options, dict) else ():
-                if one.option not in options:
+            for assignable in assignables(kind) if isinstance(options, dict) else ():
+                option = assignable.option
+                if option not in options:
                     continue
-                value = clip(options[one.option])
+                value = clip(options[option])
                 place = installation(self._hosts[name])
-                first, where = seen.setdefault((kind.name, one.option, value), (name, place))
+                first, where = seen.setdefault((kind.name, option, value), (name, place))
                 if where != place:
                     sentence = (
-                        f"bridge {first} has the same {one.option} {value}, with another "
+                        f"bridge {first} has the same {option} {value}, with another "
                         f"installation of {kind.name}: they meet there"
                     )
-                    path: Path = ("bridges", name, "options", one.option)
+                    path: Path = ("bridges", name, "options", option)
                     yield self._problem(path, sentence, "leave it out, and uoarm chooses")
 
     def _option_problems(self, kind: BridgeType, options: Any, path: Path) -> Iterator[Problem]:
@@ -284,8 +285,8 @@ class PluginChecker:
 
         for error in Draft202012Validator(kind.options_schema).iter_errors(options):
             for where, sentence, hint, at_key in mistakes(error, self._speller):
-                told = f"the plugin {kind.name}: {sentence}"
-                yield self._problem((*path, *where), told, hint, at_key=at_key)
+                text = f"the plugin {kind.name}: {sentence}"
+                yield self._problem((*path, *where), text, hint, at_key=at_key)
 
     def _endpoint_problems(self, kind: BridgeType, component: ComponentPart) -> Iterator[Problem]:
         """Yield what a plugin says of the addresses of one component: of the same mistake once."""

@@ -62,7 +62,7 @@ class _Proposal:
     ports: list[FoundPort] = field(factory=list)
 
     def of(self, role: Role) -> list[FoundPort]:
-        return [one for one in self.ports if one.endpoint.role is role]
+        return [port for port in self.ports if port.endpoint.role is role]
 
     @property
     def owner(self) -> tuple[str, str]:
@@ -92,18 +92,20 @@ def suggest(
         seconds: for comparing structures; what was not compared is said.
         clock: a monotonic clock.
     """
-    findings = [one for one in findings if one.components]
-    proposals = [one for one in _proposals(robot, findings) if only in {None, one.owner}]
+    findings = [finding for finding in findings if finding.components]
+    proposals = [
+        proposal for proposal in _proposals(robot, findings) if only in {None, proposal.owner}
+    ]
     left_out = proposals[_MOST_COMPONENTS:]
     proposals = proposals[:_MOST_COMPONENTS]
     outputs = [*_configured(robot, findings), *_proposed(proposals)]
     deadline = clock() + seconds
-    new = [one for one in findings if one.bridge not in configured]
-    is_part = any(one.bridge in configured for one in findings)
+    new = [finding for finding in findings if finding.bridge not in configured]
+    is_part = any(finding.bridge in configured for finding in findings)
     head = _HEAD + (_PART if is_part else "")
     bridges = "bridges:" if new else "bridges: {}" if not robot.bridges else _OWN_BRIDGES
     lines = [head + "version: 1", bridges]
-    lines += [f"  {one.bridge}: {{plugin: {one.plugin}}}" for one in new]
+    lines += [f"  {finding.bridge}: {{plugin: {finding.plugin}}}" for finding in new]
     lines.append("functions:" if proposals else "functions: {}  # bridges see nothing else")
     for proposal in proposals:
         lines += _lines(proposal, outputs, lambda: clock() > deadline)
@@ -118,17 +120,17 @@ def _proposals(robot: Robot, findings: Iterable[BridgeFindings]) -> Iterator[_Pr
     What it names is not offered in another role: a function that is called as a service could be
     a consumer, too, and what publishes on a topic may hear it.
     """
-    taken = {*robot.functions, *(one.name for one in robot.components())}
-    for each in findings:
-        for found in each.components:
-            named = {one.endpoint.address for one in found.ports if one.used_by}
-            ports = [one for one in found.ports if one.endpoint.address not in named]
-            streams = [one for one in ports if one.endpoint.role is not Role.SERVICE]
+    taken = {*robot.functions, *(component.name for component in robot.components())}
+    for finding in findings:
+        for found in finding.components:
+            named = {port.endpoint.address for port in found.ports if port.used_by}
+            ports = [port for port in found.ports if port.endpoint.address not in named]
+            streams = [port for port in ports if port.endpoint.role is not Role.SERVICE]
             if streams:
-                yield _Proposal(new_name(found.name, taken), each.bridge, found, streams)
-            for service in (one for one in ports if one.endpoint.role is Role.SERVICE):
+                yield _Proposal(new_name(found.name, taken), finding.bridge, found, streams)
+            for service in (port for port in ports if port.endpoint.role is Role.SERVICE):
                 name = new_name(f"{found.name}_{service.endpoint.port}", taken)
-                yield _Proposal(name, each.bridge, found, [service])
+                yield _Proposal(name, finding.bridge, found, [service])
 
 
 def new_name(wanted: str, taken: set[str]) -> str:
@@ -144,9 +146,9 @@ def new_name(wanted: str, taken: set[str]) -> str:
 
 def _configured(robot: Robot, findings: Iterable[BridgeFindings]) -> Iterator[_Output]:
     """Yield the outputs that the configuration names and a bridge sees."""
-    by_name = {one.name: one for one in robot.components()}
-    for each in findings:
-        for found in each.components:
+    by_name = {component.name: component for component in robot.components()}
+    for finding in findings:
+        for found in finding.components:
             for port in found.ports:
                 for user in port.used_by if port.message is not None else ():
                     for output in by_name[user].outputs:
@@ -154,20 +156,20 @@ def _configured(robot: Robot, findings: Iterable[BridgeFindings]) -> Iterator[_O
                             structure = output.declared or port.message
                             assert structure is not None, "looked at above"
                             reference = f"{by_name[user].function}.{output.name}"
-                            owner = each.bridge, found.name
+                            owner = finding.bridge, found.name
                             at = port.endpoint.address
                             yield _Output(reference, output.name, owner, at, structure)
 
 
 def _proposed(proposals: Iterable[_Proposal]) -> Iterator[_Output]:
-    for one in proposals:
-        outputs = one.of(Role.OUTPUT)
+    for proposal in proposals:
+        outputs = proposal.of(Role.OUTPUT)
         for port in outputs:
             if port.message is not None:
                 several = len(outputs) > 1
-                reference = f"{one.name}.{_port(port)}" if several else one.name
+                reference = f"{proposal.name}.{_port(port)}" if several else proposal.name
                 at = port.endpoint.address
-                yield _Output(reference, _port(port), one.owner, at, port.message)
+                yield _Output(reference, _port(port), proposal.owner, at, port.message)
 
 
 def _lines(
@@ -186,10 +188,10 @@ def _lines(
         if ports:
             yield f"        {key}:"
         for port in ports:
-            chosen, told = "", list[str]()
+            chosen, reason = "", list[str]()
             if role is Role.INPUT and port.message is not None:
-                chosen, told = _feed(proposal, port, port.message, outputs, is_late)
-            yield from (f"          # {line}" for line in told)
+                chosen, reason = _feed(proposal, port, port.message, outputs, is_late)
+            yield from (f"          # {line}" for line in reason)
             feed = f"from: {chosen}, " if chosen else ""
             yield f"          {_port(port)}: {{{feed}endpoint: {_address(port)}}}{_unknown(port)}"
 
@@ -204,28 +206,28 @@ def _feed(
     """Return what feeds an input, and what a reader should know of it."""
     here = proposal.bridge, port.endpoint.address
     others = [
-        one
-        for one in outputs
-        if one.owner != proposal.owner and (one.owner[0], one.address) != here
+        output
+        for output in outputs
+        if output.owner != proposal.owner and (output.owner[0], output.address) != here
     ]  # what is sent to the very topic that is heard arrives there already
-    fits = [one for one in others if one.structure.schema == wanted.schema]
-    told = "has its structure"
+    fits = [output for output in others if output.structure.schema == wanted.schema]
+    reason = "has its structure"
     left = 0
     if not fits:
-        told = "fits it: every message is accepted"
-        for one in others:
+        reason = "fits it: every message is accepted"
+        for output in others:
             if is_late():
                 left += 1
-            elif _fits(one.structure, wanted):
-                fits.append(one)
-    named = [one for one in fits if one.port == _port(port)]
+            elif _fits(output.structure, wanted):
+                fits.append(output)
+    named = [output for output in fits if output.port == _port(port)]
     fits = named if len(named) == 1 else fits
     said = [f"{left} outputs were not compared, for want of time"] if left else []
     if len(fits) == 1:
-        return fits[0].reference, [*said, f"proven: {fits[0].reference} {told}"]
+        return fits[0].reference, [*said, f"proven: {fits[0].reference} {reason}"]
     if fits:
         more = f" and {len(fits) - _SHOWN} more" if len(fits) > _SHOWN else ""
-        several = ", ".join(one.reference for one in fits[:_SHOWN])
+        several = ", ".join(output.reference for output in fits[:_SHOWN])
         said.append(f"from: one of {several}{more}")
     return "", said
 
@@ -250,7 +252,9 @@ def _address(port: FoundPort) -> str:
 def _flow(value: object) -> str:
     """Return a value as YAML in one line: as JSON, but for characters that only YAML escapes."""
     text = json.dumps(to_json(value), ensure_ascii=False)
-    return "".join(one if one.isprintable() else f"\\U{ord(one):08x}" for one in text)
+    return "".join(
+        character if character.isprintable() else f"\\U{ord(character):08x}" for character in text
+    )
 
 
 def _unknown(port: FoundPort) -> str:

@@ -44,8 +44,8 @@ from uoarm.model._plan import (
     Reason,
     Rejection,
     Step,
-    tell_reason,
-    tell_rejections,
+    format_reason,
+    format_rejections,
 )
 from uoarm.model._queue import OverflowPolicy, QueuePolicy, ValidationMode
 from uoarm.model._robot import BridgeSpec, FailoverPolicy, FailureLimits, LockMode, Robot
@@ -64,7 +64,7 @@ from uoarm.model._status import (
     StatusEvent,
     StatusMap,
 )
-from uoarm.model._status_text import tell_status, tell_trouble
+from uoarm.model._status_text import format_status, format_trouble
 from uoarm.model._structure import MessageStructure
 from uoarm.model._values import Deliver, Message, Options, Schema
 from uoarm.model._wire import from_json, to_json
@@ -143,6 +143,10 @@ __all__ = [
     "ValidationMode",
     "count_names",
     "finite",
+    "format_reason",
+    "format_rejections",
+    "format_status",
+    "format_trouble",
     "from_json",
     "message_octets",
     "place_problem",
@@ -150,10 +154,6 @@ __all__ = [
     "read_json",
     "scan_json",
     "show_value",
-    "tell_reason",
-    "tell_rejections",
-    "tell_status",
-    "tell_trouble",
     "to_json",
     "write_control",
     "write_json",

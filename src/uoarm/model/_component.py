@@ -168,11 +168,11 @@ class Match:
     """Why a component that nobody named is a candidate.
 
     Attributes:
-        told: the rules by which it is one, and stands where it does.
+        why: the rules by which it is one, and stands where it does.
         structures: fingerprints of its structures when it was matched.
     """
 
-    told: str = field(eq=False)
+    why: str = field(eq=False)
     structures: tuple[str, ...] = ()
 
 

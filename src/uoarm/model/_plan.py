@@ -10,7 +10,7 @@ from attrs import field, frozen
 from uoarm.model._component import Component
 from uoarm.model._structure import MessageStructure
 
-__all__ = ["Edge", "Plan", "Reason", "Rejection", "Step", "tell_reason", "tell_rejections"]
+__all__ = ["Edge", "Plan", "Reason", "Rejection", "Step", "format_reason", "format_rejections"]
 
 _MAX_LINES = 200
 _MAX_EXAMPLE = 160
@@ -115,7 +115,7 @@ class Plan:
         for number, step in enumerate(self.steps, 1):
             one = step.component
             found = one.match
-            how = f"priority {one.priority}" if found is None else f"discovered: {found.told}"
+            how = f"priority {one.priority}" if found is None else f"discovered: {found.why}"
             lines.append(f"  {number}. {one.function}: {one.name} ({one.bridge}, {how})")
         if self.edges:
             lines.append("connections, all proven to fit")
@@ -132,7 +132,7 @@ class Plan:
                 lines.append(f"      rests on shape alone: {', '.join(shown)}{rest}")
         if self.rejected:
             lines.append("passed over")
-            lines.append(tell_rejections(self.rejected))
+            lines.append(format_rejections(self.rejected))
         lines.extend(f"note: {warning}" for warning in self.warnings)
         return "\n".join(lines)
 
@@ -140,7 +140,7 @@ class Plan:
         return f"<Plan {self.function}: {' -> '.join(step.component.name for step in self.steps)}>"
 
 
-def tell_rejections(rejections: tuple[Rejection, ...]) -> str:
+def format_rejections(rejections: tuple[Rejection, ...]) -> str:
     """Return rejected candidates as an indented tree, cut at 200 lines."""
     lines: list[str] = []
     stack = [(rejection, 1) for rejection in reversed(rejections)]
@@ -151,14 +151,14 @@ def tell_rejections(rejections: tuple[Rejection, ...]) -> str:
         how = "discovered" if rank is None else f"priority {rank}"
         lines.append(f"{indent}{rejection.function}: {rejection.component} ({how})")
         for reason in rejection.reasons:
-            lines.extend(f"{indent}  {line}" for line in tell_reason(reason))
+            lines.extend(f"{indent}  {line}" for line in format_reason(reason))
         stack.extend((item, depth + 2) for item in reversed(rejection.because_of))
     if stack:
         lines.append(f"  ... and {len(stack)} more")
     return "\n".join(lines) or "  it has no candidates"
 
 
-def tell_reason(reason: Reason) -> list[str]:
+def format_reason(reason: Reason) -> list[str]:
     """Return one reason as lines of text, with what would mend it."""
     where = f"{reason.path}: " if reason.path else ""
     lines = [f"- {where}{reason.sentence}"]

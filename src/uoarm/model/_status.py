@@ -8,7 +8,7 @@ from attrs import asdict, frozen
 
 from uoarm.model._command import CommandStatus, FieldLimit, LeaseStatus
 from uoarm.model._offer import OfferStatus
-from uoarm.model._status_text import tell_status
+from uoarm.model._status_text import format_status
 
 __all__ = [
     "BridgeStatus",
@@ -284,7 +284,7 @@ class StatusMap:
     lock: tuple[LockDifference, ...] = ()
 
     def __str__(self) -> str:
-        return tell_status(asdict(self))
+        return format_status(asdict(self))
 
 
 @frozen

@@ -8,7 +8,7 @@ from enum import Enum
 from functools import partial
 from typing import Any
 
-__all__ = ["tell_status", "tell_trouble"]
+__all__ = ["format_status", "format_trouble"]
 
 _COLUMNS: Mapping[str, tuple[str, ...]] = {
     "machines": ("name", "present", "clock_offset", "clock_error", "cause"),
@@ -34,7 +34,7 @@ _COLUMNS: Mapping[str, tuple[str, ...]] = {
 _OFTEN_NONE = frozenset({"machines", "channels", "commands", "offers", "lock"})
 
 
-def tell_status(status: Mapping[str, Any], width: int | None = None) -> str:
+def format_status(status: Mapping[str, Any], width: int | None = None) -> str:
     """Return a status map, as data or as JSON has it, as one table for each kind of thing.
 
     Args:
@@ -57,7 +57,7 @@ def tell_status(status: Mapping[str, Any], width: int | None = None) -> str:
     return "\n".join(lines)
 
 
-def tell_trouble(status: Mapping[str, Any], connection: str) -> str:
+def format_trouble(status: Mapping[str, Any], connection: str) -> str:
     """Say what keeps messages of a connection from coming, for the end of a sentence.
 
     Args:
@@ -68,12 +68,12 @@ def tell_trouble(status: Mapping[str, Any], connection: str) -> str:
         For what it waits, which of its components is not well, and why the last message between
         them was not taken; empty where nothing is known.
     """
-    own = next((one for one in status.get("connections", ()) if one["id"] == connection), None)
+    own = next((row for row in status.get("connections", ()) if row["id"] == connection), None)
     if own is None:
         return ""
     names = set(own["components"])
-    told = [f"the connection is {_word(own['state'])}: {own['cause']}"] if own["cause"] else []
-    told += [
+    causes = [f"the connection is {_word(own['state'])}: {own['cause']}"] if own["cause"] else []
+    causes += [
         f"{component['name']} is {_word(component['health'])}: "
         f"{component['cause'] or component['last_error']}"
         for component in status.get("components", ())
@@ -82,10 +82,10 @@ def tell_trouble(status: Mapping[str, Any], connection: str) -> str:
     for route in status.get("routes", ()):
         consumer, refusal = route["consumer"], route.get("refusal", "")
         is_own = consumer == connection or consumer.rpartition(".")[0] in names
-        if is_own and refusal and not any(refusal in text for text in told):
+        if is_own and refusal and not any(refusal in text for text in causes):
             ends = f"{route['producer']} -> {consumer}"
-            told.append(f"the last message of {ends} was refused: {refusal}")
-    return "".join(f"; {text}" for text in told)
+            causes.append(f"the last message of {ends} was refused: {refusal}")
+    return "".join(f"; {text}" for text in causes)
 
 
 def _word(value: Any) -> str:

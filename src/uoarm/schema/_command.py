@@ -39,7 +39,7 @@ def check_files(producer: Path, consumer: Path, *, as_json: bool) -> None:
     except SchemaError as error:
         click.echo(f"not a JSON Schema: {error}", err=True)
         sys.exit(_UNREADABLE)
-    click.echo(json.dumps(verdict.to_dict(), indent=2) if as_json else _tell(verdict))
+    click.echo(json.dumps(verdict.to_dict(), indent=2) if as_json else _sentences(verdict))
     sys.exit(0 if verdict.compatible else 1 if verdict.incompatible else _UNDECIDED)
 
 
@@ -78,7 +78,7 @@ def _refuse(name: str) -> Any:
     raise ValueError(f"{name} is no number of JSON")
 
 
-def _tell(verdict: Verdict) -> str:
+def _sentences(verdict: Verdict) -> str:
     if verdict.undecided is not None:
         return f"undecided: {verdict.undecided}"
     lines = ["compatible" if verdict.compatible else "incompatible"]

@@ -46,7 +46,7 @@ class Meter:
         """Count memory that is kept."""
         self._octets -= octets
         if self._octets < 0:
-            raise BudgetError(self._told("memory"))
+            raise BudgetError(self._exhausted("memory"))
 
     def release(self, octets: int) -> None:
         """Take back memory that was counted and is kept no longer."""
@@ -64,12 +64,12 @@ class Meter:
 
     def _check(self) -> None:
         if self._steps < 0:
-            raise BudgetError(self._told("steps"))
+            raise BudgetError(self._exhausted("steps"))
         self._look = self._steps - _LOOKS
         if self._clock() > self._deadline:
-            raise BudgetError(self._told("time"))
+            raise BudgetError(self._exhausted("time"))
 
-    def _told(self, of: str) -> str:
+    def _exhausted(self, of: str) -> str:
         self._turn(self._part)
         most = max(self._costs, key=lambda part: self._costs[part])
         return f"the budget of {of} ran out; what took longest was {most}"

@@ -27,9 +27,9 @@ __all__ = [
     "runs_of",
 ]
 
-_TOLD = 200
+_SHOWN_PARTS = 200
 _TOLD_TEXT = 60
-_TOLD_ITEMS = 3
+_SHOWN_ITEMS = 3
 _MAX_LEVELS = 250
 _SHORT = frozenset({int, float, bool, type(None)})
 _PLAIN = _SHORT | {str}
@@ -129,16 +129,16 @@ def build(value: Any) -> Any:
 
 def describe(value: Any) -> Any:
     """Return a short JSON value that tells what a long one is like."""
-    return _Telling().tell(value)
+    return _Description().describe(value)
 
 
-class _Telling:
-    """One description, of at most `_TOLD` parts."""
+class _Description:
+    """One description, of at most `_SHOWN_PARTS` parts."""
 
     def __init__(self) -> None:
-        self._left = _TOLD
+        self._left = _SHOWN_PARTS
 
-    def tell(self, value: Any) -> Any:
+    def describe(self, value: Any) -> Any:
         root: list[Any] = [None]
         waiting: list[tuple[Any, Any, Any]] = [(value, root, 0)]
         for element, holder, place in waiting:
@@ -151,7 +151,7 @@ class _Telling:
                     reports["..."] = f"{len(element) - len(names):,} more members"
             elif isinstance(reports, list):
                 shown = 0
-                for _, item, count in islice(runs_of(element), self._take(_TOLD_ITEMS)):
+                for _, item, count in islice(runs_of(element), self._take(_SHOWN_ITEMS)):
                     waiting.append((item, reports, len(reports)))
                     reports.append(None)
                     reports += [f"... {count - 1:,} more of the same"] if count > 1 else []

@@ -56,7 +56,7 @@ class RequestDispatcher:
         self._transport = transport
         self._flows = OpenFlows(transport, counters)
         self._workers = RequestWorkers("uoarm-ask")
-        self._teller = WorkerPool("uoarm-tell", 1)
+        self._reporter = WorkerPool("uoarm-tell", 1)
         self._looker = WorkerPool("uoarm-look", 1)
         self._looking = Event()
         self._facts: Mapping[str, object] = {}
@@ -93,7 +93,7 @@ class RequestDispatcher:
     def end(self) -> None:
         """Take no more requests; those under way end alone."""
         self._workers.close()
-        self._teller.close()
+        self._reporter.close()
         self._looker.close()
 
     def _beat(self, _: Any, reply: Reply) -> None:
@@ -223,13 +223,13 @@ class RequestDispatcher:
             "flow": None if channel is None else self._flows.number_of(channel),
             "component": event.component if channel is None else channel.endpoint.component,
         }
-        self._teller.submit(self._tell, reports)
+        self._reporter.submit(self._report, reports)
 
-    def _tell(self, told: Mapping[str, Any]) -> None:
+    def _report(self, report: Mapping[str, Any]) -> None:
         try:
-            self._transport.ask(keys.HEALTH, told, timeout=5.0)
+            self._transport.ask(keys.HEALTH, report, timeout=5.0)
         except UoarmError as error:
-            _log.warning("the manager was not told of %s: %s", told, error)
+            _log.warning("the manager was not told of %s: %s", report, error)
 
 
 def _port(request: Request) -> tuple[Endpoint, MessageStructure]:

@@ -233,7 +233,7 @@ class OpenFlows:
         with self._lock:
             found = list(self._open.items())
         return [
-            (n, None if open_.inbound is None else astuple(open_.inbound.handled()), _told(open_))
+            (n, None if open_.inbound is None else astuple(open_.inbound.handled()), _facts(open_))
             for n, open_ in found
         ]
 
@@ -282,7 +282,7 @@ def packable_facts(look: Callable[[], Mapping[str, object]]) -> Mapping[str, obj
     return facts
 
 
-def _told(one: _Open) -> Mapping[str, object]:
+def _facts(one: _Open) -> Mapping[str, object]:
     """Return the facts last looked at, and what an input that moves something was told by now."""
     command = one.channel.command_status() if isinstance(one.channel, Sink) else None
     return one.facts if command is None else {**one.facts, keys.COMMAND: to_json(command)}

@@ -105,7 +105,7 @@ class HostAgent:
         _log.info("the manager at %s is reached", self._address)
         transport = self._transport = whole.part(keys.MACHINES)
         transport.answer(keys.attach(self._machine, self._name), self._take)
-        transport.answer(keys.clock(self._machine, self._name), self._tell_time)
+        transport.answer(keys.clock(self._machine, self._name), self._answer_time)
         for bridge in self._bridges:
             transport.show_alive(keys.here(self._machine, bridge, self._name))
         is_asked = self._asked.wait(_UNASKED_SECONDS)
@@ -146,7 +146,7 @@ class HostAgent:
                 return whole
         return None
 
-    def _tell_time(self, _: Any, reply: Reply) -> None:
+    def _answer_time(self, _: Any, reply: Reply) -> None:
         reply(time.time_ns())
         self._asked.set()
 

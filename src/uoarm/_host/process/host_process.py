@@ -87,7 +87,7 @@ class HostProcess:
         """The level from which on it prints records: what its logger writes, and of note anyway."""
         return min(self._log.getEffectiveLevel(), logging.INFO)
 
-    def tell(self, orders: Mapping[str, object]) -> None:
+    def send_orders(self, orders: Mapping[str, object]) -> None:
         """Write one line of JSON to the process, which keeps its stdin to see us die."""
         stdin = self._process.stdin
         assert stdin is not None, "stdin is a pipe"

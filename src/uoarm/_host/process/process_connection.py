@@ -79,7 +79,7 @@ class ProcessConnection:
             with counted, closing(far):  # the host has inherited them, or there is none
                 passed = *far.descriptors, counted.fileno()
                 self._started = HostProcess(spec.name, command, variables, self._exited, passed)
-                self._started.tell(
+                self._started.send_orders(
                     {
                         "name": spec.name,
                         "plugin": spec.plugin,

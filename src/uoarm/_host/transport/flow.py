@@ -256,8 +256,8 @@ class FlowSender:
             ):
                 text = error[:_ERROR_LENGTH]
                 self.confirm(Handled(number, failed, text, lost, raised, wrong))
-            case told:
-                _log.debug("%s: no confirmation: %.40s", self._key, told)
+            case answer:
+                _log.debug("%s: no confirmation: %.40s", self._key, answer)
 
 
 class FlowReceiver:
@@ -392,7 +392,7 @@ class FlowReceiver:
             return
         self._confirmed, self._confirmed_at = self._number, now
         header = msgpack.packb(astuple(self.handled()))
-        self._transport.tell(f"{self._key}/handled", header)
+        self._transport.notify(f"{self._key}/handled", header)
 
 
 def _header(octets: bytes) -> tuple[int, int, int, Ending | LetGo | Read | str] | None:

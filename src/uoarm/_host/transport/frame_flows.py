@@ -50,7 +50,7 @@ class FrameFlows:
         self._reader = FrameReader(incoming)
         self._writer = FrameWriter(outgoing)
         self._name = name
-        self._tell_end = ended
+        self._on_end = ended
         self._subscriptions: dict[str, Subscription] = {}
         self._lock = threading.Lock()
         self._taking: Subscription | None = None  # what the thread that reads takes just now
@@ -139,7 +139,7 @@ class FrameFlows:
         except Exception as error:  # noqa: BLE001 - such as no memory for a long frame
             if not self._closing.is_set():
                 _log.warning("a link ended: %s: %s", type(error).__name__, error)
-        self._tell_end()
+        self._on_end()
 
     def _take(self, frame: Received) -> Subscription | None:
         """Have a frame taken; return whose thread this one is now, None where it is to read on."""

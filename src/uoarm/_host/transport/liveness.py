@@ -143,20 +143,20 @@ class Silence:
     def __init__(self, limit: float, now: float) -> None:
         self.limit = limit
         self.in_doubt = False
-        self._heard_at = now
+        self._answered_at = now
         self._unanswered = 0
 
     def asked(self) -> None:
         """Note a question; there is one after each interval."""
         self._unanswered += 1
 
-    def heard(self, now: float) -> None:
+    def answered(self, now: float) -> None:
         """Note an answer, to whichever question."""
-        self._heard_at, self._unanswered = now, 0
+        self._answered_at, self._unanswered = now, 0
 
     def seconds(self, now: float) -> float:
         """Return for how long it has been silent."""
-        return min(now - self._heard_at, self._unanswered * _INTERVAL_SECONDS)
+        return min(now - self._answered_at, self._unanswered * _INTERVAL_SECONDS)
 
     def doubt(self, now: float) -> bool | None:
         """Return whether it is doubted from now on, or no more; None where that is as it was."""
@@ -216,9 +216,9 @@ class Heartbeat:
             self._thread.join(timeout)
 
     def _run(self) -> None:
-        while self._hear(time.monotonic() + _INTERVAL_SECONDS):
+        while self._take_answers(time.monotonic() + _INTERVAL_SECONDS):
             now = time.monotonic()
-            self._tell_doubt(now)
+            self._report_doubt(now)
             if self._silence.is_over(now):
                 self._on_silence(self._silence.seconds(now))
                 return
@@ -228,7 +228,7 @@ class Heartbeat:
                     keys.HEARTBEAT, None, self._answers.put, timeout=self._silence.limit
                 )
 
-    def _hear(self, until: float) -> bool:
+    def _take_answers(self, until: float) -> bool:
         """Take answers until it is time for the next question; False when there is to be none."""
         while not self._stopped:
             try:
@@ -238,12 +238,12 @@ class Heartbeat:
             if answer is None:
                 continue
             now = time.monotonic()
-            self._silence.heard(now)
-            self._tell_doubt(now)
+            self._silence.answered(now)
+            self._report_doubt(now)
             self._on_answer(answer)
         return False
 
-    def _tell_doubt(self, now: float) -> None:
-        is_reported = self._silence.doubt(now)
-        if is_reported is not None:
-            self._on_doubt(is_reported)
+    def _report_doubt(self, now: float) -> None:
+        doubt = self._silence.doubt(now)
+        if doubt is not None:
+            self._on_doubt(doubt)

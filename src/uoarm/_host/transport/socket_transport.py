@@ -130,7 +130,7 @@ class SocketTransport(Transport):
         """Have frames at a key handed to `take`, in the thread that read them where it is quick."""
         return self._flows.subscribe(key, length, take, name)
 
-    def tell(self, key: str, header: bytes) -> None:
+    def notify(self, key: str, header: bytes) -> None:
         """Send a header to who listens at a key."""
         self._write(_TELL, key, 0, header, b"", _MUST_ARRIVE_SECONDS)
 

@@ -106,7 +106,7 @@ class Transport(ABC):
         """
 
     @abstractmethod
-    def tell(self, key: str, header: bytes) -> None:
+    def notify(self, key: str, header: bytes) -> None:
         """Send a header to who listens at a key.
 
         Raises:

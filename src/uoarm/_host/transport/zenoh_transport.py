@@ -166,7 +166,7 @@ class ZenohTransport(Transport):
         threading.Thread(target=run, name=name, daemon=True).start()
         return end
 
-    def tell(self, key: str, header: bytes) -> None:
+    def notify(self, key: str, header: bytes) -> None:
         """Send a header to who listens at a key."""
         self.publish(key, b"", header, must_arrive=True)
 

@@ -92,16 +92,16 @@ _MAX_DEPTH = 20_000
 Q = TypeVar("Q")
 A = TypeVar("A")
 Asked_contra = TypeVar("Asked_contra", contravariant=True)
-Told = TypeVar("Told")
+Answer_T = TypeVar("Answer_T")
 
 
-class Memory(Protocol[Asked_contra, Told]):
+class Memory(Protocol[Asked_contra, Answer_T]):
     """Remembers answers, so that what is shared is worked out once."""
 
-    def find(self, question: Asked_contra) -> Told | None:
+    def find(self, question: Asked_contra) -> Answer_T | None:
         """Return the answer to a question, None where it is not known; may raise what it raised."""
 
-    def keep(self, question: Asked_contra, answer: Told | OutOfScopeError) -> None:
+    def keep(self, question: Asked_contra, answer: Answer_T | OutOfScopeError) -> None:
         """Take in an answer, or the error that came instead of one."""
 
 

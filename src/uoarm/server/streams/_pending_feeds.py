@@ -27,7 +27,7 @@ _ABSENT = frozenset({FailureReason.NOT_FOUND, FailureReason.UNAVAILABLE, Failure
 def is_absent(error: BaseException) -> bool:
     """Say whether what failed may succeed once something is there that is not there now."""
     if isinstance(error, NoPlanError):
-        return error.asked_in_vain
+        return error.is_unavailable
     if isinstance(error, BridgeError):
         return error.reason in _ABSENT
     return isinstance(error, BusyError)

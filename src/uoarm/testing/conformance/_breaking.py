@@ -16,12 +16,12 @@ from uoarm.testing.conformance._line import Line, hold_idle, line, structure_of
 from uoarm.testing.conformance._rules import rules
 from uoarm.testing.conformance._world import World
 
-__all__ = ["Breaking", "Told"]
+__all__ = ["Breaking", "HealthLog"]
 
 _AGAIN = 3
 
 
-class Told:
+class HealthLog:
     """What a bridge reported, in order, and of which channel or component."""
 
     def __init__(self, world: World, bridge: Bridge) -> None:
@@ -69,31 +69,29 @@ def _broken(world: World) -> Iterator[None]:
 class Breaking:
     """Breaking what the bridge stands on (a link, a broker, a device) and mending it."""
 
-    def test_a_break_is_told_with_its_cause_and_so_is_its_end(
+    def test_a_break_is_reported_with_its_cause_and_so_is_its_end(
         self, world: World, bridge: Bridge, kind: str
     ) -> None:
-        report = Told(world, bridge)
+        log = HealthLog(world, bridge)
         with line(world, bridge, kind) as through:
             through.carries(through.example())
             with _broken(world):
-                event = _worse(report, through)
+                event = _worse(log, through)
                 assert event.cause, f"{event} has no cause"
                 hold_idle(world, bridge, "while the link is broken")
             if event.health is Health.DEGRADED:
-                report.wait(
-                    *_end(report, through), lambda item: item.health in {Health.OK, Health.LOST}
-                )
-            _once(report)
+                log.wait(*_end(log, through), lambda item: item.health in {Health.OK, Health.LOST})
+            _once(log)
 
     def test_messages_pass_again_once_it_is_mended_each_once(
         self, world: World, bridge: Bridge, kind: str
     ) -> None:
-        report = Told(world, bridge)
+        log = HealthLog(world, bridge)
         with line(world, bridge, kind) as through:
             with _broken(world):
-                is_lost = _worse(report, through).health is Health.LOST
+                is_lost = _worse(log, through).health is Health.LOST
             if not is_lost:
-                _well(report, through)
+                _well(log, through)
                 for _ in range(_AGAIN):
                     through.carries(*[through.example()] * _AGAIN)
                 came = len(through.collector.messages)
@@ -109,10 +107,10 @@ class Breaking:
     def test_what_is_sent_while_it_is_broken_is_refused_or_counted_or_arrives(
         self, world: World, bridge: Bridge, kind: str
     ) -> None:
-        report = Told(world, bridge)
+        log = HealthLog(world, bridge)
         with line(world, bridge, kind) as through:
             with _broken(world):
-                _worse(report, through)
+                _worse(log, through)
                 before = _lost(through)
                 try:
                     Background(lambda: through.send(through.example())).result(world.patience)
@@ -126,9 +124,9 @@ class Breaking:
             )
 
     def test_what_is_broken_can_be_closed(self, world: World, bridge: Bridge, kind: str) -> None:
-        report = Told(world, bridge)
+        log = HealthLog(world, bridge)
         with line(world, bridge, kind) as through, _broken(world):
-            _worse(report, through)
+            _worse(log, through)
             for channel in (through.source, through.sink):
                 with suppress(BridgeError):  # that it could not say goodbye
                     Background(channel.close).result(world.patience)
@@ -138,68 +136,66 @@ class Breaking:
         self, world: World, bridge: Bridge, kind: str
     ) -> None:
         """Refusing to open is right; opening something that never carries is not."""
-        report, pair, collector = Told(world, bridge), world.pair(kind), Collector()
+        log, pair, collector = HealthLog(world, bridge), world.pair(kind), Collector()
         structure = structure_of(bridge, pair, incoming=False)
         with line(world, bridge, kind) as through:
             with _broken(world):
-                _worse(report, through)
+                _worse(log, through)
                 try:
                     source = Background(
                         lambda: bridge.open_source(pair.source, structure, collector.deliver)
                     ).result(world.patience)
                 except BridgeError:
                     return
-            _well(report, through)
+            _well(log, through)
             through.send(through.example())
             collector.wait(1, world.patience)
             source.close()
 
 
-def _worse(told: Told, through: Line) -> HealthEvent:
+def _worse(log: HealthLog, through: Line) -> HealthEvent:
     """Wait until a break was told of either end."""
     bad = {Health.DEGRADED, Health.LOST}
     wait(
-        lambda: any(health_event.health in bad for health_event in _about(told, through)),
-        f"a break was not reported, of neither end; what was: {told.events}",
-        told.patience,
+        lambda: any(health_event.health in bad for health_event in _about(log, through)),
+        f"a break was not reported, of neither end; what was: {log.events}",
+        log.patience,
     )
-    return next(
-        health_event for health_event in _about(told, through) if health_event.health in bad
-    )
+    return next(health_event for health_event in _about(log, through) if health_event.health in bad)
 
 
-def _well(told: Told, through: Line) -> None:
+def _well(log: HealthLog, through: Line) -> None:
     """Wait until all that was degraded of a line is told to be well."""
 
     def all_well() -> bool:
         last = {
-            _subject(health_event): health_event.health for health_event in _about(told, through)
+            _subject(health_event): health_event.health for health_event in _about(log, through)
         }
         return all(health is Health.OK for health in last.values())
 
-    never = f"what was degraded was not told to be well again: {told.events}"
-    wait(all_well, never, told.patience)
+    never = f"what was degraded was not told to be well again: {log.events}"
+    wait(all_well, never, log.patience)
 
 
-def _end(told: Told, through: Line) -> tuple[Endpoint, Channel]:
+def _end(log: HealthLog, through: Line) -> tuple[Endpoint, Channel]:
     """Return the end of a line of which a break was told."""
     for channel in (through.source, through.sink):
-        if told.of(channel.endpoint, channel):
+        if log.of(channel.endpoint, channel):
             return channel.endpoint, channel
     return through.source.endpoint, through.source
 
 
-def _about(told: Told, through: Line) -> list[HealthEvent]:
+def _about(log: HealthLog, through: Line) -> list[HealthEvent]:
     ends = (through.source, through.sink)
     return [
-        event for event in told.events if any(event in told.of(end.endpoint, end) for end in ends)
+        event for event in log.events if any(event in log.of(end.endpoint, end) for end in ends)
     ]
 
 
-def _once(told: Told) -> None:
+def _once(log: HealthLog) -> None:
     """Hold that nothing was told twice in a row of one subject."""
     last: dict[object, Health] = {}
-    for event in told.events:
+    for event in log.events:
         assert last.get(_subject(event)) is not event.health, f"told again: {event}"
         last[_subject(event)] = event.health
 

@@ -44,8 +44,8 @@ def _naming(test: Callable[..., None], section: str) -> Callable[..., None]:
         try:
             test(*given, **named)
         except (Exception, pytest.fail.Exception) as error:
-            told = f"{_place(named)}: the rule is: {rule_of(test)} ({PAGE}#{section})"
-            raise AssertionError(f"{told}\n{error}") from error
+            text = f"{_place(named)}: the rule is: {rule_of(test)} ({PAGE}#{section})"
+            raise AssertionError(f"{text}\n{error}") from error
 
     return run
 

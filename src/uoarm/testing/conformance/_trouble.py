@@ -12,7 +12,7 @@ from uoarm.model import Endpoint, Health, Message
 from uoarm.testing._collector import Background
 from uoarm.testing._patience import wait
 from uoarm.testing._same import same
-from uoarm.testing.conformance._breaking import Told
+from uoarm.testing.conformance._breaking import HealthLog
 from uoarm.testing.conformance._line import Line, hold_idle, line, structure_of
 from uoarm.testing.conformance._rules import rules
 from uoarm.testing.conformance._world import World
@@ -31,7 +31,7 @@ _NONSENSE: tuple[Message, ...] = (
 class Trouble:
     """What goes wrong outside the bridge."""
 
-    def test_a_death_is_told_with_its_cause(self, world: World, bridge: Bridge) -> None:
+    def test_a_death_is_reported_with_its_cause(self, world: World, bridge: Bridge) -> None:
         victim = world.victim()
         if victim is None:
             pytest.skip("nothing in this world dies alone")
@@ -62,11 +62,13 @@ class Trouble:
         hold_idle(world, bridge, "after a death")
         Background(channel.close).result(world.patience)
 
-    def test_each_death_is_told_of_its_own_component(self, world: World, bridge: Bridge) -> None:
+    def test_each_death_is_reported_of_its_own_component(
+        self, world: World, bridge: Bridge
+    ) -> None:
         victims = world.victims()
         if len(victims) < 2:  # noqa: PLR2004 - several
             pytest.skip("the world has not several components that die alone")
-        report = Told(world, bridge)
+        report = HealthLog(world, bridge)
         channels = [_open(bridge, victim.source) for victim in victims]
         for victim, channel in zip(victims, channels, strict=True):
             early = [
@@ -104,7 +106,7 @@ class Trouble:
         emit = world.unreadable(kind)
         if emit is None:
             pytest.skip("nothing in this world can be made unreadable")
-        report = Told(world, bridge)
+        report = HealthLog(world, bridge)
         with line(world, bridge, kind) as through:
             emit()
             wait(
