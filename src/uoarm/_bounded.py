@@ -23,7 +23,7 @@ from uoarm._raised import contained
 from uoarm._workers import WorkerPool
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason
 
-__all__ = ["Step", "run"]
+__all__ = ["BoundedStep", "run"]
 
 T = TypeVar("T")
 
@@ -33,7 +33,7 @@ _HANGING_EACH = 16
 _HANGING_IN_ALL = 256
 
 
-class Step:
+class BoundedStep:
     """The name of a step, put together where it is told: in most steps it never is.
 
     Args:
@@ -64,7 +64,7 @@ class _Hanging:
         with self._lock:
             self.steps -= Counter({step: 1})
 
-    def check(self, step: str | Step) -> None:
+    def check(self, step: str | BoundedStep) -> None:
         """Refuse to begin a step of which too many hang."""
         with self._lock:
             same, every = self.steps[str(step)], self.steps.total()
@@ -81,7 +81,7 @@ class _Job(Generic[T]):
 
     def __init__(
         self,
-        step: str | Step,
+        step: str | BoundedStep,
         limit: float,
         action: Callable[[], T],
         on_late: Callable[[T], None] | None,
@@ -184,7 +184,7 @@ os.register_at_fork(after_in_child=_forget_threads)
 
 
 def run(
-    step: str | Step,
+    step: str | BoundedStep,
     limit: float,
     action: Callable[[], T],
     *,
@@ -226,7 +226,7 @@ def run(
 
 def _run_inside(
     outer: _Job[Any],
-    step: str | Step,
+    step: str | BoundedStep,
     limit: float,
     action: Callable[[], T],
     on_late: Callable[[T], None] | None,

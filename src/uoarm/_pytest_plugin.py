@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from uoarm import RobotManager
     from uoarm.bridge import Bridge, Channel, Handler
     from uoarm.model import Schema
-    from uoarm.testing import Emitter, Hang, MemoryBridge, Service, Taker
+    from uoarm.testing import Emitter, Hang, MemoryBridge, MemoryService, Taker
 
 __all__ = [
     "FakeComponents",
@@ -46,7 +46,9 @@ class FakeComponents:
         self._add(function, "input")
         return self._bridge.taker(function, schema)
 
-    def service(self, function: str, request: Schema, reply: Schema, answer: Handler) -> Service:
+    def service(
+        self, function: str, request: Schema, reply: Schema, answer: Handler
+    ) -> MemoryService:
         """Make a component with a service that a function of the test answers."""
         self._add(function, "service")
         return self._bridge.service(function, request, reply, answer)

@@ -21,7 +21,7 @@ from uoarm._adapt import MappingError, _edge, adapt, check_edge, parse
 from uoarm._adapt._suggest import suggest
 from uoarm.errors import MessageError
 from uoarm.model import Meaning, MessageStructure
-from uoarm.schema import Budget
+from uoarm.schema import CheckBudget
 from uoarm.testing import patience
 
 INT = {"type": "integer", "minimum": -100, "maximum": 100}
@@ -302,7 +302,9 @@ def test_suggestions_for_hostile_structures_are_given_up() -> None:
     inner = HOSTILE["500 open choices"]()
     producer = MessageStructure(structure(**{f"a{n}": inner[0] for n in range(3)}).schema)
     consumer = MessageStructure(structure(**{f"b{n}": inner[1] for n in range(3)}).schema)
-    left = iter([Budget(steps=1000, seconds=1000.0), Budget(seconds=0.0)])  # a third is an error
+    left = iter(
+        [CheckBudget(steps=1000, seconds=1000.0), CheckBudget(seconds=0.0)]
+    )  # a third is an error
     assert suggest(producer, consumer, lambda *_: True, lambda: next(left), Meaning()) == ""
     assert list(left) == []
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from attrs import astuple
 
-from uoarm._yaml import Budget
+from uoarm._yaml import ReadBudget
 from uoarm.config import inspect, loads, published_schema
 
 PAGE = (Path(__file__).parents[2] / "docs" / "configuration.md").read_text(encoding="utf-8")
@@ -32,7 +32,7 @@ def test_every_key_is_on_the_page(key: str) -> None:
     assert re.search(rf"`{key}`|[{{ ]{key}:", PAGE)
 
 
-@pytest.mark.parametrize("limit", astuple(Budget()))
+@pytest.mark.parametrize("limit", astuple(ReadBudget()))
 def test_every_limit_is_on_the_page(limit: int) -> None:
     assert f"{limit:,}" in PAGE
 

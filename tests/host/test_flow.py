@@ -13,7 +13,7 @@ import pytest
 from uoarm._host.agent import flows as flows_module
 from uoarm._host.agent.flows import OpenFlows, OutboundFlow
 from uoarm._host.transport import flow as flow_module
-from uoarm._host.transport.flow import Ending, FlowReceiver, FlowSender
+from uoarm._host.transport.flow import FlowEnding, FlowReceiver, FlowSender
 from uoarm._host.transport.keys import flow
 from uoarm._host.transport.shared_counters import SharedCounters
 from uoarm._host.transport.transport import Transport
@@ -30,7 +30,7 @@ class _Taker:
 
     def __init__(self) -> None:
         self.got: list[Any] = []
-        self.endings: list[Ending] = []
+        self.endings: list[FlowEnding] = []
         self.gate = threading.Event()
         self.gate.set()
 
@@ -235,7 +235,7 @@ def test_the_end_comes_after_the_last_message(ends: Ends) -> None:
     outgoing = FlowSender(far, "flow/1", patience=patience())
     for number in range(50):
         outgoing.send(number)
-    outgoing.finish(Ending("finished", "no more"))
+    outgoing.finish(FlowEnding("finished", "no more"))
     wait(lambda: bool(seen))
     assert seen == [50]
 

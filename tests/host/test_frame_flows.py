@@ -13,7 +13,7 @@ from uoarm._host.transport import frame_flows, subscription
 from uoarm._host.transport.codec import Frame
 from uoarm._host.transport.frame_flows import FrameFlows
 from uoarm._host.transport.link_sockets import LinkSockets
-from uoarm._host.transport.subscription import Subscription
+from uoarm._host.transport.subscription import FlowSubscription
 from uoarm.testing import patience, wait
 
 LONG = bytes(2**16 + 1)
@@ -205,7 +205,7 @@ def test_the_oldest_that_wait_are_lost_first() -> None:
         gate.wait(patience())
         got.put(header)
 
-    kept = Subscription(take, 2, "test")
+    kept = FlowSubscription(take, 2, "test")
     for number in range(5):
         assert not kept.begin(LONG, b"%d" % number)
         if not number:

@@ -16,7 +16,7 @@ from uoarm import RobotManager
 from uoarm._workers import WorkerPool
 from uoarm.config import loads
 from uoarm.local import PythonBridge
-from uoarm.local._source import Source
+from uoarm.local._source import IteratedSource
 from uoarm.model import Endpoint, Message, MessageStructure, Role
 from uoarm.testing import Background, patience, wait
 
@@ -120,7 +120,7 @@ def test_a_source_whose_last_listener_leaves_emits_a_message_or_sees_that_it_was
         return emitted.append
 
     workers = WorkerPool("uoarm-test", 1)
-    source = Source(numbers, emitter, "numbers", workers)
+    source = IteratedSource(numbers, emitter, "numbers", workers)
     source.add_listener("only", lambda _: ended.set())
     workers.close(drop=False)
     wait(lambda: not workers.busy)

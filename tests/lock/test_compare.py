@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from uoarm._lock import Finding, Lock, Outcome, compare
+from uoarm._lock import Lock, LockFinding, LockOutcome, compare
 from uoarm._lock._record import LockedEdge, LockedFunction, LockedPart, LockedStructure
 
 NUMBER: dict[str, Any] = {"type": "number"}
@@ -31,30 +31,32 @@ def lock(
     )
 
 
-def outcomes(before: Lock, after: Lock | Mapping[str, Any]) -> dict[str, Outcome]:
-    found: list[Finding] = list(compare(before, after))
+def outcomes(before: Lock, after: Lock | Mapping[str, Any]) -> dict[str, LockOutcome]:
+    found: list[LockFinding] = list(compare(before, after))
     assert len({finding.subject for finding in found}) == len(found)
     return {finding.subject: finding.outcome for finding in found}
 
 
 @pytest.mark.parametrize(
     ("before", "after", "outcome"),
-    [(SMALL, NUMBER, Outcome.FITS), (NUMBER, SMALL, Outcome.BREAKS)],
+    [(SMALL, NUMBER, LockOutcome.FITS), (NUMBER, SMALL, LockOutcome.BREAKS)],
 )
-def test_what_applications_send_may_widen_only(before: Any, after: Any, outcome: Outcome) -> None:
+def test_what_applications_send_may_widen_only(
+    before: Any, after: Any, outcome: LockOutcome
+) -> None:
     found = outcomes(lock(NUMBER, NUMBER, before), lock(NUMBER, NUMBER, after))
-    assert found == {"a.out -> b.in": Outcome.FITS, "input.asked": outcome}
+    assert found == {"a.out -> b.in": LockOutcome.FITS, "input.asked": outcome}
 
 
 def test_an_edge_is_judged_as_it_was_locked() -> None:
     one, other = {**NUMBER, "x-unit": "m"}, {**NUMBER, "x-unit": "s"}
     edge = "a.out -> b.in"
-    assert outcomes(lock(one, one), lock(other, one))[edge] is Outcome.BREAKS
-    assert outcomes(lock(one, one, meaning="off"), lock(other, one))[edge] is Outcome.FITS
+    assert outcomes(lock(one, one), lock(other, one))[edge] is LockOutcome.BREAKS
+    assert outcomes(lock(one, one, meaning="off"), lock(other, one))[edge] is LockOutcome.FITS
     named, called = {**NUMBER, "x-type": "a/A"}, {**NUMBER, "x-type": "b/B"}
-    assert outcomes(lock(named, named), lock(called, named))[edge] is Outcome.BREAKS
+    assert outcomes(lock(named, named), lock(called, named))[edge] is LockOutcome.BREAKS
     alike = (("a/A", "b/B"),)
-    assert outcomes(lock(named, named, alike=alike), lock(called, named))[edge] is Outcome.FITS
+    assert outcomes(lock(named, named, alike=alike), lock(called, named))[edge] is LockOutcome.FITS
 
 
 def test_a_schema_that_names_no_type_is_of_the_type_that_it_stands_for() -> None:
@@ -62,4 +64,4 @@ def test_a_schema_that_names_no_type_is_of_the_type_that_it_stands_for() -> None
     found = list(compare(lock(named, NUMBER, meaning="strict"), {"a/A": dict(SMALL)}))
     assert [finding.changed for finding in found] == [True, False]
     both = lock(named, named, meaning="strict")
-    assert outcomes(both, {"a/A": dict(NUMBER)})["a.out -> b.in"] is Outcome.FITS
+    assert outcomes(both, {"a/A": dict(NUMBER)})["a.out -> b.in"] is LockOutcome.FITS

@@ -6,19 +6,23 @@ import json
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
-from uoarm._lock import Finding, Outcome
+from uoarm._lock import LockFinding, LockOutcome
 from uoarm.cli._findings import FORMS
 
 LOCK = Path("robots/the cart/robot.lock")
 FINDINGS = [
-    Finding("scan", "laser.out -> map.in", Outcome.FITS, changed=False),
-    Finding("scan", "output.default", Outcome.FITS, changed=True),
-    Finding(
-        "drive", "pad.out -> base.in", Outcome.FITS_WITH_MAP, changed=True, path="speed",
+    LockFinding("scan", "laser.out -> map.in", LockOutcome.FITS, changed=False),
+    LockFinding("scan", "output.default", LockOutcome.FITS, changed=True),
+    LockFinding(
+        "drive", "pad.out -> base.in", LockOutcome.FITS_WITH_MAP, changed=True, path="speed",
         sentence="the units differ: km/h & m/s", suggestion="map: {speed: {from: <speed>}}",
     ),
-    Finding("drive", "input.go", Outcome.UNDECIDED, changed=True, sentence="it took too long"),
-    Finding("drive", "output.on", Outcome.BREAKS, changed=True, path="x", sentence="it is gone"),
+    LockFinding(
+        "drive", "input.go", LockOutcome.UNDECIDED, changed=True, sentence="it took too long"
+    ),
+    LockFinding(
+        "drive", "output.on", LockOutcome.BREAKS, changed=True, path="x", sentence="it is gone",
+    ),
 ]  # fmt: skip
 
 

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from click.testing import CliRunner, Result
 
-from uoarm._lock import Outcome, compare, read_lock
+from uoarm._lock import LockOutcome, compare, read_lock
 from uoarm.cli import main
 from uoarm.errors import ConfigurationError
 
@@ -151,12 +151,12 @@ def test_outputs_may_narrow_and_components_may_not_go(tmp_path: Path) -> None:
     path = tmp_path / "narrower.lock"
     path.write_text(json.dumps(narrower))
     outcomes = {finding.subject: finding.outcome for finding in compare(lock, read_lock(path))}
-    assert outcomes["output.default"] is Outcome.FITS
+    assert outcomes["output.default"] is LockOutcome.FITS
     narrower["functions"].pop("temperature")
     narrower["functions"].pop("fireAlarm")
     path.write_text(json.dumps(narrower))
     gone = list(compare(lock, read_lock(path)))
-    assert {finding.outcome for finding in gone} == {Outcome.BREAKS}
+    assert {finding.outcome for finding in gone} == {LockOutcome.BREAKS}
     assert "no output.default of a component 'thermometer'" in " ".join(
         finding.sentence for finding in gone
     )

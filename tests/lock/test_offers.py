@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from uoarm import RobotManager
-from uoarm._lock import Outcome, compare, read_lock, write_lock
+from uoarm._lock import LockOutcome, compare, read_lock, write_lock
 from uoarm.bridge import Registry
 from uoarm.cli._lock import lock_of
 from uoarm.config import loads
@@ -61,17 +61,17 @@ def test_what_frameworks_have_is_in_the_lock_and_compared(tmp_path: Path) -> Non
     assert ports == {
         "net:scan": ["input.default"], "net:drive": ["output.default"], "net:double": ["request"],
     }  # fmt: skip
-    assert {finding.outcome for finding in compare(before, before)} == {Outcome.FITS}
+    assert {finding.outcome for finding in compare(before, before)} == {LockOutcome.FITS}
     # Who listens takes less now than the laser gives, and who commands says what no base takes.
     after = read_lock(lock(tmp_path, seen={**SMALL, "maximum": 5}, wish={"type": "string"}))
     reports = {
         (finding.function, finding.subject): finding.outcome
         for finding in compare(before, after)
-        if finding.outcome is not Outcome.FITS
+        if finding.outcome is not LockOutcome.FITS
     }
     assert reports == {
-        ("offer net:scan", "laser.default -> net:scan.default"): Outcome.BREAKS,
-        ("offer net:drive", "net:drive.default -> base.default"): Outcome.BREAKS,
+        ("offer net:scan", "laser.default -> net:scan.default"): LockOutcome.BREAKS,
+        ("offer net:drive", "net:drive.default -> base.default"): LockOutcome.BREAKS,
     }
 
 

@@ -12,7 +12,7 @@ from resolvelib import AbstractProvider, BaseReporter, ResolutionImpossible
 from resolvelib import Resolver as OtherResolver
 from tests.resolve.test_search import World, component
 
-from uoarm._resolve import Catalogue, EdgeCheck, NoPlanError, Resolver, Structures
+from uoarm._resolve import EdgeCheck, NoPlanError, Resolver, StructureCatalogue, Structures
 from uoarm.model import Component, Function, Input, PortRef, Robot
 
 _ROUNDS = 100_000
@@ -28,7 +28,7 @@ class _Requirement:
 
 
 class _Provider(AbstractProvider[Any, Any, str]):
-    def __init__(self, robot: Robot, catalogue: Catalogue, check: EdgeCheck) -> None:
+    def __init__(self, robot: Robot, catalogue: StructureCatalogue, check: EdgeCheck) -> None:
         self._robot = robot
         self._catalogue = catalogue
         self._check = check
@@ -89,7 +89,7 @@ class _Provider(AbstractProvider[Any, Any, str]):
 
 
 def resolve_with_resolvelib(
-    robot: Robot, catalogue: Catalogue, check: EdgeCheck, name: str
+    robot: Robot, catalogue: StructureCatalogue, check: EdgeCheck, name: str
 ) -> dict[str, str] | None:
     """Return component names by function, None when there is no plan. Knows nothing of cycles."""
     resolver = OtherResolver(_Provider(robot, catalogue, check), BaseReporter[Any, Any, str]())

@@ -9,7 +9,7 @@ import jsonschema_rs
 from jsonschema import Draft202012Validator
 from tests.schema._reference import Reference
 
-from uoarm.schema import Budget, Verdict, check
+from uoarm.schema import CheckBudget, Verdict, check
 from uoarm.testing._instances import find_instance
 
 if TYPE_CHECKING:
@@ -48,7 +48,7 @@ def judge(
     *,
     samples: int = 5,
     universe: Iterable[object] = (),
-    budget: Budget | None = None,
+    budget: CheckBudget | None = None,
 ) -> str:
     """The checker's answer, after trying to disprove it."""
     verdict = check(producer, consumer, budget=budget)

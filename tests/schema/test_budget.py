@@ -16,15 +16,15 @@ from tests.harness._places import unmeasured
 from tests.schema._hostile import HOSTILE, chain, choices, rows
 from tests.schema._reference import Reference
 
-from uoarm.schema import Budget, check
+from uoarm.schema import CheckBudget, check
 from uoarm.schema._errors import BudgetError
 from uoarm.schema._meter import Meter
 from uoarm.schema.explain import find_losses
-from uoarm.schema.read import Document, Pool
+from uoarm.schema.read import Pool, SchemaDocument
 from uoarm.schema.regex import walker_of
 from uoarm.schema.solve._branch import Branch
 from uoarm.schema.solve._number_goals import find_number_whole
-from uoarm.schema.solve._solver import State
+from uoarm.schema.solve._solver import SearchState
 
 PATIENT = 1_000.0
 """Seconds that no check takes: steps or octets end it, not the clock of a busy machine."""
@@ -33,7 +33,7 @@ ANY: dict[str, object] = {"type": "integer"}
 
 @pytest.mark.parametrize("depth", [21, 60, 400])
 def test_a_chain_that_doubles_costs_its_length(depth: int) -> None:
-    verdict = check(*chain(depth), budget=Budget(steps=100 * depth, seconds=PATIENT))
+    verdict = check(*chain(depth), budget=CheckBudget(steps=100 * depth, seconds=PATIENT))
     assert verdict.incompatible
     assert verdict.abridged
     assert verdict.counterexample is None
@@ -52,7 +52,7 @@ def test_a_chain_that_doubles_costs_its_length(depth: int) -> None:
     ],
 )
 def test_a_long_counterexample_is_reported_and_not_built(producer: Any, consumer: Any) -> None:
-    verdict = check(producer, consumer, budget=Budget(steps=2_000, seconds=PATIENT))
+    verdict = check(producer, consumer, budget=CheckBudget(steps=2_000, seconds=PATIENT))
     assert verdict.incompatible
     assert verdict.abridged
     assert verdict.counterexample is None
@@ -63,7 +63,7 @@ def test_a_long_counterexample_is_reported_and_not_built(producer: Any, consumer
 def test_a_long_counterexample_is_built_when_asked_for() -> None:
     producer = {"prefixItems": [{"const": "x"}], **rows(30_000, {"type": "array", "minItems": 2})}
     consumer = {"maxItems": 7}
-    built = check(producer, consumer, budget=Budget(seconds=PATIENT)).build_counterexample()
+    built = check(producer, consumer, budget=CheckBudget(seconds=PATIENT)).build_counterexample()
     assert built[0] == "x"
     assert built[1:] == [[0, 0]] * 29_999 or len(built) == 30_000
     assert Reference(producer).accepts(built)
@@ -99,7 +99,7 @@ def test_a_pattern_with_much_to_do_at_each_character_ends_within_the_budget(
 ) -> None:
     walker, steps = walker_of(pattern), 1_000
     before = walker.work[0]
-    verdict = check(producer, place(pattern), budget=Budget(steps=steps, seconds=PATIENT))
+    verdict = check(producer, place(pattern), budget=CheckBudget(steps=steps, seconds=PATIENT))
     assert str(verdict.undecided).startswith("the budget of steps ran out")
     assert walker.work[0] - before < 8 * steps + 4_000, "threads that were followed"
 
@@ -115,7 +115,7 @@ def deep_object(levels: int) -> dict[str, object]:
 
 @pytest.mark.parametrize("levels", [200, 1_500])
 def test_a_deep_counterexample_is_reported_in_a_form_that_json_can_write(levels: int) -> None:
-    verdict = check(deep_object(levels), {"type": "string"}, budget=Budget(seconds=PATIENT))
+    verdict = check(deep_object(levels), {"type": "string"}, budget=CheckBudget(seconds=PATIENT))
     assert verdict.incompatible
     assert verdict.abridged is (levels > 250)
     assert len(json.dumps(verdict.to_dict())) < 10_000
@@ -137,11 +137,11 @@ def losing(fields: int) -> tuple[Any, Any]:
 
 def test_what_is_lost_is_reported_within_the_budget() -> None:
     """Less of it is told where the budget ends; what was proven stays."""
-    whole = check(*losing(200), budget=Budget(seconds=PATIENT))
+    whole = check(*losing(200), budget=CheckBudget(seconds=PATIENT))
     assert whole.compatible
     assert len(whole.losses) == 200
     pool = Pool(Meter(10**6, PATIENT, 10**9))
-    producer, consumer = (Document(item, pool).root for item in losing(200))
+    producer, consumer = (SchemaDocument(item, pool).root for item in losing(200))
     for steps, octets in ((500, 10**9), (10**6, 30_000)):
         assert 0 < len(find_losses(producer, consumer, Meter(steps, PATIENT, octets))) < 200
     assert not find_losses(producer, consumer, Meter(0, PATIENT, 10**9))
@@ -149,13 +149,13 @@ def test_what_is_lost_is_reported_within_the_budget() -> None:
 
 def test_what_is_lost_is_reported_beside_patterns_that_are_not_decided() -> None:
     one = {"properties": {"a": ANY}, "patternProperties": {"(?<=a)b": ANY}}
-    patient = Budget(seconds=PATIENT)
+    patient = CheckBudget(seconds=PATIENT)
     assert check({"allOf": [one], "properties": {"a": ANY}}, one, budget=patient).compatible
     assert check(one, one, budget=patient).compatible
 
 
 def test_a_short_one_is_there_at_once() -> None:
-    verdict = check(rows(500, ANY), {"maxItems": 7}, budget=Budget(seconds=PATIENT))
+    verdict = check(rows(500, ANY), {"maxItems": 7}, budget=CheckBudget(seconds=PATIENT))
     assert not verdict.abridged
     assert verdict.counterexample == verdict.build_counterexample() == [0] * 500
 
@@ -165,7 +165,7 @@ def test_a_shared_constant_costs_what_it_takes_to_store() -> None:
         ("constant of 2**40 items into itself", True),
         ("constant of 2**40 items, shared", False),
     ):
-        verdict = check(*HOSTILE[name](), budget=Budget(steps=5_000, seconds=PATIENT))
+        verdict = check(*HOSTILE[name](), budget=CheckBudget(steps=5_000, seconds=PATIENT))
         assert verdict.compatible is fits
         assert verdict.undecided is None
 
@@ -189,22 +189,26 @@ MANY = 100_000
     ],
 )
 def test_a_hundred_thousand_numbers_are_few_steps(producer: Any, consumer: Any, fits: bool) -> None:
-    verdict = check(producer, {"enum": consumer}, budget=Budget(steps=5 * MANY, seconds=PATIENT))
+    verdict = check(
+        producer, {"enum": consumer}, budget=CheckBudget(steps=5 * MANY, seconds=PATIENT)
+    )
     assert (verdict.compatible, verdict.undecided) == (fits, None)
 
 
 def test_some_hundred_choices_are_decided() -> None:
     objects = {"anyOf": [{"type": "object", "required": [f"f{n}"]} for n in range(500)]}
-    verdict = check(objects, {"type": "object", "minProperties": 1}, budget=Budget(seconds=PATIENT))
+    verdict = check(
+        objects, {"type": "object", "minProperties": 1}, budget=CheckBudget(seconds=PATIENT)
+    )
     assert verdict.compatible
-    verdict = check(*choices(50), budget=Budget(seconds=PATIENT))
+    verdict = check(*choices(50), budget=CheckBudget(seconds=PATIENT))
     assert (verdict.compatible, verdict.undecided) == (False, None)
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("name", ["anyOf of 20,000", "anyOf of 20,000 records", "500 open choices"])
 def test_many_choices_are_decided(name: str) -> None:
-    verdict = check(*HOSTILE[name](), budget=Budget(seconds=PATIENT))
+    verdict = check(*HOSTILE[name](), budget=CheckBudget(seconds=PATIENT))
     assert verdict.compatible is ("anyOf" in name)
     assert verdict.undecided is None
 
@@ -248,17 +252,17 @@ def test_the_clock_is_read_while_a_goal_of_many_schemas_is_broken_into_demands(
 ) -> None:
     ticks = count()
     pool = Pool(Meter(10**9, 10**9, 10**9, clock=lambda: next(ticks)))
-    root = Document(schema, pool).root
+    root = SchemaDocument(schema, pool).root
     numbers = {node.number for node in root.applied()}
     assert len(numbers) == len(MANY_PARTS)
     before = next(ticks)
-    State("number", ()).add(Branch(literals=[(root, sign)]))
+    SearchState("number", ()).add(Branch(literals=[(root, sign)]))
     assert next(ticks) > before + 1
 
 
 def test_the_clock_is_read_while_the_steps_of_many_numbers_are_gathered() -> None:
     pool = Pool(Meter(10**9, 10**9, 10**9))
-    goal = ((Document({"anyOf": MANY_PARTS, "multipleOf": 7}, pool).root, True),)
+    goal = ((SchemaDocument({"anyOf": MANY_PARTS, "multipleOf": 7}, pool).root, True),)
 
     def spend(steps: int) -> None:
         raise BudgetError(f"at the first of {steps}")
@@ -273,7 +277,7 @@ def test_few_steps_end_a_check_at_once(name: str) -> None:
     """Whatever is not counted would go on; the limit of the test run is what notices."""
     pair = HOSTILE[name]()
     for steps in (0, 100, 2_000):
-        check(*pair, budget=Budget(steps=steps, seconds=PATIENT))
+        check(*pair, budget=CheckBudget(steps=steps, seconds=PATIENT))
 
 
 LIMITED = """

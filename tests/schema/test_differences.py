@@ -11,7 +11,7 @@ from tests.schema._robot_schemas import closed, integer_type, robot_schema
 
 from uoarm.schema import check
 from uoarm.schema._meter import Meter
-from uoarm.schema.read import Document, Pool
+from uoarm.schema.read import Pool, SchemaDocument
 from uoarm.schema.solve import Empty, Solver, differences
 from uoarm.schema.solve import answer as search
 
@@ -25,7 +25,7 @@ def pool() -> Pool:
 
 def places(one: Any, other: Any) -> list[tuple[str | int, ...]]:
     shared = pool()
-    roots = [Document(body, shared).root for body in (one, other)]
+    roots = [SchemaDocument(body, shared).root for body in (one, other)]
     return [found.path for found in differences(roots[0], roots[1], shared.meter)]
 
 
@@ -118,7 +118,10 @@ def test_it_says_what_a_search_of_the_whole_says(seed: int) -> None:
     other = changed(choices, one)
     for producer, consumer in ((one, other), (other, one)):
         shared = pool()
-        goal = (Document(producer, shared).root, True), (Document(consumer, shared).root, False)
+        goal = (
+            (SchemaDocument(producer, shared).root, True),
+            (SchemaDocument(consumer, shared).root, False),
+        )
         whole = Solver(shared, search).solve(goal)
         verdict = check(producer, consumer)
         assert verdict.compatible is isinstance(whole, Empty), verdict

@@ -9,14 +9,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from tests.schema._judge import answer, verify_counterexample
 
-from uoarm.schema import Budget, check
+from uoarm.schema import CheckBudget, check
 from uoarm.schema._meter import Meter
 from uoarm.schema.regex import found_in, shortest_word
 
 FLOAT32 = {"type": "number", "minimum": -3.4028234663852886e38, "maximum": 3.4028234663852886e38}
 SWITCH = {"type": "string", "pattern": "^(on|off)$"}
 NAMES = {"type": "string", "pattern": r"^[\p{L}\p{M}'-]{1,50}$"}
-FEW = Budget(steps=500_000, seconds=1_000)
+FEW = CheckBudget(steps=500_000, seconds=1_000)
 WHOLE = {"type": "integer"}
 
 PAIRS: dict[str, tuple[Any, Any, str]] = {

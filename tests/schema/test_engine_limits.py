@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from uoarm.schema import Budget, check
+from uoarm.schema import CheckBudget, check
 
 OBJECT = {"type": "object"}
 ARRAY = {"type": "array"}
@@ -89,7 +89,7 @@ def test_what_is_beyond_is_undecided_and_says_why(producer: Any, consumer: Any, 
 def test_a_spent_budget_says_of_what(steps: int, seconds: float, cause: str) -> None:
     fields = {f"f{n}": {"type": ["integer", "string"], "minLength": n} for n in range(200)}
     message = {"type": "object", "properties": fields, "required": list(fields)}
-    verdict = check(message, message | {"x": 1}, budget=Budget(steps=steps, seconds=seconds))
+    verdict = check(message, message | {"x": 1}, budget=CheckBudget(steps=steps, seconds=seconds))
     assert verdict.undecided is not None
     assert cause in verdict.undecided
 

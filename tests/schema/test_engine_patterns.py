@@ -14,7 +14,7 @@ from tests.schema._judge import answer
 from tests.schema._pattern_texts import random_text
 from tests.schema._random_choices import RandomChoices
 
-from uoarm.schema import Budget, SchemaError, check
+from uoarm.schema import CheckBudget, SchemaError, check
 from uoarm.schema.regex import found_in
 from uoarm.testing._choices import chance
 
@@ -211,7 +211,7 @@ def test_a_brace_that_is_escaped_repeats_nothing() -> None:
 
 def test_a_hostile_repetition_of_looks_ahead_costs_its_length() -> None:
     pattern = {"pattern": "(?=" * 4 + "a" + "){900}" * 4}
-    budget = Budget(steps=5_000, seconds=1_000.0)
+    budget = CheckBudget(steps=5_000, seconds=1_000.0)
     assert answer(check({"type": "string"}, pattern, budget=budget)) == "no"
     assert answer(check({"const": "ba"}, pattern, budget=budget)) == "yes"
 
@@ -222,7 +222,9 @@ def test_any_text_as_a_pattern_ends_in_a_verdict_or_in_an_error(block: int) -> N
     for _ in range(100):
         pattern = random_text(choices.item)
         try:
-            answer(check({"type": "string"}, {"pattern": pattern}, budget=Budget(steps=20_000)))
+            answer(
+                check({"type": "string"}, {"pattern": pattern}, budget=CheckBudget(steps=20_000))
+            )
         except SchemaError as error:
             assert "regular expression" in str(error)
 

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 from tests.schema._random_choices import RandomChoices
 
-from uoarm.schema import Budget, SchemaError, check
+from uoarm.schema import CheckBudget, SchemaError, check
 
 LETTERS = "aé←\U0001f600"
 TEXTS = ["".join(row) for length in range(4) for row in product(LETTERS, repeat=length)]
@@ -93,7 +93,7 @@ def test_what_certainly_fits(producer: dict[str, object], consumer: dict[str, ob
 def test_what_is_refused_with_a_text(
     producer: dict[str, object], consumer: dict[str, object]
 ) -> None:
-    verdict = check(producer, consumer, budget=Budget(octets=400_000_000))
+    verdict = check(producer, consumer, budget=CheckBudget(octets=400_000_000))
     assert verdict.incompatible
     assert check({"const": verdict.counterexample}, consumer).incompatible
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from uoarm.schema import Budget, SchemaError, check
+from uoarm.schema import CheckBudget, SchemaError, check
 
 ALIKE_IN_PYTHON: list[tuple[Any, Any]] = [
     ({"const": 1}, {"const": True}),
@@ -39,14 +39,14 @@ def test_equal_schemas_are_read_once() -> None:
     one, other = ({"type": "object", "required": [f"f{n}" for n in range(9)],
                    "properties": {f"f{n}": {"type": "number"} for n in range(9)}}
                   for _ in range(2))  # fmt: skip
-    budget = Budget(steps=_steps(one, {}) + 20)
+    budget = CheckBudget(steps=_steps(one, {}) + 20)
     assert check(one, other, budget=budget).compatible
 
 
 def _steps(producer: Any, consumer: Any) -> int:
     """The fewest steps that the check of a pair needs."""
     most = 1
-    while check(producer, consumer, budget=Budget(steps=most)).undecided is not None:
+    while check(producer, consumer, budget=CheckBudget(steps=most)).undecided is not None:
         most += 1
     return most
 

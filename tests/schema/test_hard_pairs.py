@@ -11,7 +11,7 @@ from tests.schema._judge import answer, verify_counterexample
 from tests.schema._random_choices import RandomChoices
 from tests.schema._reference import Reference
 
-from uoarm.schema import Budget, check
+from uoarm.schema import CheckBudget, check
 from uoarm.testing._instances import find_instance
 
 if TYPE_CHECKING:
@@ -29,8 +29,8 @@ TABLES = {
 PAIRS = [
     pytest.param(pair, id=f"{t}: {pair.name}") for t, pairs in TABLES.items() for pair in pairs
 ]
-PATIENT = Budget(seconds=1_000)
-FEW_STEPS = Budget(steps=30_000, seconds=1_000)
+PATIENT = CheckBudget(seconds=1_000)
+FEW_STEPS = CheckBudget(steps=30_000, seconds=1_000)
 HOSTILE = [pytest.param(pair, id=pair.name) for pair in _hard_sizes.HOSTILE]
 
 

@@ -12,7 +12,7 @@ from tests.schema._rewrites import equivalent, loosened, negated, tightened
 from tests.schema._strategies import Pair, pairs, schemas
 from tests.schema._universe import universe
 
-from uoarm.schema import Budget, check
+from uoarm.schema import CheckBudget, check
 from uoarm.testing._choices import DrawnChoices
 from uoarm.testing._instances import find_instance
 
@@ -119,7 +119,7 @@ def test_containment_is_transitive(schema: Body, more: DataObject) -> None:
 def test_a_spent_budget_is_undecided_or_right(pair: Pair) -> None:
     full = answer(check(*pair))
     for steps in (0, 1, 10, 100):
-        small = answer(check(*pair, budget=Budget(steps=steps)))
+        small = answer(check(*pair, budget=CheckBudget(steps=steps)))
         assert small in {full, "undecided"} or full == "undecided", (steps, shown(*pair))
 
 

@@ -27,7 +27,7 @@ from uoarm.testing import (
     raising,
     wait,
 )
-from uoarm.testing._native import PAIRS, ROWS, Dialect, codec
+from uoarm.testing._native import PAIRS, ROWS, NativeDialect, codec
 
 
 def record(**fields: dict[str, Any]) -> dict[str, Any]:
@@ -75,7 +75,7 @@ def sink_of(name: str) -> Endpoint:
 
 @pytest.mark.parametrize("dialect", [ROWS, PAIRS], ids=["rows", "pairs"])
 @given(message=instances(MIXED))
-def test_what_is_written_natively_reads_back(dialect: Dialect, message: object) -> None:
+def test_what_is_written_natively_reads_back(dialect: NativeDialect, message: object) -> None:
     both = codec(MIXED, dialect)
     assert both.read(both.write(message)) == message
 

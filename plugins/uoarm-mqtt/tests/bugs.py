@@ -13,11 +13,11 @@ from uoarm.errors import BridgeError, MessageError
 from uoarm.model import Health
 from uoarm.testing.conformance._breaking import Breaking
 from uoarm.testing.conformance._describing import Describing
-from uoarm.testing.conformance._ending import Ending
+from uoarm.testing.conformance._ending import EndingRules
 from uoarm.testing.conformance._flow import Flow
 from uoarm.testing.conformance._rules import rule_of
-from uoarm.testing.conformance._services import Services
-from uoarm.testing.conformance._trouble import Trouble
+from uoarm.testing.conformance._services import ServiceRules
+from uoarm.testing.conformance._trouble import DisturbanceRules
 
 __all__ = ["BUGS", "Bug", "table"]
 
@@ -232,7 +232,7 @@ BUGS: tuple[Bug, ...] = (
         _channels.ReceiveQueue,
         "put",
         on_one_thread,
-        Trouble.test_another_channel_opens_while_a_consumer_is_stuck,
+        DisturbanceRules.test_another_channel_opens_while_a_consumer_is_stuck,
         "still running",
     ),
     Bug(
@@ -240,7 +240,7 @@ BUGS: tuple[Bug, ...] = (
         _codec.PayloadCodec,
         "encode",
         raw,
-        Trouble.test_a_message_that_fits_nothing_is_refused_in_words_or_carried,
+        DisturbanceRules.test_a_message_that_fits_nothing_is_refused_in_words_or_carried,
         "has no form in JSON",
     ),
     Bug(
@@ -252,7 +252,7 @@ BUGS: tuple[Bug, ...] = (
                 None if incoming.payload.endswith(b"[") else original(source, incoming)
             )
         ),
-        Trouble.test_what_cannot_be_read_is_said_and_ends_nothing,
+        DisturbanceRules.test_what_cannot_be_read_is_said_and_ends_nothing,
         "nothing was said",
     ),
     Bug(
@@ -260,7 +260,7 @@ BUGS: tuple[Bug, ...] = (
         _codec.PayloadCodec,
         "decode",
         as_none,
-        Trouble.test_what_cannot_be_read_is_said_and_ends_nothing,
+        DisturbanceRules.test_what_cannot_be_read_is_said_and_ends_nothing,
         "the payload was delivered",
     ),
     Bug(
@@ -268,7 +268,7 @@ BUGS: tuple[Bug, ...] = (
         _channels.MqttSource,
         "_take",
         of_the_whole,
-        Trouble.test_what_cannot_be_read_is_said_and_ends_nothing,
+        DisturbanceRules.test_what_cannot_be_read_is_said_and_ends_nothing,
         "one payload ended the channel",
     ),
     Bug(
@@ -276,7 +276,7 @@ BUGS: tuple[Bug, ...] = (
         _discovery.RetainedTopic,
         "_take",
         keeping_only,
-        Trouble.test_a_death_is_reported_with_its_cause,
+        DisturbanceRules.test_a_death_is_reported_with_its_cause,
         "a killed component was not reported",
     ),
     Bug(
@@ -284,7 +284,7 @@ BUGS: tuple[Bug, ...] = (
         _discovery.Components,
         "__init__",
         of_no_component,
-        Trouble.test_each_death_is_reported_of_its_own_component,
+        DisturbanceRules.test_each_death_is_reported_of_its_own_component,
         "it was not reported",
     ),
     Bug(
@@ -348,7 +348,7 @@ BUGS: tuple[Bug, ...] = (
         _subscriptions.Subscriptions,
         "remove",
         lambda original: lambda table, receiver: (original(table, receiver), True)[1],
-        Ending.test_nothing_is_delivered_after_closing,
+        EndingRules.test_nothing_is_delivered_after_closing,
         "1 of 2 messages came",
     ),
     Bug(
@@ -356,7 +356,7 @@ BUGS: tuple[Bug, ...] = (
         _link.BrokerConnection,
         "close",
         nothing,
-        Ending.test_no_thread_and_no_descriptor_stays_behind,
+        EndingRules.test_no_thread_and_no_descriptor_stays_behind,
         "left over",
     ),
     Bug(
@@ -364,7 +364,7 @@ BUGS: tuple[Bug, ...] = (
         _channels.ReceiveQueue,
         "close",
         nothing,
-        Ending.test_no_thread_and_no_descriptor_stays_behind,
+        EndingRules.test_no_thread_and_no_descriptor_stays_behind,
         "threads are left over",
     ),
     Bug(
@@ -372,7 +372,7 @@ BUGS: tuple[Bug, ...] = (
         _link._Client,
         "release",
         nothing,
-        Ending.test_no_thread_and_no_descriptor_stays_behind,
+        EndingRules.test_no_thread_and_no_descriptor_stays_behind,
         "file descriptors are left over",
     ),
     Bug(
@@ -396,7 +396,7 @@ BUGS: tuple[Bug, ...] = (
         _channels.ServiceCalls,
         "_take",
         the_first_reply,
-        Services.test_several_threads_may_call_at_once,
+        ServiceRules.test_several_threads_may_call_at_once,
         "the reply to {'value'",
     ),
     Bug(
@@ -404,7 +404,7 @@ BUGS: tuple[Bug, ...] = (
         _bridge.MqttBridge,
         "_description",
         without_a_reply,
-        Services.test_a_service_is_described_by_request_and_reply,
+        ServiceRules.test_a_service_is_described_by_request_and_reply,
         "it is described without a reply",
     ),
     Bug(
@@ -412,7 +412,7 @@ BUGS: tuple[Bug, ...] = (
         _channels.ServedTopic,
         "_close",
         nothing,
-        Services.test_a_served_function_answers_until_it_is_closed,
+        ServiceRules.test_a_served_function_answers_until_it_is_closed,
         "DID NOT RAISE",
     ),
     Bug(
@@ -420,7 +420,7 @@ BUGS: tuple[Bug, ...] = (
         _channels.ServedTopic,
         "__init__",
         never_failing,
-        Services.test_a_served_function_that_raises_fails_its_caller,
+        ServiceRules.test_a_served_function_that_raises_fails_its_caller,
         "DID NOT RAISE",
     ),
 )

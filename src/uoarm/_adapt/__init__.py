@@ -2,12 +2,12 @@
 
 from uoarm._adapt._adaptation import Adaptation, adapt
 from uoarm._adapt._edge import EdgeVerdict, check_edge, transfer
-from uoarm._adapt._mapping import Entry, MappingError, UnfitError, number_problem, parse
+from uoarm._adapt._mapping import MappingEntry, MappingError, UnfitError, number_problem, parse
 
 __all__ = [
     "Adaptation",
     "EdgeVerdict",
-    "Entry",
+    "MappingEntry",
     "MappingError",
     "UnfitError",
     "adapt",

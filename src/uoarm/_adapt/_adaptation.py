@@ -11,11 +11,11 @@ from uoarm._adapt._compile import Maker, build_object, constant, each_item, mapp
 from uoarm._adapt._mapping import (
     Clamp,
     Each,
-    Entry,
-    Field,
     Mapped,
+    MappingEntry,
     Path,
     Scale,
+    SchemaField,
     Structure,
     UnfitError,
     write_path,
@@ -42,7 +42,7 @@ class Adaptation:
     make: Callable[[Any], Any]
 
 
-def adapt(entries: tuple[Entry, ...], producer: Any, consumer: Any) -> Adaptation:
+def adapt(entries: tuple[MappingEntry, ...], producer: Any, consumer: Any) -> Adaptation:
     """Apply an adapter to a structure; fields of one name fill what it does not mention.
 
     Raises:
@@ -57,19 +57,19 @@ def adapt(entries: tuple[Entry, ...], producer: Any, consumer: Any) -> Adaptatio
 
 
 def _of_the_same_name(
-    entries: tuple[Entry, ...], source: Structure, target: Structure
-) -> tuple[Entry, ...]:
+    entries: tuple[MappingEntry, ...], source: Structure, target: Structure
+) -> tuple[MappingEntry, ...]:
     filled = {entry.target[0] for entry in entries if entry.target}
     if any(not entry.target for entry in entries):
         return ()
     return tuple(
-        Entry((name,), Mapped(source=(name,)))
+        MappingEntry((name,), Mapped(source=(name,)))
         for name in target.fields()
         if name not in filled and name in source.fields()
     )
 
 
-def _object(entries: tuple[Entry, ...], source: Structure) -> tuple[Any, Maker]:
+def _object(entries: tuple[MappingEntry, ...], source: Structure) -> tuple[Any, Maker]:
     """Return schema and maker of the object, or single value, that entries describe."""
     if len(entries) == 1 and not entries[0].target:
         field, make = _value(entries[0].value, source)
@@ -77,7 +77,7 @@ def _object(entries: tuple[Entry, ...], source: Structure) -> tuple[Any, Maker]:
     properties: dict[str, Any] = {}
     required: list[str] = []
     makers: list[tuple[str, Maker, bool]] = []
-    groups: dict[str, list[Entry]] = {}
+    groups: dict[str, list[MappingEntry]] = {}
     for entry in entries:
         if not entry.target:
             raise UnfitError(".", "a map that fills the whole message can hold nothing else")
@@ -86,9 +86,9 @@ def _object(entries: tuple[Entry, ...], source: Structure) -> tuple[Any, Maker]:
         if len(group) == 1 and len(group[0].target) == 1:
             field, make = _value(group[0].value, source)
         else:
-            inner = tuple(Entry(entry.target[1:], entry.value) for entry in group)
+            inner = tuple(MappingEntry(entry.target[1:], entry.value) for entry in group)
             schema, make = _object(inner, source)
-            field = Field(schema, always=True)
+            field = SchemaField(schema, always=True)
         properties[name] = field.schema
         makers.append((name, make, field.always))
         if field.always:
@@ -102,11 +102,11 @@ def _object(entries: tuple[Entry, ...], source: Structure) -> tuple[Any, Maker]:
     return schema, build_object(makers)
 
 
-def _value(value: Mapped | Each, source: Structure) -> tuple[Field, Maker]:
+def _value(value: Mapped | Each, source: Structure) -> tuple[SchemaField, Maker]:
     if isinstance(value, Each):
         return _each(value, source)
     if value.source is None:
-        return Field({"const": value.const}, always=True), constant(value.const)
+        return SchemaField({"const": value.const}, always=True), constant(value.const)
     field = source.at(value.source)
     schema, table = field.schema, None
     where = write_path(value.source)
@@ -120,10 +120,10 @@ def _value(value: Mapped | Each, source: Structure) -> tuple[Field, Maker]:
     always = field.always
     if value.has_default and not always:
         schema, always = {"anyOf": [schema, {"const": value.default}]}, True
-    return Field(schema, always), mapped(value, table, clamp)
+    return SchemaField(schema, always), mapped(value, table, clamp)
 
 
-def _each(value: Each, source: Structure) -> tuple[Field, Maker]:
+def _each(value: Each, source: Structure) -> tuple[SchemaField, Maker]:
     field = source.at(value.source)
     where = write_path(value.source)
     array = source.plain(field.schema, where)
@@ -132,7 +132,7 @@ def _each(value: Each, source: Structure) -> tuple[Field, Maker]:
     inner, make = _object(value.entries, Structure(array["items"], source.definitions))
     bounds = {key: array[key] for key in ("minItems", "maxItems") if key in array}
     schema = {"type": "array", "items": inner, **bounds}
-    return Field(schema, field.always), each_item(reader(value.source), make)
+    return SchemaField(schema, field.always), each_item(reader(value.source), make)
 
 
 def _enumerated(
@@ -211,7 +211,7 @@ def _bound(schema: Mapping[str, Any], ending: str, scale: Scale) -> float | int 
     return None if bound is None else bound * scale.factor + scale.offset
 
 
-def _losses(entries: tuple[Entry, ...], source: Structure, prefix: str = "") -> list[str]:
+def _losses(entries: tuple[MappingEntry, ...], source: Structure, prefix: str = "") -> list[str]:
     """Return the producer's fields that no entry carries over, the outermost of each."""
     carried = {
         entry.value.source for entry in entries if getattr(entry.value, "source", None) is not None

@@ -12,9 +12,16 @@ from attrs import evolve, frozen
 from uoarm._adapt._adaptation import Adaptation, adapt
 from uoarm._adapt._mapping import MappingError, UnfitError, parse
 from uoarm._adapt._suggest import converting_map, suggest, untried_conversion
-from uoarm._meaning import JSON_LIMIT, OCTETS_LIMIT, Difference, judge, sizes_of, write_places
+from uoarm._meaning import (
+    JSON_LIMIT,
+    OCTETS_LIMIT,
+    MeaningDifference,
+    judge,
+    sizes_of,
+    write_places,
+)
 from uoarm.model import Edge, Meaning, MeaningLevel, Message, MessageStructure, Reason
-from uoarm.schema import Budget, SchemaError, Verdict, check
+from uoarm.schema import CheckBudget, SchemaError, Verdict, check
 
 __all__ = ["EdgeVerdict", "check_edge", "transfer"]
 
@@ -42,7 +49,7 @@ class EdgeVerdict:
     losses: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
     unstated: tuple[str, ...] = ()
-    differences: tuple[Difference, ...] = ()
+    differences: tuple[MeaningDifference, ...] = ()
     is_undecided: bool = False
 
 
@@ -71,14 +78,14 @@ def check_edge(
         seconds: for the proof, about.
         suggest_seconds: of work for a suggestion of what would mend a refusal; 0: there is none.
     """
-    verdict = _judge(producer, consumer, mapping, allow_loss, meaning, Budget(seconds=seconds))
+    verdict = _judge(producer, consumer, mapping, allow_loss, meaning, CheckBudget(seconds=seconds))
     is_explained = verdict.compatible or not verdict.reasons or bool(verdict.reasons[0].suggestion)
     if is_explained or not suggest_seconds:
         return verdict
     end = time.thread_time() + suggest_seconds
 
-    def left() -> Budget:
-        return Budget(seconds=max(0.0, end - time.thread_time()))
+    def left() -> CheckBudget:
+        return CheckBudget(seconds=max(0.0, end - time.thread_time()))
 
     def fits(mapping: Mapping[str, Any], losses: tuple[str, ...]) -> bool:
         return _judge(producer, consumer, mapping, losses, meaning, left()).compatible
@@ -108,7 +115,7 @@ def _judge(
     mapping: Mapping[str, Any] | None,
     allow_loss: tuple[str, ...],
     meaning: Meaning,
-    budget: Budget,
+    budget: CheckBudget,
 ) -> EdgeVerdict:
     try:
         if mapping is None:
@@ -186,7 +193,10 @@ def _within_limits(verdict: EdgeVerdict, emitted: Any, taken: Any) -> EdgeVerdic
 
 
 def _with_losses(
-    adapted: Adaptation, consumer: MessageStructure, allow_loss: tuple[str, ...], budget: Budget
+    adapted: Adaptation,
+    consumer: MessageStructure,
+    allow_loss: tuple[str, ...],
+    budget: CheckBudget,
 ) -> EdgeVerdict:
     refused = [loss for loss in adapted.losses if loss not in allow_loss]
     checked = check(adapted.schema, consumer.schema, budget=budget)

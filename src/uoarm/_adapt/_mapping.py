@@ -14,12 +14,12 @@ from uoarm.model import MessageStructure
 __all__ = [
     "Clamp",
     "Each",
-    "Entry",
-    "Field",
     "Mapped",
+    "MappingEntry",
     "MappingError",
     "Path",
     "Scale",
+    "SchemaField",
     "Structure",
     "UnfitError",
     "leaves",
@@ -72,18 +72,18 @@ class Each:
     """An array made item by item from another."""
 
     source: Path
-    entries: tuple[Entry, ...]
+    entries: tuple[MappingEntry, ...]
 
 
 @frozen
-class Entry:
+class MappingEntry:
     """A field of the consumer's message and where it comes from."""
 
     target: Path
     value: Mapped | Each
 
 
-def parse(mapping: Mapping[str, Any]) -> tuple[Entry, ...]:
+def parse(mapping: Mapping[str, Any]) -> tuple[MappingEntry, ...]:
     """Return the entries of a mapping.
 
     Raises:
@@ -103,17 +103,17 @@ def write_path(path: Path) -> str:
 
 def _entries(
     mapping: Mapping[str, Any], where: str, mistakes: list[str], depth: int
-) -> tuple[Entry, ...]:
+) -> tuple[MappingEntry, ...]:
     if depth > _MAX_DEPTH:
         mistakes.append(f"{where}: nested more than {_MAX_DEPTH} levels deep")
         return ()
-    entries: list[Entry] = []
+    entries: list[MappingEntry] = []
     for name, rule in mapping.items():
         at = f"{where}.{name}"
         target = _path(name, at, mistakes)
         value = _value(rule, at, mistakes, depth)
         if value is not None:
-            entries.append(Entry(target, value))
+            entries.append(MappingEntry(target, value))
     mistakes += _overlaps([entry.target for entry in entries], where)
     return tuple(entries)
 
@@ -223,7 +223,7 @@ class UnfitError(Exception):
 
 
 @frozen
-class Field:
+class SchemaField:
     """The schema at a path, and whether every message has it."""
 
     schema: Any
@@ -260,7 +260,7 @@ class Structure:
             schema = self.definitions[name]
         raise UnfitError(path, "the references go in a circle")
 
-    def at(self, path: Path) -> Field:
+    def at(self, path: Path) -> SchemaField:
         """Return the field at a path, with what the objects around it say of its meaning.
 
         Raises:
@@ -280,7 +280,7 @@ class Structure:
             always = always and part in one.get("required", ())
             said |= {key: one[key] for key in INHERITED if key in one}
             schema = fields[part]
-        return Field({**said, **schema} if said and schema is not True else schema, always)
+        return SchemaField({**said, **schema} if said and schema is not True else schema, always)
 
     def fields(self) -> Mapping[str, Any]:
         """Return the named fields of the whole message, none for what is no object."""

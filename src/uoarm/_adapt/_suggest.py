@@ -14,7 +14,7 @@ from uoarm._adapt._adaptation import adapt
 from uoarm._adapt._mapping import Path, Structure, UnfitError, leaves, parse, write_path
 from uoarm._meaning import (
     Conversion,
-    Difference,
+    MeaningDifference,
     UnitError,
     conversion,
     judge,
@@ -22,7 +22,7 @@ from uoarm._meaning import (
     name_of_type,
 )
 from uoarm.model import Meaning, MeaningLevel, MessageStructure
-from uoarm.schema import Budget, check
+from uoarm.schema import CheckBudget, check
 
 __all__ = ["converting_map", "flow", "suggest", "untried_conversion"]
 
@@ -46,7 +46,7 @@ def suggest(
     producer: MessageStructure,
     consumer: MessageStructure,
     fits: Callable[[Mapping[str, Any], tuple[str, ...]], bool],
-    left: Callable[[], Budget],
+    left: Callable[[], CheckBudget],
     meaning: Meaning,
 ) -> str:
     """Return lines to paste that make the edge fit, or nothing.
@@ -186,7 +186,7 @@ class _Likeness:
 
     source: Structure
     target: Structure
-    left: Callable[[], Budget]
+    left: Callable[[], CheckBudget]
     meaning: Meaning
 
     def accepts(self, one: Any, other: Any) -> bool:
@@ -335,7 +335,7 @@ _ITEMS = "[]"
 def converting_map(
     producer: MessageStructure,
     consumer: MessageStructure,
-    differences: tuple[Difference, ...],
+    differences: tuple[MeaningDifference, ...],
     fits: Callable[[Mapping[str, Any], tuple[str, ...]], bool],
 ) -> str:
     """Return lines to paste that convert each value of another unit, or nothing."""

@@ -26,7 +26,7 @@ from uoarm.errors import UsageError
 __all__ = [
     "MANAGER",
     "Authority",
-    "Found",
+    "CertificateFacts",
     "begun",
     "common_name",
     "key_usage",
@@ -244,7 +244,7 @@ _COMMON_NAME = "uoarm serve"
 
 
 @frozen
-class Found:
+class CertificateFacts:
     """What a certificate says.
 
     Attributes:
@@ -275,7 +275,7 @@ def make(names: Iterable[str], begins: datetime, ends: datetime) -> bytes:
     return secret_pem(key) + signed.public_bytes(Encoding.PEM)
 
 
-def read(pem: bytes) -> Found | None:
+def read(pem: bytes) -> CertificateFacts | None:
     """Return what a certificate says, None where there is none that can be read."""
     try:
         certificate = x509.load_pem_x509_certificate(pem)
@@ -284,4 +284,4 @@ def read(pem: bytes) -> Found | None:
         return None
     hosts = names.get_values_for_type(x509.DNSName)
     addresses = [str(value) for value in names.get_values_for_type(x509.IPAddress)]
-    return Found(frozenset([*hosts, *addresses]), certificate.not_valid_after_utc)
+    return CertificateFacts(frozenset([*hosts, *addresses]), certificate.not_valid_after_utc)

@@ -24,7 +24,7 @@ from uoarm._control.engine.state import ConnectionRecord, State, names, recently
 from uoarm._dataplane import Clock
 from uoarm._lock import LockGuard, guard_of
 from uoarm._resolve import Hold, Resolver, StructureCache, Unavailable, without_candidates
-from uoarm.config import Difference, compare
+from uoarm.config import ConfigurationDifference, compare
 from uoarm.errors import (
     BridgeError,
     BridgeTimeoutError,
@@ -266,7 +266,7 @@ class StagedRevision:
     """A configuration that may be adopted; its new bridges run, for itself alone."""
 
     revision: Revision
-    difference: Difference
+    difference: ConfigurationDifference
     bridges: StagedBridges
     change: ConfigurationChange
 
@@ -418,7 +418,7 @@ class Revisions:
             oldest = history.popleft().robot
             octets -= 0 if oldest is None else octets_of(oldest)
 
-    def _require_code(self, revision: Revision, difference: Difference) -> None:
+    def _require_code(self, revision: Revision, difference: ConfigurationDifference) -> None:
         wrong: list[str] = []
         old = {component.name: component for component in self.current.robot.components()}
         for component in revision.robot.components():
@@ -436,7 +436,11 @@ class Revisions:
             )
 
     def _effects(
-        self, revision: Revision, difference: Difference, state: State, cut: frozenset[str]
+        self,
+        revision: Revision,
+        difference: ConfigurationDifference,
+        state: State,
+        cut: frozenset[str],
     ) -> list[ConnectionEffect]:
         avoided = recently(state.avoided, self._clock()) - difference.superseded
         failed = recently(state.failed, self._clock()) - difference.superseded
@@ -451,7 +455,7 @@ class Revisions:
     def _effect(
         self,
         revision: Revision,
-        difference: Difference,
+        difference: ConfigurationDifference,
         record: ConnectionRecord,
         failed: tuple[str, ...],
         avoided: frozenset[str],

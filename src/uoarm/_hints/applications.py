@@ -12,7 +12,7 @@ from uoarm._hints.convert import fault_of, plain_inside, reader
 from uoarm._hints.schemas import schema_of
 from uoarm.errors import MessageError, UsageError
 from uoarm.model import Message, Schema
-from uoarm.schema import Budget, SchemaError, Verdict, check
+from uoarm.schema import CheckBudget, SchemaError, Verdict, check
 
 if TYPE_CHECKING:
     from uoarm._wire import Form
@@ -75,7 +75,7 @@ class MessageType(Generic[T]):
         if schema is self._proven:
             return
         try:
-            verdict = check(schema, self._schema, budget=Budget(seconds=_SECONDS))
+            verdict = check(schema, self._schema, budget=CheckBudget(seconds=_SECONDS))
         except SchemaError as error:
             raise UsageError(f"{self._place}: its structure is no JSON Schema: {error}") from error
         if not verdict.compatible:

@@ -14,7 +14,7 @@ from uoarm._host.process.process_connection import ProcessConnection
 from uoarm._host.process.settings import HostSettings
 from uoarm._host.remote_channels import RemoteChannel, RemoteSink, RemoteSource
 from uoarm._host.transport import keys
-from uoarm._host.transport.flow import Ending, FlowReceiver, FlowSender, Handled
+from uoarm._host.transport.flow import FlowEnding, FlowReceiver, FlowSender, Handled
 from uoarm._host.transport.request_workers import RequestWorkers
 from uoarm._host.transport.shared_counters import SharedCounter
 from uoarm._host.transport.transport import Reply
@@ -134,7 +134,7 @@ class RemoteBridge(Bridge):
         number = next(self._numbers)
         channel = RemoteSource(endpoint, number, self._ask_to_close, lambda: self._drop(number))
 
-        def ended(ending: Ending) -> None:
+        def ended(ending: FlowEnding) -> None:
             self.report(Health(ending.health), ending.cause, channel=channel)
 
         def give(message: Message, writer: str = "") -> None:

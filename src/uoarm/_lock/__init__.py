@@ -1,18 +1,18 @@
 """The lock: what a robot's plans rest on, as a file, and what a difference of it breaks."""
 
-from uoarm._lock._compare import Finding, Outcome, compare
+from uoarm._lock._compare import LockFinding, LockOutcome, compare
 from uoarm._lock._guard import LockGuard, guard_of
 from uoarm._lock._packages import LockedBridge, differing_packages
 from uoarm._lock._record import Lock, LockError, read_lock, record, write_lock
 from uoarm._lock._schemas import read_schemas, uncompared_types
 
 __all__ = [
-    "Finding",
     "Lock",
     "LockError",
+    "LockFinding",
     "LockGuard",
+    "LockOutcome",
     "LockedBridge",
-    "Outcome",
     "compare",
     "differing_packages",
     "guard_of",

@@ -13,12 +13,12 @@ from uoarm._lock._record import Lock, LockedEdge, LockedFunction, meaning_of
 from uoarm._meaning import name_of_type
 from uoarm.model import MessageStructure
 
-__all__ = ["Finding", "Outcome", "compare"]
+__all__ = ["LockFinding", "LockOutcome", "compare"]
 
 _UNDECIDED = "it cannot be decided"
 
 
-class Outcome(Enum):
+class LockOutcome(Enum):
     """What becomes of one edge, or of one port of a function."""
 
     FITS = "fits"
@@ -28,7 +28,7 @@ class Outcome(Enum):
 
 
 @frozen
-class Finding:
+class LockFinding:
     """What becomes of one edge, or of what applications get from a function or send to it.
 
     Attributes:
@@ -43,7 +43,7 @@ class Finding:
 
     function: str
     subject: str
-    outcome: Outcome
+    outcome: LockOutcome
     changed: bool
     path: str = ""
     sentence: str = ""
@@ -54,7 +54,7 @@ Port = tuple[str, str]
 Find = Callable[[Port, MessageStructure], "MessageStructure | None"]
 
 
-def compare(lock: Lock, other: Lock | Mapping[str, Any]) -> Iterator[Finding]:
+def compare(lock: Lock, other: Lock | Mapping[str, Any]) -> Iterator[LockFinding]:
     """Yield what becomes of every edge and of every function that applications may ask for.
 
     Args:
@@ -103,7 +103,7 @@ def _in_schemas(schemas: Mapping[str, Any]) -> Find:
 
 def _edge(
     function: str, edge: LockedEdge, ports: Mapping[Port, MessageStructure], find: Find
-) -> Finding:
+) -> LockFinding:
     producer, consumer = (edge.producer, f"output.{edge.output}"), (
         edge.consumer, f"input.{edge.input}",
     )  # fmt: skip
@@ -115,14 +115,14 @@ def _edge(
     assert sent is not None
     assert taken is not None
     if sent == ports[producer] and taken == ports[consumer]:
-        return Finding(function, subject, Outcome.FITS, changed=False)
+        return LockFinding(function, subject, LockOutcome.FITS, changed=False)
     verdict = check_edge(sent, taken, edge.map, edge.allow_loss, meaning_of(edge))
     return _judged(function, subject, verdict)
 
 
 def _offered(
     name: str, function: LockedFunction, ports: Mapping[Port, MessageStructure], find: Find
-) -> Iterator[Finding]:
+) -> Iterator[LockFinding]:
     """Yield what applications notice: outputs may narrow, inputs may widen."""
     if not function.parts:
         return
@@ -137,26 +137,26 @@ def _offered(
         if after is None:
             yield _gone(name, port, key)
         elif after == before:
-            yield Finding(name, port, Outcome.FITS, changed=False)
+            yield LockFinding(name, port, LockOutcome.FITS, changed=False)
         elif kind in {"output", "reply"}:
             yield _judged(name, port, check_edge(after, before, suggest_seconds=0))
         else:
             yield _judged(name, port, check_edge(before, after, suggest_seconds=0))
 
 
-def _gone(function: str, subject: str, port: Port) -> Finding:
+def _gone(function: str, subject: str, port: Port) -> LockFinding:
     sentence = f"the other lock has no {port[1]} of a component {port[0]!r}"
-    return Finding(function, subject, Outcome.BREAKS, changed=True, sentence=sentence)
+    return LockFinding(function, subject, LockOutcome.BREAKS, changed=True, sentence=sentence)
 
 
-def _judged(function: str, subject: str, verdict: EdgeVerdict) -> Finding:
+def _judged(function: str, subject: str, verdict: EdgeVerdict) -> LockFinding:
     if verdict.compatible:
-        return Finding(function, subject, Outcome.FITS, changed=True)
+        return LockFinding(function, subject, LockOutcome.FITS, changed=True)
     first = verdict.reasons[0]
-    outcome = Outcome.FITS_WITH_MAP if first.suggestion else Outcome.BREAKS
+    outcome = LockOutcome.FITS_WITH_MAP if first.suggestion else LockOutcome.BREAKS
     if first.sentence.startswith(_UNDECIDED):
-        outcome = Outcome.UNDECIDED
-    return Finding(
+        outcome = LockOutcome.UNDECIDED
+    return LockFinding(
         function, subject, outcome, changed=True,
         path=first.path, sentence=first.sentence, suggestion=first.suggestion,
     )  # fmt: skip

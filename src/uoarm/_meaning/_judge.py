@@ -19,7 +19,7 @@ __all__ = [
     "INHERITED",
     "SCALED",
     "VOCABULARY",
-    "Difference",
+    "MeaningDifference",
     "Meanings",
     "are_alike",
     "judge",
@@ -95,7 +95,7 @@ _WORDS_COMPARED = frozenset(_WORDS)
 
 
 @frozen
-class Difference:
+class MeaningDifference:
     """What two sides state of one value and do not agree on.
 
     Attributes:
@@ -123,7 +123,7 @@ class Meanings:
         notes: what a careful reader should know.
     """
 
-    differences: tuple[Difference, ...] = ()
+    differences: tuple[MeaningDifference, ...] = ()
     unstated: tuple[Path, ...] = ()
     notes: tuple[str, ...] = ()
 
@@ -158,7 +158,7 @@ def _are_equal(one: Any, other: Any) -> bool:
 
 @define
 class _Found:
-    differences: list[Difference] = field(factory=list)
+    differences: list[MeaningDifference] = field(factory=list)
     unstated: list[Path] = field(factory=list)
     notes: list[str] = field(factory=list)
 
@@ -297,7 +297,7 @@ class _Walk:
         if not are_alike(mine, theirs, self.alike):
             sentence = f"the types differ: {mine} is not {theirs}"
             reports = f"x-type {mine}", f"x-type {theirs}"
-            found.differences.append(Difference(path, sentence, *reports))
+            found.differences.append(MeaningDifference(path, sentence, *reports))
             return False
         for key in ("version", "hash"):
             said = [_of_type(mapping, key) for mapping in (one, other)]
@@ -350,7 +350,7 @@ def _compare_constants(one: Any, other: Any, name: str, path: Path, found: _Foun
                 "for the consumer"
             )
             reports = f"{key}={value!r}", f"{key}={other[key]!r}"
-            found.differences.append(Difference(path, sentence, *reports))
+            found.differences.append(MeaningDifference(path, sentence, *reports))
     more = [f"{key}={value!r}" for key, value in one.items() if key not in other]
     if more:
         where = write_places(path) or "message"
@@ -378,7 +378,7 @@ def _compare_words(
         if isinstance(mine, str) and isinstance(theirs, str) and mine != theirs:
             sentence = f"the {words} differ: {mine} is not {theirs}"
             reports = f"{keyword} {mine}", f"{keyword} {theirs}"
-            found.differences.append(Difference(path, sentence, *reports))
+            found.differences.append(MeaningDifference(path, sentence, *reports))
 
 
 def _compare_units(one: Said, path: Path, mine: Any, theirs: Any, found: _Found) -> None:
@@ -390,22 +390,22 @@ def _compare_units(one: Said, path: Path, mine: Any, theirs: Any, found: _Found)
         by = conversion(mine, theirs)
     except UnitError as error:
         sentence = f"{mine} and {theirs} cannot be compared: {error}"
-        found.differences.append(Difference(path, sentence, *reports))
+        found.differences.append(MeaningDifference(path, sentence, *reports))
         return
     if scaled is not None:
         sentence = _of_scaled(scaled, by, mine, theirs)
         if sentence:
-            found.differences.append(Difference(path, sentence, *reports))
+            found.differences.append(MeaningDifference(path, sentence, *reports))
         elif by is None:
             where = write_places(path)
             found.notes.append(f"{where}: the map makes {theirs} of {mine} by a factor")
     elif by is None:
         sentence = f"the units differ: {mine} measures something else than {theirs}"
-        found.differences.append(Difference(path, sentence, *reports))
+        found.differences.append(MeaningDifference(path, sentence, *reports))
     elif by.changes:
         lines = ", ".join(f"{name}: {number}" for name, number in by.lines.items())
         sentence = f"the units differ: {mine} becomes {theirs} with {lines}"
-        found.differences.append(Difference(path, sentence, *reports, by))
+        found.differences.append(MeaningDifference(path, sentence, *reports, by))
 
 
 class _NotFollowedError(Exception):

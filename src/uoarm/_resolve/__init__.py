@@ -2,11 +2,11 @@
 
 from uoarm._resolve._candidates import add_candidates, keep_candidates, without_candidates
 from uoarm._resolve._catalogue import (
-    Catalogue,
     EdgeCheck,
     Hold,
     Judgement,
     StructureCache,
+    StructureCatalogue,
     Structures,
     Unavailable,
 )
@@ -14,7 +14,6 @@ from uoarm._resolve._proofs import Proofs
 from uoarm._resolve._resolver import NoPlanError, Resolver
 
 __all__ = [
-    "Catalogue",
     "EdgeCheck",
     "Hold",
     "Judgement",
@@ -22,6 +21,7 @@ __all__ = [
     "Proofs",
     "Resolver",
     "StructureCache",
+    "StructureCatalogue",
     "Structures",
     "Unavailable",
     "add_candidates",

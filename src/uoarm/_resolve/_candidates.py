@@ -14,7 +14,7 @@ from fnmatch import fnmatchcase
 from attrs import define, evolve, field, frozen
 
 from uoarm._resolve._catalogue import Structures, Unavailable
-from uoarm._resolve._matching import Offer, candidate_name, offers, references
+from uoarm._resolve._matching import DiscoveredPort, candidate_name, offers, references
 from uoarm._resolve._proofs import Adapted, Proofs
 from uoarm.model import (
     BridgeFindings,
@@ -72,7 +72,7 @@ class _Level:
     """A function with needs while its candidates find their feeds."""
 
     function: Function
-    offers: list[Offer]
+    offers: list[DiscoveredPort]
     passed: list[tuple[str, str]]
     made: dict[int, Component] = field(factory=dict)
     causes: dict[int, str] = field(factory=dict)
@@ -199,17 +199,17 @@ class _Matching:
             yield from (value for key, value in by_port.items() if key.startswith(f"{side}."))
 
     def _unambiguous(
-        self, function: Function, found: list[Offer], passed: list[tuple[str, str]]
-    ) -> tuple[list[Offer], list[tuple[str, str]]]:
+        self, function: Function, found: list[DiscoveredPort], passed: list[tuple[str, str]]
+    ) -> tuple[list[DiscoveredPort], list[tuple[str, str]]]:
         """Take out what fits equally well, where that is refused, and what is beyond the limit."""
         need = function.needs
         assert need is not None, "the caller looked"
 
-        def name(one: Offer) -> str:
+        def name(one: DiscoveredPort) -> str:
             return candidate_name(function.name, one.spec.name, one.found, one.port)
 
         if need.refuse_ambiguous:
-            alike: dict[tuple[object, ...], list[Offer]] = {}
+            alike: dict[tuple[object, ...], list[DiscoveredPort]] = {}
             for offer in found:
                 alike.setdefault(offer.alike, []).append(offer)
             several = [group for group in alike.values() if len(group) > 1]
@@ -310,7 +310,7 @@ class _Matching:
         return other in seen
 
     def _component(
-        self, function: Function, offer: Offer, ready: Collection[str], *, waits: bool
+        self, function: Function, offer: DiscoveredPort, ready: Collection[str], *, waits: bool
     ) -> Component | str:
         """Return the candidate with its feeds, or why it has none yet."""
         need, spec = function.needs, offer.spec
@@ -357,7 +357,13 @@ class _Matching:
         )
 
     def _feed(
-        self, function: str, offer: Offer, port: FoundPort, ready: Collection[str], *, waits: bool
+        self,
+        function: str,
+        offer: DiscoveredPort,
+        port: FoundPort,
+        ready: Collection[str],
+        *,
+        waits: bool,
     ) -> _Feed | str:
         """Return what feeds an input, why nothing does, or nothing: its framework does."""
         name, topic = port.endpoint.port, self._topic(port.endpoint)

@@ -13,11 +13,11 @@ from uoarm.errors import UoarmError
 from uoarm.model import Component, Endpoint, Meaning, MessageStructure, Reason
 
 __all__ = [
-    "Catalogue",
     "EdgeCheck",
     "Hold",
     "Judgement",
     "StructureCache",
+    "StructureCatalogue",
     "Structures",
     "Unavailable",
 ]
@@ -38,7 +38,7 @@ class Structures:
     warnings: tuple[str, ...] = ()
 
 
-class Catalogue(Protocol):
+class StructureCatalogue(Protocol):
     """Knows the structures of components."""
 
     def structures(self, component: Component) -> Structures | Unavailable:

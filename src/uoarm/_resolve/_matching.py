@@ -21,13 +21,13 @@ from uoarm.model import (
     Role,
 )
 
-__all__ = ["Offer", "candidate_name", "offers", "references"]
+__all__ = ["DiscoveredPort", "candidate_name", "offers", "references"]
 
 _LONGEST_NAME = 256
 
 
 @frozen(eq=False)
-class Offer:
+class DiscoveredPort:
     """A discovered port that may provide a function.
 
     Attributes:
@@ -88,12 +88,12 @@ def offers(
     bridges: Mapping[str, BridgeSpec],
     wanted: tuple[MessageStructure, ...],
     proofs: Proofs,
-) -> tuple[list[Offer], list[tuple[str, str]]]:
+) -> tuple[list[DiscoveredPort], list[tuple[str, str]]]:
     """Return the ports that fit, best first, and those that were passed over with the reason."""
     need = function.needs
     assert need is not None, "the caller looked"
     named = {_place(end) for component in function.components for end in _ends(component)}
-    fitting: list[Offer] = []
+    fitting: list[DiscoveredPort] = []
     passed = list(_without_ports(function, findings, bridges))
     for spec, found, port in _looked_at(need, findings, bridges):
         name = candidate_name(function.name, spec.name, found, port)
@@ -110,7 +110,7 @@ def offers(
             passed.append((name, refused))
             continue
         rank, text = _rank(need, spec, found, port, is_exact=exact)
-        fitting.append(Offer(spec, found, port, (*rank, name), text))
+        fitting.append(DiscoveredPort(spec, found, port, (*rank, name), text))
     fitting.sort(key=lambda item: item.rank)
     return fitting, sorted(passed)
 

@@ -13,7 +13,13 @@ from attrs import field, frozen
 
 from uoarm._adapt import MappingError, UnfitError, adapt, check_edge, number_problem, parse
 from uoarm._dataplane import make_check
-from uoarm._resolve._catalogue import Catalogue, EdgeCheck, Judgement, Structures, Unavailable
+from uoarm._resolve._catalogue import (
+    EdgeCheck,
+    Judgement,
+    StructureCatalogue,
+    Structures,
+    Unavailable,
+)
 from uoarm._yaml import read
 from uoarm.errors import MessageError
 from uoarm.model import (
@@ -253,7 +259,7 @@ class Fit:
         check_edge: judges an edge; pure, so that its answers can be kept.
     """
 
-    def __init__(self, catalogue: Catalogue, check_edge: EdgeCheck) -> None:
+    def __init__(self, catalogue: StructureCatalogue, check_edge: EdgeCheck) -> None:
         self._catalogue = catalogue
         self._check_edge = check_edge
         self._judged: dict[_Key, Judgement] = {}

@@ -10,7 +10,7 @@ from collections.abc import Callable, Collection, Mapping
 
 from attrs import frozen
 
-from uoarm._resolve._catalogue import Catalogue, EdgeCheck
+from uoarm._resolve._catalogue import EdgeCheck, StructureCatalogue
 from uoarm._resolve._proofs import Fit
 from uoarm._resolve._search import Search
 from uoarm.config import fed_by
@@ -71,7 +71,7 @@ class Resolver:
     def __init__(
         self,
         robot: Robot,
-        catalogue: Catalogue,
+        catalogue: StructureCatalogue,
         check_edge: EdgeCheck,
         *,
         budget: int = _BUDGET,

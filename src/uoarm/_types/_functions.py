@@ -9,15 +9,15 @@ from typing import Any
 from attrs import field, frozen
 
 from uoarm._lock import Lock
-from uoarm._types._shape import Named, Names, Record, Shape, Shaper
+from uoarm._types._shape import Named, RecordShape, Shape, Shaper, UniqueNames
 
-__all__ = ["Function", "Functions", "Root", "read_functions", "write_document"]
+__all__ = ["FunctionTypes", "RobotTypes", "Root", "read_functions", "write_document"]
 
 # What the modules that are written use themselves.
 _RESERVED = frozenset({
     "Any", "Array", "Callable", "Connection", "False", "FunctionName", "Inputs", "Integer",
     "Literal", "Never", "None", "NotRequired", "Number", "Numbers", "Object", "Octets", "Outputs",
-    "Promise", "Protocol", "QueuePolicy", "Real", "Record", "Replies", "Requests",
+    "Promise", "Protocol", "QueuePolicy", "Real", "RecordShape", "Replies", "Requests",
     "RequestOptions", "Robot", "RobotManager", "Stream", "String", "True", "TypeAlias",
     "TypedDict", "TypedRobot", "TypedStream", "Uint8Array", "ValidationMode", "bool", "boolean",
     "bytes", "cast", "dict", "float", "int", "list", "never", "null", "number", "object",
@@ -32,11 +32,11 @@ class Root:
     name: str
     schema: Any
     shape: Shape
-    records: tuple[Record, ...]
+    records: tuple[RecordShape, ...]
 
 
 @frozen
-class Function:
+class FunctionTypes:
     """What applications send to a function and get from it: port to the name of the type.
 
     `refused` says that it has no plan.
@@ -57,25 +57,25 @@ class Function:
 
 
 @frozen
-class Functions:
+class RobotTypes:
     """All functions of a robot, by name, and the types of their structures."""
 
-    functions: dict[str, Function]
+    functions: dict[str, FunctionTypes]
     roots: tuple[Root, ...]
 
 
-def read_functions(lock: Lock) -> Functions:
+def read_functions(lock: Lock) -> RobotTypes:
     """Return the functions of a lock, in the order of their names; it does not raise."""
-    names = Names(_RESERVED)
+    names = UniqueNames(_RESERVED)
     roots: dict[str, Root] = {}
-    functions: dict[str, Function] = {}
+    functions: dict[str, FunctionTypes] = {}
     for name, locked in sorted(lock.functions.items()):
         if not locked.parts:
-            functions[name] = Function(refused=True)
+            functions[name] = FunctionTypes(refused=True)
             continue
         provider = locked.parts[-1]
         fed = {edge.input for edge in locked.edges if edge.consumer == provider.component}
-        function = Function()
+        function = FunctionTypes()
         single: dict[str, str] = {}
         for port, fingerprint in sorted(provider.ports.items()):
             kind, _, own = port.partition(".")
@@ -95,13 +95,13 @@ def read_functions(lock: Lock) -> Functions:
                 function.inputs[own] = text
             else:
                 single[kind] = text
-        functions[name] = Function(
+        functions[name] = FunctionTypes(
             function.outputs, function.inputs, single.get("request", ""), single.get("reply", "")
         )
-    return Functions(functions, tuple(roots.values()))
+    return RobotTypes(functions, tuple(roots.values()))
 
 
-def write_document(robot: Functions) -> str:
+def write_document(robot: RobotTypes) -> str:
     """Return a JSON Schema with the structures below `$defs`, each a document of its own.
 
     `x-functions` says which function has which.

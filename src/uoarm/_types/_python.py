@@ -5,13 +5,13 @@ from __future__ import annotations
 import keyword
 from collections.abc import Iterator, Sequence
 
-from uoarm._types._functions import Functions
+from uoarm._types._functions import RobotTypes
 from uoarm._types._shape import (
     Array,
     Literals,
     Named,
     Plain,
-    Record,
+    RecordShape,
     Shape,
     Table,
     Union,
@@ -52,7 +52,7 @@ _HIDING = {
 }  # fmt: skip
 
 
-def write_python(robot: Functions) -> str:
+def write_python(robot: RobotTypes) -> str:
     """Return the module: the same text for the same functions."""
     records = [record for root in robot.roots for record in root.records]
     hiding = _HIDING | {record.name for record in records}
@@ -69,7 +69,7 @@ def write_python(robot: Functions) -> str:
     return "\n".join(lines) + "\n" + _TAIL
 
 
-def _record(record: Record, hiding: set[str]) -> Iterator[str]:
+def _record(record: RecordShape, hiding: set[str]) -> Iterator[str]:
     plain = all(
         key.isascii() and key.isidentifier() and not keyword.iskeyword(key)
         and not key.startswith("__") and key not in hiding
@@ -121,7 +121,7 @@ def _comment(notes: Iterator[str] | list[str]) -> str:
     return f"  # {'; '.join(reports)}" if reports else ""
 
 
-def _robot(robot: Functions) -> Iterator[str]:
+def _robot(robot: RobotTypes) -> Iterator[str]:
     yield "class TypedRobot(Protocol):"
     yield '    """What `RobotManager` does, by the names of the functions."""'
     requests: list[list[str]] = []

@@ -13,13 +13,13 @@ __all__ = [
     "Array",
     "Literals",
     "Named",
-    "Names",
     "Plain",
-    "Record",
+    "RecordShape",
     "Shape",
     "Shaper",
     "Table",
     "Union",
+    "UniqueNames",
     "notes_of",
 ]
 
@@ -83,7 +83,7 @@ ANY = Plain("any")
 
 
 @frozen
-class Record:
+class RecordShape:
     """An object with named members: name to shape, and whether it is always there."""
 
     name: str
@@ -91,7 +91,7 @@ class Record:
     note: str = ""
 
 
-class Names:
+class UniqueNames:
     """Hands out each name once; what comes later gets a number."""
 
     def __init__(self, reserved: frozenset[str]) -> None:
@@ -117,7 +117,7 @@ class Shaper:
     any one is true of it. It does not raise for anything that JSON can be.
     """
 
-    def __init__(self, schema: Any, name: str, names: Names) -> None:
+    def __init__(self, schema: Any, name: str, names: UniqueNames) -> None:
         self._root = schema
         self._names = names
         self._nodes = 0
@@ -125,7 +125,7 @@ class Shaper:
         self._known: dict[str, Named] = {}
         # A `$ref` below another `$id` is of another document.
         self._pointers = sum(1 for _ in _identified(schema)) == 0
-        self.records: list[Record] = []
+        self.records: list[RecordShape] = []
         self.shape = self._shape(schema, name, 0)
 
     def _shape(self, schema: Any, name: str, depth: int, pointer: str = "#") -> Shape:
@@ -230,13 +230,13 @@ class Shaper:
             self._known[at] = own
         note = "other members are allowed" if patterns or others is not False else ""
         place = len(self.records)
-        self.records.append(Record(own.name))
+        self.records.append(RecordShape(own.name))
         shapes = {}
         for key in [*members, *sorted(required - members.keys())]:
             shape = self._shape(members.get(key, True), f"{own.name} {key}", depth + 1)
             if key in required or shape != Plain("never"):
                 shapes[key] = shape, key in required
-        self.records[place] = Record(own.name, shapes, note)
+        self.records[place] = RecordShape(own.name, shapes, note)
         return own
 
 

@@ -5,13 +5,13 @@ from __future__ import annotations
 import json
 from collections.abc import Iterable, Iterator
 
-from uoarm._types._functions import Functions
+from uoarm._types._functions import RobotTypes
 from uoarm._types._shape import (
     Array,
     Literals,
     Named,
     Plain,
-    Record,
+    RecordShape,
     Shape,
     Table,
     Union,
@@ -53,7 +53,7 @@ _PLAIN = {
 _NUMBERS = {"integer", "wide", "number"}
 
 
-def write_typescript(robot: Functions) -> str:
+def write_typescript(robot: RobotTypes) -> str:
     """Return the declarations: the same text for the same functions."""
     lines = [_HEAD]
     text = " | ".join(json.dumps(name) for name in robot.functions)
@@ -87,7 +87,7 @@ def _table(name: str, what: str, rows: Iterable[tuple[str, str]]) -> Iterator[st
     yield "}"
 
 
-def _record(record: Record) -> Iterator[str]:
+def _record(record: RecordShape) -> Iterator[str]:
     yield f"export interface {record.name} {{"
     for key, (shape, required) in record.members.items():
         mark, note = "" if required else "?", _comment(notes_of(shape))

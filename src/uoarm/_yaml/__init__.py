@@ -1,14 +1,14 @@
 """YAML files that people write: plain values with their places, within a budget."""
 
 from uoarm._yaml._document import Document, Path, Place, Problem, clip, write_path
-from uoarm._yaml._reader import Budget, read, read_file
+from uoarm._yaml._reader import ReadBudget, read, read_file
 
 __all__ = [
-    "Budget",
     "Document",
     "Path",
     "Place",
     "Problem",
+    "ReadBudget",
     "clip",
     "read",
     "read_file",

@@ -29,7 +29,7 @@ from uoarm._yaml._document import (
     write_path,
 )
 
-__all__ = ["Budget", "read", "read_file"]
+__all__ = ["ReadBudget", "read", "read_file"]
 
 _FORBIDDEN = re.compile(r"[^\t\n\r\x20-\x7e\x85\xa0-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 _STRING_TAGS = frozenset({None, "!", "tag:yaml.org,2002:str"})
@@ -38,7 +38,7 @@ _START = Place(1, 1)
 
 
 @frozen
-class Budget:
+class ReadBudget:
     """How much one file may ask for.
 
     Attributes:
@@ -52,7 +52,7 @@ class Budget:
     depth: int = 64
 
 
-_ROBOT = Budget()
+_ROBOT = ReadBudget()
 
 
 class _StopError(Exception):
@@ -78,7 +78,7 @@ class _Frame:
         self.key_place: Place | None = None
 
 
-def read_file(path: File, budget: Budget = _ROBOT) -> Document:
+def read_file(path: File, budget: ReadBudget = _ROBOT) -> Document:
     """Read one document from a regular file; what is wrong with it stands in its `problems`."""
     path_in_data, hint = "", ""  # it is about the whole file
     try:
@@ -114,7 +114,7 @@ def _octets(path: File, limit: int) -> bytes:
     return raw
 
 
-def read(text: str, file: str = "", budget: Budget = _ROBOT) -> Document:
+def read(text: str, file: str = "", budget: ReadBudget = _ROBOT) -> Document:
     """Read one document; what is wrong with it as YAML stands in its `problems`."""
     text = text.removeprefix("\ufeff")
     builder = _Builder(file, budget)
@@ -144,7 +144,7 @@ def _refuse_size_and_characters(text: str, limit: int) -> None:
 class _Builder:
     """Builds values from parser events, with an explicit stack."""
 
-    def __init__(self, file: str, budget: Budget) -> None:
+    def __init__(self, file: str, budget: ReadBudget) -> None:
         self._budget = budget
         self.root: object = None
         self.spot = Spot(_START)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from uoarm._bounded import Step
+from uoarm._bounded import BoundedStep
 from uoarm._raised import ContainedError, contained, from_own_frames, text_of
 from uoarm.errors import BridgeError, FailureReason, UoarmError
 from uoarm.model import Endpoint
@@ -22,7 +22,7 @@ class translated:  # noqa: N801 - read as a block's beginning, as those of conte
 
     __slots__ = ("_step",)
 
-    def __init__(self, step: str | Step) -> None:
+    def __init__(self, step: str | BoundedStep) -> None:
         self._step = step
 
     def __enter__(self) -> None:

@@ -15,7 +15,7 @@ from contextlib import AbstractContextManager
 from typing import TypeVar, final
 
 from uoarm import _bounded
-from uoarm._bounded import Step
+from uoarm._bounded import BoundedStep
 from uoarm._raised import foreign
 from uoarm.bridge._border import translated
 from uoarm.bridge._calls import CallsUnderWay, CallUnderWay
@@ -101,7 +101,7 @@ class Bridge(ABC):
         """
         if endpoint.command is not None or self._is_closed:
             return False
-        with translated(Step(f"bridge {self.name!r}: looking at ", endpoint)):
+        with translated(BoundedStep(f"bridge {self.name!r}: looking at ", endpoint)):
             return self._is_quick(endpoint)
 
     @final
@@ -112,7 +112,9 @@ class Bridge(ABC):
             BridgeError: it does not exist, is not available, or cannot be understood.
             BridgeTimeoutError: no answer within `timeout` seconds.
         """
-        found = self._step(Step("describing ", endpoint), timeout, lambda: self._describe(endpoint))
+        found = self._step(
+            BoundedStep("describing ", endpoint), timeout, lambda: self._describe(endpoint)
+        )
         if not isinstance(found, Description):
             raise self._broken("_describe", "a Description", found)
         return found
@@ -160,7 +162,7 @@ class Bridge(ABC):
         try:
             return self._opened(
                 Source,
-                Step("opening ", endpoint),
+                BoundedStep("opening ", endpoint),
                 timeout,
                 lambda: self._open_source(endpoint, structure, gate),
                 gate,
@@ -183,7 +185,7 @@ class Bridge(ABC):
         """
         sink = self._opened(
             Sink,
-            Step("opening ", endpoint),
+            BoundedStep("opening ", endpoint),
             timeout,
             lambda: self._open_sink(endpoint, structure),
             is_quick=self.is_quick(endpoint),
@@ -233,7 +235,7 @@ class Bridge(ABC):
                 self._pending_calls.end(call, outer)
 
         return self._step(
-            Step("calling ", endpoint),
+            BoundedStep("calling ", endpoint),
             timeout,
             begin,
             on_give_up=lambda: self._pending_calls.cancel(call),
@@ -282,7 +284,7 @@ class Bridge(ABC):
         self._require(self.capabilities.serve, "serve")
         return self._opened(
             Channel,
-            Step("serving ", endpoint),
+            BoundedStep("serving ", endpoint),
             timeout,
             lambda: self._serve(endpoint, structures, lambda message: foreign(handler, message)),
         )
@@ -485,7 +487,7 @@ class Bridge(ABC):
 
     def _step(
         self,
-        what: str | Step,
+        what: str | BoundedStep,
         timeout: float,
         action: Callable[[], T],
         on_late: Callable[[T], None] | None = None,
@@ -499,7 +501,7 @@ class Bridge(ABC):
         if os.getpid() != self._process:
             text = f"bridge {self.name!r} belongs to the parent of this process: {what}"
             raise BridgeError(text, FailureReason.CLOSED)
-        step = Step(f"bridge {self.name!r}: ", what)
+        step = BoundedStep(f"bridge {self.name!r}: ", what)
         with translated(step):
             return _bounded.run(
                 step,
@@ -514,7 +516,7 @@ class Bridge(ABC):
     def _opened(
         self,
         kind: type[C],
-        what: str | Step,
+        what: str | BoundedStep,
         timeout: float,
         action: Callable[[], C],
         gate: Gate | None = None,
@@ -537,7 +539,7 @@ class Bridge(ABC):
     def _adopt(
         self,
         kind: type[C],
-        what: str | Step,
+        what: str | BoundedStep,
         channel: C,
         on_late: Callable[[Channel], object] | None = None,
     ) -> C:
@@ -562,7 +564,7 @@ class Bridge(ABC):
             text = f"bridge {self.name!r} cannot {what}"
             raise BridgeError(text, FailureReason.UNSUPPORTED)
 
-    def _broken(self, what: str | Step, expected: str, got: object) -> BridgeError:
+    def _broken(self, what: str | BoundedStep, expected: str, got: object) -> BridgeError:
         text = (
             f"bridge {self.name!r} breaks the contract: {what} returned "
             f"{type(got).__name__}, expected {expected}"

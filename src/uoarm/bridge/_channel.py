@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping
 from typing import final
 
 from uoarm import _bounded
-from uoarm._bounded import Step
+from uoarm._bounded import BoundedStep
 from uoarm.bridge._border import translated
 from uoarm.bridge._gate import Gate
 from uoarm.bridge._watchdog import Watchdog
@@ -86,7 +86,7 @@ class Channel:
         if self._gate is not None:
             # In this thread, not in a step's: a `deliver` that closes its own channel has the turn.
             self._gate.shut()
-        step = Step(f"bridge {self.endpoint.bridge!r}: closing ", self.endpoint)
+        step = BoundedStep(f"bridge {self.endpoint.bridge!r}: closing ", self.endpoint)
         with translated(step):
             _bounded.run(step, timeout, self._close_native, keeps_time=self._is_quick)
 

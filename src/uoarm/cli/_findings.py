@@ -10,34 +10,34 @@ from urllib.parse import quote
 from xml.etree import ElementTree as ET
 
 import uoarm
-from uoarm._lock import Finding, Outcome
+from uoarm._lock import LockFinding, LockOutcome
 from uoarm.model import to_json, write_json
 
 __all__ = ["FORMS"]
 
-_RULES: Mapping[Outcome, tuple[str, str, str]] = {
-    Outcome.BREAKS: ("breaks", "error", "Not every message fits any more."),
-    Outcome.FITS_WITH_MAP: ("fits-with-a-map", "error", "Messages fit with a map only."),
-    Outcome.UNDECIDED: ("undecided", "warning", "Whether messages fit cannot be decided."),
+_RULES: Mapping[LockOutcome, tuple[str, str, str]] = {
+    LockOutcome.BREAKS: ("breaks", "error", "Not every message fits any more."),
+    LockOutcome.FITS_WITH_MAP: ("fits-with-a-map", "error", "Messages fit with a map only."),
+    LockOutcome.UNDECIDED: ("undecided", "warning", "Whether messages fit cannot be decided."),
 }
 
 
-def _text(findings: list[Finding], _: Path) -> str:
+def _text(findings: list[LockFinding], _: Path) -> str:
     lines = []
     for finding in findings:
         if finding.changed:
             lines.append(_sentence(finding))
             lines += (f"    {line}" for line in finding.suggestion.splitlines())
     counts = Counter(finding.outcome for finding in findings)
-    lines.append(", ".join(f"{kind.value}: {counts[kind]}" for kind in Outcome))
+    lines.append(", ".join(f"{kind.value}: {counts[kind]}" for kind in LockOutcome))
     return "\n".join(lines)
 
 
-def _json(findings: list[Finding], _: Path) -> str:
+def _json(findings: list[LockFinding], _: Path) -> str:
     return write_json(to_json({"findings": findings}), indent=2)
 
 
-def _github(findings: list[Finding], lock: Path) -> str:
+def _github(findings: list[LockFinding], lock: Path) -> str:
     """Return annotations of a pull request, one for each line that does not fit as it is."""
     return "\n".join(
         f"::error file={lock}::"
@@ -46,7 +46,7 @@ def _github(findings: list[Finding], lock: Path) -> str:
     )
 
 
-def _junit(findings: list[Finding], _: Path) -> str:
+def _junit(findings: list[LockFinding], _: Path) -> str:
     """Return a report of tests: a suite for each function, a case for each edge and port."""
     unfit = len(list(_unfit(findings)))
     root = ET.Element(
@@ -60,7 +60,7 @@ def _junit(findings: list[Finding], _: Path) -> str:
         )
         for finding in own:
             case = ET.SubElement(suite, "testcase", classname=function, name=finding.subject)
-            if finding.outcome is not Outcome.FITS:
+            if finding.outcome is not LockOutcome.FITS:
                 kind = _RULES[finding.outcome][0]
                 report = ET.SubElement(case, "failure", type=kind, message=_sentence(finding))
                 report.text = "\n".join([_sentence(finding), finding.suggestion]).rstrip()
@@ -68,7 +68,7 @@ def _junit(findings: list[Finding], _: Path) -> str:
     return '<?xml version="1.0" encoding="utf-8"?>\n' + ET.tostring(root, encoding="unicode")
 
 
-def _sarif(findings: list[Finding], lock: Path) -> str:
+def _sarif(findings: list[LockFinding], lock: Path) -> str:
     """Return a log of static analysis, version 2.1.0."""
     rules = [
         {"id": name, "shortDescription": {"text": text}, "defaultConfiguration": {"level": level}}
@@ -89,7 +89,7 @@ def _sarif(findings: list[Finding], lock: Path) -> str:
     return write_json(log, indent=2)
 
 
-def _result(one: Finding, place: str) -> dict[str, Any]:
+def _result(one: LockFinding, place: str) -> dict[str, Any]:
     name, level, _ = _RULES[one.outcome]
     location = {"artifactLocation": {"uri": place}, "region": {"startLine": 1}}
     logical = {"name": one.subject, "fullyQualifiedName": f"{one.function}: {one.subject}"}
@@ -104,18 +104,18 @@ def _result(one: Finding, place: str) -> dict[str, Any]:
     }
 
 
-def _unfit(findings: Iterable[Finding]) -> Iterable[Finding]:
-    return (finding for finding in findings if finding.outcome is not Outcome.FITS)
+def _unfit(findings: Iterable[LockFinding]) -> Iterable[LockFinding]:
+    return (finding for finding in findings if finding.outcome is not LockOutcome.FITS)
 
 
-def _sentence(one: Finding) -> str:
+def _sentence(one: LockFinding) -> str:
     text = f"{one.function}: {one.subject}: {one.outcome.value}"
     if not one.sentence:
         return text
     return f"{text}: {f'{one.path}: ' if one.path else ''}{one.sentence}"
 
 
-FORMS: Mapping[str, Callable[[list[Finding], Path], str]] = {
+FORMS: Mapping[str, Callable[[list[LockFinding], Path], str]] = {
     "text": _text, "json": _json, "github": _github, "junit": _junit, "sarif": _sarif,
 }  # fmt: skip
 """Writers by the name of the form: from findings and the lock's file to text."""

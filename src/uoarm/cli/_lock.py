@@ -12,9 +12,9 @@ from attrs import evolve
 
 from uoarm import RobotManager, environments
 from uoarm._lock import (
-    Finding,
     Lock,
-    Outcome,
+    LockFinding,
+    LockOutcome,
     compare,
     differing_packages,
     read_lock,
@@ -86,10 +86,10 @@ def lock(
     text = FORMS[form](findings, place)
     if text:
         click.echo(text)
-    sys.exit(0 if all(finding.outcome is Outcome.FITS for finding in findings) else REFUSED)
+    sys.exit(0 if all(finding.outcome is LockOutcome.FITS for finding in findings) else REFUSED)
 
 
-def _against(before: Lock, other: Path, *, is_installed: bool = False) -> list[Finding]:
+def _against(before: Lock, other: Path, *, is_installed: bool = False) -> list[LockFinding]:
     """Compare with what stands in files; standard error says which types do not."""
     if not other.is_dir():
         return _compared(before, read_lock(other))
@@ -100,7 +100,7 @@ def _against(before: Lock, other: Path, *, is_installed: bool = False) -> list[F
     return list(compare(before, schemas))
 
 
-def _compared(before: Lock, after: Lock) -> list[Finding]:
+def _compared(before: Lock, after: Lock) -> list[LockFinding]:
     """Compare two locks; standard error says which packages are others, which breaks nothing."""
     for line in differing_packages(before.bridges, after.bridges):
         click.echo(line, err=True)

@@ -4,7 +4,7 @@ from uoarm._yaml import Place, Problem
 from uoarm.config._assignments import ASSIGN, assign, installation
 from uoarm.config._by_need import add_functions
 from uoarm.config._code import with_code
-from uoarm.config._difference import Difference, compare, fed_by
+from uoarm.config._difference import ConfigurationDifference, compare, fed_by
 from uoarm.config._keeping import is_same, rewrite
 from uoarm.config._load import Report, inspect, load, loads
 from uoarm.config._merging import is_blank, merge
@@ -13,7 +13,7 @@ from uoarm.config._suggestion import suggest
 
 __all__ = [
     "ASSIGN",
-    "Difference",
+    "ConfigurationDifference",
     "Place",
     "Problem",
     "Report",

@@ -9,11 +9,11 @@ from attrs import evolve, frozen
 from uoarm.config._code import without_code
 from uoarm.model import BridgeSpec, Component, Listening, Offer, Robot
 
-__all__ = ["Difference", "compare", "fed_by"]
+__all__ = ["ConfigurationDifference", "compare", "fed_by"]
 
 
 @frozen
-class Difference:
+class ConfigurationDifference:
     """What another configuration has in place of one before.
 
     Attributes:
@@ -32,7 +32,7 @@ class Difference:
     changes: tuple[str, ...]
 
 
-def compare(before: Robot, after: Robot) -> Difference:
+def compare(before: Robot, after: Robot) -> ConfigurationDifference:
     """Return what is different; nothing of the origin, the warnings or the descriptions is."""
     bridges = _differing(before.bridges, after.bridges)
     old = {component.name: _unranked(component) for component in before.components()}
@@ -59,7 +59,7 @@ def compare(before: Robot, after: Robot) -> Difference:
         *(() if before.applications == after.applications else ("~ applications",)),
     )
     functions = fed_by(own, (*before.components(), *after.components()))
-    return Difference(bridges, superseded, functions, reports)
+    return ConfigurationDifference(bridges, superseded, functions, reports)
 
 
 def _is_code(line: str, before: Robot, after: Robot) -> bool:

@@ -17,14 +17,14 @@ from attrs import frozen
 from uoarm._yaml import Path
 from uoarm.config._parts import ComponentPart, PortPart
 
-__all__ = ["Topic", "feedback_loops"]
+__all__ = ["SharedTopic", "feedback_loops"]
 
 _MOST_EDGES = 200_000
 _MOST_LOOPS = 20
 
 
 @frozen
-class Topic:
+class SharedTopic:
     """Where whatever is sent is received by everybody who listens there.
 
     Attributes:
@@ -36,10 +36,10 @@ class Topic:
     name: str
 
 
-Node: TypeAlias = "Topic | int"
+Node: TypeAlias = "SharedTopic | int"
 """A topic, or the number of a component."""
 
-TopicOf: TypeAlias = Callable[[ComponentPart, PortPart], "Topic | None"]
+TopicOf: TypeAlias = Callable[[ComponentPart, PortPart], "SharedTopic | None"]
 
 
 def feedback_loops(
@@ -58,8 +58,8 @@ def feedback_loops(
             loop: list[Node] = error.args[1]
         else:
             return
-        topics = [item for item in loop if isinstance(item, Topic)]
-        numbers = [item for item in loop if not isinstance(item, Topic)]
+        topics = [item for item in loop if isinstance(item, SharedTopic)]
+        numbers = [item for item in loop if not isinstance(item, SharedTopic)]
         if topics:
             start = min(topics, key=lambda topic: topic.name)
             first = loop.index(start)
@@ -109,4 +109,4 @@ def _predecessors(
 
 
 def _name(components: list[ComponentPart], node: Node) -> str:
-    return node.name if isinstance(node, Topic) else components[node].text("name") or "?"
+    return node.name if isinstance(node, SharedTopic) else components[node].text("name") or "?"

@@ -15,7 +15,7 @@ from uoarm._yaml import Document, Path, Problem, clip, write_path
 from uoarm.bridge import BridgeType
 from uoarm.config._assignments import assignables, installation
 from uoarm.config._build import bridge_options, folder_of
-from uoarm.config._loops import Topic, feedback_loops
+from uoarm.config._loops import SharedTopic, feedback_loops
 from uoarm.config._parts import (
     ComponentPart,
     OfferPart,
@@ -241,7 +241,7 @@ class PluginChecker:
             hint = "give one of them an address of its own"
             yield self._problem(path, sentence, hint)
 
-    def _topic(self, component: ComponentPart, port: PortPart) -> Topic | None:
+    def _topic(self, component: ComponentPart, port: PortPart) -> SharedTopic | None:
         """Return the topic of a port, where its plugin knows one."""
         kind, own = self._bridges.get(component.text("bridge") or "", (None, None))
         if kind is None or kind.topic is None:
@@ -256,7 +256,7 @@ class PluginChecker:
         except Exception:  # noqa: BLE001 - a plugin may raise anything; check_endpoint tells
             return None
         return (
-            Topic(f"{kind.name} {json.dumps(own, default=str, sort_keys=True)}", name)
+            SharedTopic(f"{kind.name} {json.dumps(own, default=str, sort_keys=True)}", name)
             if name
             else None
         )

@@ -18,7 +18,7 @@ from uoarm.model import (
     Role,
     to_json,
 )
-from uoarm.schema import Budget, SchemaError, check
+from uoarm.schema import CheckBudget, SchemaError, check
 
 __all__ = ["new_name", "suggest"]
 
@@ -235,7 +235,7 @@ def _feed(
 def _fits(producer: MessageStructure, consumer: MessageStructure) -> bool:
     try:
         return check(
-            producer.schema, consumer.schema, budget=Budget(seconds=_PAIR_SECONDS)
+            producer.schema, consumer.schema, budget=CheckBudget(seconds=_PAIR_SECONDS)
         ).compatible
     except SchemaError:
         return False

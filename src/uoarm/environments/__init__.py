@@ -1,6 +1,6 @@
 """Python environments for bridge hosts: made, listed, examined and removed by name."""
 
-from uoarm.environments._doctor import Finding, examine
+from uoarm.environments._doctor import EnvironmentFinding, examine
 from uoarm.environments._make import create, requirements
 from uoarm.environments._place import (
     Environment,
@@ -14,7 +14,7 @@ from uoarm.environments._place import (
 
 __all__ = [
     "Environment",
-    "Finding",
+    "EnvironmentFinding",
     "create",
     "environment_folder",
     "environment_python",

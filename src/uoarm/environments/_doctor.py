@@ -13,7 +13,7 @@ from attrs import field, frozen
 from uoarm._version import __version__
 from uoarm.environments._place import Environment, environment_python, passed_on
 
-__all__ = ["Finding", "examine", "extras_in"]
+__all__ = ["EnvironmentFinding", "examine", "extras_in"]
 
 _SECONDS = 60.0
 _QUESTION = """
@@ -39,7 +39,7 @@ print(json.dumps(found))
 
 
 @frozen
-class Finding:
+class EnvironmentFinding:
     """What was found in one environment.
 
     Attributes:
@@ -56,11 +56,11 @@ class Finding:
     unusable: dict[str, str] = field(factory=dict)
 
 
-def examine(environment: Environment) -> Finding:
+def examine(environment: Environment) -> EnvironmentFinding:
     """Ask an environment's interpreter what it has; waits two minutes at most."""
     name = environment.name
     if not environment.is_whole:
-        return Finding(name, {}, f"its making was cut short: uoarm env remove {name}")
+        return EnvironmentFinding(name, {}, f"its making was cut short: uoarm env remove {name}")
     command = [str(environment_python(name)), "-I", "-c", _QUESTION]
     try:
         done = subprocess.run(  # noqa: S603 - the environment's own interpreter
@@ -72,10 +72,10 @@ def examine(environment: Environment) -> Finding:
             check=False,
         )
     except (OSError, subprocess.TimeoutExpired) as error:
-        return Finding(name, {}, f"its interpreter does not run: {error}")
+        return EnvironmentFinding(name, {}, f"its interpreter does not run: {error}")
     if done.returncode != 0:
         last = done.stderr.strip().rpartition("\n")[2]
-        return Finding(name, {}, f"it lacks what a host needs: {last}")
+        return EnvironmentFinding(name, {}, f"it lacks what a host needs: {last}")
     try:
         said = json.loads(done.stdout)
         facts = {
@@ -85,11 +85,13 @@ def examine(environment: Environment) -> Finding:
         theirs = str(facts["uoarm"])
     except (ValueError, RecursionError, AttributeError, LookupError, TypeError):
         text = f"its interpreter prints what it was not asked: {done.stdout[:60]!r}"
-        return Finding(name, {}, text)
+        return EnvironmentFinding(name, {}, text)
     problem = ""
     if theirs != __version__:
         problem = f"it has uoarm {theirs}, this is {__version__}: make it anew"
-    return Finding(name, facts, problem, {} if problem else _unusable(environment_python(name)))
+    return EnvironmentFinding(
+        name, facts, problem, {} if problem else _unusable(environment_python(name))
+    )
 
 
 def extras_in(interpreter: Path, names: Iterable[str]) -> dict[str, list[str]]:

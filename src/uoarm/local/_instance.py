@@ -12,8 +12,8 @@ from uoarm._hints.convert import plain
 from uoarm._workers import WorkerPool
 from uoarm.errors import BridgeError, FailureReason
 from uoarm.local._loop import Coroutines
-from uoarm.local._source import Source
-from uoarm.local._target import Emit, Port, Target, Waits
+from uoarm.local._source import IteratedSource
+from uoarm.local._target import Emit, Target, TargetPort, Waits
 from uoarm.model import Deliver, Endpoint, Message, Options
 
 __all__ = ["Instance"]
@@ -45,7 +45,7 @@ class Instance:
         self._receiving = threading.Lock()
         self._receivers: Receivers = {}  # replaced and never changed, as it is read without lock
         self._services: dict[str, Callable[[Message, float], Message]] = {}
-        self._source: Source | None = None
+        self._source: IteratedSource | None = None
         self._closing = threading.Lock()
         self._is_closed = False
         self._object: Any = target.value(**self._parameters) if target.is_class else target.value
@@ -55,7 +55,7 @@ class Instance:
         """Whether its source raised."""
         return self._source is not None and self._source.failure is not None
 
-    def source(self, endpoint: Endpoint) -> Source:
+    def source(self, endpoint: Endpoint) -> IteratedSource:
         """Return what iterates over the component, which takes no messages.
 
         Raises:
@@ -65,7 +65,7 @@ class Instance:
             write = self._target.port(endpoint).writer
             name = f"uoarm-{self._target.name}"
             emitter = partial(self._emitter, write)
-            self._source = Source(self._iterator, emitter, name, self._workers)
+            self._source = IteratedSource(self._iterator, emitter, name, self._workers)
         return self._source
 
     def add_receiver(self, port: str, key: Hashable, deliver: Deliver) -> None:
@@ -153,7 +153,7 @@ class Instance:
         }
         return partial(self._object, *(self._parameters[name] for name in before), **after)
 
-    def _awaiting(self, port: Port, handler: Callable[[Any], Any]) -> Callable[[Any], Any]:
+    def _awaiting(self, port: TargetPort, handler: Callable[[Any], Any]) -> Callable[[Any], Any]:
         """Return a handler that waits in its caller's thread for what is asynchronous."""
         name, waits = self._target.name, port.waits(handler)
         if waits is Waits.REPLY:

@@ -10,12 +10,12 @@ from uoarm._raised import foreign
 from uoarm._workers import WorkerPool
 from uoarm.errors import BridgeError, FailureReason
 
-__all__ = ["Source"]
+__all__ = ["IteratedSource"]
 
 Finished = Callable[[Exception | None], None]
 
 
-class Source:
+class IteratedSource:
     """Iterates in a worker thread from the first listener's coming to the last one's leaving.
 
     May be used from any thread.

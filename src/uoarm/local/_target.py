@@ -23,7 +23,7 @@ from uoarm.local._modules import Modules, written_name
 from uoarm.local._parameters import build_parameters, parameter_mistakes
 from uoarm.model import Endpoint, Message, MessageStructure, Options, Role, Schema
 
-__all__ = ["Emit", "Port", "Target", "Waits", "address_mistake", "find", "structure"]
+__all__ = ["Emit", "Target", "TargetPort", "Waits", "address_mistake", "find", "structure"]
 
 F = TypeVar("F", bound=Callable[..., Any])
 T = TypeVar("T")
@@ -85,7 +85,7 @@ class Target:
     _parameters_of: dict[Any, list[inspect.Parameter]] = field(
         factory=dict, init=False, eq=False, repr=False
     )
-    _ports: dict[Hashable, Port] = field(factory=dict, init=False, eq=False, repr=False)
+    _ports: dict[Hashable, TargetPort] = field(factory=dict, init=False, eq=False, repr=False)
     _checked: list[Options] = field(factory=list, init=False, eq=False, repr=False)
 
     @is_class.default
@@ -165,12 +165,12 @@ class Target:
         returned = f"{kind}[float]" if generates else "float"
         return f"give {self.name} a type hint of what it returns, such as `-> {returned}`"
 
-    def port(self, endpoint: Endpoint) -> Port:
+    def port(self, endpoint: Endpoint) -> TargetPort:
         """Return what is made once for a port, with these parameters: they fill others."""
         key = endpoint.role, endpoint.port, frozenset(endpoint.parameters)
         found = self._ports.get(key)
         if found is None:
-            found = self._ports[key] = Port(self, endpoint)
+            found = self._ports[key] = TargetPort(self, endpoint)
         return found
 
     def before_message(self, endpoint: Endpoint) -> tuple[str, ...]:
@@ -304,12 +304,12 @@ class _made_once(Generic[T]):  # noqa: N801 - read as a property is
     def __set_name__(self, owner: type, name: str) -> None:
         self._name = name
 
-    def __get__(self, port: Port, owner: type) -> T:
+    def __get__(self, port: TargetPort, owner: type) -> T:
         made = vars(port)[self._name] = self._make(port)
         return made
 
 
-class Port:
+class TargetPort:
     """What is known of a port and what converts its messages, each made when it is first needed.
 
     Args:

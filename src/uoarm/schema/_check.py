@@ -10,8 +10,8 @@ from attrs import evolve
 from uoarm.schema._errors import BudgetError, OutOfScopeError
 from uoarm.schema._meter import Meter
 from uoarm.schema._values import build, describe, is_small
-from uoarm.schema.explain import Budget, Verdict, explain, find_losses
-from uoarm.schema.read import Document, Node, Pool
+from uoarm.schema.explain import CheckBudget, Verdict, explain, find_losses
+from uoarm.schema.read import Pool, SchemaDocument, SchemaNode
 from uoarm.schema.solve import (
     EMPTY,
     Empty,
@@ -28,7 +28,7 @@ from uoarm.schema.solve import (
 __all__ = ["check"]
 
 Schema: TypeAlias = Mapping[str, Any] | bool
-_STANDARD = Budget()
+_STANDARD = CheckBudget()
 _WRITTEN = 20_000
 """Parts and characters up to which a counterexample is written out unasked."""
 
@@ -37,7 +37,7 @@ def check(
     producer: Schema,
     consumer: Schema,
     *,
-    budget: Budget | None = None,
+    budget: CheckBudget | None = None,
 ) -> Verdict:
     """Decide whether every message that the producer can emit is accepted by the consumer.
 
@@ -61,7 +61,7 @@ def check(
 
 def _check(producer: Schema, consumer: Schema, pool: Pool) -> Verdict:
     """Come to a verdict, or raise what keeps it from being one."""
-    document, other = Document(producer, pool), Document(consumer, pool)
+    document, other = SchemaDocument(producer, pool), SchemaDocument(consumer, pool)
     if document.has_text_of(other):
         return Verdict(compatible=True, disputed_patterns=tuple(document.disputed))
     made, taken = document.root, other.root
@@ -78,11 +78,13 @@ def _check(producer: Schema, consumer: Schema, pool: Pool) -> Verdict:
     return Verdict(compatible=True, losses=losses, disputed_patterns=disputed)
 
 
-def _search(producer: Node, consumer: Node, pool: Pool, judgements: Judgements) -> Result:
+def _search(
+    producer: SchemaNode, consumer: SchemaNode, pool: Pool, judgements: Judgements
+) -> Result:
     """Look for a message of the producer that the consumer refuses, first where they differ."""
     solver, messages = Solver(pool, answer), Messages(pool.meter)
 
-    def refused(one: Node, other: Node, found: Found) -> bool:
+    def refused(one: SchemaNode, other: SchemaNode, found: Found) -> bool:
         accepts = judgements.accepts
         return accepts(one, found.value) and not accepts(other, found.value)
 
@@ -102,7 +104,7 @@ def _search(producer: Node, consumer: Node, pool: Pool, judgements: Judgements) 
 
 
 def _refusal(
-    producer: Node, consumer: Node, message: Any, meter: Meter, judgements: Judgements
+    producer: SchemaNode, consumer: SchemaNode, message: Any, meter: Meter, judgements: Judgements
 ) -> Verdict:
     """Return the verdict that a message comes to which the search has found.
 

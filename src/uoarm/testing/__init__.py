@@ -11,7 +11,7 @@ from uoarm.testing._faults import Hang, hanging, lying, raising
 from uoarm.testing._instances import find_instance, instances
 from uoarm.testing._losses import copies, losses
 from uoarm.testing._memory import MemoryBridge
-from uoarm.testing._memory_components import Emitter, Loop, Service, Taker
+from uoarm.testing._memory_components import Emitter, Loop, MemoryService, Taker
 from uoarm.testing._patience import patience, slowness, wait
 from uoarm.testing._ports import free_port
 from uoarm.testing._same import plain, same
@@ -26,8 +26,8 @@ __all__ = [
     "Loop",
     "ManualClock",
     "MemoryBridge",
+    "MemoryService",
     "Script",
-    "Service",
     "Taker",
     "copies",
     "find_instance",

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from uoarm.testing._choices import CHARACTERS, chance, text
 from uoarm.testing._instance_numbers import draw_number
-from uoarm.testing._instance_parts import Document, choose_type
+from uoarm.testing._instance_parts import InstanceDocument, choose_type
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
@@ -34,7 +34,7 @@ class Builder:
 
     def __init__(self, schema: object, choices: Choices) -> None:
         self._schema = schema
-        self._document = Document(schema)
+        self._document = InstanceDocument(schema)
         self._choices = choices
         self._nodes = 0
         self._by_type: Mapping[str, Callable[[Sequence[Keywords], int], object]] = {

@@ -47,7 +47,7 @@ _GUESSED_TYPE = {
 _TYPES = ("object", "array", "string", "integer", "number", "boolean", "null")
 
 
-class Document:
+class InstanceDocument:
     """A schema document in which local references are followed."""
 
     def __init__(self, root: object) -> None:

@@ -24,12 +24,12 @@ from uoarm.bridge import (
 )
 from uoarm.errors import BridgeError, FailureReason
 from uoarm.model import Deliver, Endpoint, Health, Message, MessageStructure, Options, Role, Schema
-from uoarm.testing._memory_components import CLEARED, Emitter, Loop, Service, Taker
+from uoarm.testing._memory_components import CLEARED, Emitter, Loop, MemoryService, Taker
 from uoarm.testing._native import PAIRS, ROWS, codec
 
 __all__ = ["MemoryBridge"]
 
-_Component = TypeVar("_Component", Emitter, Taker, Loop, Service)
+_Component = TypeVar("_Component", Emitter, Taker, Loop, MemoryService)
 
 
 class MemoryBridge(Bridge):
@@ -51,7 +51,7 @@ class MemoryBridge(Bridge):
     ) -> None:
         super().__init__(name, options or {})
         self.capabilities = Capabilities(discover=True, call=True, serve=True, link=links)
-        self._components: dict[str, Emitter | Taker | Loop | Service] = {}
+        self._components: dict[str, Emitter | Taker | Loop | MemoryService] = {}
         self._is_cut = ""
 
     def emitter(self, name: str, schema: Schema, *, latched: bool = False) -> Emitter:
@@ -71,9 +71,11 @@ class MemoryBridge(Bridge):
         """Make a component that emits what it takes: one input and one output."""
         return self._add(name, Loop(MessageStructure(schema, native_type=f"{name}/Loop")))
 
-    def service(self, name: str, request: Schema, reply: Schema, handler: Handler) -> Service:
+    def service(self, name: str, request: Schema, reply: Schema, handler: Handler) -> MemoryService:
         """Make a component with a service that the test's function answers."""
-        return self._add(name, Service(MessageStructure(request), MessageStructure(reply), handler))
+        return self._add(
+            name, MemoryService(MessageStructure(request), MessageStructure(reply), handler)
+        )
 
     def cut(self, cause: str = "the link was cut") -> None:
         """Break the link to all components: nothing passes until `mend`, and that is reported."""
@@ -90,7 +92,7 @@ class MemoryBridge(Bridge):
     def die(self, name: str, cause: str = "the component was killed") -> None:
         """Let a component be gone: its channels are lost and it can be found no more."""
         component = self._components.pop(name)
-        channels = component.channels() if not isinstance(component, Service) else ()
+        channels = component.channels() if not isinstance(component, MemoryService) else ()
         for channel in channels:
             self.report(Health.LOST, cause, channel=channel)
 
@@ -104,7 +106,7 @@ class MemoryBridge(Bridge):
         if endpoint.is_offered and endpoint.role is Role.SERVICE:
             return Description()
         component = self._find(endpoint)
-        if isinstance(component, Service):
+        if isinstance(component, MemoryService):
             return Description(request=component.request, reply=component.reply)
         return Description(component.structure)
 
@@ -159,7 +161,7 @@ class MemoryBridge(Bridge):
     ) -> Message:
         del timeout
         component = self._find(endpoint)
-        if not isinstance(component, Service):
+        if not isinstance(component, MemoryService):
             raise _without(endpoint, "service")
         if structures != ServiceStructures():
             _same(endpoint, component.request, structures.request)
@@ -170,7 +172,7 @@ class MemoryBridge(Bridge):
         self, endpoint: Endpoint, structures: ServiceStructures, handler: Handler
     ) -> Channel:
         name = endpoint.address[0]
-        self._add(name, Service(structures.request, structures.reply, handler))
+        self._add(name, MemoryService(structures.request, structures.reply, handler))
         return Channel(endpoint, lambda: self._withdraw(name))
 
     def _link(self, source: Endpoint, sink: Endpoint) -> Channel | None:
@@ -203,7 +205,7 @@ class MemoryBridge(Bridge):
         ports = (
             component
             for component in self._components.values()
-            if not isinstance(component, Service)
+            if not isinstance(component, MemoryService)
         )
         return tuple(channel for port in ports for channel in port.channels())
 
@@ -218,7 +220,7 @@ class MemoryBridge(Bridge):
         component = self._components[name]
         return tuple(Endpoint(self.name, name, role, (name,)) for role in component.roles)
 
-    def _find(self, endpoint: Endpoint) -> Emitter | Taker | Loop | Service:
+    def _find(self, endpoint: Endpoint) -> Emitter | Taker | Loop | MemoryService:
         self._require_link()
         name = endpoint.address[0] if len(endpoint.address) == 1 else ""
         component = self._components.get(name)

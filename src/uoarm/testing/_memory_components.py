@@ -14,7 +14,7 @@ from uoarm.testing._collector import Collector
 from uoarm.testing._faults import Hang
 from uoarm.testing._native import PAIRS, ROWS, codec
 
-__all__ = ["CLEARED", "Emitter", "Loop", "Service", "Taker"]
+__all__ = ["CLEARED", "Emitter", "Loop", "MemoryService", "Taker"]
 
 CLEARED = object()
 """What an output emits for a writer of which nothing stands any more."""
@@ -157,7 +157,7 @@ class Loop(_Port):
         self.emit_native(self._write(self._read(pairs)))
 
 
-class Service:
+class MemoryService:
     """A service: requests come as pairs, replies go as rows."""
 
     roles: ClassVar[tuple[Role, ...]] = (Role.SERVICE,)

@@ -19,7 +19,7 @@ from attrs import frozen
 from uoarm.errors import BridgeError, FailureReason
 from uoarm.model import Message, Schema
 
-__all__ = ["PAIRS", "ROWS", "Codec", "Dialect", "codec"]
+__all__ = ["PAIRS", "ROWS", "NativeCodec", "NativeDialect", "codec"]
 
 _ABSENT = "<absent>"
 _MAX_DEPTH = 64
@@ -32,7 +32,7 @@ _SCALARS: Mapping[str, tuple[type, ...]] = {
 
 
 @frozen
-class Codec:
+class NativeCodec:
     """How the messages of one structure are written in a native form and read back."""
 
     write: Callable[[Message], Any]
@@ -40,7 +40,7 @@ class Codec:
 
 
 @frozen
-class Dialect:
+class NativeDialect:
     """How one native form writes integers and records."""
 
     write_integer: Callable[[int], object]
@@ -79,11 +79,11 @@ def _from_pairs(pairs: Any, names: Sequence[str]) -> dict[str, Any]:
     return found
 
 
-ROWS = Dialect(str, int, _to_row, _from_row)
-PAIRS = Dialect(_to_bytes, _from_bytes, _to_pairs, _from_pairs)
+ROWS = NativeDialect(str, int, _to_row, _from_row)
+PAIRS = NativeDialect(_to_bytes, _from_bytes, _to_pairs, _from_pairs)
 
 
-def codec(schema: Schema, dialect: Dialect) -> Codec:
+def codec(schema: Schema, dialect: NativeDialect) -> NativeCodec:
     """Return the codec of a structure; what its schema leaves open carries tags.
 
     Both directions raise BridgeError with BAD_MESSAGE when something does not fit.
@@ -100,17 +100,17 @@ def codec(schema: Schema, dialect: Dialect) -> Codec:
 
         return run
 
-    return Codec(guarded("writing a message", inner.write), guarded("reading", inner.read))
+    return NativeCodec(guarded("writing a message", inner.write), guarded("reading", inner.read))
 
 
-def _codec(schema: Any, dialect: Dialect) -> Codec:
+def _codec(schema: Any, dialect: NativeDialect) -> NativeCodec:
     kind = schema.get("type") if isinstance(schema, Mapping) else None
     if kind == "integer":
         return _integer(dialect)
     if isinstance(kind, str) and kind in _SCALARS:
         return _scalar(kind)
     if kind == "array" and schema.get("x-octets"):
-        return Codec(bytes, bytes)
+        return NativeCodec(bytes, bytes)
     if kind == "array":
         return _array(schema, dialect)
     if kind == "object" and schema.get("additionalProperties") is False:
@@ -118,16 +118,16 @@ def _codec(schema: Any, dialect: Dialect) -> Codec:
     return _tagged(dialect)
 
 
-def _integer(dialect: Dialect) -> Codec:
+def _integer(dialect: NativeDialect) -> NativeCodec:
     def write(value: Any) -> object:
         if isinstance(value, bool) or value != int(value):
             raise TypeError(f"{value!r} is no integer")
         return dialect.write_integer(int(value))
 
-    return Codec(write, dialect.read_integer)
+    return NativeCodec(write, dialect.read_integer)
 
 
-def _scalar(kind: str) -> Codec:
+def _scalar(kind: str) -> NativeCodec:
     types = _SCALARS[kind]
 
     def check(value: Any) -> Any:
@@ -135,15 +135,15 @@ def _scalar(kind: str) -> Codec:
             raise TypeError(f"{value!r} is no {kind}")
         return value
 
-    return Codec(check, check)
+    return NativeCodec(check, check)
 
 
-def _array(schema: Mapping[str, Any], dialect: Dialect) -> Codec:
+def _array(schema: Mapping[str, Any], dialect: NativeDialect) -> NativeCodec:
     first = [_codec(prefix_item, dialect) for prefix_item in schema.get("prefixItems", ())]
     rest = _codec(schema.get("items", True), dialect)
     closed = schema.get("items") is False
 
-    def each(items: Iterable[Any], convert: Callable[[Codec, Any], Any]) -> list[Any]:
+    def each(items: Iterable[Any], convert: Callable[[NativeCodec, Any], Any]) -> list[Any]:
         if isinstance(items, (str, bytes, Mapping)):
             raise TypeError(f"{items!r:.40} is no array")
         found = [
@@ -154,13 +154,13 @@ def _array(schema: Mapping[str, Any], dialect: Dialect) -> Codec:
             raise ValueError(f"{len(found)} items instead of {len(first)}")
         return found
 
-    return Codec(
+    return NativeCodec(
         lambda items: tuple(each(items, lambda one, item: one.write(item))),
         lambda items: each(items, lambda one, item: one.read(item)),
     )
 
 
-def _record(schema: Mapping[str, Any], dialect: Dialect) -> Codec:
+def _record(schema: Mapping[str, Any], dialect: NativeDialect) -> NativeCodec:
     fields = {
         name: _codec(item, dialect) for name, item in sorted(schema.get("properties", {}).items())
     }
@@ -180,10 +180,10 @@ def _record(schema: Mapping[str, Any], dialect: Dialect) -> Codec:
         found = known(dialect.read_record(native, names))
         return {name: fields[name].read(value) for name, value in found.items()}
 
-    return Codec(write, read)
+    return NativeCodec(write, read)
 
 
-def _tagged(dialect: Dialect) -> Codec:
+def _tagged(dialect: NativeDialect) -> NativeCodec:
     """Return the codec of values whose kind stands beside them, since no schema says it."""
 
     def write(value: Any, depth: int = 0) -> tuple[str, Any]:
@@ -207,4 +207,4 @@ def _tagged(dialect: Dialect) -> Codec:
             return [read(item) for item in value]
         return dialect.read_integer(value) if tag == "integer" else value
 
-    return Codec(write, read)
+    return NativeCodec(write, read)

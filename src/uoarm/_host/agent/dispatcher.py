@@ -12,7 +12,7 @@ from typing import Any, TypeVar, cast
 from uoarm._host.agent.flows import OpenFlows, packable_facts
 from uoarm._host.transport import keys
 from uoarm._host.transport.codec import pack, unpack
-from uoarm._host.transport.flow import Ending
+from uoarm._host.transport.flow import FlowEnding
 from uoarm._host.transport.request_workers import RequestWorkers
 from uoarm._host.transport.shared_counters import SharedCounters
 from uoarm._host.transport.transport import ANSWER_SECONDS, Reply, Transport
@@ -215,7 +215,7 @@ class RequestDispatcher:
         if channel is not None and event.health in {Health.FINISHED, Health.LOST}:
             outbound = self._flows.outbound_of(channel)
             if outbound is not None:
-                outbound.finish(Ending(event.health.value, event.cause))
+                outbound.finish(FlowEnding(event.health.value, event.cause))
                 return
         reports = {
             "health": event.health.value,

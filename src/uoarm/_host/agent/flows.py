@@ -13,7 +13,7 @@ from attrs import astuple, define, field
 from uoarm._dataplane import make_check
 from uoarm._host.transport import keys
 from uoarm._host.transport.codec import pack
-from uoarm._host.transport.flow import Ending, FlowReceiver, FlowSender
+from uoarm._host.transport.flow import FlowEnding, FlowReceiver, FlowSender
 from uoarm._host.transport.shared_counters import HANDLING, SharedCounter, SharedCounters
 from uoarm._host.transport.transport import Transport
 from uoarm._raised import LimitedLog, contained, foreign, is_raised, text_of
@@ -100,7 +100,7 @@ class OutboundFlow:
             self._counter.set(self.taken)
             HANDLING.answered()
 
-    def finish(self, ending: Ending) -> None:
+    def finish(self, ending: FlowEnding) -> None:
         """Have the manager told, behind the last message, that the source has ended."""
         try:
             self._outgoing.finish(ending)

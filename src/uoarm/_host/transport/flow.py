@@ -24,7 +24,7 @@ from uoarm.bridge import Outcomes
 from uoarm.errors import BridgeError, CommandRefusedError, FailureReason, MessageError
 from uoarm.model import Message
 
-__all__ = ["Ending", "FlowReceiver", "FlowSender", "Handled"]
+__all__ = ["FlowEnding", "FlowReceiver", "FlowSender", "Handled"]
 
 _HEADER = struct.Struct("<4sQQq")
 """What it is, number, skipped, and when it was sent.
@@ -45,7 +45,7 @@ _log = logging.getLogger("uoarm")
 
 
 @frozen
-class Ending:
+class FlowEnding:
     """The last thing that a flow says: how it ended, as `Health` has it, and why."""
 
     health: str
@@ -165,7 +165,7 @@ class FlowSender:
         """Give up one message; the other end counts it as lost when it hears the next one."""
         self._skipped += 1
 
-    def finish(self, ending: Ending) -> None:
+    def finish(self, ending: FlowEnding) -> None:
         """Send the end of the flow, after everything that was sent before.
 
         Raises:
@@ -282,7 +282,7 @@ class FlowReceiver:
         *,
         name: str,
         take: Callable[..., None],
-        ended: Callable[[Ending], None],
+        ended: Callable[[FlowEnding], None],
         counter: SharedCounter | None = None,
         let_go: Callable[[str], None] = lambda _: None,
         read: Callable[[str], None] = lambda _: None,
@@ -352,7 +352,7 @@ class FlowReceiver:
         self._skipped = skipped
         now = self._transport.clock() + self._transport.ahead()
         self.latency = max(0.0, (now - sent_at) / 1e9)
-        if isinstance(more, Ending):
+        if isinstance(more, FlowEnding):
             self._ended(more)
         elif isinstance(more, LetGo):
             self._let_go(more.writer)
@@ -395,7 +395,7 @@ class FlowReceiver:
         self._transport.notify(f"{self._key}/handled", header)
 
 
-def _header(octets: bytes) -> tuple[int, int, int, Ending | LetGo | Read | str] | None:
+def _header(octets: bytes) -> tuple[int, int, int, FlowEnding | LetGo | Read | str] | None:
     """Return number, skipped, time of a frame, and what else it says, or its writer.
 
     None where it is no header of a flow.
@@ -411,7 +411,7 @@ def _header(octets: bytes) -> tuple[int, int, int, Ending | LetGo | Read | str] 
         case ["unreadable", str(why)]:
             return number, skipped, sent_at, Read(why)
         case [str(health), str(cause)]:
-            return number, skipped, sent_at, Ending(health, cause)
+            return number, skipped, sent_at, FlowEnding(health, cause)
         case ["writer", str(writer), True]:
             return number, skipped, sent_at, writer
         case ["writer", str(writer), False]:

@@ -15,7 +15,7 @@ from contextlib import suppress
 
 from uoarm._host.transport.codec import Frame
 from uoarm._host.transport.frames import FrameReader, FrameWriter, Received
-from uoarm._host.transport.subscription import Subscription, Take
+from uoarm._host.transport.subscription import FlowSubscription, Take
 from uoarm.errors import BridgeTimeoutError
 
 __all__ = ["FrameFlows"]
@@ -51,9 +51,9 @@ class FrameFlows:
         self._writer = FrameWriter(outgoing)
         self._name = name
         self._on_end = ended
-        self._subscriptions: dict[str, Subscription] = {}
+        self._subscriptions: dict[str, FlowSubscription] = {}
         self._lock = threading.Lock()
-        self._taking: Subscription | None = None  # what the thread that reads takes just now
+        self._taking: FlowSubscription | None = None  # what the thread that reads takes just now
         self._taken = 0  # how often it has begun to take something
         self._is_watched = threading.Event()
         self._closing = threading.Event()
@@ -89,7 +89,7 @@ class FrameFlows:
 
     def subscribe(self, key: str, length: int, take: Take, name: str) -> Callable[[], None]:
         """Have the frames at a key taken; returns what ends it."""
-        kept = self._subscriptions[key] = Subscription(take, length, name)
+        kept = self._subscriptions[key] = FlowSubscription(take, length, name)
 
         def end() -> None:
             if self._subscriptions.get(key) is kept:
@@ -141,7 +141,7 @@ class FrameFlows:
                 _log.warning("a link ended: %s: %s", type(error).__name__, error)
         self._on_end()
 
-    def _take(self, frame: Received) -> Subscription | None:
+    def _take(self, frame: Received) -> FlowSubscription | None:
         """Have a frame taken; return whose thread this one is now, None where it is to read on."""
         subscription = self._subscriptions.get(frame.key)
         if subscription is None or not subscription.begin(frame.payload, frame.header):

@@ -16,7 +16,7 @@ from queue import Empty, SimpleQueue
 from uoarm._host.transport.codec import Frame
 from uoarm._raised import foreign
 
-__all__ = ["Subscription", "Take"]
+__all__ = ["FlowSubscription", "Take"]
 
 Take = Callable[[Frame, bytes], object]
 """Takes the payload and the header of one frame."""
@@ -29,7 +29,7 @@ _RETURN = 100
 _log = logging.getLogger("uoarm")
 
 
-class Subscription:
+class FlowSubscription:
     """Frames of one key, each handed to `take` after the one before.
 
     `begin` and `run_here` are for the thread that reads, and `hand_over` for who takes its place.

@@ -13,8 +13,8 @@ from attrs import frozen
 from uoarm.schema._errors import BudgetError, OutOfScopeError
 from uoarm.schema._meter import Meter
 from uoarm.schema._values import SCALARS, Repeated, exact, kind_of, runs_of
-from uoarm.schema.explain._verdict import Loss, Reason
-from uoarm.schema.read import Node
+from uoarm.schema.explain._verdict import Loss, MismatchReason
+from uoarm.schema.read import SchemaNode
 from uoarm.schema.regex import CodeUnits
 from uoarm.schema.solve import (
     Judgements,
@@ -30,11 +30,11 @@ _MAX_VISITS = 10_000
 
 
 def failures(
-    node: Node, value: object, judgements: Judgements, most: int
-) -> list[tuple[Node, Any, tuple[str | int, ...], str]]:
+    node: SchemaNode, value: object, judgements: Judgements, most: int
+) -> list[tuple[SchemaNode, Any, tuple[str | int, ...], str]]:
     """Return some of the innermost failing schemas: node, value there, path, keyword."""
-    found: list[tuple[Node, Any, tuple[str | int, ...], str]] = []
-    waiting: list[tuple[Node, Any, tuple[str | int, ...]]] = [(node, value, ())]
+    found: list[tuple[SchemaNode, Any, tuple[str | int, ...], str]] = []
+    waiting: list[tuple[SchemaNode, Any, tuple[str | int, ...]]] = [(node, value, ())]
     visits = 0
     while waiting and visits < _MAX_VISITS and len(found) < most:
         visits += 1
@@ -55,9 +55,9 @@ def failures(
 
 
 def _direct_parts(
-    node: Node, value: Any, judgements: Judgements
-) -> list[tuple[Node, Any, tuple[str | int, ...]]]:
-    parts: list[tuple[Node, Any, tuple[str | int, ...]]] = [
+    node: SchemaNode, value: Any, judgements: Judgements
+) -> list[tuple[SchemaNode, Any, tuple[str | int, ...]]]:
+    parts: list[tuple[SchemaNode, Any, tuple[str | int, ...]]] = [
         (subschema, value, ()) for subschema in node.all_of
     ]
     if node.reference is not None:
@@ -74,7 +74,7 @@ def _direct_parts(
     return parts
 
 
-def _failing_keyword(node: Node, value: Any, judgements: Judgements) -> str:
+def _failing_keyword(node: SchemaNode, value: Any, judgements: Judgements) -> str:
     kind = kind_of(value)
     if node.kinds is not None and kind not in node.kinds:
         return "type"
@@ -120,8 +120,8 @@ _OF_PAIR, _OF_LOSS = 200, 300
 
 
 def explain(
-    producer: Node, consumer: Node, message: Any, judgements: Judgements
-) -> tuple[tuple[Reason, ...], Any]:
+    producer: SchemaNode, consumer: SchemaNode, message: Any, judgements: Judgements
+) -> tuple[tuple[MismatchReason, ...], Any]:
     """Return why the consumer refuses a message, and the part of it that matters.
 
     What the budget does not reach for is left out: the verdict stands without it.
@@ -130,11 +130,11 @@ def explain(
         found = failures(consumer, message, judgements, _MAX_REASONS)
     except (OutOfScopeError, BudgetError):
         found = [(consumer, message, (), "rules")]
-    reasons: list[Reason] = []
+    reasons: list[MismatchReason] = []
     for node, value, path, keyword in found:
         there = _along(producer, path)
         reasons.append(
-            Reason(
+            MismatchReason(
                 write_path(path),
                 _show(there.raw) if there is not None else "",
                 _show(node.raw),
@@ -144,7 +144,7 @@ def explain(
     return tuple(reasons), found[0][1] if found else message
 
 
-def find_losses(producer: Node, consumer: Node, meter: Meter) -> tuple[Loss, ...]:
+def find_losses(producer: SchemaNode, consumer: SchemaNode, meter: Meter) -> tuple[Loss, ...]:
     """Return what is accepted but not kept whole, field by field where fields are plain.
 
     What the budget does not reach for is left out: the verdict stands without it.
@@ -157,9 +157,9 @@ def find_losses(producer: Node, consumer: Node, meter: Meter) -> tuple[Loss, ...
     return tuple(sorted(losses, key=lambda loss: (loss.path, loss.kind)))
 
 
-def _nonfinite(producer: Node, known: Sequence[Loss], meter: Meter) -> list[Loss]:
+def _nonfinite(producer: SchemaNode, known: Sequence[Loss], meter: Meter) -> list[Loss]:
     """Return where else a producer may emit what is not finite, said once of all such places."""
-    waiting: list[tuple[Node, Path]] = [(producer, ())]
+    waiting: list[tuple[SchemaNode, Path]] = [(producer, ())]
     places: set[str] = set()
     for _ in range(_MAX_PAIRS):
         if not waiting:
@@ -181,12 +181,14 @@ def _nonfinite(producer: Node, known: Sequence[Loss], meter: Meter) -> list[Loss
     return [Loss(others[0], "nonfinite", f"{_NONFINITE}{more}")]
 
 
-def _says_nonfinite(node: Node) -> bool:
+def _says_nonfinite(node: SchemaNode) -> bool:
     return isinstance(node.raw, Mapping) and node.raw.get("x-nonfinite") is True
 
 
-def _gather_losses(producer: Node, consumer: Node, losses: list[Loss], meter: Meter) -> None:
-    waiting: list[tuple[Node, Node, Path]] = [(producer, consumer, ())]
+def _gather_losses(
+    producer: SchemaNode, consumer: SchemaNode, losses: list[Loss], meter: Meter
+) -> None:
+    waiting: list[tuple[SchemaNode, SchemaNode, Path]] = [(producer, consumer, ())]
     seen: set[tuple[int, int]] = set()
     while waiting and len(seen) < _MAX_PAIRS:
         one, other, path = waiting.pop()
@@ -233,7 +235,7 @@ def write_path(path: Path) -> str:
     return text
 
 
-def _losses_here(one: Node, other: Node, path: Path) -> list[Loss]:
+def _losses_here(one: SchemaNode, other: SchemaNode, path: Path) -> list[Loss]:
     where = write_path(path)
     found: list[Loss] = []
     whole_to_real = one.integer_only and not other.integer_only and other.kinds is not None
@@ -256,7 +258,7 @@ def _losses_here(one: Node, other: Node, path: Path) -> list[Loss]:
     return found
 
 
-def _along(node: Node, path: Path) -> Node | None:
+def _along(node: SchemaNode, path: Path) -> SchemaNode | None:
     """Follow a path through a schema as far as it is plain."""
     for part in path:
         for _ in range(20):
@@ -274,7 +276,7 @@ def _along(node: Node, path: Path) -> Node | None:
     return node
 
 
-def _sentence(keyword: str, node: Node, value: Any) -> str:
+def _sentence(keyword: str, node: SchemaNode, value: Any) -> str:
     shown = _show(value)
     if keyword == "required":
         missing = [name for name in node.required if name not in value]
@@ -297,7 +299,7 @@ def _sentence(keyword: str, node: Node, value: Any) -> str:
     return f"{shown} does not meet what the consumer demands"
 
 
-def _units(node: Node) -> list[CodeUnits]:
+def _units(node: SchemaNode) -> list[CodeUnits]:
     return [pattern for pattern in node.texts if isinstance(pattern, CodeUnits)]
 
 

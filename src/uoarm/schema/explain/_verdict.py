@@ -8,11 +8,11 @@ from attrs import asdict, field, frozen
 
 from uoarm.schema._values import build, describe
 
-__all__ = ["Budget", "Loss", "Reason", "Verdict"]
+__all__ = ["CheckBudget", "Loss", "MismatchReason", "Verdict"]
 
 
 @frozen
-class Budget:
+class CheckBudget:
     """How much a check may cost before it answers undecided.
 
     Attributes:
@@ -27,7 +27,7 @@ class Budget:
 
 
 @frozen
-class Reason:
+class MismatchReason:
     """Where and why a message is refused.
 
     Attributes:
@@ -75,7 +75,7 @@ class Verdict:
 
     compatible: bool
     undecided: str | None = None
-    reasons: tuple[Reason, ...] = ()
+    reasons: tuple[MismatchReason, ...] = ()
     counterexample: Any = field(default=None, hash=False)
     excerpt: Any = field(default=None, hash=False)
     losses: tuple[Loss, ...] = ()

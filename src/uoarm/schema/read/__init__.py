@@ -1,6 +1,6 @@
 """Reading schemas: drafts, references and keywords, into nodes that are numbered by content."""
 
-from uoarm.schema.read._document import Document, Pool
-from uoarm.schema.read._node import Node
+from uoarm.schema.read._document import Pool, SchemaDocument
+from uoarm.schema.read._node import SchemaNode
 
-__all__ = ["Document", "Node", "Pool"]
+__all__ = ["Pool", "SchemaDocument", "SchemaNode"]

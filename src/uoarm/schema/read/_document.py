@@ -18,11 +18,11 @@ from uoarm.schema._meter import Meter
 from uoarm.schema._values import SCALARS, Keys
 from uoarm.schema.read._dialects import DRAFT_2019, NEWEST, dialect_of
 from uoarm.schema.read._keywords import ANNOTATIONS, LISTS, MAPS, READERS, SINGLES, check_keyword
-from uoarm.schema.read._node import Node, Reference, Scope
+from uoarm.schema.read._node import Reference, SchemaNode, Scope
 from uoarm.schema.read._resources import PLACING, POSITIONAL, REFERENCES, Resources, Scopes
 from uoarm.schema.regex import UnsupportedPatternError, is_disputed
 
-__all__ = ["Document", "Pool", "Texts", "is_plain"]
+__all__ = ["Pool", "SchemaDocument", "Texts", "is_plain"]
 
 _MAX_PARTS = 50_000
 _MAX_TEXT_LEVELS = 40
@@ -117,8 +117,8 @@ class Pool:
         self._numbers: dict[object, int] = {}
         self.texts = Texts(meter)
         self.views: dict[int, View] = {}
-        self.nodes: dict[tuple[int, Scope], Node] = {}
-        self.documents: list[Document] = []
+        self.nodes: dict[tuple[int, Scope], SchemaNode] = {}
+        self.documents: list[SchemaDocument] = []
 
     def close(self) -> None:
         """Let go of what nodes and documents know of each other, which no check needs any more.
@@ -134,7 +134,7 @@ class Pool:
         return self._numbers.setdefault(content, len(self._numbers))
 
 
-class Document:
+class SchemaDocument:
     """One schema with everything it refers to; `disputed` has the patterns in it that are.
 
     Raises:
@@ -149,7 +149,7 @@ class Document:
         self.meter = pool.meter
         self._keys = Keys(pool.meter.spend)
         self.disputed: dict[str, None] = {}
-        self._targets: dict[Reference, Node] = {}
+        self._targets: dict[Reference, SchemaNode] = {}
         self._dialect = dialect_of(schema) or NEWEST
         self._has_contains = self._dialect is DRAFT_2019 and _mentions(schema, "contains")
         self._placed = self._dialect is not NEWEST or dialect_of(schema) is None
@@ -166,7 +166,7 @@ class Document:
         pool.documents.append(self)
 
     @cached_property
-    def root(self) -> Node:
+    def root(self) -> SchemaNode:
         """The node of the whole, read when it is asked for.
 
         Raises:
@@ -189,30 +189,32 @@ class Document:
         self._targets.clear()
         self.__dict__.pop("root", None)
 
-    def has_text_of(self, other: Document) -> bool:
+    def has_text_of(self, other: SchemaDocument) -> bool:
         """Say whether both are plain and of the same text, so that they mean the same."""
         return self._is_plain and other._first(other._schema) is self._schema
 
-    def resolve(self, reference: Reference) -> Node:
+    def resolve(self, reference: Reference) -> SchemaNode:
         """Return the node that a reference leads to; it says so where that is not decided."""
         found = self._targets.get(reference)
         if found is None:
             found = self._targets[reference] = self._find(reference)
         return found
 
-    def either(self, nodes: Sequence[Node]) -> Node:
+    def either(self, nodes: Sequence[SchemaNode]) -> SchemaNode:
         """Return a node that holds where one of some nodes does."""
         if len(nodes) == 1:
             return nodes[0]
         number = self._pool.number(("either", frozenset(node.number for node in nodes)))
-        return Node(number, {"anyOf": [node.raw for node in nodes]}, self, any_of=tuple(nodes))
+        return SchemaNode(
+            number, {"anyOf": [node.raw for node in nodes]}, self, any_of=tuple(nodes)
+        )
 
-    def _find(self, reference: Reference) -> Node:
+    def _find(self, reference: Reference) -> SchemaNode:
         try:
             found = self._scopes.lead(*reference)
         except OutOfScopeError as error:
             content: tuple[object, ...] = ("not decided", self._identity, reference)
-            return Node(self._pool.number(content), {}, self, unsupported=str(error))
+            return SchemaNode(self._pool.number(content), {}, self, unsupported=str(error))
         if found is not None:
             self._check(found[0])
             return self._read(*found)
@@ -220,7 +222,7 @@ class Document:
         if self._resources.named or self._resources.dynamic or self._is_loose(reference.absolute):
             content = (*content, self._identity, reference.scope)
         cause = f"the reference {reference.absolute!r} leads out of the document"
-        return Node(self._pool.number(content), {}, self, unsupported=cause)
+        return SchemaNode(self._pool.number(content), {}, self, unsupported=cause)
 
     def _identify(self, schema: object) -> int:
         """Return what tells references of this document from those of another.
@@ -314,7 +316,7 @@ class Document:
                 if is_disputed(pattern):
                     self.disputed[pattern] = None
 
-    def _read(self, schema: object, scope: Scope) -> Node:
+    def _read(self, schema: object, scope: Scope) -> SchemaNode:
         """Read a schema in a scope, and all below it, children first, on an explicit stack."""
         if scope and len(self._nodes) > _MAX_SCOPED:
             raise OutOfScopeError("dynamic references lead to too many schemas")
@@ -348,25 +350,25 @@ class Document:
         else:
             self._nodes[key] = self._make(schema, self._views[id(schema)][0], ())
 
-    def _make_bool(self, schema: bool) -> Node:  # noqa: FBT001 - a schema
-        return Node(self._pool.number(schema), schema, self, never=not schema)
+    def _make_bool(self, schema: bool) -> SchemaNode:  # noqa: FBT001 - a schema
+        return SchemaNode(self._pool.number(schema), schema, self, never=not schema)
 
     def _enter(self, schema: Mapping[str, Any], scope: Scope) -> Scope:
         base = self._resources.inside(schema).base
         moved = base != self._resources.around(schema).base
         return self._scopes.enter(scope, base) if moved else scope
 
-    def _make(self, schema: Mapping[str, Any], view: Mapping[str, Any], scope: Scope) -> Node:
+    def _make(self, schema: Mapping[str, Any], view: Mapping[str, Any], scope: Scope) -> SchemaNode:
         objection = self._resources.objection(schema) or self._dialect.objection(
             schema, beside_contains=self._has_contains
         )
         content: list[object] = [("not decided", objection)] if objection else []
         references = []
-        node = Node(-1, schema, self, unsupported=objection)
+        node = SchemaNode(-1, schema, self, unsupported=objection)
 
         nodes, equal = self._nodes, self._equal
 
-        def child(one: object) -> Node:
+        def child(one: object) -> SchemaNode:
             return nodes[id(equal.get(id(one), one)), scope]
 
         for keyword, value in view.items():
@@ -390,13 +392,13 @@ class Document:
             self._refer(node, reference)
         return node
 
-    def _refer(self, node: Node, reference: Reference) -> None:
+    def _refer(self, node: SchemaNode, reference: Reference) -> None:
         if node.reference is None:
             node.reference = reference
         else:
             number = self._pool.number(frozenset([(self._identity, reference)]))
             raw = {reference.keyword: reference.absolute}
-            node.all_of = (*node.all_of, Node(number, raw, self, reference=reference))
+            node.all_of = (*node.all_of, SchemaNode(number, raw, self, reference=reference))
 
     def _refers_in_place(self) -> bool:
         """Say whether a schema applies itself to the same value, by references and logic alone.
@@ -407,7 +409,7 @@ class Document:
         waiting = list(self._nodes.values())
         for root in waiting:
             path: set[int] = set()
-            stack: list[tuple[Node, bool]] = [(root, False)]
+            stack: list[tuple[SchemaNode, bool]] = [(root, False)]
             while stack:
                 node, leaving = stack.pop()
                 self.meter.spend()

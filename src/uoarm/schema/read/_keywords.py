@@ -8,12 +8,12 @@ from typing import Any, TypeAlias
 
 from uoarm.schema._errors import Pointer, SchemaError, write_pointer
 from uoarm.schema._values import Key, exact
-from uoarm.schema.read._node import Node
+from uoarm.schema.read._node import SchemaNode
 from uoarm.schema.regex import MalformedPatternError, UnsupportedPatternError, compile_pattern
 
 __all__ = ["ANNOTATIONS", "LISTS", "MAPS", "READERS", "SINGLES", "check_keyword"]
 
-Child: TypeAlias = Callable[[object], Node]
+Child: TypeAlias = Callable[[object], SchemaNode]
 KeyOf: TypeAlias = Callable[[object], Key]
 
 _NUMBERS = {
@@ -53,11 +53,11 @@ _SEVERAL = {"prefixItems": "prefix", "allOf": "all_of", "anyOf": "any_of", "oneO
 _NAMED = {"patternProperties": "patterns", "dependentSchemas": "dependent_schemas"}
 
 
-Reader: TypeAlias = Callable[[Node, Any, Child, KeyOf], object]
+Reader: TypeAlias = Callable[[SchemaNode, Any, Child, KeyOf], object]
 
 
 def _single(field: str) -> Reader:
-    def read(node: Node, value: Any, child: Child, _: KeyOf) -> object:
+    def read(node: SchemaNode, value: Any, child: Child, _: KeyOf) -> object:
         one = child(value)
         setattr(node, field, one)
         return one.number
@@ -66,7 +66,7 @@ def _single(field: str) -> Reader:
 
 
 def _several(field: str) -> Reader:
-    def read(node: Node, value: Any, child: Child, _: KeyOf) -> object:
+    def read(node: SchemaNode, value: Any, child: Child, _: KeyOf) -> object:
         nodes = tuple(map(child, value))
         setattr(node, field, nodes)
         return tuple(subschema.number for subschema in nodes)
@@ -75,7 +75,7 @@ def _several(field: str) -> Reader:
 
 
 def _named(field: str) -> Reader:
-    def read(node: Node, value: Any, child: Child, _: KeyOf) -> object:
+    def read(node: SchemaNode, value: Any, child: Child, _: KeyOf) -> object:
         named = tuple((name, child(item)) for name, item in value.items())
         setattr(node, field, named)
         return frozenset((name, subschema.number) for name, subschema in named)
@@ -84,7 +84,7 @@ def _named(field: str) -> Reader:
 
 
 def _number(field: str) -> Reader:
-    def read(node: Node, value: Any, _: Child, key_of: KeyOf) -> object:
+    def read(node: SchemaNode, value: Any, _: Child, key_of: KeyOf) -> object:
         key = key_of(value)
         setattr(node, field, exact(value))
         return key
@@ -93,7 +93,7 @@ def _number(field: str) -> Reader:
 
 
 def _count(field: str) -> Reader:
-    def read(node: Node, value: Any, _: Child, key_of: KeyOf) -> object:
+    def read(node: SchemaNode, value: Any, _: Child, key_of: KeyOf) -> object:
         key = key_of(value)
         setattr(node, field, int(value))
         return key
@@ -102,7 +102,7 @@ def _count(field: str) -> Reader:
 
 
 def _plain(field: str) -> Reader:
-    def read(node: Node, value: Any, _: Child, __: KeyOf) -> object:
+    def read(node: SchemaNode, value: Any, _: Child, __: KeyOf) -> object:
         setattr(node, field, value)
         return value
 
@@ -114,7 +114,7 @@ _ALONE = {
 }
 
 
-def _type(node: Node, value: Any, _: Child, __: KeyOf) -> object:
+def _type(node: SchemaNode, value: Any, _: Child, __: KeyOf) -> object:
     names = _ALONE.get(value) if isinstance(value, str) else frozenset(value)
     if names is not None and "integer" not in names:
         node.kinds = names
@@ -125,27 +125,27 @@ def _type(node: Node, value: Any, _: Child, __: KeyOf) -> object:
     return names
 
 
-def _no_nul(node: Node, value: Any, _: Child, __: KeyOf) -> object:
+def _no_nul(node: SchemaNode, value: Any, _: Child, __: KeyOf) -> object:
     node.no_nul = value is False
     return value
 
 
-def _properties(node: Node, value: Any, child: Child, _: KeyOf) -> object:
+def _properties(node: SchemaNode, value: Any, child: Child, _: KeyOf) -> object:
     node.properties = {name: child(item) for name, item in value.items()}
     return frozenset((name, property_.number) for name, property_ in node.properties.items())
 
 
-def _required(node: Node, value: Any, _: Child, __: KeyOf) -> object:
+def _required(node: SchemaNode, value: Any, _: Child, __: KeyOf) -> object:
     node.required = tuple(dict.fromkeys(value))
     return frozenset(value)
 
 
-def _dependent_required(node: Node, value: Any, _: Child, key_of: KeyOf) -> object:
+def _dependent_required(node: SchemaNode, value: Any, _: Child, key_of: KeyOf) -> object:
     node.dependent_required = tuple((name, tuple(names)) for name, names in value.items())
     return key_of(value)
 
 
-def _values(node: Node, value: Any, _: Child, key_of: KeyOf) -> None:
+def _values(node: SchemaNode, value: Any, _: Child, key_of: KeyOf) -> None:
     """Take in the values of `const` or `enum`; those that both have where both stand."""
     values = {key_of(item): item for item in value}
     if node.values is not None:
@@ -153,7 +153,7 @@ def _values(node: Node, value: Any, _: Child, key_of: KeyOf) -> None:
     node.values = values
 
 
-def _const(node: Node, value: Any, child: Child, key_of: KeyOf) -> None:
+def _const(node: SchemaNode, value: Any, child: Child, key_of: KeyOf) -> None:
     _values(node, [value], child, key_of)
 
 

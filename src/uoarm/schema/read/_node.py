@@ -13,7 +13,7 @@ from uoarm.schema._meter import Meter
 from uoarm.schema._values import Key
 from uoarm.schema.regex import CodeUnits
 
-__all__ = ["Node", "NodeReader", "Reference", "Scope"]
+__all__ = ["NodeReader", "Reference", "SchemaNode", "Scope"]
 
 Scope: TypeAlias = "tuple[tuple[str, str], ...]"
 """Names of dynamic anchors, each with the base of the document that has set it."""
@@ -26,10 +26,10 @@ class NodeReader(Protocol):
     def meter(self) -> Meter:
         """The budget that work on the document is spent from."""
 
-    def resolve(self, reference: Reference) -> Node:
+    def resolve(self, reference: Reference) -> SchemaNode:
         """Return the node that a reference leads to."""
 
-    def either(self, nodes: Sequence[Node]) -> Node:
+    def either(self, nodes: Sequence[SchemaNode]) -> SchemaNode:
         """Return a node that accepts what one of some nodes accepts."""
 
 
@@ -42,7 +42,7 @@ class Reference(NamedTuple):
 
 
 @define(eq=False)
-class Node:
+class SchemaNode:
     """One schema. Equal content has the same `number`, so that comparing is comparing integers.
 
     A node that holds something out of scope says so in `unsupported`. `never` is `false`. `tags`
@@ -68,36 +68,36 @@ class Node:
     max_utf16: int | None = None
     no_nul: bool = False
     pattern: str | None = None
-    prefix: tuple[Node, ...] = ()
-    items: Node | None = None
+    prefix: tuple[SchemaNode, ...] = ()
+    items: SchemaNode | None = None
     min_items: int = 0
     max_items: int | None = None
-    contains: Node | None = None
+    contains: SchemaNode | None = None
     min_contains: int = 1
     max_contains: int | None = None
     unique: bool = False
-    unevaluated_items: Node | None = None
-    properties: dict[str, Node] = field(factory=dict)
-    patterns: tuple[tuple[str, Node], ...] = ()
-    additional: Node | None = None
-    unevaluated_properties: Node | None = None
-    names: Node | None = None
+    unevaluated_items: SchemaNode | None = None
+    properties: dict[str, SchemaNode] = field(factory=dict)
+    patterns: tuple[tuple[str, SchemaNode], ...] = ()
+    additional: SchemaNode | None = None
+    unevaluated_properties: SchemaNode | None = None
+    names: SchemaNode | None = None
     required: tuple[str, ...] = ()
     min_properties: int = 0
     max_properties: int | None = None
     dependent_required: tuple[tuple[str, tuple[str, ...]], ...] = ()
-    dependent_schemas: tuple[tuple[str, Node], ...] = ()
-    all_of: tuple[Node, ...] = ()
-    any_of: tuple[Node, ...] | None = None
-    one_of: tuple[Node, ...] | None = None
-    negated: Node | None = None
-    condition: Node | None = None
-    then: Node | None = None
-    otherwise: Node | None = None
+    dependent_schemas: tuple[tuple[str, SchemaNode], ...] = ()
+    all_of: tuple[SchemaNode, ...] = ()
+    any_of: tuple[SchemaNode, ...] | None = None
+    one_of: tuple[SchemaNode, ...] | None = None
+    negated: SchemaNode | None = None
+    condition: SchemaNode | None = None
+    then: SchemaNode | None = None
+    otherwise: SchemaNode | None = None
     reference: Reference | None = None
     tags: Mapping[str, AbstractSet[Key]] | None = None
 
-    def target(self) -> Node:
+    def target(self) -> SchemaNode:
         """Return the node that the reference leads to."""
         assert self.reference is not None
         return self.document.resolve(self.reference)
@@ -112,7 +112,7 @@ class Node:
             texts.append(CodeUnits(2, self.max_utf16))
         return texts
 
-    def applied(self) -> list[Node]:
+    def applied(self) -> list[SchemaNode]:
         """Return the schemas that this one applies to the same value."""
         single = [self.negated, self.condition, self.then, self.otherwise]
         found = [node for node in single if node is not None]

@@ -22,7 +22,7 @@ __all__ = [
     "POSITIONAL",
     "RECURSIVE",
     "REFERENCES",
-    "Place",
+    "BasePlace",
     "Resources",
     "Scopes",
 ]
@@ -40,7 +40,7 @@ PLACING = POSITIONAL | {"$schema"}
 """Keywords that give a schema another place, or that depend on the place, in the newest draft."""
 
 
-class Place(NamedTuple):
+class BasePlace(NamedTuple):
     """What stands around a schema: the base of its references, and the draft that is named.
 
     The draft is None where it is none that is known.
@@ -67,8 +67,8 @@ class Resources:
         self._meter = meter
         self._placed = placed
         self._documents: dict[str, object] = {"": schema}
-        self._places: dict[int, Place] = {}
-        self._inside: dict[int, Place] = {}
+        self._places: dict[int, BasePlace] = {}
+        self._inside: dict[int, BasePlace] = {}
         self._seen: set[tuple[int, str, int]] = set()
         self._anchors: dict[tuple[str, str], object] = {}
         self._references: dict[str, None] = {}
@@ -77,7 +77,7 @@ class Resources:
         self.far: list[str] = []
         self.named = False
         if placed:
-            self._walk(schema, Place("", dialect_of(schema)))
+            self._walk(schema, BasePlace("", dialect_of(schema)))
             self._follow()
 
     @property
@@ -96,7 +96,7 @@ class Resources:
         target, _, fragment = reference.partition("#")
         return f"{_joined(base, target, '$ref') if target else base}#{fragment}"
 
-    def inside(self, schema: Mapping[str, Any]) -> Place:
+    def inside(self, schema: Mapping[str, Any]) -> BasePlace:
         """Return what stands around the parts of a schema."""
         return self._inside[id(schema)]
 
@@ -105,7 +105,7 @@ class Resources:
         known = self._placed and isinstance(schema, Mapping)
         return self._inside[id(schema)].base if known else ""
 
-    def around(self, schema: object) -> Place:
+    def around(self, schema: object) -> BasePlace:
         """Return what stands around a schema."""
         return self._places[id(schema)]
 
@@ -124,7 +124,7 @@ class Resources:
             return ""
         return f"the schema is of another draft, {draft.uri}, which reads it otherwise"
 
-    def find(self, absolute: str) -> tuple[object, Place] | None:
+    def find(self, absolute: str) -> tuple[object, BasePlace] | None:
         """Return what a reference leads to and what stands around it; None when it leads out.
 
         Raises:
@@ -139,7 +139,7 @@ class Resources:
                 raise SchemaError("#/$ref", "a reference to a part of the document", absolute)
             at = self._anchors[base, fragment]
             return at, self._places[id(at)]
-        around = self._places.get(id(at), Place(base, self._dialect))
+        around = self._places.get(id(at), BasePlace(base, self._dialect))
         for step in unquote(fragment).split("/")[1:]:
             if isinstance(at, Mapping):
                 around = self._within(at, around)
@@ -154,7 +154,7 @@ class Resources:
             raise SchemaError("#/$ref", "a reference to a schema", absolute)
         return at, around
 
-    def _walk(self, schema: object, place: Place) -> None:
+    def _walk(self, schema: object, place: BasePlace) -> None:
         """Take in a schema that stands somewhere, and all within it."""
         waiting = [(schema, place)]
         while waiting:
@@ -192,7 +192,7 @@ class Resources:
                 elif isinstance(found[0], Mapping) and id(found[0]) not in self._places:
                     self._walk(*found)
 
-    def _enter(self, schema: Mapping[str, Any], view: Mapping[str, Any], inner: Place) -> None:
+    def _enter(self, schema: Mapping[str, Any], view: Mapping[str, Any], inner: BasePlace) -> None:
         base = inner.base
         if isinstance(view.get("$id"), str):
             self.named = True
@@ -215,18 +215,18 @@ class Resources:
             if isinstance(view.get(keyword), str):
                 self._references[self.absolute(schema, view[keyword])] = None
 
-    def _within(self, schema: Mapping[str, Any], around: Place) -> Place:
+    def _within(self, schema: Mapping[str, Any], around: BasePlace) -> BasePlace:
         if _NAMING.isdisjoint(schema):
             return around
         draft = around.draft
         if isinstance(schema.get("$schema"), str):
             draft = dialect_of(schema)
-        named = self._view(schema, Place(around.base, draft)).get("$id")
+        named = self._view(schema, BasePlace(around.base, draft)).get("$id")
         if not isinstance(named, str):
-            return Place(around.base, draft)
-        return Place(_joined(around.base, named.partition("#")[0], "$id"), draft)
+            return BasePlace(around.base, draft)
+        return BasePlace(_joined(around.base, named.partition("#")[0], "$id"), draft)
 
-    def _view(self, schema: Mapping[str, Any], place: Place) -> Mapping[str, Any]:
+    def _view(self, schema: Mapping[str, Any], place: BasePlace) -> Mapping[str, Any]:
         return (place.draft or self._dialect).view(schema)
 
 

@@ -21,8 +21,8 @@ __all__ = ["TooLong", "shortest_word"]
 Pattern: TypeAlias = "str | CodeUnits"
 Rivals: TypeAlias = "tuple[int, int] | None"
 """Which of the sorted excluded texts begin like this one; None where none does."""
-State: TypeAlias = "tuple[tuple[WalkState, ...], Rivals]"
-Layer: TypeAlias = "dict[State, tuple[State, str] | None]"
+WordState: TypeAlias = "tuple[tuple[WalkState, ...], Rivals]"
+Layer: TypeAlias = "dict[WordState, tuple[WordState, str] | None]"
 """The states after as many characters as the layer's number, each with how it is reached."""
 
 MAX_TEXT = 4_000_000
@@ -160,9 +160,9 @@ class _Search:
 
     def run(self, least: int, most: int | None) -> str | None:
         rivals = (0, len(self._excluded)) if self._excluded else None
-        start: State = (tuple(walker.start for walker in self._walkers), rivals)
+        start: WordState = (tuple(walker.start for walker in self._walkers), rivals)
         self._layers.append({start: None})
-        seen: dict[frozenset[State], int] = {}
+        seen: dict[frozenset[WordState], int] = {}
         while True:
             length, layer = len(self._layers) - 1, self._layers[-1]
             if length >= least:
@@ -203,7 +203,7 @@ class _Search:
         """
         sign = -1 if place >= self._wanted else 1
         ordered = sorted(layer, key=lambda state: sign * state[0][place][0])
-        kept: dict[object, State] = {}
+        kept: dict[object, WordState] = {}
         for state in ordered:
             walks, rivals = state
             kept.setdefault((walks[:place], walks[place + 1 :], rivals), state)
@@ -224,10 +224,10 @@ class _Search:
                     return self._read_back(length, state, last, period)
         return None
 
-    def _read_back(self, length: int, state: State, last: int, period: int) -> str:
+    def _read_back(self, length: int, state: WordState, last: int, period: int) -> str:
         """Return a text that leads to a state; what lies beyond the last layer is periodic."""
         pieces: list[str] = []
-        came: dict[tuple[int, State], int] = {}
+        came: dict[tuple[int, WordState], int] = {}
         while length > 0:
             place = length if length <= last else last - period + 1 + (length - last - 1) % period
             if length > last and (place, state) in came:
@@ -245,7 +245,7 @@ class _Search:
             length -= 1
         return "".join(pieces)[::-1]
 
-    def _step(self, state: State, letter: str, length: int) -> State:
+    def _step(self, state: WordState, letter: str, length: int) -> WordState:
         code = ord(letter)
         walks, rivals = state
         after = tuple(
@@ -261,7 +261,7 @@ class _Search:
         high = bisect_right(self._excluded, letter, low, rivals[1], key=after)
         return (low, high) if low < high else None
 
-    def _accepts(self, state: State, length: int) -> bool:
+    def _accepts(self, state: WordState, length: int) -> bool:
         walks, rivals = state
         if rivals is not None and len(self._excluded[rivals[0]]) == length:
             return False
@@ -271,7 +271,7 @@ class _Search:
         )
 
 
-def _weight(state: State) -> int:
+def _weight(state: WordState) -> int:
     """Return about how much work one step from a state is."""
     return sum(len(pair[1]) + sum(len(duties) for _, duties in pair[1]) for pair in state[0])
 

@@ -1,7 +1,7 @@
 """The search for a value that meets some schemas and fails others, and the check of values."""
 
 from uoarm.schema.solve._branch import EMPTY, Empty, Found, Result, Unknown
-from uoarm.schema.solve._differences import Difference, Messages, differences
+from uoarm.schema.solve._differences import Messages, SchemaDifference, differences
 from uoarm.schema.solve._evaluate import (
     Judgements,
     item_rules,
@@ -14,12 +14,12 @@ from uoarm.schema.solve._solver import Solver
 
 __all__ = [
     "EMPTY",
-    "Difference",
     "Empty",
     "Found",
     "Judgements",
     "Messages",
     "Result",
+    "SchemaDifference",
     "Solver",
     "Unknown",
     "answer",

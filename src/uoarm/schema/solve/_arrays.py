@@ -10,7 +10,7 @@ from uoarm.schema._values import Repeated
 from uoarm.schema.solve._branch import EMPTY, Found, Literal, Unknown
 from uoarm.schema.solve._counting import build_counted, distinct
 from uoarm.schema.solve._layout import Layout
-from uoarm.schema.solve._solver import Asking, Solver, State
+from uoarm.schema.solve._solver import Asking, SearchState, Solver
 
 __all__ = ["array_leaf"]
 
@@ -20,7 +20,7 @@ _MAX_DISTINCT = 300
 _MAX_COUNTS = 8
 
 
-def array_leaf(solver: Solver, state: State) -> Asking:
+def array_leaf(solver: Solver, state: SearchState) -> Asking:
     """Answer a goal of which only atoms about an array are left."""
     layout = Layout(state.atoms)
     if layout.most is not None and layout.least > layout.most:

@@ -7,13 +7,13 @@ from collections.abc import Set as AbstractSet
 from typing import TypeAlias
 
 from uoarm.schema._values import Key
-from uoarm.schema.read import Node
+from uoarm.schema.read import SchemaNode
 from uoarm.schema.solve._branch import Atom
 
 __all__ = ["ATOMS", "VIOLATIONS", "Tags", "certainly_disjoint", "contradicts", "tags_of"]
 
 
-def _number_atoms(node: Node) -> list[Atom]:
+def _number_atoms(node: SchemaNode) -> list[Atom]:
     atoms: list[Atom] = []
     if node.integer_only:
         atoms.append(("multiple", 1))
@@ -33,26 +33,26 @@ def _number_atoms(node: Node) -> list[Atom]:
 _OPPOSITE = {"low": "high", "high": "low", "multiple": "notmultiple"}
 
 
-def _number_violations(node: Node) -> list[Atom]:
+def _number_violations(node: SchemaNode) -> list[Atom]:
     return [
         (_OPPOSITE[str(tag)], rest[0], not rest[1]) if len(rest) > 1 else ("notmultiple", rest[0])
         for tag, *rest in _number_atoms(node)
     ]
 
 
-def _string_atoms(node: Node) -> list[Atom]:
+def _string_atoms(node: SchemaNode) -> list[Atom]:
     atoms = _sizes(node.min_length, node.max_length)
     atoms.extend(("match", pattern) for pattern in node.texts)
     return [*atoms, ("nonul",)] if node.no_nul else atoms
 
 
-def _string_violations(node: Node) -> list[Atom]:
+def _string_violations(node: SchemaNode) -> list[Atom]:
     atoms = _sizes_violated(node.min_length, node.max_length)
     atoms.extend(("nomatch", pattern) for pattern in node.texts)
     return [*atoms, ("nul",)] if node.no_nul else atoms
 
 
-def _array_atoms(node: Node) -> list[Atom]:
+def _array_atoms(node: SchemaNode) -> list[Atom]:
     atoms = _sizes(node.min_items, node.max_items)
     atoms.extend(("at", n, (subschema, True)) for n, subschema in enumerate(node.prefix))
     if node.items is not None:
@@ -64,7 +64,7 @@ def _array_atoms(node: Node) -> list[Atom]:
     return atoms
 
 
-def _array_violations(node: Node) -> list[Atom]:
+def _array_violations(node: SchemaNode) -> list[Atom]:
     atoms = _sizes_violated(node.min_items, node.max_items)
     atoms.extend(("someat", n, (subschema, False)) for n, subschema in enumerate(node.prefix))
     if node.items is not None:
@@ -79,7 +79,7 @@ def _array_violations(node: Node) -> list[Atom]:
     return atoms
 
 
-def _object_atoms(node: Node) -> list[Atom]:
+def _object_atoms(node: SchemaNode) -> list[Atom]:
     atoms = _sizes(node.min_properties, node.max_properties)
     atoms.extend(("has", name) for name in node.required)
     atoms.extend(("member", name, (property_, True)) for name, property_ in node.properties.items())
@@ -91,7 +91,7 @@ def _object_atoms(node: Node) -> list[Atom]:
     return atoms
 
 
-def _object_violations(node: Node) -> list[Atom]:
+def _object_violations(node: SchemaNode) -> list[Atom]:
     atoms: list[Atom] = [("lacks", name) for name in node.required]
     atoms.extend(
         ("somemember", name, (property_, False)) for name, property_ in node.properties.items()
@@ -116,7 +116,7 @@ def _sizes_violated(least: int, most: int | None) -> list[Atom]:
     return atoms if most is None else [*atoms, ("least", most + 1)]
 
 
-def _nothing(node: Node) -> list[Atom]:
+def _nothing(node: SchemaNode) -> list[Atom]:
     del node
     return []
 
@@ -144,14 +144,14 @@ Tags: TypeAlias = Mapping[str, "AbstractSet[Key]"]
 _MAX_CONJUNCTS = 50
 
 
-def tags_of(node: Node) -> Tags:
+def tags_of(node: SchemaNode) -> Tags:
     """Return the tags of a schema, kept with it once they are known."""
     if node.tags is None:
         node.tags = _find(node)
     return node.tags
 
 
-def contradicts(known: Tags, node: Node) -> bool:
+def contradicts(known: Tags, node: SchemaNode) -> bool:
     """Say whether no object with the known tags can be one of a schema."""
     if not known:
         return False
@@ -160,7 +160,7 @@ def contradicts(known: Tags, node: Node) -> bool:
     )
 
 
-def certainly_disjoint(nodes: Sequence[Node], kind: str) -> bool:
+def certainly_disjoint(nodes: Sequence[SchemaNode], kind: str) -> bool:
     """Say whether no value of a kind can meet two of some schemas, as far as is seen at once."""
     if any(node.unsupported for node in nodes):
         return False
@@ -178,7 +178,7 @@ def _apart(sets: Sequence[AbstractSet[Key]]) -> bool:
     return len(frozenset[Key]().union(*sets)) == sum(len(set_) for set_ in sets)
 
 
-def _find(node: Node) -> Tags:
+def _find(node: SchemaNode) -> Tags:
     conjuncts = [node]
     for conjunct in conjuncts:
         conjuncts.extend(conjunct.all_of)

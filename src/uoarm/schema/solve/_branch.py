@@ -24,18 +24,18 @@ from typing import Any, Protocol, TypeAlias, TypeVar
 from attrs import define, field, frozen
 
 from uoarm.schema._errors import OutOfScopeError
-from uoarm.schema.read import Node
+from uoarm.schema.read import SchemaNode
 
 __all__ = [
     "EMPTY",
     "KINDS",
+    "AnswerCache",
     "Atom",
     "Branch",
     "Choice",
     "Empty",
     "Found",
     "Literal",
-    "Memory",
     "Result",
     "Unknown",
     "run",
@@ -43,7 +43,7 @@ __all__ = [
 
 KINDS = ("null", "boolean", "number", "string", "array", "object")
 
-Literal: TypeAlias = "tuple[Node, bool]"
+Literal: TypeAlias = "tuple[SchemaNode, bool]"
 Atom: TypeAlias = "tuple[object, ...]"
 
 
@@ -61,7 +61,7 @@ class Choice:
     """Ways of which one must hold; they are those to fail a schema where `refused` is given."""
 
     ways: list[Branch]
-    refused: Node | None = None
+    refused: SchemaNode | None = None
 
 
 @frozen
@@ -95,7 +95,7 @@ Asked_contra = TypeVar("Asked_contra", contravariant=True)
 Answer_T = TypeVar("Answer_T")
 
 
-class Memory(Protocol[Asked_contra, Answer_T]):
+class AnswerCache(Protocol[Asked_contra, Answer_T]):
     """Remembers answers, so that what is shared is worked out once."""
 
     def find(self, question: Asked_contra) -> Answer_T | None:
@@ -108,7 +108,7 @@ class Memory(Protocol[Asked_contra, Answer_T]):
 def run(
     question: Q,
     answer: Callable[[Q], Generator[Q, A, A]],
-    memory: Memory[Q, A] | None = None,
+    memory: AnswerCache[Q, A] | None = None,
 ) -> A:
     """Answer a question by running its generator; what it yields is answered the same way.
 

@@ -15,17 +15,17 @@ from attrs import fields
 
 from uoarm.schema._meter import Meter
 from uoarm.schema._values import Repeated
-from uoarm.schema.read import Node
+from uoarm.schema.read import SchemaNode
 from uoarm.schema.solve._branch import KINDS, Found
 
-__all__ = ["Difference", "Messages", "differences"]
+__all__ = ["Messages", "SchemaDifference", "differences"]
 
 _MAX_DEPTH = 200
 _MAX_WRITTEN = 100
 _MAX_TEXT = 1_000
 _MAX_ITEMS = 10_000_000
 _ASIDE = frozenset({"number", "raw", "document", "tags", "properties", "items"})
-_SAID = tuple(field.name for field in fields(Node) if field.name not in _ASIDE)
+_SAID = tuple(field.name for field in fields(SchemaNode) if field.name not in _ASIDE)
 _said = attrgetter(*_SAID)
 _FOLLOWS: dict[str, Callable[[Any, Any], bool]] = {
     **dict.fromkeys(("minimum", "above", "min_length", "min_items", "min_properties"), ge),
@@ -46,15 +46,15 @@ _sought = attrgetter("unsupported", "never", "reference", "all_of", "any_of", "o
 """Keywords for which a value is sought, not made."""
 
 
-class Difference(NamedTuple):
+class SchemaDifference(NamedTuple):
     """Two schemas at one place: a path of names of members and of positions of items."""
 
     path: tuple[str | int, ...]
-    one: Node
-    other: Node
+    one: SchemaNode
+    other: SchemaNode
 
 
-def differences(one: Node, other: Node, meter: Meter) -> Iterator[Difference]:
+def differences(one: SchemaNode, other: SchemaNode, meter: Meter) -> Iterator[SchemaDifference]:
     """Yield the places at which two schemas differ: the whole, where they are of two shapes.
 
     Where one says more than the other, and the same besides, that is no difference.
@@ -62,7 +62,7 @@ def differences(one: Node, other: Node, meter: Meter) -> Iterator[Difference]:
     Each value that the one allows and the other refuses has at one of these places a part that
     the one allows there and the other refuses.
     """
-    waiting = [Difference((), one, other)]
+    waiting = [SchemaDifference((), one, other)]
     seen: set[tuple[int, int]] = set()
     while waiting:
         found = waiting.pop()
@@ -78,7 +78,7 @@ def differences(one: Node, other: Node, meter: Meter) -> Iterator[Difference]:
             yield found
 
 
-def _are_alike(one: Node, other: Node) -> bool:
+def _are_alike(one: SchemaNode, other: SchemaNode) -> bool:
     """Say whether a value of one plain schema can fail another by its members and items alone.
 
     Each other keyword of the second one is said by the first one, too, or follows from it.
@@ -98,8 +98,12 @@ def _are_alike(one: Node, other: Node) -> bool:
 def _is_same(one: Any, other: Any) -> bool:
     if one is other:
         return True
-    if isinstance(one, Node) or isinstance(other, Node):
-        return isinstance(one, Node) and isinstance(other, Node) and one.number == other.number
+    if isinstance(one, SchemaNode) or isinstance(other, SchemaNode):
+        return (
+            isinstance(one, SchemaNode)
+            and isinstance(other, SchemaNode)
+            and one.number == other.number
+        )
     if isinstance(one, tuple) and isinstance(other, tuple):
         return len(one) == len(other) and all(map(_is_same, one, other))
     if isinstance(one, dict) and isinstance(other, dict):  # the values of an enum, by their keys
@@ -107,13 +111,13 @@ def _is_same(one: Any, other: Any) -> bool:
     return bool(one == other)
 
 
-def _parts(found: Difference) -> Iterator[Difference]:
+def _parts(found: SchemaDifference) -> Iterator[SchemaDifference]:
     path, one, other = found
     for name, child in one.properties.items():
-        yield Difference((*path, name), child, other.properties[name])
+        yield SchemaDifference((*path, name), child, other.properties[name])
     if other.items is not None:
         assert one.items is not None, "schemas that are alike have items where the second has"
-        yield Difference((*path, len(one.prefix)), one.items, other.items)
+        yield SchemaDifference((*path, len(one.prefix)), one.items, other.items)
 
 
 class Messages:
@@ -123,7 +127,7 @@ class Messages:
         self._meter = meter
         self._made: dict[int, Any] = {}
 
-    def simplest(self, node: Node) -> Found | None:
+    def simplest(self, node: SchemaNode) -> Found | None:
         """Return a value that a schema probably allows; None where one would have to be sought."""
         waiting = [node]
         while waiting:
@@ -139,7 +143,7 @@ class Messages:
                 self._made[waiting.pop().number] = self._of_kind(one, kind)
         return Found(self._made[node.number])
 
-    def likely(self, node: Node, limits: Node) -> Iterator[Found]:
+    def likely(self, node: SchemaNode, limits: SchemaNode) -> Iterator[Found]:
         """Yield values that a plain schema may allow: the simplest, those just beyond limits."""
         simplest = self.simplest(node)
         if simplest is not None:
@@ -160,7 +164,7 @@ class Messages:
             if item is not None and not node.prefix:
                 yield Found(_repeated([], item.value, limits.max_items + 1))
 
-    def place(self, node: Node, path: tuple[str | int, ...], value: Any) -> Found | None:
+    def place(self, node: SchemaNode, path: tuple[str | int, ...], value: Any) -> Found | None:
         """Return a message with a value at a place, and the simplest elsewhere."""
         around = [node]
         for step in path:
@@ -181,7 +185,7 @@ class Messages:
                 value = {**self._of_kind(subschema, "object"), step: value}
         return Found(value)
 
-    def _of_kind(self, node: Node, kind: str) -> Any:
+    def _of_kind(self, node: SchemaNode, kind: str) -> Any:
         """Make a value of which all parts are made."""
         if node.values is not None:
             return next(iter(node.values.values()), None)
@@ -201,7 +205,7 @@ class Messages:
         return _repeated(front, item, rest)
 
 
-def _kind(node: Node) -> str | None:
+def _kind(node: SchemaNode) -> str | None:
     """Return the kind of the simplest value of a schema; None where one would have to be sought."""
     if any(_sought(node)) or node.min_length > _MAX_TEXT or node.min_items > _MAX_ITEMS:
         return None
@@ -211,7 +215,7 @@ def _kind(node: Node) -> str | None:
     return None
 
 
-def _needed(node: Node, kind: str) -> Iterator[Node]:
+def _needed(node: SchemaNode, kind: str) -> Iterator[SchemaNode]:
     """Yield the schemas of the parts that a value of a kind must have."""
     if node.values is not None:
         return
@@ -224,13 +228,13 @@ def _needed(node: Node, kind: str) -> Iterator[Node]:
             yield node.items
 
 
-def _required(node: Node) -> Iterator[tuple[str, Node]]:
+def _required(node: SchemaNode) -> Iterator[tuple[str, SchemaNode]]:
     for name in node.required:
         if name in node.properties:
             yield name, node.properties[name]
 
 
-def _number(node: Node) -> int:
+def _number(node: SchemaNode) -> int:
     """Return the whole number next to zero within the bounds; one outside where there is none."""
     number = 0
     if node.minimum is not None and node.minimum > 0:

@@ -13,7 +13,7 @@ from attrs import define, field
 
 from uoarm.schema._errors import OutOfScopeError
 from uoarm.schema._values import Keys, Repeated, exact, is_composite, kind_of, runs_of
-from uoarm.schema.read import Node
+from uoarm.schema.read import SchemaNode
 from uoarm.schema.regex import CodeUnits, UnsupportedPatternError, found_in
 from uoarm.schema.solve._branch import run
 
@@ -47,13 +47,13 @@ class Marks:
         self.hits |= other.hits
 
 
-Question: TypeAlias = "tuple[Node, Any, Marks | None]"
+Question: TypeAlias = "tuple[SchemaNode, Any, Marks | None]"
 Answer: TypeAlias = Generator[Question, bool, bool]
 _MAX_KNOWN = 200_000
 """Judgements that are remembered, of some 250 octets each; more are found out again."""
 
 
-def accepts(node: Node, value: object) -> bool:
+def accepts(node: SchemaNode, value: object) -> bool:
     """Say whether a value is valid.
 
     Raises:
@@ -71,7 +71,7 @@ class Judgements:
         self.key_of = Keys(spend).of
         self._known: dict[tuple[int, int, bool], tuple[bool | OutOfScopeError, Marks | None]] = {}
 
-    def accepts(self, node: Node, value: object) -> bool:
+    def accepts(self, node: SchemaNode, value: object) -> bool:
         """Say whether a value, or a part of one, is valid."""
         question: Question = (node, value, None)
         known = self.find(question)
@@ -126,7 +126,7 @@ class Judgements:
             return (yield from _unevaluated_members(node.unevaluated_properties, value, marks))
         return (yield from _logic(node, value, None))
 
-    def _plain_rules(self, node: Node, value: Any) -> bool:
+    def _plain_rules(self, node: SchemaNode, value: Any) -> bool:
         kind = kind_of(value)
         if node.kinds is not None and kind not in node.kinds:
             return False
@@ -143,7 +143,7 @@ class Judgements:
             )
         return True
 
-    def _array(self, node: Node, value: Any, marks: Marks | None) -> Answer:
+    def _array(self, node: SchemaNode, value: Any, marks: Marks | None) -> Answer:
         size = len(value)
         if size < node.min_items or (node.max_items is not None and size > node.max_items):
             return False
@@ -171,7 +171,7 @@ class Judgements:
             return node.min_contains <= hits and (most is None or hits <= most)
         return True
 
-    def _object(self, node: Node, value: Mapping[str, Any], marks: Marks | None) -> Answer:
+    def _object(self, node: SchemaNode, value: Mapping[str, Any], marks: Marks | None) -> Answer:
         count = len(value)
         if count < node.min_properties:
             return False
@@ -198,7 +198,7 @@ class Judgements:
         return True
 
 
-def _is_plain(node: Node) -> bool:
+def _is_plain(node: SchemaNode) -> bool:
     """Say whether a schema judges scalars by its own keywords alone."""
     return not (
         node.unsupported
@@ -212,21 +212,21 @@ def _is_plain(node: Node) -> bool:
     )
 
 
-def item_rules(node: Node, position: int) -> list[Node]:
+def item_rules(node: SchemaNode, position: int) -> list[SchemaNode]:
     """Return the schemas that an array's item must meet."""
     if position < len(node.prefix):
         return [node.prefix[position]]
     return [node.items] if node.items is not None else []
 
 
-def named_rules(node: Node, name: str) -> list[Node]:
+def named_rules(node: SchemaNode, name: str) -> list[SchemaNode]:
     """Return the schemas that name a member, by itself or by a pattern."""
     rules = [node.properties[name]] if name in node.properties else []
     spend = node.document.meter.spend
     return rules + [rule for pattern, rule in node.patterns if _found(pattern, name, spend)]
 
 
-def member_rules(node: Node, name: str) -> list[Node]:
+def member_rules(node: SchemaNode, name: str) -> list[SchemaNode]:
     """Return the schemas that a member's value must meet."""
     rules = named_rules(node, name)
     if not rules and node.additional is not None:
@@ -234,13 +234,13 @@ def member_rules(node: Node, name: str) -> list[Node]:
     return rules
 
 
-def kinds_of_position(node: Node, start: int, count: int) -> range:
+def kinds_of_position(node: SchemaNode, start: int, count: int) -> range:
     """Return the positions of a run that stand for all of it: those after the prefix are alike."""
     return range(start, min(start + count, max(len(node.prefix), start) + 1))
 
 
 def _unevaluated_members(
-    rule: Node | None, value: Mapping[str, Any], marks: Marks | None
+    rule: SchemaNode | None, value: Mapping[str, Any], marks: Marks | None
 ) -> Answer:
     """Hold the members that nothing evaluated to a rule, which evaluates them."""
     if rule is None:
@@ -254,7 +254,7 @@ def _unevaluated_members(
     return True
 
 
-def _unevaluated_items(rule: Node | None, value: Any, marks: Marks | None) -> Answer:
+def _unevaluated_items(rule: SchemaNode | None, value: Any, marks: Marks | None) -> Answer:
     """Hold the items that nothing evaluated to a rule, which evaluates them."""
     if rule is None:
         return True
@@ -269,7 +269,7 @@ def _unevaluated_items(rule: Node | None, value: Any, marks: Marks | None) -> An
     return True
 
 
-def _apply(node: Node, value: Any, marks: Marks | None) -> Answer:
+def _apply(node: SchemaNode, value: Any, marks: Marks | None) -> Answer:
     """Apply a schema to the same value; what it evaluates counts only when it holds."""
     if marks is None:
         return (yield node, value, None)
@@ -280,7 +280,7 @@ def _apply(node: Node, value: Any, marks: Marks | None) -> Answer:
     return holds
 
 
-def _number(node: Node, value: float) -> bool:
+def _number(node: SchemaNode, value: float) -> bool:
     number = exact(value)
     return not (
         (node.integer_only and number.denominator != 1)
@@ -292,7 +292,7 @@ def _number(node: Node, value: float) -> bool:
     )
 
 
-def _logic(node: Node, value: Any, marks: Marks | None) -> Answer:
+def _logic(node: SchemaNode, value: Any, marks: Marks | None) -> Answer:
     if node.reference is not None and not (yield from _apply(node.target(), value, marks)):
         return False
     for subschema in node.all_of:
@@ -316,7 +316,7 @@ def _logic(node: Node, value: Any, marks: Marks | None) -> Answer:
     return True
 
 
-def _any_of(nodes: Iterable[Node], value: Any, marks: Marks | None) -> Answer:
+def _any_of(nodes: Iterable[SchemaNode], value: Any, marks: Marks | None) -> Answer:
     """Apply several schemas; one that is not decided does not matter beside one that holds."""
     hits = 0
     undecided: OutOfScopeError | None = None

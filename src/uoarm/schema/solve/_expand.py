@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 
 from uoarm.schema._errors import OutOfScopeError
-from uoarm.schema.read import Node
+from uoarm.schema.read import SchemaNode
 from uoarm.schema.solve._atoms import ATOMS, VIOLATIONS, certainly_disjoint
 from uoarm.schema.solve._branch import Branch, Choice, Literal
 from uoarm.schema.solve._unevaluated import items_fail, items_hold, members_fail, members_hold
@@ -39,7 +39,7 @@ def expand(literal: Literal, kind: str) -> Branch | None:
     return Branch(choices=[Choice(branches, node)])
 
 
-def _positive(node: Node, kind: str) -> Branch | None:
+def _positive(node: SchemaNode, kind: str) -> Branch | None:
     if node.kinds is not None and kind not in node.kinds:
         return None
     whole = Branch()
@@ -68,11 +68,11 @@ def _positive(node: Node, kind: str) -> Branch | None:
     return whole
 
 
-def _if_there(node: Node | None, *, sign: bool) -> list[Literal]:
+def _if_there(node: SchemaNode | None, *, sign: bool) -> list[Literal]:
     return [] if node is None else [(node, sign)]
 
 
-def _possible(nodes: Iterable[Node], kind: str) -> list[Node]:
+def _possible(nodes: Iterable[SchemaNode], kind: str) -> list[SchemaNode]:
     return [
         node
         for node in nodes
@@ -81,14 +81,14 @@ def _possible(nodes: Iterable[Node], kind: str) -> list[Node]:
     ]
 
 
-def _check_few(nodes: Sequence[Node]) -> None:
+def _check_few(nodes: Sequence[SchemaNode]) -> None:
     if len(nodes) > _MAX_RIVALS:
         raise OutOfScopeError(f"a oneOf of more than {_MAX_RIVALS} schemas that may overlap")
     if nodes:
         nodes[0].document.meter.spend(len(nodes) ** 2 // 8)
 
 
-def _any_one(nodes: Sequence[Node]) -> Choice:
+def _any_one(nodes: Sequence[SchemaNode]) -> Choice:
     ways: list[Branch] = []
     for number, node in enumerate(nodes, 1):
         if not number % 8:
@@ -97,7 +97,7 @@ def _any_one(nodes: Sequence[Node]) -> Choice:
     return Choice(ways)
 
 
-def _exactly_one(nodes: Iterable[Node], kind: str) -> Choice:
+def _exactly_one(nodes: Iterable[SchemaNode], kind: str) -> Choice:
     possible = _possible(nodes, kind)
     if certainly_disjoint(possible, kind):
         return _any_one(possible)
@@ -109,7 +109,7 @@ def _exactly_one(nodes: Iterable[Node], kind: str) -> Choice:
     return Choice(ways)
 
 
-def _two_at_once(nodes: Iterable[Node], kind: str) -> list[Branch]:
+def _two_at_once(nodes: Iterable[SchemaNode], kind: str) -> list[Branch]:
     possible = _possible(nodes, kind)
     if certainly_disjoint(possible, kind):
         return []
@@ -121,7 +121,7 @@ def _two_at_once(nodes: Iterable[Node], kind: str) -> list[Branch]:
     return ways
 
 
-def _dependencies(node: Node) -> list[Choice]:
+def _dependencies(node: SchemaNode) -> list[Choice]:
     needs = [
         Choice(
             [Branch([("lacks", name)]), Branch([("has", name), *(("has", text) for text in names)])]
@@ -135,7 +135,7 @@ def _dependencies(node: Node) -> list[Choice]:
     return needs + rules
 
 
-def _violations(node: Node, kind: str) -> list[Branch]:
+def _violations(node: SchemaNode, kind: str) -> list[Branch]:
     """Return the ways in which a value of a kind can fail a node, each as a branch."""
     ways: list[Branch] = []
     if node.values is not None:

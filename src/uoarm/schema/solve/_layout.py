@@ -7,7 +7,7 @@ from itertools import product
 from typing import Any, TypeAlias
 
 from uoarm.schema._errors import OutOfScopeError
-from uoarm.schema.read import Node
+from uoarm.schema.read import SchemaNode
 from uoarm.schema.solve._branch import Atom, Empty, Literal, Result
 from uoarm.schema.solve._solver import Goal
 
@@ -23,7 +23,7 @@ class Layout:
         self.at: dict[int, list[Literal]] = {}
         self.tails: list[tuple[int, Literal]] = []
         self.some: list[tuple[int, Literal]] = []
-        self.counts: list[tuple[Node, int, int | None]] = []
+        self.counts: list[tuple[SchemaNode, int, int | None]] = []
         self.unique = self.twice = False
         for atom in atoms:
             self._take(atom)

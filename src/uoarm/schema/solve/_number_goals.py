@@ -14,7 +14,7 @@ from typing import TypeAlias
 
 from uoarm.schema._errors import OutOfScopeError
 from uoarm.schema._values import exact, kind_of
-from uoarm.schema.read import Node
+from uoarm.schema.read import SchemaNode
 from uoarm.schema.solve._branch import EMPTY, Found, Literal, Result, Unknown, run
 from uoarm.schema.solve._numbers import (
     EVERY_NUMBER,
@@ -32,7 +32,7 @@ __all__ = ["find_number_whole"]
 
 _MAX_STEPS = 4
 
-Asking: TypeAlias = Generator[Node, Numbers, Numbers]
+Asking: TypeAlias = Generator[SchemaNode, Numbers, Numbers]
 
 
 def find_number_whole(goal: Sequence[Literal], spend: Callable[[int], None]) -> Result:
@@ -71,7 +71,7 @@ def find_number_whole(goal: Sequence[Literal], spend: Callable[[int], None]) -> 
     return unknown or EMPTY
 
 
-def _steps(nodes: Sequence[Node], spend: Callable[[int], None]) -> set[Fraction]:
+def _steps(nodes: Sequence[SchemaNode], spend: Callable[[int], None]) -> set[Fraction]:
     found: set[Fraction] = set()
     waiting = list(nodes)
     seen: set[int] = set()
@@ -105,14 +105,14 @@ class _Sets:
         found = run(node, self._set)
         return found if sign else _outside(found)
 
-    def _set(self, node: Node) -> Asking:
+    def _set(self, node: SchemaNode) -> Asking:
         if node.number not in self._known:
             found = yield from self._compute(node)
             self._spend(1 + len(found.cuts) // 8)
             self._known[node.number] = found
         return self._known[node.number]
 
-    def _compute(self, node: Node) -> Asking:
+    def _compute(self, node: SchemaNode) -> Asking:
         if node.never or (node.kinds is not None and "number" not in node.kinds):
             return NO_NUMBER
         if node.integer_only and not self._divides[Fraction(1)]:
@@ -136,7 +136,7 @@ class _Sets:
             parts.append((yield from self._conditional(node, node.condition)))
         return counted(parts, lambda n: n == len(parts))
 
-    def _conditional(self, node: Node, condition: Node) -> Asking:
+    def _conditional(self, node: SchemaNode, condition: SchemaNode) -> Asking:
         holds = yield condition
         then = (yield node.then) if node.then is not None else EVERY_NUMBER
         otherwise = (yield node.otherwise) if node.otherwise is not None else EVERY_NUMBER
@@ -152,7 +152,7 @@ def _holds_no_integer(low: Bound, high: Bound) -> bool:
     )
 
 
-def _own(node: Node) -> list[Numbers]:
+def _own(node: SchemaNode) -> list[Numbers]:
     parts: list[Numbers] = []
     if node.values is not None:
         numbers = (value for value in node.values.values() if kind_of(value) == "number")

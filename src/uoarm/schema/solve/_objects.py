@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Generator, Iterable, Sequence
 from typing import Any, TypeAlias
 
-from uoarm.schema.read import Node
+from uoarm.schema.read import SchemaNode
 from uoarm.schema.regex import TooLong, found_in
 from uoarm.schema.solve._branch import EMPTY, Atom, Empty, Found, Literal, Result, Unknown
 from uoarm.schema.solve._evaluate import accepts, named_rules
-from uoarm.schema.solve._solver import Asking, Goal, Solver, State
+from uoarm.schema.solve._solver import Asking, Goal, SearchState, Solver
 
 __all__ = ["ObjectView", "object_leaf"]
 
@@ -24,7 +24,7 @@ class ObjectView:
     def __init__(self, atoms: Iterable[Atom]) -> None:
         self.members: dict[str, list[Literal]] = {}
         self.patterns: list[tuple[str, Literal]] = []
-        self.rests: list[tuple[Node, Literal]] = []
+        self.rests: list[tuple[SchemaNode, Literal]] = []
         self.names: list[Literal] = []
         self.has: dict[str, None] = {}
         self.lacks: set[str] = set()
@@ -108,7 +108,7 @@ class ObjectView:
         return None
 
 
-def object_leaf(solver: Solver, state: State) -> Asking:
+def object_leaf(solver: Solver, state: SearchState) -> Asking:
     """Answer a goal of which only atoms about an object are left."""
     view = ObjectView(state.atoms)
     if view.most is not None and (view.least > view.most or len(view.has) > view.most):
@@ -271,11 +271,11 @@ def _name_goal(
     return tuple(goal)
 
 
-def _matching(solver: Solver, pattern: str) -> Node:
+def _matching(solver: Solver, pattern: str) -> SchemaNode:
     return solver.make(f"match {pattern}", {"pattern": pattern})
 
 
-def _unnamed(solver: Solver, node: Node) -> list[Literal]:
+def _unnamed(solver: Solver, node: SchemaNode) -> list[Literal]:
     """Return what a name must meet to be none that a schema names."""
     literals: list[Literal] = [(_matching(solver, name), False) for name, _ in node.patterns]
     if node.properties:

@@ -16,7 +16,7 @@ from uoarm.schema.solve._layout import ArrayView
 from uoarm.schema.solve._number_goals import find_number_whole
 from uoarm.schema.solve._numbers import find_number
 from uoarm.schema.solve._objects import ObjectView, object_leaf
-from uoarm.schema.solve._solver import Asking, Goal, Solver, State, possible_kinds, try_values
+from uoarm.schema.solve._solver import Asking, Goal, SearchState, Solver, possible_kinds, try_values
 
 __all__ = ["answer"]
 
@@ -33,7 +33,7 @@ def _rank(choice: Choice) -> tuple[bool, int]:
 
 
 def _judge(
-    solver: Solver, state: State, view: View | None, choice: Choice, *, many: bool
+    solver: Solver, state: SearchState, view: View | None, choice: Choice, *, many: bool
 ) -> Judged:
     """Return the branches that may still hold, or None when the choice holds already."""
     if choice.refused is not None and contradicts(state.tags, choice.refused):
@@ -58,14 +58,14 @@ def _judge(
     return alive
 
 
-def _may_hold(state: State, branch: Branch) -> bool:
+def _may_hold(state: SearchState, branch: Branch) -> bool:
     return all(
         (node.number, not sign) not in state.seen and not (sign and contradicts(state.tags, node))
         for node, sign in branch.literals
     )
 
 
-def _literal_holds(state: State, branch: Branch) -> bool | None:
+def _literal_holds(state: SearchState, branch: Branch) -> bool | None:
     """Return True when a single literal holds already, False when it cannot, None otherwise."""
     node, sign = branch.literals[0]
     if (node.number, sign) in state.seen:
@@ -90,7 +90,7 @@ def answer(solver: Solver, goal: Goal) -> Asking:
     unknown: Unknown | None = None
     for kind in possible_kinds(goal):
         try:
-            result = yield _of_kind(solver, State(kind, goal))
+            result = yield _of_kind(solver, SearchState(kind, goal))
         except OutOfScopeError as error:
             result = Unknown(str(error))
         except UnsupportedPatternError as error:
@@ -104,7 +104,7 @@ def answer(solver: Solver, goal: Goal) -> Asking:
     return unknown or EMPTY
 
 
-def _of_kind(solver: Solver, state: State) -> Asking:
+def _of_kind(solver: Solver, state: SearchState) -> Asking:
     if state.kind == "number" and any(node.applied() for node, _ in state.goal):
         try:
             return find_number_whole(state.goal, solver.spend)
@@ -119,7 +119,7 @@ def _of_kind(solver: Solver, state: State) -> Asking:
     return (yield _search(solver, state))
 
 
-def _search(solver: Solver, state: State) -> Asking:
+def _search(solver: Solver, state: SearchState) -> Asking:
     finite = [atom[1] for atom in state.atoms if atom[0] == "in"]
     if finite:
         smallest = min(finite, key=lambda node: len(node.values))  # type: ignore[attr-defined] # a node
@@ -158,17 +158,17 @@ def _search(solver: Solver, state: State) -> Asking:
     return (yield from _leaf(solver, state))
 
 
-def _view(state: State) -> ObjectView | ArrayView | None:
+def _view(state: SearchState) -> ObjectView | ArrayView | None:
     if state.kind == "object":
         return ObjectView(state.atoms)
     return ArrayView(state.atoms) if state.kind == "array" else None
 
 
-def _is_finite(state: State) -> bool:
+def _is_finite(state: SearchState) -> bool:
     return any(atom[0] == "in" for atom in state.atoms)
 
 
-def _branch(solver: Solver, state: State) -> Asking:
+def _branch(solver: Solver, state: SearchState) -> Asking:
     """Try the ways of the choice that has fewest, one after another."""
     settled = yield from _without_choices(solver, state)
     if settled is not None:
@@ -197,7 +197,7 @@ def _branch(solver: Solver, state: State) -> Asking:
 
 
 def _without_choices(
-    solver: Solver, state: State
+    solver: Solver, state: SearchState
 ) -> Generator[Goal | Asking, Result, Result | None]:
     """Leave the choices aside: there may be no value even so, or one that happens to do."""
     if any(atom[0] == "least" and atom[1] > _MAX_TRIED for atom in state.atoms):  # type: ignore[operator] # a size
@@ -214,7 +214,7 @@ def _without_choices(
     return found if isinstance(found, Empty) else None
 
 
-def _leaf(solver: Solver, state: State) -> Asking:
+def _leaf(solver: Solver, state: SearchState) -> Asking:
     if state.kind == "number":
         excluded = frozenset(
             exact(value)
@@ -232,7 +232,7 @@ def _leaf(solver: Solver, state: State) -> Asking:
     return (yield from object_leaf(solver, state))
 
 
-def _find_string(solver: Solver, state: State) -> Result:
+def _find_string(solver: Solver, state: SearchState) -> Result:
     least, most = 0, None
     tags = {atom[0] for atom in state.atoms}
     if "nul" in tags:
@@ -262,11 +262,11 @@ def _find_string(solver: Solver, state: State) -> Result:
     return EMPTY if found is None else Found(found)
 
 
-def _patterns(state: State, tag: str) -> list[Any]:
+def _patterns(state: SearchState, tag: str) -> list[Any]:
     return list(dict.fromkeys(atom[1] for atom in state.atoms if atom[0] == tag))
 
 
-def _exclude_composites(solver: Solver, state: State) -> bool:
+def _exclude_composites(solver: Solver, state: SearchState) -> bool:
     """Turn `is none of these arrays or objects` into choices about their parts."""
     if state.kind not in {"array", "object"}:
         return True

@@ -17,7 +17,7 @@ from attrs import define, field
 
 from uoarm.schema._errors import OutOfScopeError
 from uoarm.schema._values import Key, kind_of
-from uoarm.schema.read import Document, Node, Pool
+from uoarm.schema.read import Pool, SchemaDocument, SchemaNode
 from uoarm.schema.regex import TooLong, UnsupportedPatternError
 from uoarm.schema.solve._atoms import contradicts, tags_of
 from uoarm.schema.solve._branch import (
@@ -35,7 +35,7 @@ from uoarm.schema.solve._branch import (
 from uoarm.schema.solve._evaluate import Judgements
 from uoarm.schema.solve._expand import expand
 
-__all__ = ["Asking", "Goal", "Solver", "State"]
+__all__ = ["Asking", "Goal", "SearchState", "Solver"]
 
 Goal: TypeAlias = "tuple[Literal, ...]"
 Asking: TypeAlias = Generator["Goal | Asking", Result, Result]
@@ -61,7 +61,7 @@ class _Frame:
 
 
 @define
-class State:
+class SearchState:
     """What is demanded of a value of one kind so far."""
 
     kind: str
@@ -113,9 +113,9 @@ class State:
         """Return about the memory that a copy takes."""
         return 8 * (len(self.atoms) + len(self.choices)) + 80 * (len(self.seen) + len(self.tags))
 
-    def copy(self) -> State:
+    def copy(self) -> SearchState:
         """Return a state that can be changed on its own."""
-        return State(
+        return SearchState(
             self.kind,
             self.goal,
             list(self.atoms),
@@ -124,7 +124,7 @@ class State:
             dict(self.tags),
         )
 
-    def _add_tags(self, node: Node) -> bool:
+    def _add_tags(self, node: SchemaNode) -> bool:
         """Learn what an object is tagged with; False when that contradicts what is known."""
         for name, keys in tags_of(node).items():
             known = self.tags.get(name)
@@ -148,7 +148,7 @@ class Solver:
         self.meter = pool.meter
         self.spend = pool.meter.spend
         self._memo: dict[GoalKey, Result] = {}
-        self._made: dict[str, Node] = {}
+        self._made: dict[str, SchemaNode] = {}
 
     def solve(self, goal: Goal) -> Result:
         """Return a value that meets every literal of a goal.
@@ -209,11 +209,11 @@ class Solver:
         self.meter.hold(_OF_FRAME)
         frames.append(_Frame(key, work, len(frames)))
 
-    def make(self, name: str, schema: Any) -> Node:
+    def make(self, name: str, schema: Any) -> SchemaNode:
         """Return the node of a schema that the search itself made up, one for each name."""
         node = self._made.get(name)
         if node is None:
-            node = self._made[name] = Document(schema, self._pool).root
+            node = self._made[name] = SchemaDocument(schema, self._pool).root
         return node
 
     def _finish(self, frames: list[_Frame], active: dict[GoalKey, int], result: Result) -> Result:
@@ -239,7 +239,7 @@ class Solver:
         return result
 
 
-def try_values(solver: Solver, values: Iterable[Any], state: State) -> Result:
+def try_values(solver: Solver, values: Iterable[Any], state: SearchState) -> Result:
     """Return the first of some values that meets the whole goal."""
     judgements = Judgements(solver.spend)
     for value in values:

@@ -17,13 +17,13 @@ from typing import TypeAlias
 from attrs import frozen
 
 from uoarm.schema._errors import OutOfScopeError
-from uoarm.schema.read import Node
+from uoarm.schema.read import SchemaNode
 from uoarm.schema.solve._branch import Branch, Choice
 from uoarm.schema.solve._evaluate import named_rules
 
 __all__ = ["items_fail", "items_hold", "members_fail", "members_hold"]
 
-Condition: TypeAlias = "tuple[Node, bool] | str"
+Condition: TypeAlias = "tuple[SchemaNode, bool] | str"
 """A schema that holds or fails, or the name of a member that is there."""
 Guard: TypeAlias = "tuple[Condition, ...]"
 
@@ -31,22 +31,22 @@ _MAX_SOURCES = 1_000
 
 
 @frozen
-class Source:
+class EvaluatedParts:
     """One schema that evaluates parts where its guard holds; `all_parts` when it leaves none."""
 
-    node: Node
+    node: SchemaNode
     guard: Guard
     all_parts: bool
 
 
-def _sources(node: Node, kind: str) -> list[Source]:
+def _sources(node: SchemaNode, kind: str) -> list[EvaluatedParts]:
     """Return what may evaluate members (of an "object") or items (of an "array") for a node.
 
     Raises:
         OutOfScopeError: there are too many.
     """
-    found: list[Source] = []
-    waiting: list[tuple[Node, Guard]] = [(node, ())]
+    found: list[EvaluatedParts] = []
+    waiting: list[tuple[SchemaNode, Guard]] = [(node, ())]
     for subschema, guard in waiting:
         if len(waiting) > _MAX_SOURCES:
             raise OutOfScopeError("too many schemas stand beside an unevaluated keyword")
@@ -56,25 +56,25 @@ def _sources(node: Node, kind: str) -> list[Source]:
             continue
         everything = _evaluates_all(subschema, kind, rooted=subschema is node)
         if everything or _evaluates_some(subschema, kind):
-            found.append(Source(subschema, guard, everything))
+            found.append(EvaluatedParts(subschema, guard, everything))
         if not everything or subschema is node:
             waiting.extend((inner, guard + more) for inner, more in _beside(subschema, kind))
     return found
 
 
-def _evaluates_all(node: Node, kind: str, *, rooted: bool) -> bool:
+def _evaluates_all(node: SchemaNode, kind: str, *, rooted: bool) -> bool:
     if kind == "array":
         return node.items is not None or (node.unevaluated_items is not None and not rooted)
     return node.additional is not None or (node.unevaluated_properties is not None and not rooted)
 
 
-def _evaluates_some(node: Node, kind: str) -> bool:
+def _evaluates_some(node: SchemaNode, kind: str) -> bool:
     if kind == "array":
         return bool(node.prefix) or node.contains is not None
     return bool(node.properties or node.patterns)
 
 
-def _beside(node: Node, kind: str) -> Iterator[tuple[Node, Guard]]:
+def _beside(node: SchemaNode, kind: str) -> Iterator[tuple[SchemaNode, Guard]]:
     """Yield the schemas that a node applies to the same value, each with its own condition."""
     for subschema in node.all_of:
         yield subschema, ()
@@ -96,7 +96,7 @@ def _beside(node: Node, kind: str) -> Iterator[tuple[Node, Guard]]:
 _MAX_SPLIT = 6
 
 
-def members_hold(node: Node, rule: Node) -> list[Branch]:
+def members_hold(node: SchemaNode, rule: SchemaNode) -> list[Branch]:
     """Return the ways in which every member is evaluated or meets the rule."""
     always, whole, partly = _sorted(_sources(node, "object"))
     ways = [_held(source.guard) for source in whole]
@@ -120,7 +120,7 @@ def members_hold(node: Node, rule: Node) -> list[Branch]:
     return ways
 
 
-def members_fail(node: Node, rule: Node) -> list[Branch]:
+def members_fail(node: SchemaNode, rule: SchemaNode) -> list[Branch]:
     """Return the ways in which some member is not evaluated and fails the rule."""
     always, whole, partly = _sorted(_sources(node, "object"))
     if any(not source.guard for source in whole) or rule.raw is True:
@@ -145,7 +145,7 @@ def members_fail(node: Node, rule: Node) -> list[Branch]:
     return ways
 
 
-def items_hold(node: Node, rule: Node) -> list[Branch]:
+def items_hold(node: SchemaNode, rule: SchemaNode) -> list[Branch]:
     """Return the ways in which every item is evaluated or meets the rule."""
     always, whole, partly = _sorted(_sources(node, "array"))
     ways = [_held(source.guard) for source in whole]
@@ -168,7 +168,7 @@ def items_hold(node: Node, rule: Node) -> list[Branch]:
     return ways
 
 
-def items_fail(node: Node, rule: Node) -> list[Branch]:
+def items_fail(node: SchemaNode, rule: SchemaNode) -> list[Branch]:
     """Return the ways in which some item is not evaluated and fails the rule."""
     always, whole, partly = _sorted(_sources(node, "array"))
     if any(not source.guard for source in whole) or rule.raw is True:
@@ -188,11 +188,13 @@ def items_fail(node: Node, rule: Node) -> list[Branch]:
     return ways
 
 
-def _sorted(found: Iterable[Source]) -> tuple[list[Source], list[Source], list[Source]]:
+def _sorted(
+    found: Iterable[EvaluatedParts],
+) -> tuple[list[EvaluatedParts], list[EvaluatedParts], list[EvaluatedParts]]:
     """Return what always evaluates some parts, what evaluates all, what may evaluate some."""
-    always: list[Source] = []
-    whole: list[Source] = []
-    partly: list[Source] = []
+    always: list[EvaluatedParts] = []
+    whole: list[EvaluatedParts] = []
+    partly: list[EvaluatedParts] = []
     for source in found:
         if source.all_parts:
             whole.append(source)
@@ -203,7 +205,7 @@ def _sorted(found: Iterable[Source]) -> tuple[list[Source], list[Source], list[S
     return always, whole, partly
 
 
-def _subsets(found: Sequence[Source], what: str) -> Iterator[tuple[Source, ...]]:
+def _subsets(found: Sequence[EvaluatedParts], what: str) -> Iterator[tuple[EvaluatedParts, ...]]:
     if len(found) > _MAX_SPLIT:
         raise OutOfScopeError(f"more than {_MAX_SPLIT} schemas with {what} may be evaluated or not")
     for count in range(len(found), -1, -1):
@@ -230,13 +232,15 @@ def _failed(guard: Guard) -> Choice:
     return Choice(ways)
 
 
-def _names(found: Iterable[Source]) -> list[str]:
+def _names(found: Iterable[EvaluatedParts]) -> list[str]:
     return list(dict.fromkeys(name for source in found for name in source.node.properties))
 
 
-def _cover(node: Node, named: Iterable[Source], matched: Iterable[Source]) -> Node:
+def _cover(
+    node: SchemaNode, named: Iterable[EvaluatedParts], matched: Iterable[EvaluatedParts]
+) -> SchemaNode:
     """Return a node that names the members that some sources name or match."""
-    return Node(
+    return SchemaNode(
         node.number,
         node.raw,
         node.document,
@@ -247,11 +251,13 @@ def _cover(node: Node, named: Iterable[Source], matched: Iterable[Source]) -> No
     )
 
 
-def _longest(found: Iterable[Source]) -> int:
+def _longest(found: Iterable[EvaluatedParts]) -> int:
     return max((len(source.node.prefix) for source in found), default=0)
 
 
-def _or_contained(node: Node, rule: Node, found: Iterable[Source]) -> Node:
+def _or_contained(
+    node: SchemaNode, rule: SchemaNode, found: Iterable[EvaluatedParts]
+) -> SchemaNode:
     """Return what an item meets that follows a rule or counts as contained."""
     contained = [source.node.contains for source in found if source.node.contains is not None]
     return node.document.either([rule, *contained])

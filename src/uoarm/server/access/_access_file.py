@@ -8,13 +8,13 @@ from datetime import datetime
 from pathlib import Path as File
 from typing import Any
 
-from uoarm._yaml import Budget, Document, Path, Problem, clip, read_file, write_path
+from uoarm._yaml import Document, Path, Problem, ReadBudget, clip, read_file, write_path
 from uoarm.errors import ConfigurationError
 from uoarm.server.access._role import OF_NO_FUNCTION, AccessPolicy, AccessRole, Grant, Operation
 
 __all__ = ["BUDGET", "read_access"]
 
-BUDGET = Budget(octets=1_048_576, nodes=100_000, depth=16)
+BUDGET = ReadBudget(octets=1_048_576, nodes=100_000, depth=16)
 _SHOWN = 50
 _ALL = "all"
 _HASH = re.compile(r"[0-9a-f]{64}")

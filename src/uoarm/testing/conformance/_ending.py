@@ -18,7 +18,7 @@ from uoarm.testing.conformance._line import line, structure_of
 from uoarm.testing.conformance._rules import rules
 from uoarm.testing.conformance._world import World
 
-__all__ = ["Ending"]
+__all__ = ["EndingRules"]
 
 _CYCLES = 10
 _BACKLOG = 5
@@ -26,7 +26,7 @@ _SHORT_SECONDS = 0.2
 
 
 @rules("the-steps")
-class Ending:
+class EndingRules:
     """Closing channels and bridges."""
 
     kinds: ClassVar[tuple[str, ...]] = ()

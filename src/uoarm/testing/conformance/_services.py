@@ -15,7 +15,7 @@ from uoarm.testing.conformance._line import example_of
 from uoarm.testing.conformance._rules import rules
 from uoarm.testing.conformance._world import Served, World
 
-__all__ = ["Services"]
+__all__ = ["ServiceRules"]
 
 _CALLERS = 8
 _SHORT_SECONDS = 0.5
@@ -23,7 +23,7 @@ _FAILING_SECONDS = 2.0  # a framework without a form for failures lets the calle
 
 
 @rules("the-steps")
-class Services:
+class ServiceRules:
     """`call`, `serve` and `link`."""
 
     @pytest.fixture

@@ -15,16 +15,18 @@ from uoarm.testing._patience import patience
 from uoarm.testing.conformance._breaking import Breaking
 from uoarm.testing.conformance._declaring import Declaring
 from uoarm.testing.conformance._describing import Describing
-from uoarm.testing.conformance._ending import Ending
+from uoarm.testing.conformance._ending import EndingRules
 from uoarm.testing.conformance._flow import Flow
-from uoarm.testing.conformance._services import Services
-from uoarm.testing.conformance._trouble import Trouble
+from uoarm.testing.conformance._services import ServiceRules
+from uoarm.testing.conformance._trouble import DisturbanceRules
 from uoarm.testing.conformance._world import World
 
 __all__ = ["BridgeConformance"]
 
 
-class BridgeConformance(Declaring, Describing, Flow, Ending, Trouble, Breaking, Services):
+class BridgeConformance(
+    Declaring, Describing, Flow, EndingRules, DisturbanceRules, Breaking, ServiceRules
+):
     """Every test that a bridge must pass. Subclasses set `kinds` and override `world`.
 
     Attributes:

@@ -17,7 +17,7 @@ from uoarm.testing.conformance._line import Line, hold_idle, line, structure_of
 from uoarm.testing.conformance._rules import rules
 from uoarm.testing.conformance._world import World
 
-__all__ = ["Trouble"]
+__all__ = ["DisturbanceRules"]
 
 _NONSENSE: tuple[Message, ...] = (
     None,
@@ -28,7 +28,7 @@ _NONSENSE: tuple[Message, ...] = (
 
 
 @rules("telling-what-happens")
-class Trouble:
+class DisturbanceRules:
     """What goes wrong outside the bridge."""
 
     def test_a_death_is_reported_with_its_cause(self, world: World, bridge: Bridge) -> None:
