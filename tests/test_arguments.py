@@ -42,7 +42,7 @@ PUBLIC: list[tuple[Any, ...]] = [
     (testing.ManualClock, "__init__"),
     (testing.MemoryBridge, "__init__"),
     (testing.Background, "__init__"),
-    (testing.Service, "__init__"),
+    (testing.MemoryService, "__init__"),
     (QueuePolicy, "__init__"),
     (local.Range, "__init__"),
 ]

@@ -434,7 +434,7 @@ def test_a_clamp_works_on_arrays_of_every_kind_and_leaves_nan() -> None:
 
 
 @pytest.mark.parametrize(
-    ("rule", "told"),
+    ("rule", "expected"),
     [
         ({"from": "range", "clamp": [2, 1]}, "the lower one first"),
         ({"from": "range", "clamp": [True, 1]}, "two numbers"),

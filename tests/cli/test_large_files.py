@@ -14,7 +14,7 @@ from uoarm.testing import patience
 FRAME = "version: 1\nbridges: {}\nfunctions: {}\n"
 
 
-@pytest.mark.parametrize(("octets", "told"), [(2_000_000, True), (2_000, False)])
+@pytest.mark.parametrize(("octets", "is_announced"), [(2_000_000, True), (2_000, False)])
 def test_a_check_that_takes_a_while_says_so_on_a_terminal(
     tmp_path: Path, octets: int, *, is_announced: bool
 ) -> None:

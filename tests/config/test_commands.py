@@ -60,7 +60,7 @@ def test_a_stop_message_may_be_null_and_any_other_input_has_none() -> None:
 
 
 @pytest.mark.parametrize(
-    ("settings", "told"),
+    ("settings", "expected"),
     [
         ("lifetime: 1", "a lifetime needs a stop message"),
         ("lifetime: 0, stop: {message: 0}", "lifetime"),

@@ -103,7 +103,8 @@ def test_a_measurement_becomes_an_observation_with_its_codes() -> None:
 
 
 @pytest.mark.parametrize(
-    ("change", "told"), [({"time": "2026-11-21T09:00:00"}, "no offset"), ({"value": None}, "value")]
+    ("change", "expected"),
+    [({"time": "2026-11-21T09:00:00"}, "no offset"), ({"value": None}, "value")],
 )
 def test_a_measurement_that_says_too_little_is_refused(change: Any, expected: str) -> None:
     with pytest.raises(ValueError, match=expected):
@@ -144,7 +145,7 @@ def test_nothing_is_lost_while_the_service_is_down(
 
 
 @pytest.mark.parametrize(
-    ("body", "told"),
+    ("body", "expected"),
     [
         (b"{", "not JSON"),
         (b"[" * 60_000, "not JSON"),

@@ -196,7 +196,7 @@ def test_a_missing_certificate_is_named(folder: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "told",
+    "answer",
     [
         pack(5),
         pack([]),

@@ -150,7 +150,7 @@ def test_a_write_that_a_signal_interrupts_ends_the_link_and_garbles_nothing(
 
 
 @pytest.mark.parametrize(
-    "told",
+    "garbage",
     [b"\xff" * 16, frames._HEAD.pack(2, 0, 4, 0, 0, 2**31) + b"name"],
     ids=["noise", "a frame of 2 GiB"],
 )

@@ -259,7 +259,7 @@ def test_a_missing_module_is_named_as_it_was_written(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("code", "told"),
+    ("code", "expected"),
     [
         ("from typing import Any\n\nwho: Ani = 1", r"NameError: .*'Ani' .* \(fails.py, line 3\)$"),
         ("import other", r"ZeroDivisionError: .* \(other.py, line 2\)$"),

@@ -46,7 +46,7 @@ def test_what_takes_the_message_depends_on_what_is_given() -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "given", "told"),
+    ("name", "given", "expected"),
     [
         ("clip", {"limits": LIMITS, "neer": 1.0}, "'neer': there is no .* did you mean 'near'"),
         ("clip", {"limits": LIMITS, "near": "far"}, "'near': expected a number, got \"far\""),
@@ -80,7 +80,7 @@ def test_a_robot_with_wrong_parameters_has_no_plan() -> None:
 
 
 @pytest.mark.parametrize(
-    ("written", "place", "told"),
+    ("written", "place", "expected"),
     [
         ("limits: {least: 0, most: 1}, neer: 1.0", "parameters.neer", "did you mean 'near'"),
         ("limits: {least: 0, most: 1}, near: far", "parameters.near", "expected a number"),

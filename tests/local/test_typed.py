@@ -75,7 +75,7 @@ def test_structures_are_those_of_the_objects() -> None:
 
 
 @pytest.mark.parametrize(
-    ("change", "told"),
+    ("change", "expected"),
     [
         ({"header": {"stamp": 1, "note": None}}, "'mode' is missing @ the message.header"),
         ({"points": [{"x": 1.0}]}, r"'y' is missing @ the message.points\[0\]"),
