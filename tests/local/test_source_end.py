@@ -203,7 +203,7 @@ def test_a_listener_that_comes_as_a_source_raises_gets_the_failure_and_nothing_b
         yield from map(int, ["none"])
 
     workers = WorkerPool("uoarm-test", 1)
-    source = Source(numbers, lambda: begun.append, "numbers", workers)
+    source = IteratedSource(numbers, lambda: begun.append, "numbers", workers)
     source.add_listener("first", failures.append)
     wait(lambda: len(failures) == 1)
     source.add_listener("late", failures.append)
