@@ -15,7 +15,7 @@ from peers import Master, Peer
 from uoarm import RobotManager
 from uoarm.config import loads
 from uoarm.model import ConnectionState, OfferState
-from uoarm.server import Settings, serve_in_thread
+from uoarm.server import ServerOptions, serve_in_thread
 from uoarm.testing import MemoryBridge, patience, slowness, wait
 
 NUMBER = {
@@ -263,7 +263,7 @@ def test_the_base_stops_when_the_client_is_killed(master: Master, lasting: Peer)
     text = robot(master, TWIST.format(topic=topic, lifetime=0.2 * slowness(), stop=STOP))
     with (
         RobotManager(loads(text)) as manager,
-        serve_in_thread(manager, Settings(port=0)) as server,
+        serve_in_thread(manager, ServerOptions(port=0)) as server,
         subprocess.Popen(
             [sys.executable, "-c", CLIENT, f"ws://127.0.0.1:{server.ports[0]}/"],
             stdout=subprocess.PIPE,

@@ -215,7 +215,10 @@ class Executor:
             both = (*before.components(), *robot.components())
             every = {component.name: component.bridge for component in both}
             number += 1
-            text, superseded = "; ".join(difference.changes[:_LISTED_CHANGES]), difference.superseded
+            text, superseded = (
+                "; ".join(difference.changes[:_LISTED_CHANGES]),
+                difference.superseded,
+            )
             # A plan with a new candidate can be found only after the state knows its bridge.
             self._handle(ev.CandidatesChanged(every, text, number, superseded))
         self._revisions.use_candidates(robot, difference.superseded, number)

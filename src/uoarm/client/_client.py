@@ -366,7 +366,9 @@ class RemoteRobot:
     async def _diagnose(self, connection: str) -> str:
         """Say what keeps messages from coming, as far as the server says so at once."""
         with suppress(errors.UoarmError, asyncio.TimeoutError):
-            return format_trouble(await result_within(_DIAGNOSIS_SECONDS, self.status()), connection)
+            return format_trouble(
+                await result_within(_DIAGNOSIS_SECONDS, self.status()), connection
+            )
         return ""
 
     async def watch(self) -> AsyncIterator[StatusEvent]:
