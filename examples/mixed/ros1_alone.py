@@ -68,7 +68,7 @@ class Master(Server):
         """Take a publisher, and have the subscribers know."""
         self._kinds[topic] = kind
         self._ends[0].setdefault(topic, {})[node] = uri
-        self._tell(topic)
+        self._update_publishers(topic)
         return [1, "", list(self._ends[1].get(topic, {}).values())]
 
     def registerSubscriber(self, node: str, topic: str, kind: str, uri: str) -> Any:  # noqa: N802
@@ -82,7 +82,7 @@ class Master(Server):
         """Forget a publisher."""
         del uri
         self._ends[0].get(topic, {}).pop(node, None)
-        self._tell(topic)
+        self._update_publishers(topic)
         return [1, "", 1]
 
     def unregisterSubscriber(self, node: str, topic: str, uri: str) -> Any:  # noqa: N802
@@ -126,7 +126,7 @@ class Master(Server):
         """Return its process."""
         return [1, "", os.getpid()]
 
-    def _tell(self, topic: str) -> None:
+    def _update_publishers(self, topic: str) -> None:
         uris = list(self._ends[0].get(topic, {}).values())
         for uri in self._ends[1].get(topic, {}).values():
             threading.Thread(target=update, args=(uri, topic, uris), daemon=True).start()
