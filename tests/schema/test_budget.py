@@ -283,14 +283,14 @@ def test_few_steps_end_a_check_at_once(name: str) -> None:
 LIMITED = """
 import resource, sys
 from tests.schema._hostile import HOSTILE
-from uoarm.schema import Budget, check
+from uoarm.schema import CheckBudget, check
 for name, make in HOSTILE.items():
     pair = make()
     pages = int(open("/proc/self/statm").read().split()[0])
     room = pages * resource.getpagesize() + 2**28
     resource.setrlimit(resource.RLIMIT_AS, (room, resource.RLIM_INFINITY))
     try:
-        check(*pair, budget=Budget(steps=8_000, seconds=1_000))
+        check(*pair, budget=CheckBudget(steps=8_000, seconds=1_000))
     except MemoryError:
         print(name)
     resource.setrlimit(resource.RLIMIT_AS, (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
@@ -298,7 +298,7 @@ for name, make in HOSTILE.items():
 FLAT = """
 import sys
 from tests.schema._hostile import HOSTILE, deep
-from uoarm.schema import Budget, check
+from uoarm.schema import CheckBudget, check
 nested = "(?:a" * 400 + ")" * 400
 looks = "(?=a" * 8 + ")" * 8
 pairs = {name: make() for name, make in HOSTILE.items()}
@@ -312,7 +312,7 @@ while frame:
 sys.setrecursionlimit(depth + 60)
 for name, pair in pairs.items():
     try:
-        check(*pair, budget=Budget(steps=8_000, seconds=1_000)).to_dict()
+        check(*pair, budget=CheckBudget(steps=8_000, seconds=1_000)).to_dict()
     except RecursionError:
         print(name)
     except ValueError as error:
