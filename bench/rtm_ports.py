@@ -59,11 +59,11 @@ def _bare(address: str, kind: str, message: Any, *, echo: bool) -> list[float]:
     """Measure what one would write by hand: stubs, omniORB's marshalling, one connector each."""
     import omniORB  # noqa: PLC0415
     from _uoarm_rtm_stubs import RTC, OpenRTM, OpenRTM__POA  # noqa: PLC0415
-    from uoarm_rtm._connector import Connections, asked  # noqa: PLC0415
+    from uoarm_rtm._connector import Connections, connector_properties  # noqa: PLC0415
     from uoarm_rtm._naming import NamingService  # noqa: PLC0415
+    from uoarm_rtm._options import RtmEndpointOptions  # noqa: PLC0415
     from uoarm_rtm._orb import Orb  # noqa: PLC0415
     from uoarm_rtm._peer import peer_at  # noqa: PLC0415
-    from uoarm_rtm._settings import Settings  # noqa: PLC0415
 
     orb = Orb("127.0.0.1", 5.0)
     peer = peer_at("Echo0.rtc", NamingService(orb, address, 5.0).resolve("Echo0.rtc"), 5.0)
@@ -77,16 +77,16 @@ def _bare(address: str, kind: str, message: Any, *, echo: bool) -> list[float]:
             seen[0] += 1
             return OpenRTM.PORT_OK
 
-    wishes = asked(Settings(), kind)
+    properties = connector_properties(RtmEndpointOptions(), kind)
     connections = Connections(orb, "bench", 5.0)
-    into = connections.connect("peer", wishes, peer.port(f"{PORTS[kind]}_in"))
+    into = connections.connect("peer", properties, peer.port(f"{PORTS[kind]}_in"))
     key = "dataport.corba_cdr.inport_ior"
     target = orb.reference(into.properties[key])._narrow(OpenRTM.InPortCdr)  # noqa: SLF001
     back = None
     if echo:
         inlet = orb.serve(Inlet())
         port = peer.port(f"{PORTS[kind]}_out")
-        back = connections.connect("peer", {**wishes, key: orb.text(inlet)}, port)
+        back = connections.connect("peer", {**properties, key: orb.text(inlet)}, port)
     values = {**message, "tm": RTC.Time(**message["tm"])}
     native = getattr(RTC, name)(**values)
 
@@ -134,15 +134,15 @@ def _samples(send: Callable[[], object], kind: str, seen: list[int] | None) -> l
 def serve(address: str) -> None:
     """Be the peer until standard input ends."""
     from uoarm_rtm.component import (  # noqa: PLC0415
+        ComponentProfile,
         NamingService,
         Orb,
         RtComponent,
-        Sheet,
         Types,
     )
 
     orb, types = Orb("127.0.0.1", 5.0), Types()
-    component = RtComponent(orb, Sheet("Echo0"))
+    component = RtComponent(orb, ComponentProfile("Echo0"))
     for kind, name in PORTS.items():
         out = component.add_out_port(f"{name}_out", kind, types)
         component.add_in_port(f"{name}_in", kind, types, out.write)

@@ -8,13 +8,13 @@ from __future__ import annotations
 import sys
 import time
 
-from uoarm_rtm.component import NamingService, Orb, RtComponent, Sheet, Types
+from uoarm_rtm.component import ComponentProfile, NamingService, Orb, RtComponent, Types
 
 
 def main(nameserver: str) -> None:
-    """Count until somebody tells the component to exit."""
+    """Count until the component is asked to exit."""
     orb = Orb("127.0.0.1", call_seconds=2.0)
-    component = RtComponent(orb, Sheet("Counter0", type_name="Counter"))
+    component = RtComponent(orb, ComponentProfile("Counter0", type_name="Counter"))
     count = component.add_out_port("count", "RTC::TimedLong", Types())
     component.bind([NamingService(orb, nameserver, seconds=2.0)])
     print("Counter0.rtc counts")

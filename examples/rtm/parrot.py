@@ -1,4 +1,4 @@
-"""An RT-Component that says again what it hears.
+"""An RT-Component that says again what it receives.
 
 python examples/rtm/parrot.py [HOST:PORT]
 """
@@ -10,16 +10,16 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from uoarm_rtm.component import NamingService, Orb, RtComponent, Sheet, Types
+from uoarm_rtm.component import ComponentProfile, NamingService, Orb, RtComponent, Types
 
 
 def main(nameserver: str) -> None:
-    """Talk until somebody tells the component to exit."""
+    """Talk until the component is asked to exit."""
     orb = Orb("127.0.0.1", call_seconds=2.0)
-    component = RtComponent(orb, Sheet("Parrot0", type_name="Parrot"))
+    component = RtComponent(orb, ComponentProfile("Parrot0", type_name="Parrot"))
     types = Types([str(Path(__file__).parent / "words.idl")])
     received: queue.Queue[Any] = queue.Queue(maxsize=100)
-    component.add_in_port("hear", "Example::Words", types, received.put)
+    component.add_in_port("listen", "Example::Words", types, received.put)
     say = component.add_out_port("say", "Example::Words", types)
     component.bind([NamingService(orb, nameserver, seconds=2.0)])
     print("Parrot0.rtc listens")

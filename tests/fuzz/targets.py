@@ -347,23 +347,35 @@ def _openrtm() -> Mapping[str, Target]:
     if find_spec("uoarm_rtm") is None:
         return {}
     from uoarm_rtm._codec import BIG, codec_of
-    from uoarm_rtm._shape import Choice, Enumeration, Field, Listing, Record, Scalar, Text, Variant
+    from uoarm_rtm._shape import (
+        IdlEnum,
+        IdlMember,
+        IdlScalar,
+        IdlSequence,
+        IdlString,
+        IdlStruct,
+        IdlUnion,
+        IdlUnionMember,
+    )
 
-    kind = Enumeration("Kind", ("A", "B"))
-    shape = Record(
+    kind = IdlEnum("Kind", ("A", "B"))
+    shape = IdlStruct(
         "IDL:Fuzz:1.0",
         (
-            Field("time", Scalar("unsigned long")),
-            Field("texts", Listing(Text())),
-            Field("wide", Text(wide=True)),
-            Field("numbers", Listing(Scalar("double"))),
-            Field("flags", Listing(Scalar("boolean"), 3)),
-            Field(
+            IdlMember("time", IdlScalar("unsigned long")),
+            IdlMember("texts", IdlSequence(IdlString())),
+            IdlMember("wide", IdlString(wide=True)),
+            IdlMember("numbers", IdlSequence(IdlScalar("double"))),
+            IdlMember("flags", IdlSequence(IdlScalar("boolean"), 3)),
+            IdlMember(
                 "choice",
-                Choice(
+                IdlUnion(
                     "C",
                     kind,
-                    (Variant("a", ("A",), Scalar("long")), Variant("b", ("B",), Text())),
+                    (
+                        IdlUnionMember("a", ("A",), IdlScalar("long")),
+                        IdlUnionMember("b", ("B",), IdlString()),
+                    ),
                 ),
             ),
         ),

@@ -63,16 +63,16 @@ class Loop:
 def rtm(nameserver: str) -> None:
     """Be the RT-Component Loop0, with ports `in` and `out`."""
     from uoarm_rtm.component import (  # noqa: PLC0415 - imports the middleware
+        ComponentProfile,
         NamingService,
         Orb,
         RtComponent,
-        Sheet,
         Types,
     )
 
     orb, types = Orb("127.0.0.1", _SECONDS), Types()
     waiting: queue.SimpleQueue[Any] = queue.SimpleQueue()
-    component = RtComponent(orb, Sheet("Loop0"))
+    component = RtComponent(orb, ComponentProfile("Loop0"))
     component.add_in_port("in", TYPE, types, waiting.put)
     out = component.add_out_port("out", TYPE, types)
     component.bind([NamingService(orb, nameserver, _SECONDS)])

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from healthbot_parts.finding import FaceFinder, picture_of
-from uoarm_rtm.component import NamingService, Orb, RtComponent, Sheet, Types
+from uoarm_rtm.component import ComponentProfile, NamingService, Orb, RtComponent, Types
 
 _NAME = "FaceDetector0"
 _IDL = Path(__file__).parents[1] / "faces.idl"
@@ -34,8 +34,10 @@ class Detector:
         self._orb = Orb("127.0.0.1", _SECONDS)
         self._finder = FaceFinder()
         self._waiting: queue.Queue[Any] = queue.Queue(maxsize=1)
-        sheet = Sheet(_NAME, "FaceDetector", "finds faces in pictures", category="Vision")
-        self._component = RtComponent(self._orb, sheet)
+        profile = ComponentProfile(
+            _NAME, "FaceDetector", "finds faces in pictures", category="Vision"
+        )
+        self._component = RtComponent(self._orb, profile)
         self._component.add_in_port("image", "HealthBot::View", types, self._take)
         self._faces = self._component.add_out_port("faces", "HealthBot::Faces", types)
         self._component.bind([NamingService(self._orb, nameserver, _SECONDS)])

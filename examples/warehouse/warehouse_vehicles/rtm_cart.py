@@ -14,7 +14,7 @@ import time
 from pathlib import Path
 from typing import Any, Final
 
-from uoarm_rtm.component import NamingService, Orb, RtComponent, Sheet, Types
+from uoarm_rtm.component import ComponentProfile, NamingService, Orb, RtComponent, Types
 from warehouse_floor.bodies import Sense
 from warehouse_floor.link import Base
 from warehouse_floor.navigator import STAND
@@ -41,8 +41,8 @@ class Cart:
         self._velocity, self._until, self._leg = STAND, float("-inf"), 0
         self._wanted: str | None = None
         self._orb = Orb("127.0.0.1", _CALL_SECONDS)
-        sheet = Sheet(f"{name}0", "Cart", "carries boxes", category="Vehicle")
-        component = self._component = RtComponent(self._orb, sheet)
+        profile = ComponentProfile(f"{name}0", "Cart", "carries boxes", category="Vehicle")
+        component = self._component = RtComponent(self._orb, profile)
         component.add_in_port("velocity", "RTC::TimedVelocity2D", types, self._steer)
         component.add_in_port("carry", "RTC::TimedString", types, self._carry)
         self._pose = component.add_out_port("pose", "RTC::TimedPose2D", types)

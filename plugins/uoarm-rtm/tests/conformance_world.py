@@ -11,7 +11,7 @@ from typing import Any
 
 from endpoints import ANSWERS
 from peers import Peer
-from uoarm_rtm._shape import Choice, Listing, Record, Scalar, Shape
+from uoarm_rtm._shape import IdlScalar, IdlSequence, IdlStruct, IdlUnion, Shape
 from uoarm_rtm._types import Types
 
 from uoarm.bridge import Bridge, Registry
@@ -43,7 +43,7 @@ class RtmWorld(World):
     """Ports of a component in another process.
 
     Args:
-        nameserver: where everybody is.
+        nameserver: of all components.
         start: starts a component for one test alone.
         make: makes the bridge of a specification.
     """
@@ -67,7 +67,7 @@ class RtmWorld(World):
         return Pair(at(Role.INPUT, f"{kind}_in"), at(Role.OUTPUT, f"{kind}_out"))
 
     def missing(self) -> Endpoint:
-        return Endpoint("rtm", "nobody", Role.OUTPUT, ("Nobody.rtc", "out"))
+        return Endpoint("rtm", "missing", Role.OUTPUT, ("Missing.rtc", "out"))
 
     def carried(self, kind: str, message: Message) -> Message:
         return rounded(types().codec(KINDS[kind]).shape, message)
@@ -140,16 +140,16 @@ def surrogate(text: str) -> bool:
 
 def rounded(shape: Shape, value: Any) -> Any:
     """The message with every number as the float or double of its field has it."""
-    if isinstance(shape, Record):
+    if isinstance(shape, IdlStruct):
         return {field.name: rounded(field.shape, value[field.name]) for field in shape.fields}
-    if isinstance(shape, Choice):
+    if isinstance(shape, IdlUnion):
         inner = {variant.name: variant.shape for variant in shape.variants}
         return {
             name: rounded(inner[name], item) if name in inner else item
             for name, item in value.items()
         }
-    if isinstance(shape, Listing) and not isinstance(value, bytes):
+    if isinstance(shape, IdlSequence) and not isinstance(value, bytes):
         return [rounded(shape.element, item) for item in value]
-    if shape == Scalar("float"):
+    if shape == IdlScalar("float"):
         return struct.unpack("f", struct.pack("f", value))[0]
-    return float(value) if shape == Scalar("double") else value
+    return float(value) if shape == IdlScalar("double") else value

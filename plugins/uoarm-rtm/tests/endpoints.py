@@ -13,8 +13,8 @@ __all__ = [
     "ANSWERS",
     "HANGS_AFTER",
     "Inbox",
+    "checked",
     "endpoint",
-    "looked",
     "of",
     "sink",
     "source",
@@ -23,7 +23,7 @@ __all__ = [
 
 # As `call_timeout`, the longest there is: what answers late on a busy machine has not failed.
 ANSWERS = 60.0
-# As `call_timeout`: within it answers whoever does not hang, on a machine that is busy, or stands
+# As `call_timeout`: within it all answer but what hangs, on a machine that is busy, or stands
 # still for some seconds, too.
 HANGS_AFTER = max(12.0, 3 * slowness())
 
@@ -53,14 +53,14 @@ def stamped(data: Any, sec: int = 1) -> Any:
     return {"tm": {"sec": sec, "nsec": 2}, "data": data}
 
 
-def looked(bridge: Bridge, path: str = "") -> None:
-    """Wait until the bridge has seen who is there, from when on it tells of changes.
+def checked(bridge: Bridge, path: str = "") -> None:
+    """Wait until the bridge has seen which components there are; it reports changes from then on.
 
     With a path, until it has seen that component alive: others of its name may have died before.
     """
-    attendance: Any = vars(bridge)["_attendance"]
-    wait(lambda: attendance._conditions is not None)
-    wait(lambda: not path or attendance._conditions.get(path) == "alive")
+    monitor: Any = vars(bridge)["_monitor"]
+    wait(lambda: monitor._conditions is not None)
+    wait(lambda: not path or monitor._conditions.get(path) == "alive")
 
 
 class Inbox:

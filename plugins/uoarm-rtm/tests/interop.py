@@ -23,7 +23,7 @@ from uoarm.testing import wait
 sys.path.insert(0, str(Path(__file__).parent))
 
 from endpoints import Inbox
-from uoarm_rtm._shape import Choice, Enumeration, Listing, Record, Scalar, Shape, Text
+from uoarm_rtm._shape import IdlEnum, IdlScalar, IdlSequence, IdlString, IdlStruct, IdlUnion, Shape
 
 from uoarm.bridge import Bridge, Registry
 from uoarm.errors import BridgeError
@@ -101,18 +101,18 @@ def connectors(bridge: Any, at: Endpoint) -> int:
 
 def example(shape: Shape) -> Message:
     """The plainest message of a type."""
-    if isinstance(shape, Record):
+    if isinstance(shape, IdlStruct):
         return {field.name: example(field.shape) for field in shape.fields}
-    if isinstance(shape, Listing):
-        if shape.element == Scalar("octet"):
+    if isinstance(shape, IdlSequence):
+        if shape.element == IdlScalar("octet"):
             return bytes(shape.size or 0) if shape.fixed else b""
         return [example(shape.element)] * (shape.size or 0) if shape.fixed else []
-    if isinstance(shape, Choice):
+    if isinstance(shape, IdlUnion):
         variant = next(item for item in shape.variants if item.labels)
         return {"switch": variant.labels[0], variant.name: example(variant.shape)}
-    if isinstance(shape, Enumeration):
+    if isinstance(shape, IdlEnum):
         return shape.labels[0]
-    if isinstance(shape, Text):
+    if isinstance(shape, IdlString):
         return ""
     plain = {"boolean": False, "char": "a", "wchar": "a", "float": 0.0, "double": 0.0}
     return plain.get(shape.name, 0)

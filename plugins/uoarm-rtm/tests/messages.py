@@ -6,25 +6,34 @@ from typing import Any
 
 from hypothesis import strategies as st
 from uoarm_rtm._schema import SWITCH
-from uoarm_rtm._shape import INTEGERS, Choice, Enumeration, Listing, Record, Scalar, Shape, Text
+from uoarm_rtm._shape import (
+    INTEGERS,
+    IdlEnum,
+    IdlScalar,
+    IdlSequence,
+    IdlString,
+    IdlStruct,
+    IdlUnion,
+    Shape,
+)
 
 __all__ = ["messages"]
 
 
 def messages(shape: Shape) -> st.SearchStrategy[Any]:
     """Return messages of a shape: numbers from the whole range, arrays short."""
-    if isinstance(shape, Record):
+    if isinstance(shape, IdlStruct):
         return st.fixed_dictionaries({field.name: messages(field.shape) for field in shape.fields})
-    if isinstance(shape, Listing):
+    if isinstance(shape, IdlSequence):
         most = shape.size if shape.size is not None and (shape.fixed or shape.size < 4) else 4
         least = shape.size if shape.fixed and shape.size else 0
         lists = st.lists(messages(shape.element), min_size=least, max_size=most)
-        return lists.map(bytes) if shape.element == Scalar("octet") else lists
-    if isinstance(shape, Choice):
+        return lists.map(bytes) if shape.element == IdlScalar("octet") else lists
+    if isinstance(shape, IdlUnion):
         return st.one_of([_variant(shape, index) for index in range(len(shape.variants))])
-    if isinstance(shape, Enumeration):
+    if isinstance(shape, IdlEnum):
         return st.sampled_from(shape.labels)
-    if isinstance(shape, Text):
+    if isinstance(shape, IdlString):
         # A bound counts the characters on the wire.
         last = None if shape.bound is None else 127
         alphabet = st.characters(
@@ -47,7 +56,7 @@ def _scalar(name: str) -> st.SearchStrategy[Any]:
     return st.floats(width=32 if name == "float" else 64)
 
 
-def _variant(choice: Choice, index: int) -> st.SearchStrategy[Any]:
+def _variant(choice: IdlUnion, index: int) -> st.SearchStrategy[Any]:
     variant = choice.variants[index]
     if variant.labels:
         labels = st.sampled_from(variant.labels)

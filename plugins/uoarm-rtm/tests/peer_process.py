@@ -19,15 +19,15 @@ from endpoints import HANGS_AFTER
 from plain import plain
 from uoarm_rtm import _data_ports
 from uoarm_rtm._naming import NamingService
-from uoarm_rtm._operations import Interface
+from uoarm_rtm._operations import IdlInterface
 from uoarm_rtm._orb import Orb, narrowed
 from uoarm_rtm._peer import pairs, peer_at, properties_of
 from uoarm_rtm._port_servant import PortServant
-from uoarm_rtm._publisher import Pulled
+from uoarm_rtm._publisher import PullBuffer
 from uoarm_rtm._service_port import ServicePort, servant_of
 from uoarm_rtm._types import Types
-from uoarm_rtm._wishes import Refusal
-from uoarm_rtm.component import Callbacks, RtComponent, Sheet
+from uoarm_rtm._wishes import ConnectorRefusal
+from uoarm_rtm.component import Callbacks, ComponentProfile, RtComponent
 from uoarm_rtm.errors import IdlError
 
 from uoarm.testing import patience
@@ -45,7 +45,7 @@ SETS = {
 class Wanted(PortServant):
     """A CorbaPort that requires one interface."""
 
-    def __init__(self, orb: Orb, name: str, interface: Interface) -> None:
+    def __init__(self, orb: Orb, name: str, interface: IdlInterface) -> None:
         super().__init__(orb, name, {"port.port_type": "CorbaPort"}, LIMIT)
         self._interface = interface
         kind = interface.name.split("/")[-1]
@@ -68,7 +68,7 @@ class Wanted(PortServant):
         self._object = None
 
 
-class Asked(Pulled):
+class Asked(PullBuffer):
     """A buffer that knows how many are asking it."""
 
     asking = 0
@@ -134,9 +134,9 @@ class Process:
             aborting=lambda: self._called("aborting"),
             reset=lambda: self._called("reset"),
         )
-        sheet = Sheet(name, configuration=SETS)
+        profile = ComponentProfile(name, configuration=SETS)
         self._component = RtComponent(
-            self._orb, sheet, callbacks=callbacks, configured=self._take_configuration
+            self._orb, profile, callbacks=callbacks, configured=self._take_configuration
         )
         self._in = self._component.add_in_port("in", type_id, self._types, self._take)
         self._out = self._component.add_out_port("out", type_id, self._types)
@@ -167,7 +167,7 @@ class Process:
         return self._in.fetch()
 
     def hold(self) -> None:
-        """Let whoever writes to the InPort wait, from the next message on."""
+        """Let a writer to the InPort wait, from the next message on."""
         self._free.clear()
         self._held.clear()
 
@@ -175,11 +175,11 @@ class Process:
         """Wait until a writer waits; returns whether that came."""
         return self._held.wait(patience())
 
-    def let_go(self) -> None:
+    def release(self) -> None:
         self._free.set()
 
     def hold_connections(self) -> None:
-        """Let whoever connects to the OutPort wait, before the connection is made."""
+        """Let a client that connects to the OutPort wait, before the connection is made."""
         self._may_connect.clear()
 
     def let_connect(self) -> None:
@@ -238,8 +238,8 @@ class Process:
         {"in": self._in, "out": self._out}[port].properties[name] = value
 
     def mind_disconnecting(self) -> None:
-        """Count whoever asks the OutPort while it is being disconnected."""
-        setattr(_data_ports, "Pulled", Asked)  # noqa: B010 - typed as what it stands in for
+        """Count the calls that ask the OutPort while it is being disconnected."""
+        setattr(_data_ports, "PullBuffer", Asked)  # noqa: B010 - typed as what it stands in for
         release, self._interrupted = getattr(self._out, "_release"), 0  # noqa: B009 - private
 
         def spy(connector_id: str) -> None:
@@ -255,7 +255,7 @@ class Process:
         def compare(profile: Any) -> None:
             for connector_profile in profile.ports[0].get_connector_profiles():
                 if connector_profile.connector_id == profile.connector_id:
-                    raise Refusal("it is there already", RTC.PRECONDITION_NOT_MET)
+                    raise ConnectorRefusal("it is there already", RTC.PRECONDITION_NOT_MET)
             publish(profile)
 
         setattr(self._in, "_publish", compare)  # noqa: B010 - of this instance alone
@@ -279,9 +279,9 @@ class Process:
         activate = servant.activate_configuration_set
         self._no_set = False
 
-        def written(each: Any) -> bool:
+        def written(configuration_set: Any) -> bool:
             self._no_set = True
-            return bool(write(each))
+            return bool(write(configuration_set))
 
         def activated(name: str) -> bool:
             self._no_set = False
@@ -298,7 +298,7 @@ class Process:
         servant.add_configuration_set = lambda _: True
 
     def take_observers(self, answer: bool = True) -> None:
-        """Take observers and tell them of states, as OpenRTM does; or answer that it does not."""
+        """Take observers and notify them of states, as OpenRTM does; or answer that it does not."""
         servant = getattr(self._component, "_configuration")  # noqa: B009 - private
         lifecycle = self._component.lifecycle
         enter = lifecycle._enter
@@ -309,14 +309,14 @@ class Process:
                 self._observers[profile.id] = profile
             return answer
 
-        def tell(state: Any) -> None:
+        def notify(state: Any) -> None:
             enter(state)
             hint = f"{str(state).removesuffix('_STATE')}:0"
             for observer in list(self._observers.values()):
                 service = observer.service._narrow(OpenRTM.ComponentObserver)
                 service.update_status(OpenRTM.RTC_STATUS, hint)
 
-        setattr(lifecycle, "_enter", tell)  # noqa: B010 - of this instance alone
+        setattr(lifecycle, "_enter", notify)  # noqa: B010 - of this instance alone
         servant.add_service_profile = add
         servant.remove_service_profile = lambda name: self._observers.pop(name, None) is not None
 
@@ -338,7 +338,7 @@ class Process:
         def fail(profile: Any) -> None:
             raise self._refusal
 
-        self._refusal = Refusal("half-way", RTC.OUT_OF_RESOURCES)
+        self._refusal = ConnectorRefusal("half-way", RTC.OUT_OF_RESOURCES)
         for port in (self._in, self._out):
             setattr(port, "_subscribe", fail)  # noqa: B010 - of this instance alone
 
@@ -346,7 +346,7 @@ class Process:
         """Add a CorbaPort `served` whose operations are those of `_Service`."""
         types = Types([idl])
         found, _ = types.interface(interface)
-        name = f"{self._component.sheet.name}.served"
+        name = f"{self._component.profile.name}.served"
         servant = servant_of(found, "", self._service.answer)
         self._component.add_port(ServicePort(self._orb, name, found, servant))
 
@@ -355,10 +355,10 @@ class Process:
         self._service.awake.set()
 
     def require(self, idl: str, interface: str) -> None:
-        """Add a CorbaPort `wanted` that calls whatever is connected to it."""
+        """Add a CorbaPort `wanted` that calls what is connected to it."""
         types = Types([idl])
         found, _ = types.interface(interface)
-        self._wanted = Wanted(self._orb, f"{self._component.sheet.name}.wanted", found)
+        self._wanted = Wanted(self._orb, f"{self._component.profile.name}.wanted", found)
         self._component.add_port(self._wanted)
 
     def ask(self, operation: str, arguments: Any) -> Any:

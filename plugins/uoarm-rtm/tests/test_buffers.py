@@ -12,7 +12,7 @@ from endpoints import Inbox, endpoint, sink, source, stamped
 from hypothesis import given
 from hypothesis import strategies as st
 from peers import Peer
-from uoarm_rtm import _settings
+from uoarm_rtm import _options
 from uoarm_rtm._buffer import Buffer
 from uoarm_rtm._buffering import BufferPolicy, buffer_policy, policy_properties, push_policy
 
@@ -55,16 +55,16 @@ def test_a_buffer_behaves_like_a_list(length: int, full: str, empty: str, writes
 
 def test_a_buffer_that_blocks_waits_for_the_other_side() -> None:
     buffer = Buffer(BufferPolicy(1, "block", 20.0, "block", 20.0))
-    with ThreadPoolExecutor(1) as other:
-        reading = other.submit(buffer.read)
+    with ThreadPoolExecutor(1) as executor:
+        reading = executor.submit(buffer.read)
         assert buffer.write(b"a")
         assert reading.result(patience()) == b"a"
         assert buffer.write(b"b")
-        writing = other.submit(buffer.write, b"c")
+        writing = executor.submit(buffer.write, b"c")
         assert buffer.read() == b"b"
         assert writing.result(patience())
         assert buffer.take() == [b"c"]
-        taking = other.submit(buffer.take)
+        taking = executor.submit(buffer.take)
         buffer.close()
         assert taking.result(patience()) == []
     assert not buffer.write(b"d")
@@ -152,7 +152,7 @@ MISTAKES: list[tuple[dict[str, Any], str]] = [
 
 @pytest.mark.parametrize(("options", "words"), MISTAKES, ids=lambda item: str(item)[:40])
 def test_a_mistake_in_an_option_is_named(options: dict[str, Any], words: str) -> None:
-    assert words in _settings.mistake(("Talker.rtc", "out"), options)
+    assert words in _options.option_mistake(("Talker.rtc", "out"), options)
 
 
 def ask(component: Peer, pool: ThreadPoolExecutor, command: str, *arguments: Any) -> Any:
@@ -170,13 +170,13 @@ def test_an_out_port_pushes_what_the_policy_says(
 ) -> None:
     component = peer("Talker")
     inbox = Inbox()
-    wish: dict[str, Any] = {
+    asked: dict[str, Any] = {
         "subscription": subscription,
         "rate": 1000,
         "outport_buffer": {"length": 60},
         **options,
     }
-    source(bridge, endpoint(*OUT, **wish), inbox)
+    source(bridge, endpoint(*OUT, **asked), inbox)
     component.count(0, 60)
     inbox.wait_for(len(expected))
     assert inbox.numbers() == expected
@@ -201,8 +201,8 @@ def test_the_buffer_of_an_out_port_overflows_as_asked(
     buffer: dict[str, Any] = {"length": 3, "full_policy": policy}
     if policy == "block":
         buffer["write_timeout"] = 20
-    wish: dict[str, Any] = {"subscription": "new", "push_policy": "all", "outport_buffer": buffer}
-    source(bridge, endpoint(*OUT, **wish), take)
+    asked: dict[str, Any] = {"subscription": "new", "push_policy": "all", "outport_buffer": buffer}
+    source(bridge, endpoint(*OUT, **asked), take)
     component.count(0, 1)
     assert taken.wait(patience())
     with ThreadPoolExecutor(1) as pool:
@@ -241,8 +241,8 @@ def test_our_buffer_before_an_in_port_overflows_as_asked(
 ) -> None:
     component = peer("Listener")
     buffer: dict[str, Any] = {"length": 3, "full_policy": policy}
-    wish: dict[str, Any] = {"subscription": "new", "push_policy": "all", "outport_buffer": buffer}
-    into = sink(bridge, endpoint(*IN, activate=True, **wish))
+    asked: dict[str, Any] = {"subscription": "new", "push_policy": "all", "outport_buffer": buffer}
+    into = sink(bridge, endpoint(*IN, activate=True, **asked))
     assert not into.blocking
     component.hold()
     into.send(stamped(0))
@@ -256,7 +256,7 @@ def test_our_buffer_before_an_in_port_overflows_as_asked(
         with pytest.raises(BridgeError, match="our buffer of 3 for it is full") as caught:
             into.send(stamped(number))
         assert caught.value.reason is FailureReason.REFUSED
-    component.let_go()
+    component.release()
     wait(lambda: [item["data"] for item in component.received()] == expected)
     assert into.facts()["dropped"] == 6
     wait(lambda: into.facts()["count"] == len(expected))
@@ -265,8 +265,8 @@ def test_our_buffer_before_an_in_port_overflows_as_asked(
 def test_our_buffer_before_an_in_port_may_wait_for_room(bridge: Bridge, peer: Start) -> None:
     component = peer("Listener")
     buffer: dict[str, Any] = {"length": 1, "full_policy": "block", "write_timeout": 20}
-    wish: dict[str, Any] = {"subscription": "new", "push_policy": "fifo", "outport_buffer": buffer}
-    into = sink(bridge, endpoint(*IN, activate=True, **wish))
+    asked: dict[str, Any] = {"subscription": "new", "push_policy": "fifo", "outport_buffer": buffer}
+    into = sink(bridge, endpoint(*IN, activate=True, **asked))
     assert into.blocking
     for number in range(20):
         into.send(stamped(number))
@@ -299,7 +299,7 @@ def test_an_in_port_that_pulls_may_wait_for_a_message(bridge: Bridge, peer: Star
         assert fetching.result(patience()) == 1
 
 
-def test_a_death_behind_our_buffer_is_told_and_ends_the_sending(
+def test_a_death_behind_our_buffer_is_reported_and_ends_the_sending(
     bridge: Bridge, peer: Start
 ) -> None:
     component = peer("Listener")
@@ -308,14 +308,14 @@ def test_a_death_behind_our_buffer_is_told_and_ends_the_sending(
     into = sink(bridge, endpoint(*IN, activate=True, subscription="new"))
     component.kill()
 
-    def told() -> bool:
+    def is_refused() -> bool:
         try:
             into.send(stamped(1))
         except BridgeError as error:
             return error.reason is FailureReason.UNAVAILABLE
         return False
 
-    wait(told)
+    wait(is_refused)
     assert any(message.channel is into for message in events.messages)
 
 
@@ -323,12 +323,12 @@ def test_a_wrong_policy_is_refused_by_our_own_port(
     bridge: Bridge, peer: Start, nameserver: str
 ) -> None:
     talker, listener = peer("Talker"), peer("Listener")
-    wish = {
+    asked = {
         "dataport.interface_type": "corba_cdr",
         "dataport.dataflow_type": "push",
         "dataport.subscription_type": "new",
     }
-    wrong = {**wish, "dataport.outport.buffer.write.full_policy": "sideways"}
+    wrong = {**asked, "dataport.outport.buffer.write.full_policy": "sideways"}
     assert talker.connect(nameserver, "Listener.rtc", "in", wrong) == "BAD_PARAMETER"
     assert [talker.connectors(), listener.connectors()] == [[0, 0], [0, 0]]
-    assert talker.connect(nameserver, "Listener.rtc", "in", wish) == "RTC_OK"
+    assert talker.connect(nameserver, "Listener.rtc", "in", asked) == "RTC_OK"

@@ -19,8 +19,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from messages import messages
 from plain import plain
-from uoarm_rtm._codec import BIG, LITTLE, Codec
-from uoarm_rtm._explain import Cursor, read_slowly
+from uoarm_rtm._codec import BIG, LITTLE, CdrCodec
+from uoarm_rtm._explain import ExplainCursor, read_slowly
 from uoarm_rtm._orb import Orb
 from uoarm_rtm._scalars import Order
 from uoarm_rtm._types import Types
@@ -60,7 +60,7 @@ def type_code(name: str) -> Any:
     return omniORB.tcInternal.createTypeCode(types().descriptor(name))
 
 
-def codec(name: str) -> Codec:
+def codec(name: str) -> CdrCodec:
     return types().codec(name)
 
 
@@ -92,7 +92,7 @@ def test_every_type_survives_a_round_trip_and_omniorb_agrees(name: str, order: O
         data = known.encode(message, order)
         wanted = plain(message)
         assert plain(known.decode(data, order)) == wanted
-        assert plain(read_slowly(known.shape, Cursor(data, order, "utf-8"))) == wanted
+        assert plain(read_slowly(known.shape, ExplainCursor(data, order, "utf-8"))) == wanted
         if name in NOT_FOR_OMNIORB:
             return
         native = omniORB.cdrUnmarshal(code, data, order == LITTLE)

@@ -41,8 +41,8 @@ def run(capsys: pytest.CaptureFixture[str]) -> Callable[..., Any]:
 
     def run_it(*words: str) -> tuple[int, Any, str]:
         status = main(list(words))
-        told = capsys.readouterr()
-        return status, json.loads(told.out) if "--json" in words else told.out, told.err
+        output = capsys.readouterr()
+        return status, json.loads(output.out) if "--json" in words else output.out, output.err
 
     return run_it
 

@@ -9,13 +9,13 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from endpoints import ANSWERS, Inbox, endpoint, looked
+from endpoints import ANSWERS, Inbox, checked, endpoint
 from peers import Peer
 from uoarm_rtm import _orb
 from uoarm_rtm._nameserver import NameServer
 from uoarm_rtm._naming import NamingService, corbaloc
 from uoarm_rtm._orb import Orb
-from uoarm_rtm.component import RtComponent, Sheet, Types
+from uoarm_rtm.component import ComponentProfile, RtComponent, Types
 
 from uoarm.bridge import Bridge, BridgeType, Registry
 from uoarm.errors import BridgeError, ConfigurationError
@@ -77,7 +77,7 @@ def test_coming_leaving_and_dying_are_events(make_bridge: Make, peer: Start, nam
     bridge = make_bridge(nameserver=names)
     events = Inbox()
     bridge.watch(events)
-    looked(bridge)
+    checked(bridge)
     first = peer("First", at=names)
     assert events.event(Health.OK, "component First.rtc appeared").component == "First.rtc"
     second = peer("Second", at=names)
@@ -126,7 +126,7 @@ def test_tls_is_refused_by_name() -> None:
 
 @pytest.mark.parametrize("options", [
     {"nameserver": "not a host"}, {"nameserver": []}, {"call_timeout": 0}, {"text": "ebcdic"},
-    {"unheard": 1}, {"idl": "module {"},
+    {"unknown": 1}, {"idl": "module {"},
 ], ids=str)  # fmt: skip
 def test_wrong_options_of_a_bridge_are_refused(options: dict[str, Any]) -> None:
     held = _orb._shared.users
@@ -175,7 +175,7 @@ def test_the_plugin_imports_no_middleware() -> None:
     assert done.stdout == "False\n"
 
 
-def test_the_doctor_tells_what_is_installed() -> None:
+def test_the_doctor_reports_what_is_installed() -> None:
     doctor = Registry().types["rtm"].doctor
     assert doctor is not None
     facts = doctor()
@@ -187,7 +187,7 @@ def test_outputs_of_a_component_that_runs_periodically_state_its_rate(
     make_bridge: Make, names: str
 ) -> None:
     orb = Orb("127.0.0.1", call_seconds=patience())
-    component = RtComponent(orb, Sheet("Steady"), rate=50.0, seconds=patience())
+    component = RtComponent(orb, ComponentProfile("Steady"), rate=50.0, seconds=patience())
     try:
         component.add_out_port("out", "RTC::TimedLong", Types())
         component.bind([NamingService(orb, names, seconds=patience())])

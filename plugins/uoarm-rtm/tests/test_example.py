@@ -55,7 +55,7 @@ def say(process: subprocess.Popen[str]) -> str:
     return process.stdout.readline()
 
 
-def test_a_component_started_by_hand_is_heard(address: str, tmp_path: Path) -> None:
+def test_a_component_started_by_hand_is_received(address: str, tmp_path: Path) -> None:
     with program("-u", str(EXAMPLES / "rtm" / "counter.py"), address) as counter:
         assert say(counter) == "Counter0.rtc counts\n"
         with (

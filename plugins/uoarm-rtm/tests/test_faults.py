@@ -1,4 +1,4 @@
-"""Deaths, hangs, restarts and ends without a goodbye: told in time, and nothing left behind."""
+"""Deaths, hangs, restarts and abrupt ends: reported in time, and nothing left behind."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from endpoints import ANSWERS, HANGS_AFTER, Inbox, endpoint, looked, sink, source, stamped
+from endpoints import ANSWERS, HANGS_AFTER, Inbox, checked, endpoint, sink, source, stamped
 from peers import Peer
 from uoarm_rtm import _connector, _nameserver
 from uoarm_rtm._leftovers import end_connector
@@ -31,13 +31,13 @@ OUT = endpoint(Role.OUTPUT, "Mortal.rtc", "out")
 IN = endpoint(Role.INPUT, "Mortal.rtc", "in")
 
 
-def test_a_killed_component_is_told_to_its_channels(bridge: Bridge, peer: Start) -> None:
+def test_a_killed_component_is_reported_to_its_channels(bridge: Bridge, peer: Start) -> None:
     component = peer("Mortal")
     events, inbox = Inbox(), Inbox()
     bridge.watch(events)
     from_it = source(bridge, OUT, inbox)
     into_it = sink(bridge, IN)
-    looked(bridge, "Mortal.rtc")
+    checked(bridge, "Mortal.rtc")
     component.count(0, 3)
     inbox.wait_for(3)
     component.kill()
@@ -83,7 +83,7 @@ def test_a_hung_component_never_hangs_us(make_bridge: Make, peer: Start) -> None
     events = Inbox()
     bridge.watch(events)
     into = sink(bridge, IN)
-    looked(bridge, "Mortal.rtc")
+    checked(bridge, "Mortal.rtc")
     component.freeze()
     with pytest.raises(BridgeTimeoutError, match="did not take a message"):
         into.send(stamped(1))
@@ -105,13 +105,13 @@ def test_a_connection_that_a_hung_component_makes_later_is_undone(
     component = peer("Mortal")
     structure = bridge.describe(OUT).message
     assert structure is not None
-    place = bridge._place(OUT)  # type: ignore[attr-defined]  # everything before the connection
+    remote = bridge._remote_port(OUT)  # type: ignore[attr-defined]  # all before the connection
     # Before the first call through a reference it is asked whether its object is there: the call
     # that the component finds when it wakes up is to be that which connects.
-    place.port.reference.get_port_profile()
+    remote.port.reference.get_port_profile()
     component.freeze()
     with pytest.raises(BridgeTimeoutError):
-        OutPortSource(place, Collector())
+        OutPortSource(remote, Collector())
     component.thaw()
     wait(lambda: all(thread.name != "uoarm-rtm-undo" for thread in threading.enumerate()))
     wait(lambda: component.made_in_all() == 1)
@@ -182,13 +182,13 @@ def test_an_in_port_is_never_disconnected_while_it_takes_a_message(
         with pytest.raises(TimeoutError):
             closing.result(0.3)
         assert component.connectors() == [1, 0]
-        component.let_go()
+        component.release()
         sending.result(patience())
         closing.result(patience())
     assert component.connectors() == [0, 0]
 
 
-def test_silence_is_told_when_asked(bridge: Bridge, peer: Start) -> None:
+def test_silence_is_reported_when_asked(bridge: Bridge, peer: Start) -> None:
     peer("Mortal")
     events = Inbox()
     bridge.watch(events)
@@ -302,7 +302,7 @@ print("fine")
 """
 
 
-def test_an_orb_that_somebody_shuts_down_is_an_error_and_no_hang(
+def test_an_orb_that_the_application_shuts_down_is_an_error_and_no_hang(
     nameserver: str, peer: Start
 ) -> None:
     peer("Mortal")

@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 from endpoints import ANSWERS, HANGS_AFTER, Inbox, endpoint, source
 from peers import Peer
-from uoarm_rtm._journal import Entry, Journal, journal
+from uoarm_rtm._journal import Journal, JournalEntry, journal
 
 from uoarm.bridge import Bridge
 from uoarm.model import Role
@@ -179,17 +179,17 @@ functions:
     assert component.connectors() == [0, 0]
 
 
-def test_a_journal_tells_the_living_from_the_dead(tmp_path: Path) -> None:
+def test_a_journal_knows_which_processes_are_dead(tmp_path: Path) -> None:
     ours, other = Journal(tmp_path), Journal(tmp_path)
     assert ours.runs(ours.token)
     assert ours.runs(other.token) is None
     script = f"""
 import sys
 from pathlib import Path
-from uoarm_rtm._journal import Entry, Journal
+from uoarm_rtm._journal import Journal, JournalEntry
 journal = Journal(Path({str(tmp_path)!r}))
-journal.write(Entry("one", ("IOR:1",), "there"))
-journal.write(Entry("two", ("IOR:2",), "here"))
+journal.write(JournalEntry("one", ("IOR:1",), "there"))
+journal.write(JournalEntry("two", ("IOR:2",), "here"))
 journal.erase("one")
 print(journal.token, flush=True)
 sys.stdin.read()
@@ -204,9 +204,9 @@ sys.stdin.read()
         process.kill()
         process.wait()
     assert ours.runs(token) is False
-    assert list(ours.left()) == [(token, [Entry("two", ("IOR:2",), "here")])]
+    assert list(ours.left()) == [(token, [JournalEntry("two", ("IOR:2",), "here")])]
     (tmp_path / token / "garbage.json").write_text('{"ports": 1')
-    assert list(ours.left()) == [(token, [Entry("two", ("IOR:2",), "here")])]
+    assert list(ours.left()) == [(token, [JournalEntry("two", ("IOR:2",), "here")])]
     ours.forget(token, "two")
     assert list(ours.left()) == [(token, [])]
     assert list(ours.left()) == []
@@ -218,8 +218,8 @@ def test_a_journal_that_cannot_be_written_is_said_once(
 ) -> None:
     (tmp_path / "uoarm").write_text("in the way")
     broken = Journal(tmp_path / "uoarm")
-    broken.write(Entry("one", (), "there"))
-    broken.write(Entry("two", (), "there"))
+    broken.write(JournalEntry("one", (), "there"))
+    broken.write(JournalEntry("two", (), "there"))
     assert len(caplog.records) == 1
     assert "a kill would leave them behind" in caplog.text
     broken.close()

@@ -18,7 +18,7 @@ from uoarm.testing import wait
 Start = Callable[..., Peer]
 
 
-def linked(bridge: Bridge, out: dict[str, Any], into: dict[str, Any]) -> Channel | None:
+def linked_options(bridge: Bridge, out: dict[str, Any], into: dict[str, Any]) -> Channel | None:
     return bridge.link(of("From", Role.OUTPUT, "out", **out), of("Into", Role.INPUT, "in", **into))
 
 
@@ -51,23 +51,23 @@ FAULTS: dict[str, tuple[Callable[[Peer, Peer], object], str, str]] = {
 
 
 @pytest.mark.parametrize("fault", FAULTS)
-def test_the_end_at_fault_is_blamed_and_the_other_let_go(
+def test_the_end_at_fault_is_blamed_and_the_other_released(
     make_bridge: Callable[..., Bridge], peer: Start, fault: str
 ) -> None:
     happen, blamed, words = FAULTS[fault]
-    # Who answers late on a busy machine is not at fault: a long limit where nobody hangs.
+    # What answers late on a busy machine is not at fault: a long limit where nothing hangs.
     limit = {"call_timeout": HANGS_AFTER} if "hangs" in fault else {}
     bridge, events = make_bridge(**limit), Inbox()
     bridge.watch(events)
     ends = {"From": peer("From"), "Into": peer("Into")}
     for item in ends.values():
         item.activate()
-    link = linked(bridge, {}, {})
+    link = linked_options(bridge, {}, {})
     assert link is not None
     happen(*ends.values())
     if fault == "the sink dies":
         ends["From"].count(0, 1)  # at which the source drops the connection
-    # That the component is lost may be told before that the link is.
+    # That the component is lost may be reported before that the link is.
     wait(
         lambda: any(
             words in message.cause and concerned(message) == blamed for message in events.messages
@@ -77,8 +77,8 @@ def test_the_end_at_fault_is_blamed_and_the_other_let_go(
     assert {concerned(item) for item in lost} <= {blamed, f"{blamed}.rtc"}
     if "hangs" not in fault:
         link.close()
-        other = ends["Into" if blamed == "From" else "From"]
-        assert other.connectors() == [0, 0]
+        blameless = ends["Into" if blamed == "From" else "From"]
+        assert blameless.connectors() == [0, 0]
 
 
 def test_a_second_sink_takes_over(nameserver: str, peer: Start, tmp_path: Path) -> None:
@@ -123,7 +123,7 @@ def test_the_options_of_both_ends_hold(bridge: Bridge, peer: Start) -> None:
         "inport_buffer": {"length": 1, "full_policy": "do_nothing"},
         "properties": {"of.the.sink": "yes"},
     }
-    link = linked(bridge, {"properties": {"of.the.source": "yes"}, "activate": True}, into)
+    link = linked_options(bridge, {"properties": {"of.the.source": "yes"}, "activate": True}, into)
     assert link is not None
     [made] = component.made()
     wanted = {
@@ -156,5 +156,5 @@ def test_what_one_connection_cannot_be_goes_through_us(
     bridge: Bridge, peer: Start, out: dict[str, Any], into: dict[str, Any]
 ) -> None:
     component, _ = peer("From"), peer("Into")
-    assert linked(bridge, out, into) is None
+    assert linked_options(bridge, out, into) is None
     assert component.connectors() == [0, 0]

@@ -1,4 +1,4 @@
-"""Components that tell of their states are looked at as they do, and keep nothing of ours."""
+"""Components that report their states are checked at once, and keep nothing of ours."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from uoarm.model import Health, Role
 from uoarm.testing import wait
 
 Start = Callable[..., Peer]
-NEVER = 3600.0  # between two looks that nobody asks for
+NEVER = 3600.0  # between two checks that no component asks for
 
 
 def observed(peer: Start, name: str) -> Any:
@@ -26,7 +26,7 @@ def observed(peer: Start, name: str) -> Any:
     return component
 
 
-def test_a_component_that_tells_of_its_failure_is_looked_at_then(
+def test_a_component_that_reports_its_failure_is_checked_at_once(
     make_bridge: Callable[..., Bridge], peer: Start
 ) -> None:
     component, events = observed(peer, "Worker"), Inbox()
@@ -43,7 +43,7 @@ def test_a_component_that_tells_of_its_failure_is_looked_at_then(
     assert component.observers() == []
 
 
-def test_both_ends_of_a_native_link_tell(make_bridge: Callable[..., Bridge], peer: Start) -> None:
+def test_both_ends_of_a_native_link_report(make_bridge: Callable[..., Bridge], peer: Start) -> None:
     first, second, events = observed(peer, "From"), observed(peer, "Into"), Inbox()
     bridge = make_bridge(watch=NEVER)
     bridge.watch(events)
@@ -65,7 +65,7 @@ def test_an_observer_goes_with_the_last_channel(bridge: Bridge, peer: Start) -> 
 
 
 @pytest.mark.parametrize("observe", [True, False])
-def test_a_component_without_observers_is_looked_at(
+def test_a_component_without_observers_is_checked(
     make_bridge: Callable[..., Bridge], peer: Start, observe: bool
 ) -> None:
     component, events = peer("Worker"), Inbox()

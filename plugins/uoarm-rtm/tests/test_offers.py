@@ -197,8 +197,8 @@ def test_types_are_derived_from_structures_and_their_idl_is_at_the_port(
         assert plain(came) == plain(POSED)
 
         talker = peer("Talker", ports["goal"].data_type, ports["goal"].properties["uoarm.idl"])
-        wish = {**PUSH, "dataport.data_type": ports["goal"].data_type}
-        assert talker.connect(nameserver, "Robot.rtc", "goal", wish) == "RTC_OK"
+        asked = {**PUSH, "dataport.data_type": ports["goal"].data_type}
+        assert talker.connect(nameserver, "Robot.rtc", "goal", asked) == "RTC_OK"
         talker.write({"joint": -5})
         assert goal.taken.wait(1) == [{"joint": -5}]
 
@@ -209,19 +209,19 @@ def test_an_interface_is_derived_from_the_structures_of_a_service(
     rtm, one = make_bridge(component="Robot"), MemoryBridge("one")
     handed: list[Any] = []
     one.service("find", POSE, ANSWERED, lambda asked: {"return": asked["frame"].upper()})
-    one.service("tell", {"type": "number"}, {"type": "null"}, handed.append)
+    one.service("speak", {"type": "number"}, {"type": "null"}, handed.append)
     one.service("loose", {"type": "object"}, ANSWERED, lambda asked: {"return": "?"})
     text = """
 version: 1
 bridges: {rtm: {}, one: {plugin: memory}}
 functions:
   find: {components: [{name: find, bridge: one, service: {endpoint: [find]}}]}
-  tell: {components: [{name: tell, bridge: one, service: {endpoint: [tell]}}]}
+  speak: {components: [{name: speak, bridge: one, service: {endpoint: [speak]}}]}
   loose: {components: [{name: loose, bridge: one, service: {endpoint: [loose]}}]}
 offer:
   rtm:
     find: {service: {endpoint: [self, find]}}
-    tell: {service: {endpoint: [self, tell]}}
+    speak: {service: {endpoint: [self, speak]}}
     loose: {service: {endpoint: [self, loose]}}
 """
     with RobotManager(loads(text), bridges={"rtm": rtm, "one": one}) as robot:
@@ -239,7 +239,7 @@ offer:
             return client.ask("call", arguments)
 
         assert ask("find", {"request": {**POSED, "octets": [97]}}) == {"return": {"return": "MAP"}}
-        assert ask("tell", {"request": 0.5}) == {}
+        assert ask("speak", {"request": 0.5}) == {}
         assert handed == [0.5]
 
 

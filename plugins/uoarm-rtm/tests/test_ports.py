@@ -138,7 +138,7 @@ def test_user_types_and_images_pass(make_bridge: Callable[..., Bridge], peer: St
 @pytest.mark.parametrize(
     ("address", "words", "reason"),
     [
-        (("Nobody.rtc", "out"), "there is no component 'Nobody.rtc'", FailureReason.NOT_FOUND),
+        (("Missing.rtc", "out"), "there is no component 'Missing.rtc'", FailureReason.NOT_FOUND),
         (("talker.rtc", "out"), "did you mean 'Talker.rtc'?", FailureReason.NOT_FOUND),
         (("Talker.rtc", "left"), "has no port 'left'; it has in, out", FailureReason.NOT_FOUND),
         (("Talker.rtc", "in"), "is a DataInPort, but an output needs", FailureReason.BAD_ENDPOINT),
@@ -231,7 +231,7 @@ def test_a_port_of_ours_shows_no_connection_that_is_being_made(
     assert second.connectors() == [1, 0]
 
 
-def test_a_command_that_nobody_renews_is_followed_by_the_stop(bridge: Bridge, peer: Start) -> None:
+def test_a_command_that_is_not_renewed_is_followed_by_the_stop(bridge: Bridge, peer: Start) -> None:
     component = peer("Listener")
     policy = CommandPolicy(0.1, StopMessage(stamped(0)))
     at = evolve(endpoint(Role.INPUT, "Listener.rtc", "in", activate=True), command=policy)
@@ -242,7 +242,7 @@ def test_a_command_that_nobody_renews_is_followed_by_the_stop(bridge: Bridge, pe
 
 
 @pytest.mark.parametrize("subscription", ["flush", "new"])
-def test_what_moves_is_stopped_before_it_is_let_go(
+def test_what_moves_is_stopped_before_it_is_released(
     bridge: Bridge, peer: Start, subscription: str
 ) -> None:
     component = peer("Listener")

@@ -14,9 +14,9 @@ from endpoints import Inbox, endpoint, sink, source, stamped
 from jsonschema import Draft202012Validator
 from peers import Peer
 from uoarm_rtm import _bridge
-from uoarm_rtm._own import Own
+from uoarm_rtm._own import OwnComponent
 from uoarm_rtm._peer import pairs
-from uoarm_rtm._service_call import Caller
+from uoarm_rtm._service_call import OperationCaller
 from uoarm_rtm.errors import IdlError
 
 from uoarm.bridge import Bridge, ServiceStructures
@@ -102,7 +102,7 @@ def test_a_slow_or_failing_service_is_an_error_in_time(make_bridge: Make, robot:
     with pytest.raises(BridgeError, match="UNKNOWN"):
         bridge.call(endpoint(Role.SERVICE, "Robot.rtc", "served", "Mover::fail"), {})
     with pytest.raises(BridgeError, match=r"is not known \(the option `idl`"):
-        bridge.describe(endpoint(Role.SERVICE, "Robot.rtc", "served", "Unheard"))
+        bridge.describe(endpoint(Role.SERVICE, "Robot.rtc", "served", "Unknown"))
 
 
 def test_a_service_that_came_back_is_reached_again(make_bridge: Make, peer: Start) -> None:
@@ -128,16 +128,16 @@ def test_a_call_whose_connection_another_has_ended_makes_one_that_is_ended_too(
     at = endpoint(Role.SERVICE, "Robot.rtc", "served", "Mover")
     echo = {"operation": "echo", "arguments": {"words": "b"}}
     found, go = threading.Event(), threading.Event()
-    call = Caller.call
+    call = OperationCaller.call
 
-    def late(caller: Caller, *given: Any) -> Any:
+    def late(caller: OperationCaller, *given: Any) -> Any:
         if not found.is_set():
             found.set()
             assert go.wait(patience())
         return call(caller, *given)
 
     assert bridge.call(at, echo) == {"return": "b"}
-    monkeypatch.setattr(Caller, "call", late)
+    monkeypatch.setattr(OperationCaller, "call", late)
     calling = Background(lambda: bridge.call(at, echo))
     assert found.wait(patience())
     with pytest.raises(BridgeError, match="UNKNOWN"):
@@ -215,8 +215,8 @@ def test_a_component_of_ours_that_is_made_while_its_bridge_closes_is_put_away(
     made, go = threading.Event(), threading.Event()
     refused: list[BridgeError] = []
 
-    def slow(*words: Any) -> Own:
-        own = Own(*words)
+    def slow(*words: Any) -> OwnComponent:
+        own = OwnComponent(*words)
         made.set()
         assert go.wait(patience())
         return own
@@ -228,14 +228,14 @@ def test_a_component_of_ours_that_is_made_while_its_bridge_closes_is_put_away(
         except BridgeError as error:
             refused.append(error)
 
-    monkeypatch.setattr(_bridge, "Own", slow)
+    monkeypatch.setattr(_bridge, "OwnComponent", slow)
     thread = threading.Thread(target=opening)
     thread.start()
     try:
         assert made.wait(patience())
         assert is_bound(other, "Manager.rtc")
         # So long does closing wait, for what hangs here until it has closed.
-        bridge._settings = evolve(bridge._settings, call_seconds=0.01)
+        bridge._options = evolve(bridge._options, call_seconds=0.01)
         bridge.close(timeout=patience())
     finally:
         go.set()
@@ -280,9 +280,9 @@ def test_a_call_timeout_limits_operations_whose_endpoint_has_no_limit(
     make_bridge: Make, robot: Peer
 ) -> None:
     bridge: Any = make_bridge(idl=IDL, call_timeout=60)
-    assert bridge._settings.operation_seconds == 60
+    assert bridge._options.operation_seconds == 60
     # As option it would be that of connecting, too, which takes what it takes.
-    bridge._settings = evolve(bridge._settings, operation_seconds=0.2)
+    bridge._options = evolve(bridge._options, operation_seconds=0.2)
     name = "Robot.rtc", "served", "Arm::Mover::sleep"
     at = endpoint(Role.SERVICE, *name, timeout=patience())
     assert bridge.call(at, {"seconds": 0.3}, timeout=patience()) == {}
@@ -330,16 +330,16 @@ def test_we_are_a_component_that_others_connect_to(
     bridge = make_bridge(idl=IDL, component="Manager")
     talker = peer("Talker")
     inbox = Inbox()
-    at = endpoint(Role.OUTPUT, "self", "heard", "RTC::TimedLong")
+    at = endpoint(Role.OUTPUT, "self", "received", "RTC::TimedLong")
     channel = source(bridge, at, inbox)
-    assert talker.connect(nameserver, "Manager.rtc", "heard", PUSH) == "RTC_OK"
+    assert talker.connect(nameserver, "Manager.rtc", "received", PUSH) == "RTC_OK"
     talker.count(0, 3)
     assert inbox.numbers() == [0, 1, 2]
     wrong = {**PUSH, "dataport.data_type": "IDL:RTC/TimedDouble:1.0"}
-    assert talker.connect(nameserver, "Manager.rtc", "heard", wrong) == "BAD_PARAMETER"
-    assert talker.connect(nameserver, "Manager.rtc", "heard", {}) == "BAD_PARAMETER"
+    assert talker.connect(nameserver, "Manager.rtc", "received", wrong) == "BAD_PARAMETER"
+    assert talker.connect(nameserver, "Manager.rtc", "received", {}) == "BAD_PARAMETER"
     assert talker.connectors() == [0, 1]
-    with pytest.raises(BridgeError, match="has a port 'heard' already"):
+    with pytest.raises(BridgeError, match="has a port 'received' already"):
         source(bridge, at, inbox)
     channel.close()
     assert talker.connectors() == [0, 0]
@@ -352,14 +352,14 @@ def test_an_in_port_of_ours_asks_those_who_wait_to_be_asked(
     talker = peer("Talker")
     talker.mind_disconnecting()
     inbox = Inbox()
-    at = endpoint(Role.OUTPUT, "self", "heard", "RTC::TimedLong", rate=200)
+    at = endpoint(Role.OUTPUT, "self", "received", "RTC::TimedLong", rate=200)
     channel = source(bridge, at, inbox)
     pull = {
         **PUSH,
         "dataport.dataflow_type": "pull",
         "dataport.outport.buffer.read.empty_policy": "block",
     }
-    assert talker.connect(nameserver, "Manager.rtc", "heard", pull) == "RTC_OK"
+    assert talker.connect(nameserver, "Manager.rtc", "received", pull) == "RTC_OK"
     talker.count(0, 3)
     inbox.wait_for(3)
     talker.count(2, 3)
@@ -371,20 +371,20 @@ def test_an_in_port_of_ours_asks_those_who_wait_to_be_asked(
     assert talker.interrupted() == 0
 
 
-def test_an_in_port_of_ours_that_is_told_of_the_end_has_stopped_asking_when_it_answers(
+def test_an_in_port_of_ours_that_is_notified_of_the_end_has_stopped_asking_when_it_answers(
     make_bridge: Make, peer: Start, nameserver: str
 ) -> None:
     bridge: Any = make_bridge(component="Manager")
     talker = peer("Talker")
     talker.mind_disconnecting()
-    source(bridge, endpoint(Role.OUTPUT, "self", "heard", "RTC::TimedLong", rate=200), Inbox())
+    source(bridge, endpoint(Role.OUTPUT, "self", "received", "RTC::TimedLong", rate=200), Inbox())
     pull = {
         **PUSH,
         "dataport.dataflow_type": "pull",
         "dataport.outport.buffer.read.empty_policy": "block",
     }
-    assert talker.connect(nameserver, "Manager.rtc", "heard", pull) == "RTC_OK"
-    port = bridge._directory.peer("Manager.rtc").port("heard").reference
+    assert talker.connect(nameserver, "Manager.rtc", "received", pull) == "RTC_OK"
+    port = bridge._directory.peer("Manager.rtc").port("received").reference
     (profile,) = port.get_connector_profiles()
     wait(lambda: talker.asked() == 1)
     port.notify_disconnect(profile.connector_id)
@@ -401,7 +401,7 @@ def test_what_is_sent_while_an_out_port_of_ours_is_disconnected_leaves_no_end_be
     other = bridge._directory.peer("Listener.rtc").port("in").reference
     profile = RTC.ConnectorProfile("tool", "tool", [port.reference, other], pairs(PUSH))
     assert port.connect(profile)[0] == RTC.RTC_OK
-    # What `disconnect` does first: the other port is told next, and may take its time.
+    # What `disconnect` does first: the other port is notified next, and may take its time.
     port._quiesce("tool")
     into.send(stamped(1))
     assert port.disconnect("tool") == RTC.RTC_OK

@@ -18,7 +18,7 @@ from uoarm.testing import Collector, wait
 Start = Callable[..., Peer]
 Make = Callable[..., Bridge]
 OCTETS = "IDL:RTC/TimedOctetSeq:1.0"
-USUAL = 2 << 20  # the limit of omniORB when it is told no other
+USUAL = 2 << 20  # the limit of omniORB where no other is configured
 
 
 @pytest.fixture
@@ -68,7 +68,7 @@ def test_a_message_too_large_for_us_fails_alone(make_bridge: Make, peer: Start) 
         make_bridge("other", max_message=1 << 21)
 
 
-def test_an_answer_too_large_is_told_and_ends_nothing(bridge: Bridge, usual: Peer) -> None:
+def test_an_answer_too_large_is_reported_and_ends_nothing(bridge: Bridge, usual: Peer) -> None:
     events, got = Inbox(), Collector()
     bridge.watch(events)
     at = endpoint(Role.OUTPUT, "Usual.rtc", "out", flow="pull", rate=200)

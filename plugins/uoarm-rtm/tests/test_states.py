@@ -1,4 +1,4 @@
-"""The states of components: what has failed is replaced, what is inactive is told or activated."""
+"""The states of components: failed ones are replaced, inactive ones reported or activated."""
 
 from __future__ import annotations
 

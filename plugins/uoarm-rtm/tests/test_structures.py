@@ -19,8 +19,8 @@ from messages import messages
 from plain import plain
 from uoarm_rtm._compiler import OUR_IDL
 from uoarm_rtm._derived import derive
+from uoarm_rtm._options import bridge_options
 from uoarm_rtm._schema import schema_of
-from uoarm_rtm._settings import bridge_settings
 from uoarm_rtm._types import Types
 from uoarm_rtm._user_idl import load_idl
 
@@ -47,7 +47,7 @@ def types() -> Types:
 def json_of(value: Any) -> Any:
     """Return a message as JSON; strings that stand for NaN and infinities stay out."""
     if isinstance(value, dict):
-        return {name: json_of(each) for name, each in value.items()}
+        return {name: json_of(member) for name, member in value.items()}
     return list(map(json_of, value)) if isinstance(value, bytes | list) else value
 
 
@@ -108,12 +108,12 @@ def test_facts_are_exact() -> None:
     assert grid["properties"]["cells"]["items"]["maxItems"] == 3
 
 
-def test_types_are_named_and_documented_units_are_told() -> None:
+def test_types_are_named_and_documented_units_are_stated() -> None:
     velocity = types().structure("TimedVelocity2D").schema
     assert isinstance(velocity, dict)
     assert velocity["x-type"] == {"name": "RTC::TimedVelocity2D", "version": "1.0"}
     data = velocity["properties"]["data"]
-    units = {name: one.get("x-unit") for name, one in data["properties"].items()}
+    units = {name: member.get("x-unit") for name, member in data["properties"].items()}
     assert units == {"vx": "m/s", "vy": "m/s", "va": "rad/s"}
     stamp = velocity["properties"]["tm"]["properties"]
     assert stamp["nsec"]["x-unit"] == "ns"
@@ -133,10 +133,10 @@ def test_a_derived_type_has_no_name_of_its_own() -> None:
     assert "x-type" not in schema_of(derive("port", structure, is_read=False))
 
 
-def test_unions_are_told_apart_by_their_switch() -> None:
+def test_members_of_unions_are_known_by_their_switch() -> None:
     schema = types().structure("Odd/ByNumber").schema
     assert isinstance(schema, dict)
-    small, stamped, others = (each["properties"]["switch"] for each in schema["oneOf"])
+    small, stamped, others = (case["properties"]["switch"] for case in schema["oneOf"])
     assert (small, stamped) == ({"enum": [1, 2]}, {"enum": [5]})
     assert [(gap["minimum"], gap["maximum"]) for gap in others["anyOf"]] == [
         (-32768, 0), (3, 4), (6, 32767),
@@ -187,7 +187,7 @@ def test_a_text_finds_what_it_includes_in_the_folder_of_its_file(
         file.write_text(text.replace("MORE", more))
         spec = load(file, Registry().types).bridges["rtm"]
         located = Registry().types["rtm"].located(spec.options, spec.folder)
-        options = bridge_settings("rtm", located)
+        options = bridge_options("rtm", located)
         types = Types(options.idl, options.text, options.idl_folder)
         assert types.codec("Mine::M").encode({"p": {"x": 1}}) == octets
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 from uoarm.bridge import Bridge, BridgeType, hookimpl
 from uoarm.errors import PluginError
 from uoarm.model import Options
-from uoarm_rtm._settings import BRIDGE_OPTIONS, mistake
+from uoarm_rtm._options import BRIDGE_OPTIONS, option_mistake
 
 __all__ = ["uoarm_bridge_types"]
 
@@ -25,7 +25,7 @@ def uoarm_bridge_types() -> list[BridgeType]:
             summary="OpenRTM components through CORBA",
             create=_create,
             options_schema=BRIDGE_OPTIONS,
-            check_endpoint=mistake,
+            check_endpoint=option_mistake,
             doctor=_doctor,
             contract=2,
         )

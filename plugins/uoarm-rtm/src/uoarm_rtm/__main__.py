@@ -77,8 +77,8 @@ def _parser() -> argparse.ArgumentParser:
         "--remove", action="store_true", help="end those whose process runs no more"
     )
     for action in _ACTIONS:
-        each = commands.add_parser(action, parents=[asking], help=f"{action} components")
-        each.add_argument("component", nargs="+")
+        command = commands.add_parser(action, parents=[asking], help=f"{action} components")
+        command.add_argument("component", nargs="+")
     configure = commands.add_parser("configure", parents=[asking], help="read and write parameters")
     configure.add_argument("component")
     configure.add_argument("values", nargs="*", metavar="NAME=VALUE")

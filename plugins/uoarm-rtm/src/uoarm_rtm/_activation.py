@@ -8,8 +8,8 @@ import threading
 from uoarm.bridge import Channel
 from uoarm.errors import BridgeError
 from uoarm_rtm._control import change
-from uoarm_rtm._peer import Peer, state_of
-from uoarm_rtm._place import Place
+from uoarm_rtm._peer import PeerComponent, state_of
+from uoarm_rtm._place import RemotePort
 
 __all__ = ["Activations"]
 
@@ -28,10 +28,10 @@ class Activations:
     def __init__(self, seconds: float) -> None:
         self._seconds = seconds
         self._lock = threading.Lock()
-        self._ours: dict[str, Peer] = {}
+        self._ours: dict[str, PeerComponent] = {}
         self._users: dict[str, set[Channel]] = {}
 
-    def enter(self, channel: Channel, place: Place) -> None:
+    def enter(self, channel: Channel, remote: RemotePort) -> None:
         """Have a component ACTIVE while a channel is open, where its endpoint asks for that.
 
         One that has failed (ERROR) is reset before, where the endpoint allows it.
@@ -39,12 +39,12 @@ class Activations:
         Raises:
             BridgeError: it cannot be activated.
         """
-        if not place.settings.activate:
+        if not remote.options.activate:
             return
-        peer = place.peer
+        peer = remote.peer
         with self._lock:
             state = state_of(peer, self._seconds)
-            if state == "error" and place.settings.reset:
+            if state == "error" and remote.options.reset:
                 change(peer, "reset", self._seconds, there_is_fine=True)
             if state != "active":
                 change(peer, "activate", self._seconds, there_is_fine=True)

@@ -10,27 +10,27 @@ from typing import Any
 import numpy as np
 
 from uoarm.model import Message
-from uoarm_rtm._scalars import CODES, Misfit, Order, checker, shown
-from uoarm_rtm._shape import INTEGERS, Listing, Scalar
+from uoarm_rtm._scalars import CODES, IdlMismatch, Order, checker, shown
+from uoarm_rtm._shape import INTEGERS, IdlScalar, IdlSequence
 
 __all__ = ["blocks", "counted", "is_block", "item"]
 
 
-def is_block(listing: Listing) -> bool:
+def is_block(listing: IdlSequence) -> bool:
     """Whether the elements lie on the wire one after another as one block."""
-    return isinstance(listing.element, Scalar) and listing.element.name in CODES
+    return isinstance(listing.element, IdlScalar) and listing.element.name in CODES
 
 
-def counted(listing: Listing) -> Callable[[Message], int]:
+def counted(listing: IdlSequence) -> Callable[[Message], int]:
     """Return the function that counts an array's elements, or raises Misfit."""
     size, fixed = listing.size, listing.fixed
 
     def count(value: Message) -> int:
         if isinstance(value, str | bytes | dict) or not hasattr(value, "__len__"):
-            raise Misfit(f"expected an array, got {shown(value)}")
+            raise IdlMismatch(f"expected an array, got {shown(value)}")
         found = len(value)
         if size is not None and (found != size if fixed else found > size):
-            raise Misfit(f"expected {'' if fixed else 'at most '}{size} elements, got {found}")
+            raise IdlMismatch(f"expected {'' if fixed else 'at most '}{size} elements, got {found}")
         return found
 
     return count
@@ -41,15 +41,15 @@ def item(index: int) -> Iterator[None]:
     """Put the index before what a Misfit says."""
     try:
         yield
-    except Misfit as error:
-        raise Misfit(f"[{index}]{'' if str(error).startswith('[') else ' '}{error}") from error
+    except IdlMismatch as error:
+        raise IdlMismatch(f"[{index}]{'' if str(error).startswith('[') else ' '}{error}") from error
 
 
-def blocks(listing: Listing, order: Order) -> Callable[[Message], tuple[int, Any]]:
+def blocks(listing: IdlSequence, order: Order) -> Callable[[Message], tuple[int, Any]]:
     """Return the function that makes (number of elements, their bytes); it raises Misfit."""
-    assert isinstance(listing.element, Scalar)
+    assert isinstance(listing.element, IdlScalar)
     name = listing.element.name
-    count = counted(Listing(listing.element, listing.size, fixed=listing.fixed))
+    count = counted(IdlSequence(listing.element, listing.size, fixed=listing.fixed))
     if name in {"boolean", "char"}:
         return lambda value: (count(value), bytes(_checked(value, name)))
     native = np.dtype(CODES[name])
@@ -80,12 +80,12 @@ def _checked(value: Message, name: str) -> list[Any]:
 
 def _array(value: Message, name: str, native: np.dtype[Any]) -> np.ndarray[Any, Any]:
     if isinstance(value, bytes | bytearray):
-        raise Misfit(f"expected an array of {name}, got octets")
+        raise IdlMismatch(f"expected an array of {name}, got octets")
     if isinstance(value, array | memoryview):
         view = memoryview(value)
         return np.asarray(view) if view.nbytes else np.empty(0, native)
     if not isinstance(value, list | tuple):
-        raise Misfit(f"expected an array of {name}, got {shown(value)}")
+        raise IdlMismatch(f"expected an array of {name}, got {shown(value)}")
     kinds = set(map(type, value))
     exact = {int} if name in INTEGERS else {float}
     if kinds == exact and name != "float":
@@ -99,11 +99,11 @@ def _array(value: Message, name: str, native: np.dtype[Any]) -> np.ndarray[Any, 
 def _fitted(given: np.ndarray[Any, Any], name: str, native: np.dtype[Any]) -> np.ndarray[Any, Any]:
     """Return the numbers as an array of the native type, or raise Misfit."""
     if given.ndim != 1:
-        raise Misfit(f"expected an array of one dimension, got {given.ndim}")
+        raise IdlMismatch(f"expected an array of one dimension, got {given.ndim}")
     if given.dtype.newbyteorder("=") == native:
         return given
     if given.dtype.kind not in ("iu" if name in INTEGERS else "iuf"):
-        raise Misfit(f"expected an array of {name}, got an array of {given.dtype}")
+        raise IdlMismatch(f"expected an array of {name}, got an array of {given.dtype}")
     if not np.can_cast(given.dtype, native, "safe"):
         check = checker(name)
         # Only the two ends need a look: NaN and infinities pass as floats.

@@ -23,7 +23,7 @@ from uoarm.bridge import (
     at_exit,
 )
 from uoarm.errors import BridgeError, FailureReason
-from uoarm.model import Endpoint, Health, Message, MessageStructure, Options, Role
+from uoarm.model import Endpoint, Message, MessageStructure, Options, Role
 from uoarm_rtm import _control
 from uoarm_rtm._activation import Activations
 from uoarm_rtm._configuration import configure
@@ -32,29 +32,29 @@ from uoarm_rtm._derived import CALL
 from uoarm_rtm._directory import Directory
 from uoarm_rtm._discovery import discovered
 from uoarm_rtm._naming import NamingService
-from uoarm_rtm._native import Native
+from uoarm_rtm._native import NativeConnector
 from uoarm_rtm._observers import Observers
-from uoarm_rtm._orb import Orb
-from uoarm_rtm._own import Own
-from uoarm_rtm._peer import Peer, Port, state_of
-from uoarm_rtm._place import Place
-from uoarm_rtm._required_port import is_big_in_cpp, required_port
-from uoarm_rtm._service_call import Caller, described, offered
-from uoarm_rtm._service_port import Offer, servant_of, unwrapped
-from uoarm_rtm._settings import (
+from uoarm_rtm._options import (
     CONFIGURATION,
     LIFECYCLE,
     SELF,
-    Address,
+    PortAddress,
     address_of,
-    bridge_settings,
-    linked,
-    settings_of,
+    bridge_options,
+    linked_options,
+    options_of,
 )
+from uoarm_rtm._orb import Orb
+from uoarm_rtm._own import OwnComponent
+from uoarm_rtm._peer import PeerComponent, PeerPort, state_of
+from uoarm_rtm._place import RemotePort
+from uoarm_rtm._required_port import is_big_in_cpp, required_port
+from uoarm_rtm._service_call import OperationCaller, described, offered
+from uoarm_rtm._service_port import ServicePortChannel, servant_of, unwrapped
 from uoarm_rtm._sink import InPortSink
 from uoarm_rtm._source import OutPortSource
 from uoarm_rtm._types import Types
-from uoarm_rtm._watch import Attendance, Watch
+from uoarm_rtm._watch import DirectoryMonitor, Ticker
 
 __all__ = ["RtmBridge"]
 
@@ -67,7 +67,7 @@ class RtmBridge(Bridge):
 
     Args:
         name: name of this instance in the configuration.
-        options: checked against `_settings.BRIDGE_OPTIONS`.
+        options: checked against `_options.BRIDGE_OPTIONS`.
 
     Raises:
         BridgeError: the IDL of the options cannot be compiled, or the ORB cannot begin.
@@ -77,31 +77,33 @@ class RtmBridge(Bridge):
 
     def __init__(self, name: str, options: Options) -> None:
         super().__init__(name, options)
-        self._settings = bridge_settings(name, options)
-        self._types = Types(self._settings.idl, self._settings.text, self._settings.idl_folder)
-        seconds = self._settings.call_seconds
-        self._orb = Orb(self._settings.address, seconds, self._settings.most_octets)
+        self._options = bridge_options(name, options)
+        self._types = Types(self._options.idl, self._options.text, self._options.idl_folder)
+        seconds = self._options.call_seconds
+        self._orb = Orb(self._options.address, seconds, self._options.most_octets)
         try:
             self._services = [
                 NamingService(self._orb, nameserver, seconds)
-                for nameserver in self._settings.nameservers
+                for nameserver in self._options.nameservers
             ]
         except ValueError:
-            self._orb.close()  # nobody will close a bridge that was never made
+            self._orb.close()  # a bridge that was never made is never closed
             raise
         self._directory = Directory(self._services, seconds)
-        self._connections = Connections(self._orb, self._settings.component, seconds)
+        self._connections = Connections(self._orb, self._options.component, seconds)
         self._guard = threading.Lock()
         self._making = threading.Lock()
-        self._own: Own | None = None
-        self._callers: dict[tuple[str, ...], Caller] = {}
+        self._own: OwnComponent | None = None
+        self._callers: dict[tuple[str, ...], OperationCaller] = {}
         self._active = Activations(seconds)
         self._ticking: dict[Channel, Callable[[], None]] = {}
-        own = f"{self._settings.component}.rtc"
-        self._attendance = Attendance(self._directory, self._component_changed, own)
-        self._observers = Observers(self._orb, self._settings.component, seconds, self._soon)
-        self._watch = Watch(self._ticks, self._settings.watch_seconds)
-        self._forget_exit = at_exit(partial(_let_go, weakref.ref(self)))
+        own = f"{self._options.component}.rtc"
+        self._monitor = DirectoryMonitor(self._directory, self.report, own)
+        self._ticker = Ticker(self._ticks, self._options.watch_seconds)
+        soon = self._ticker.soon
+        self._observers = Observers(self._orb, self._options.component, seconds, soon)
+        self._ticker.start()
+        self._forget_exit = at_exit(partial(_end_at_exit, weakref.ref(self)))
 
     def _describe(self, endpoint: Endpoint) -> Description:
         address = address_of(endpoint)
@@ -113,7 +115,7 @@ class RtmBridge(Bridge):
         _, port = self._port(endpoint, address)
         return Description(message=self._types.structure(port.data_type))
 
-    def _describe_service(self, address: Address) -> Description:
+    def _describe_service(self, address: PortAddress) -> Description:
         if address.component == SELF:
             known = described(*self._types.interface(address.type)) if address.type else None
             return known or Description()
@@ -125,7 +127,7 @@ class RtmBridge(Bridge):
                 request=_control.CONFIGURATION_REQUEST, reply=_control.CONFIGURATION_REPLY
             )
         port = peer.port(address.port)
-        self._well(peer)
+        self._require_no_error(peer)
         return described(*self._types.interface(address.type or _only_type(peer, port)))
 
     def _open_source(
@@ -134,20 +136,20 @@ class RtmBridge(Bridge):
         address = address_of(endpoint)
         if address.component == SELF:
             own = address.type or self._types.derive(address.port, structure, is_read=True)
-            return self._ours().source(endpoint, address.port, own, deliver)
-        place = self._place(endpoint)
-        source = OutPortSource(place, deliver)
-        self._looked_after(source, source.tick, place)
+            return self._own_component().source(endpoint, address.port, own, deliver)
+        remote = self._remote_port(endpoint)
+        source = OutPortSource(remote, deliver)
+        self._supervise(source, source.tick, remote)
         return source
 
     def _open_sink(self, endpoint: Endpoint, structure: MessageStructure) -> Sink:
         address = address_of(endpoint)
         if address.component == SELF:
             own = address.type or self._types.derive(address.port, structure, is_read=False)
-            return self._ours().sink(endpoint, address.port, own)
-        place = self._place(endpoint)
-        sink = InPortSink(place)
-        self._looked_after(sink, sink.tick, place)
+            return self._own_component().sink(endpoint, address.port, own)
+        remote = self._remote_port(endpoint)
+        sink = InPortSink(remote)
+        self._supervise(sink, sink.tick, remote)
         return sink
 
     def _call(
@@ -155,13 +157,13 @@ class RtmBridge(Bridge):
     ) -> Message:
         del structures  # the interface is in the address, or at the port
         address = address_of(endpoint)
-        seconds = min(timeout, self._settings.call_seconds)
-        own = settings_of(endpoint).timeout if endpoint.options else None
+        seconds = min(timeout, self._options.call_seconds)
+        own = options_of(endpoint).timeout if endpoint.options else None
         limit = timeout, "the limit of the call"
         if own is not None:
             limit = min(limit, (own, "`timeout` of the endpoint"))
-        elif self._settings.operation_seconds is not None:
-            limit = min(limit, (self._settings.operation_seconds, "`call_timeout` of the bridge"))
+        elif self._options.operation_seconds is not None:
+            limit = min(limit, (self._options.operation_seconds, "`call_timeout` of the bridge"))
         if address.port == LIFECYCLE:
             return _control.drive(self._directory.peer(address.component), message, seconds)
         if address.port == CONFIGURATION:
@@ -172,7 +174,7 @@ class RtmBridge(Bridge):
             if caller is None:
                 made = self._caller(address)
                 with self._guard:
-                    self._be_open()
+                    self._require_open()
                     caller = self._callers.setdefault(key, made)
             try:
                 return caller.call(message, *limit)
@@ -187,14 +189,14 @@ class RtmBridge(Bridge):
                     raise
                 # Another call has ended it before this one began.
 
-    def _caller(self, address: Address) -> Caller:
+    def _caller(self, address: PortAddress) -> OperationCaller:
         peer = self._directory.peer(address.component)
         port = peer.port(address.port)
         wanted = address.type or _only_type(peer, port)
         interface, operation = self._types.interface(wanted)
         offer = offered(peer, port, interface.name, provided=True)
-        seconds = self._settings.call_seconds
-        return Caller(
+        seconds = self._options.call_seconds
+        return OperationCaller(
             self._orb, peer, port, interface, offer, operation, seconds, self._connections
         )
 
@@ -205,40 +207,46 @@ class RtmBridge(Bridge):
         if address.component == SELF and not address.type:
             interface, idl = self._types.derive_interface(address.port, structures)
             wrapped = unwrapped(handler)
-            return self._ours().service(endpoint, address.port, interface, CALL, wrapped, idl)
+            return self._own_component().service(
+                endpoint, address.port, interface, CALL, wrapped, idl
+            )
         if address.component == SELF:
             interface, operation = self._types.interface(address.type)
-            return self._ours().service(endpoint, address.port, interface, operation, handler)
+            return self._own_component().service(
+                endpoint, address.port, interface, operation, handler
+            )
         peer = self._directory.peer(address.component)
         port = peer.port(address.port)
         interface, operation = self._types.interface(address.type or _only_type(peer, port))
         wanted = offered(peer, port, interface.name, provided=False)
         servant = servant_of(interface, operation, handler)
-        return Offer(self._orb, endpoint, peer, port, wanted, servant, self._connections)
+        return ServicePortChannel(
+            self._orb, endpoint, peer, port, wanted, servant, self._connections
+        )
 
     def _link(self, source: Endpoint, sink: Endpoint) -> Channel | None:
         addresses = address_of(source), address_of(sink)
         if any(address.component == SELF for address in addresses):
             return None
-        settings = linked(source, sink)
-        if settings is None:
+        options = linked_options(source, sink)
+        if options is None:
             return None
-        start, end = self._place(source), self._place(sink)
+        start, end = self._remote_port(source), self._remote_port(sink)
         if not self._types.same(start.port.data_type, end.port.data_type):
             return None
-        if is_big_in_cpp(start.peer, settings) or is_big_in_cpp(end.peer, settings):
+        if is_big_in_cpp(start.peer, options) or is_big_in_cpp(end.peer, options):
             return None
-        native = Native(start, end, settings, self.report)
-        self._looked_after(native, native.tick, end, start)
+        native = NativeConnector(start, end, options, self.report)
+        self._supervise(native, native.tick, end, start)
         return native
 
     def _discover(self) -> tuple[Discovered, ...]:
-        return discovered(self.name, self._directory, self._types, self._settings.call_seconds)
+        return discovered(self.name, self._directory, self._types, self._options.call_seconds)
 
     def _close(self) -> None:
         self._forget_exit()
         try:
-            self._watch.close(0)
+            self._ticker.close(0)
             with self._guard:
                 self._ticking.clear()
             self._active.tick()
@@ -246,7 +254,7 @@ class RtmBridge(Bridge):
             self._connections.close()
             # Steps may be under way: none makes a caller any more, and one that makes our
             # component puts it away itself; the ORB waits for that, as long as a call may take.
-            is_made = self._making.acquire(timeout=self._settings.call_seconds)
+            is_made = self._making.acquire(timeout=self._options.call_seconds)
             with self._guard:
                 callers, own = list(self._callers.values()), self._own
             if is_made:
@@ -256,17 +264,17 @@ class RtmBridge(Bridge):
                     caller.end()
             if own is not None:
                 own.close()
-            self._watch.close(_WATCH_SECONDS)
+            self._ticker.close(_WATCH_SECONDS)
         finally:
             self._orb.close()  # the process has one, which would have a user for ever
 
-    def let_go(self) -> None:
+    def end_at_exit(self) -> None:
         """End all connections, in a process that exits without closing the bridge.
 
         In this thread, since none can begin any more; what takes too long is left to the next
         process.
         """
-        self._watch.close(_EXIT_SECONDS)
+        self._ticker.close(_EXIT_SECONDS)
         deadline = time.monotonic() + _EXIT_SECONDS
         for channel in list(self._open):
             if time.monotonic() < deadline:
@@ -275,74 +283,72 @@ class RtmBridge(Bridge):
         self._active.tick()
         self._observers.close(_EXIT_SECONDS)
 
-    def _place(self, endpoint: Endpoint) -> Place:
+    def _remote_port(self, endpoint: Endpoint) -> RemotePort:
         peer, port = self._port(endpoint, address_of(endpoint))
-        return Place(
+        return RemotePort(
             self._orb,
             self._connections,
             endpoint,
             peer,
             port,
             self._types.codec(port.data_type),
-            settings_of(endpoint),
-            self._settings.call_seconds,
-            self._told,
+            options_of(endpoint),
+            self._options.call_seconds,
+            self.report,
             self._active.tick,
         )
 
-    def _port(self, endpoint: Endpoint, address: Address) -> tuple[Peer, Port]:
+    def _port(self, endpoint: Endpoint, address: PortAddress) -> tuple[PeerComponent, PeerPort]:
         """Return the port of an address, which can be what is asked, and is not of a failed one."""
         peer = self._directory.peer(address.component)
-        settings = settings_of(endpoint)
-        port = required_port(peer, endpoint.role, address, settings, self._types)
-        if not settings.reset:
-            self._well(peer)
+        options = options_of(endpoint)
+        port = required_port(peer, endpoint.role, address, options, self._types)
+        if not options.reset:
+            self._require_no_error(peer)
         return peer, port
 
-    def _well(self, peer: Peer) -> None:
+    def _require_no_error(self, peer: PeerComponent) -> None:
         """Raise BridgeError, UNAVAILABLE, where a component has failed: then another is chosen."""
-        if state_of(peer, self._settings.call_seconds) == "error":
+        if state_of(peer, self._options.call_seconds) == "error":
             text = (
                 f"component {peer.path!r} has failed: it is in state ERROR; reset it, "
                 "or give its endpoint `activate: true` and `reset: true`"
             )
             raise BridgeError(text, FailureReason.UNAVAILABLE)
 
-    def _looked_after(self, channel: Channel, tick: Callable[[], None], *places: Place) -> None:
+    def _supervise(self, channel: Channel, tick: Callable[[], None], *remotes: RemotePort) -> None:
         """Have a channel watched, and its components activated when that is asked."""
-        for place in places:
-            self._activate(channel, place)
+        for remote in remotes:
+            self._activate(channel, remote)
         with self._guard:
             self._ticking[channel] = tick
-        if self._settings.observe and self._settings.watch_seconds:
-            for place in places:
-                self._observers.enter(channel, tick, place.peer)
+        if self._options.observe and self._options.watch_seconds:
+            for remote in remotes:
+                self._observers.enter(channel, tick, remote.peer)
 
-    def _activate(self, channel: Channel, place: Place) -> None:
+    def _activate(self, channel: Channel, remote: RemotePort) -> None:
         """Activate a component for as long as channels ask for it, where that is asked."""
         try:
-            self._active.enter(channel, place)
+            self._active.enter(channel, remote)
         except BridgeError:
             channel.close()
             raise
 
-    def _be_open(self) -> None:
+    def _require_open(self) -> None:
         if self.closed:
             raise BridgeError(f"bridge {self.name!r} is closed", FailureReason.CLOSED)
 
-    def _ours(self) -> Own:
+    def _own_component(self) -> OwnComponent:
         """Return our own component, made when it is first needed."""
         with self._making:
-            self._be_open()
+            self._require_open()
             if self._own is not None:
                 return self._own
-            name, seconds = self._settings.component, self._settings.call_seconds
-            made = Own(
-                self._orb, name, self._services, self._types, seconds, self._our_name_changed
-            )
+            name, seconds = self._options.component, self._options.call_seconds
+            made = OwnComponent(self._orb, name, self._services, self._types, seconds, self.report)
             try:
                 with self._guard:
-                    self._be_open()
+                    self._require_open()
                     self._own = made
             except BridgeError:
                 made.close()
@@ -354,29 +360,17 @@ class RtmBridge(Bridge):
             for channel in [item for item in self._ticking if item.closed]:
                 del self._ticking[channel]
             ticks = [*self._ticking.values()]
-        ticks += [self._active.tick, self._observers.tick, self._attendance.tick]
+        ticks += [self._active.tick, self._observers.tick, self._monitor.tick]
         return ticks if self._own is None else [*ticks, self._own.tick]
 
-    def _soon(self, tick: Callable[[], None]) -> None:
-        self._watch.soon(tick)
 
-    def _told(self, channel: Channel, health: Health, cause: str) -> None:
-        self.report(health, cause, channel=channel)
-
-    def _our_name_changed(self, health: Health, cause: str) -> None:
-        self.report(health, cause)
-
-    def _component_changed(self, health: Health, cause: str, path: str) -> None:
-        self.report(health, cause, component=path or None)
-
-
-def _let_go(reference: weakref.ref[RtmBridge]) -> None:
+def _end_at_exit(reference: weakref.ref[RtmBridge]) -> None:
     bridge = reference()
     if bridge is not None and not bridge.closed:
-        bridge.let_go()
+        bridge.end_at_exit()
 
 
-def _only_type(peer: Peer, port: Port) -> str:
+def _only_type(peer: PeerComponent, port: PeerPort) -> str:
     """Return the interface type of a port that has only one.
 
     Raises:

@@ -1,4 +1,4 @@
-"""Encoded messages that wait between an OutPort of ours and whoever takes them."""
+"""Encoded messages that wait between an OutPort of ours and their consumer."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ class Buffer:
     def take(self, most: int | None = None) -> list[bytes]:
         """Wait until something waits, and return all of it or the oldest; [] once closed.
 
-        Whoever takes is done with that when it comes again.
+        A consumer that calls again is done with what it took before.
         """
         with self._changed:
             self._busy = False
@@ -78,12 +78,12 @@ class Buffer:
             return taken
 
     def drain(self, seconds: float) -> bool:
-        """Wait until nothing waits and whoever takes is done; returns whether that came."""
+        """Wait until nothing waits and the consumer is done; returns whether that came."""
         with self._changed:
             return self._changed.wait_for(lambda: not (self._waiting or self._busy), seconds)
 
     def close(self) -> None:
-        """Let go of everybody who waits; what waits is not taken any more."""
+        """End every wait; what waits is not taken any more."""
         with self._changed:
             self._closed = True
             self._changed.notify_all()

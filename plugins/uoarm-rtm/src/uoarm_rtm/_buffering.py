@@ -181,27 +181,27 @@ def _text(value: object) -> str:
     return str(value)
 
 
-def _word(place: str, text: str, words: tuple[str, ...]) -> str:
+def _word(name: str, text: str, words: tuple[str, ...]) -> str:
     if text not in words:
-        raise ValueError(f"{place} must be {' or '.join(words)}, got {text!r}")
+        raise ValueError(f"{name} must be {' or '.join(words)}, got {text!r}")
     return text
 
 
-def _whole(place: str, text: str, least: int, most: int) -> int:
+def _whole(name: str, text: str, least: int, most: int) -> int:
     if not (text.isascii() and text.isdigit() and len(text) <= len(str(most))):
         number = -1
     else:
         number = int(text)
     if not least <= number <= most:
-        raise ValueError(f"{place} must be a whole number from {least} to {most}, got {text!r}")
+        raise ValueError(f"{name} must be a whole number from {least} to {most}, got {text!r}")
     return number
 
 
-def _seconds(place: str, text: str) -> float:
+def _seconds(name: str, text: str) -> float:
     try:
         seconds = float(text)
     except ValueError:
         seconds = -1.0
     if not 0 <= seconds <= _MOST_SECONDS:
-        raise ValueError(f"{place} must be seconds from 0 to {_MOST_SECONDS:g}, got {text!r}")
+        raise ValueError(f"{name} must be seconds from 0 to {_MOST_SECONDS:g}, got {text!r}")
     return seconds

@@ -12,10 +12,10 @@ from types import TracebackType
 
 from omniORB import CORBA
 
-__all__ = ["Calls", "calls"]
+__all__ = ["CallGuard", "calls"]
 
 
-class Calls:
+class CallGuard:
     """A context manager around calls; entered from any thread, also nested."""
 
     def __init__(self) -> None:
@@ -60,5 +60,5 @@ class Calls:
             self._ended = False
 
 
-calls = Calls()
+calls = CallGuard()
 """Of this process, as the ORB is: every call is among them."""

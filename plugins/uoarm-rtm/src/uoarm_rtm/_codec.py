@@ -8,21 +8,21 @@ from functools import lru_cache
 
 from uoarm.errors import MessageError
 from uoarm.model import Message
-from uoarm_rtm._explain import Cursor, fit, read_slowly
+from uoarm_rtm._explain import ExplainCursor, fit, read_slowly
 from uoarm_rtm._read import reader
-from uoarm_rtm._scalars import Misfit, Order
+from uoarm_rtm._scalars import IdlMismatch, Order
 from uoarm_rtm._shape import Shape
 from uoarm_rtm._write import writer
 
-__all__ = ["BIG", "LITTLE", "Codec", "codec_of"]
+__all__ = ["BIG", "LITTLE", "CdrCodec", "codec_of"]
 
 LITTLE: Order = "<"
 BIG: Order = ">"
 
-_UNFIT = (Misfit, KeyError, IndexError, TypeError, ValueError, AttributeError, OverflowError)
+_UNFIT = (IdlMismatch, KeyError, IndexError, TypeError, ValueError, AttributeError, OverflowError)
 
 
-class Codec:
+class CdrCodec:
     """Marshals the messages of one type; made once a type, used from any thread.
 
     CDR here is what OpenRTM's data ports carry: the body alone, aligned from its first byte.
@@ -67,23 +67,23 @@ class Codec:
             read = self._readers[order] = reader(self.shape, order, self._encoding)
         try:
             return read(data)
-        except (Misfit, struct.error) as error:
+        except (IdlMismatch, struct.error) as error:
             raise self._unreadable(data, order, error) from None
 
     def _unfit(self, message: Message, error: Exception) -> MessageError:
         try:
             fit(self.shape, message, self._encoding)
-        except Misfit as misfit:
+        except IdlMismatch as misfit:
             return MessageError(f"message of type {self.name}: {misfit}")
         return MessageError(f"message of type {self.name} does not fit: {error!r}")
 
     def _unreadable(self, data: bytes, order: Order, error: Exception) -> MessageError:
         kind = "little" if order == LITTLE else "big"
         what = f"{len(data)} bytes received as {self.name} ({kind}-endian) are something else"
-        cursor = Cursor(data, order, self._encoding)
+        cursor = ExplainCursor(data, order, self._encoding)
         try:
             read_slowly(self.shape, cursor)
-        except Misfit as misfit:
+        except IdlMismatch as misfit:
             return MessageError(f"{what}: {misfit}")
         if cursor.at != len(data):
             return MessageError(f"{what}: the message ends after {cursor.at} bytes")
@@ -91,6 +91,6 @@ class Codec:
 
 
 @lru_cache(maxsize=1024)
-def codec_of(shape: Shape, encoding: str = "utf-8") -> Codec:
+def codec_of(shape: Shape, encoding: str = "utf-8") -> CdrCodec:
     """Return the codec of a type, made once."""
-    return Codec(shape, encoding, getattr(shape, "name", type(shape).__name__))
+    return CdrCodec(shape, encoding, getattr(shape, "name", type(shape).__name__))

@@ -17,14 +17,14 @@ from uoarm_rtm._journal import journal, process_of
 from uoarm_rtm._leftovers import NAME, PROCESS, Leftovers, end_connector
 from uoarm_rtm._naming import NamingService
 from uoarm_rtm._orb import Orb, limit
-from uoarm_rtm._peer import Peer, Port, properties_of, state_of
+from uoarm_rtm._peer import PeerComponent, PeerPort, properties_of, state_of
 
-__all__ = ["Session", "session"]
+__all__ = ["CommandSession", "session"]
 
 Row = dict[str, Any]
 
 
-class Session:
+class CommandSession:
     """One command's view of some naming services.
 
     Args:
@@ -103,7 +103,7 @@ class Session:
         assert isinstance(reply, dict)
         return reply
 
-    def _component(self, peer: Peer) -> Row:
+    def _component(self, peer: PeerComponent) -> Row:
         try:
             state = state_of(peer, self._seconds)
         except BridgeError as error:
@@ -116,7 +116,7 @@ class Session:
             "ports": [self._port(port) for port in peer.ports],
         }
 
-    def _port(self, port: Port) -> Row:
+    def _port(self, port: PeerPort) -> Row:
         interfaces = [
             f"{'provides' if interface.provided else 'requires'} {interface.type}"
             for interface in port.interfaces
@@ -124,11 +124,11 @@ class Session:
         kind = port.data_type or ", ".join(interfaces)
         return {"port": port.name, "kind": port.kind, "type": kind}
 
-    def _all(self, port: Port) -> list[Any]:
+    def _all(self, port: PeerPort) -> list[Any]:
         with corba_errors(f"connectors of port {port.name!r}"):
             return list(port.reference.get_connector_profiles())
 
-    def _connection(self, peer: Peer, port: Port, profile: Any) -> Row:
+    def _connection(self, peer: PeerComponent, port: PeerPort, profile: Any) -> Row:
         properties = properties_of(profile.properties)
         maker = properties.get(PROCESS, "")
         return {
@@ -144,11 +144,11 @@ class Session:
 
 
 @contextmanager
-def session(addresses: Sequence[str], seconds: float) -> Iterator[Session]:
+def session(addresses: Sequence[str], seconds: float) -> Iterator[CommandSession]:
     """Have an ORB for one command."""
     orb = Orb("127.0.0.1", seconds)
     try:
-        yield Session(orb, addresses, seconds)
+        yield CommandSession(orb, addresses, seconds)
     finally:
         orb.close()
 

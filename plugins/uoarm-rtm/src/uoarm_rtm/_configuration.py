@@ -18,14 +18,14 @@ from uoarm.model import Message
 from uoarm_rtm._constraints import CONSTRAINTS, TYPES, WIDGETS, doubt, problem
 from uoarm_rtm._faults import corba_errors
 from uoarm_rtm._orb import narrowed
-from uoarm_rtm._peer import Peer, pairs, properties_of
+from uoarm_rtm._peer import PeerComponent, pairs, properties_of
 
 __all__ = ["configure", "limits"]
 
 _log = logging.getLogger("uoarm.rtm")
 
 
-def configure(peer: Peer, message: Message, seconds: float) -> Message:
+def configure(peer: PeerComponent, message: Message, seconds: float) -> Message:
     """Answer a request to a component's configuration: write what it holds, then read all.
 
     Raises:
@@ -56,7 +56,7 @@ def configure(peer: Peer, message: Message, seconds: float) -> Message:
     return {**now.reply(), **({"warnings": doubts} if doubts else {})}
 
 
-def limits(peer: Peer, seconds: float) -> str:
+def limits(peer: PeerComponent, seconds: float) -> str:
     """Return the parameters with what the component says that they may be, in one line.
 
     Raises:
@@ -66,10 +66,10 @@ def limits(peer: Peer, seconds: float) -> str:
     with corba_errors(what):
         sets = _read(target)
     names = dict.fromkeys(name for mapping in sets.usual.values() for name in mapping)
-    return ", ".join(f"{name} {sets.told(CONSTRAINTS, name)}".strip() for name in names)
+    return ", ".join(f"{name} {sets.annotation(CONSTRAINTS, name)}".strip() for name in names)
 
 
-def _target(peer: Peer, seconds: float) -> tuple[str, Any]:
+def _target(peer: PeerComponent, seconds: float) -> tuple[str, Any]:
     """Return a component's configuration, after what to call it in errors."""
     what = f"component {peer.path!r}: configuration"
     with corba_errors(what):
@@ -78,7 +78,7 @@ def _target(peer: Peer, seconds: float) -> tuple[str, Any]:
 
 
 @frozen
-class _Sets:
+class _ConfigurationSets:
     """All configuration sets, and the name of the active one, empty for none."""
 
     active: str
@@ -89,8 +89,8 @@ class _Sets:
         """Without those that only say something of parameters."""
         return {name: value for name, value in self.every.items() if not name.startswith("__")}
 
-    def told(self, about: str, name: str) -> str:
-        """Return what one of those says of a parameter."""
+    def annotation(self, about: str, name: str) -> str:
+        """Return what one of those, such as `CONSTRAINTS`, says of a parameter."""
         return self.every.get(about, {}).get(name, "")
 
     def reply(self) -> dict[str, Any]:
@@ -103,21 +103,21 @@ class _Sets:
         return {"active": self.active, "sets": sets, **reports}
 
 
-def _read(target: Any) -> _Sets:
+def _read(target: Any) -> _ConfigurationSets:
     listing = target.get_configuration_sets()
     sets = {str(item.id): properties_of(item.configuration_data) for item in listing}
     try:
         active = str(target.get_active_configuration_set().id)
     except SDOPackage.NotAvailable:
         active = ""
-    return _Sets(active, sets)
+    return _ConfigurationSets(active, sets)
 
 
-def _name(sets: _Sets, message: Mapping[str, Any]) -> str:
+def _name(sets: _ConfigurationSets, message: Mapping[str, Any]) -> str:
     return str(message.get("set") or sets.active or "default")
 
 
-def _checked(sets: _Sets, message: Mapping[str, Any]) -> dict[str, str]:
+def _checked(sets: _ConfigurationSets, message: Mapping[str, Any]) -> dict[str, str]:
     """Return what a request writes, every value as text."""
     values, name = message.get("values") or {}, _name(sets, message)
     if not isinstance(values, Mapping):
@@ -135,25 +135,25 @@ def _checked(sets: _Sets, message: Mapping[str, Any]) -> dict[str, str]:
             raise MessageError(f"$.values: there is no parameter {parameter!r}; there are {names}")
         written[parameter] = text = str(value)
         wrong = problem(
-            text, *(sets.told(about, parameter) for about in (CONSTRAINTS, TYPES, WIDGETS))
+            text, *(sets.annotation(about, parameter) for about in (CONSTRAINTS, TYPES, WIDGETS))
         )
         if wrong:
             raise MessageError(f"$.values.{parameter}: {wrong}")
     return written
 
 
-def _doubts(before: _Sets, written: Mapping[str, str]) -> list[str]:
-    """Return what is odd about the values of parameters of which the component tells nothing."""
+def _doubts(before: _ConfigurationSets, written: Mapping[str, str]) -> list[str]:
+    """Return what is odd about the values of parameters that the component does not describe."""
     doubts = []
     for parameter, value in written.items():
-        if not any(before.told(about, parameter) for about in (CONSTRAINTS, TYPES)):
+        if not any(before.annotation(about, parameter) for about in (CONSTRAINTS, TYPES)):
             held = [mapping[parameter] for mapping in before.usual.values() if parameter in mapping]
             doubts.append((parameter, doubt(value, held)))
     return [f"values.{parameter}: {text}" for parameter, text in doubts if text]
 
 
 def _write(
-    target: Any, before: _Sets, message: Mapping[str, Any], written: Mapping[str, str]
+    target: Any, before: _ConfigurationSets, message: Mapping[str, Any], written: Mapping[str, str]
 ) -> None:
     """Write values, and leave that set in force which was, unless another is asked for."""
     name = _name(before, message)
@@ -167,7 +167,7 @@ def _write(
         target.activate_configuration_set(active)
 
 
-def _kept(what: str, name: str, written: Mapping[str, str], now: _Sets) -> None:
+def _kept(what: str, name: str, written: Mapping[str, str], now: _ConfigurationSets) -> None:
     """Compare what the component has with what was written.
 
     Raises:

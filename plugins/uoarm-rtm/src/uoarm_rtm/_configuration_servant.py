@@ -22,7 +22,7 @@ class ConfigurationServant(SDOPackage__POA.Configuration):  # type: ignore[misc]
     Args:
         orb: where it is served.
         sets: values by name of the set.
-        changed: told the values in force whenever they change, in a thread of the ORB.
+        changed: called with the values in force whenever they change, in a thread of the ORB.
     """
 
     def __init__(
@@ -33,6 +33,7 @@ class ConfigurationServant(SDOPackage__POA.Configuration):  # type: ignore[misc]
     ) -> None:
         self._orb = orb
         self._changed = changed
+        # Guards the sets and which is active: operations come in threads of the ORB.
         self._lock = threading.Lock()
         self._sets = {name: dict(values) for name, values in sets.items()}
         self._sets.setdefault("default", {})
@@ -63,7 +64,7 @@ class ConfigurationServant(SDOPackage__POA.Configuration):  # type: ignore[misc]
             if config_id not in self._sets:
                 raise SDOPackage.InvalidParameter(f"there is no configuration set {config_id!r}")
             self._active = config_id
-        self._tell()
+        self._notify()
         return True
 
     def set_configuration_set_values(self, configuration_set: Any) -> bool:
@@ -76,7 +77,7 @@ class ConfigurationServant(SDOPackage__POA.Configuration):  # type: ignore[misc]
             self._sets[configuration_set.id].update(values)
             in_force = configuration_set.id == self._active
         if in_force:
-            self._tell()
+            self._notify()
         return True
 
     def add_configuration_set(self, configuration_set: Any) -> bool:
@@ -106,5 +107,5 @@ class ConfigurationServant(SDOPackage__POA.Configuration):  # type: ignore[misc]
     def _set(self, name: str) -> Any:
         return SDOPackage.ConfigurationSet(name, "", pairs(self._sets[name]))
 
-    def _tell(self) -> None:
+    def _notify(self) -> None:
         self._changed(dict(self._sets[self._active]))

@@ -1,9 +1,9 @@
-"""A connection to somebody's data port, with us as the initiating client.
+"""A connection to the data port of a component, with us as the initiating client.
 
 Only the remote port stands in the profile; what we serve goes along as a stringified reference,
 since components in Python refuse object references (observed at OpenRTM-aist-Python).
 
-What we connect is ours to end: each connector says in its properties who made it, and stands in
+What we connect is ours to end: each connector names its maker in its properties, and stands in
 the journal for as long as it may exist, so that the next process ends what this one could not.
 """
 
@@ -23,13 +23,13 @@ from omniORB import CORBA
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason
 from uoarm_rtm._calls import calls
 from uoarm_rtm._faults import corba_errors
-from uoarm_rtm._journal import Entry, journal
+from uoarm_rtm._journal import JournalEntry, journal
 from uoarm_rtm._leftovers import NAME, PROCESS, Leftovers, end_connector
+from uoarm_rtm._options import RtmEndpointOptions
 from uoarm_rtm._orb import Orb, limit
-from uoarm_rtm._peer import Port, pairs, properties_of
-from uoarm_rtm._settings import Settings
+from uoarm_rtm._peer import PeerPort, pairs, properties_of
 
-__all__ = ["Connections", "Connector", "asked"]
+__all__ = ["Connections", "Connector", "connector_properties"]
 
 _UNDO_SECONDS = 60.0
 _UNDO_AGAIN_SECONDS = 0.05, 1.0
@@ -43,18 +43,18 @@ _MEANINGS = {
 }
 
 
-def asked(settings: Settings, data_type: str) -> dict[str, str]:
+def connector_properties(options: RtmEndpointOptions, data_type: str) -> dict[str, str]:
     """Return the connector properties that an endpoint's options ask for."""
-    order = "big,little" if settings.endian == "big" else "little,big"
+    order = "big,little" if options.endian == "big" else "little,big"
     return {
         "dataport.interface_type": "corba_cdr",
-        "dataport.dataflow_type": settings.flow,
-        "dataport.subscription_type": settings.subscription,
-        "dataport.publisher.push_rate": f"{settings.rate:g}",
-        "dataport.push_rate": f"{settings.rate:g}",
+        "dataport.dataflow_type": options.flow,
+        "dataport.subscription_type": options.subscription,
+        "dataport.publisher.push_rate": f"{options.rate:g}",
+        "dataport.push_rate": f"{options.rate:g}",
         "dataport.data_type": data_type,
         "dataport.serializer.cdr.endian": order,
-        **settings.properties,
+        **options.properties,
     }
 
 
@@ -71,6 +71,7 @@ class Connections:
         self._orb = orb
         self._seconds = seconds
         self._properties = {NAME: name, PROCESS: journal().process}
+        # Held while leftovers are ended: no connection is made before, from any thread.
         self._clearing = threading.Lock()
         self._cleared = False
         self._closed = threading.Event()
@@ -80,7 +81,7 @@ class Connections:
         self._closed.set()
 
     def connect(
-        self, where: str, properties: Mapping[str, str], port: Port, *others: Port
+        self, where: str, properties: Mapping[str, str], port: PeerPort, *others: PeerPort
     ) -> Connector:
         """Connect ports.
 
@@ -101,13 +102,13 @@ class Connections:
                 Leftovers(self._orb, self._seconds).end()
         references = [limit(item.reference, self._seconds) for item in (port, *others)]
         iors = tuple(self._orb.text(reference) for reference in references)
-        undoing = Undoing(self._seconds, self._closed)
+        undoing = UndoLimits(self._seconds, self._closed)
         return Connector(where, {**properties, **self._properties}, references, iors, undoing)
 
 
 @frozen
-class Undoing:
-    """For how long what nobody waits for any more is ended.
+class UndoLimits:
+    """For how long an abandoned connection is ended.
 
     Attributes:
         seconds: that a component may take to make a connection, from when on it answers.
@@ -135,28 +136,28 @@ class Connector:
         properties: Mapping[str, str],
         ports: list[Any],
         iors: tuple[str, ...],
-        undoing: Undoing,
+        undoing: UndoLimits,
     ) -> None:
         self.id = f"uoarm-{uuid.uuid4()}"
         self._ports = ports
         self._where = where
         profile = RTC.ConnectorProfile(self.id, self.id, ports, pairs(properties))
-        journal().write(Entry(self.id, iors, where))
+        journal().write(JournalEntry(self.id, iors, where))
         try:
             with corba_errors(f"connecting to {where}"):
                 code, profile = ports[0].connect(profile)
         except BridgeTimeoutError:
-            # Whether it will be connected is unknown: it is told to let go when it wakes up.
+            # Whether it will be connected is unknown: it is disconnected when it wakes up.
             undo = threading.Thread(
                 target=self._undo, args=(undoing,), name="uoarm-rtm-undo", daemon=True
             )
             undo.start()
             raise
         except BridgeError:
-            self._let_go()
+            self._discard()
             raise
         if code != RTC.RTC_OK:
-            self._let_go()
+            self._discard()
             meaning = _MEANINGS.get(str(code), "an answer that the specification does not have")
             text = f"{where} refuses to connect: {code} ({meaning}); asked was {dict(properties)}"
             raise BridgeError(text, FailureReason.REFUSED)
@@ -171,7 +172,7 @@ class Connector:
         for key in keys:
             if self.properties.get(key):
                 return self.properties[key]
-        self._let_go()
+        self._discard()
         text = f"{self._where} connected, but published none of {', '.join(keys)}"
         raise BridgeError(text, FailureReason.REFUSED)
 
@@ -201,7 +202,7 @@ class Connector:
             return  # the ORB has ended before
         journal().erase(self.id)
 
-    def _undo(self, undoing: Undoing) -> None:
+    def _undo(self, undoing: UndoLimits) -> None:
         """End a connection that may be made only later.
 
         The request to end it may overtake the one that makes it, as they come through different
@@ -229,7 +230,7 @@ class Connector:
             pause = min(2 * pause, longest)
         journal().erase(self.id)
 
-    def _let_go(self) -> None:
+    def _discard(self) -> None:
         with contextlib.suppress(CORBA.Exception), calls:
             end_connector(self.id, self._ports)
             journal().erase(self.id)

@@ -1,4 +1,4 @@
-"""What a configuration parameter may be: the constraints and types that components tell.
+"""What a configuration parameter may be: the constraints and types that components declare.
 
 They stand in configuration sets of their own, `__constraints__`, `__widget__` and `__type__`, by
 the parameter's name. OpenRTM's tools keep to them; the components themselves do not.
@@ -6,6 +6,7 @@ the parameter's name. OpenRTM's tools keep to them; the components themselves do
 
 from __future__ import annotations
 
+import operator
 import re
 from collections.abc import Callable, Iterable, Mapping
 
@@ -17,11 +18,11 @@ _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 _ONE_SIDE = re.compile(rf"x\s*(<=|>=|<|>|==)\s*({_NUMBER})|({_NUMBER})\s*(<=|>=|<|>)\s*x")
 _BOTH_SIDES = re.compile(rf"({_NUMBER})\s*(<=|<|>=|>)\s*x\s*(<=|<|>=|>)\s*({_NUMBER})")
 _COMPARE: Mapping[str, Callable[[float, float], bool]] = {
-    "<": lambda one, other: one < other,
-    "<=": lambda one, other: one <= other,
-    ">": lambda one, other: one > other,
-    ">=": lambda one, other: one >= other,
-    "==": lambda one, other: one == other,
+    "<": operator.lt,
+    "<=": operator.le,
+    ">": operator.gt,
+    ">=": operator.ge,
+    "==": operator.eq,
 }
 _WHOLE = re.compile(r"[-+]?\d+")
 _WHOLES = {"short", "int", "long", "unsigned short", "unsigned int", "unsigned long"}
@@ -37,11 +38,11 @@ def problem(value: str, constraint: str, kind: str, widget: str) -> str:
     Args:
         value: as it is to be written.
         constraint: such as `0<=x<=150` or `(a,b)`; empty for none.
-        kind: type, such as `int` or `vector<double>`; empty where it is not told.
+        kind: type, such as `int` or `vector<double>`; empty where it is not declared.
         widget: such as `slider.10`, which only numbers have, or `text`.
     """
-    one = re.fullmatch(r"(?:std::)?vector<(.*)>", kind.strip().lower())
-    kind = one.group(1).strip() if one else kind.strip().lower()
+    vector = re.fullmatch(r"(?:std::)?vector<(.*)>", kind.strip().lower())
+    kind = vector.group(1).strip() if vector else kind.strip().lower()
     constraint = constraint.strip()
     if constraint.startswith("(") and constraint.endswith(")"):
         words = [word.strip() for word in constraint[1:-1].split(",")]
@@ -65,10 +66,10 @@ def problem(value: str, constraint: str, kind: str, widget: str) -> str:
 
 
 def doubt(value: str, before: Iterable[str]) -> str:
-    """Return what is odd about a value where the component tells neither type nor constraint.
+    """Return what is odd about a value where the component declares no type and no constraint.
 
     One that has a number where the text is none takes its default, without an error (observed);
-    but nothing tells a number from a text that happens to look like one, so it is no problem.
+    but a number and a text that happens to look like one are the same here, so it is no problem.
 
     Args:
         value: as it was written.
@@ -78,8 +79,8 @@ def doubt(value: str, before: Iterable[str]) -> str:
         return ""
     kept = ", ".join(map(repr, dict.fromkeys(before)))
     return (
-        f"{value!r} is no number, which it was ({kept}): the component tells no type, and one that "
-        "expects a number takes its default instead, without an error"
+        f"{value!r} is no number, which it was ({kept}): the component declares no type, and one "
+        "that expects a number takes its default instead, without an error"
     )
 
 
@@ -92,10 +93,10 @@ def _test(constraint: str) -> Callable[[float], bool] | None:
     if both:
         low, first, second, high = both.groups()
         return lambda x: _COMPARE[first](float(low), x) and _COMPARE[second](x, float(high))
-    one = _ONE_SIDE.fullmatch(constraint)
-    if one is None:
+    bound = _ONE_SIDE.fullmatch(constraint)
+    if bound is None:
         return None
-    after, right, left, before = one.groups()
+    after, right, left, before = bound.groups()
     if after:
         return lambda x: _COMPARE[after](x, float(right))
     return lambda x: _COMPARE[before](float(left), x)

@@ -8,7 +8,7 @@ from typing import Any
 
 from _uoarm_rtm_stubs import RTC, RTC__POA
 
-from uoarm_rtm._lifecycle import Lifecycle
+from uoarm_rtm._lifecycle import ComponentLifecycle
 from uoarm_rtm._orb import Orb
 
 __all__ = ["ContextServant"]
@@ -23,7 +23,7 @@ class ContextServant(RTC__POA.ExecutionContextService):  # type: ignore[misc]  #
         rate: steps a second; 0 for an event-driven context without a thread.
     """
 
-    def __init__(self, orb: Orb, lifecycle: Lifecycle, rate: float) -> None:
+    def __init__(self, orb: Orb, lifecycle: ComponentLifecycle, rate: float) -> None:
         self._orb = orb
         self._lifecycle = lifecycle
         self._rate = rate

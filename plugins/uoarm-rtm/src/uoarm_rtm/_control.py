@@ -11,7 +11,7 @@ from _uoarm_rtm_stubs import RTC
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, MessageError
 from uoarm.model import Message, MessageStructure
 from uoarm_rtm._faults import corba_errors
-from uoarm_rtm._peer import Peer, contexts_of, state_of
+from uoarm_rtm._peer import PeerComponent, contexts_of, state_of
 
 __all__ = [
     "CONFIGURATION_REPLY",
@@ -62,7 +62,7 @@ CONFIGURATION_REPLY = _closed(
 )
 
 
-def drive(peer: Peer, message: Message, seconds: float) -> Message:
+def drive(peer: PeerComponent, message: Message, seconds: float) -> Message:
     """Answer a request to a component's lifecycle.
 
     Raises:
@@ -77,7 +77,7 @@ def drive(peer: Peer, message: Message, seconds: float) -> Message:
     return {"state": change(peer, action, seconds)}
 
 
-def change(peer: Peer, action: str, seconds: float, *, there_is_fine: bool = False) -> str:
+def change(peer: PeerComponent, action: str, seconds: float, *, there_is_fine: bool = False) -> str:
     """Change a component's state in its first context and wait until it has changed.
 
     Components answer RTC_ERROR to a change that takes more than half a second and make it all

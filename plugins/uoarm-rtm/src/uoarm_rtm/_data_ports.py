@@ -16,18 +16,23 @@ from uoarm.errors import BridgeError, MessageError
 from uoarm.model import Message
 from uoarm_rtm._buffering import says_what_empty_means
 from uoarm_rtm._calls import calls
-from uoarm_rtm._codec import Codec
+from uoarm_rtm._codec import CdrCodec
 from uoarm_rtm._derived import IDL, idl_of, is_derived
 from uoarm_rtm._orb import Orb, limit, narrowed
 from uoarm_rtm._peer import properties_of
 from uoarm_rtm._port_servant import PortServant
-from uoarm_rtm._publisher import Pulled, Pusher, Threaded
+from uoarm_rtm._publisher import PullBuffer, Pusher, ThreadedPusher
 from uoarm_rtm._puller import Puller
 from uoarm_rtm._scalars import Order
-from uoarm_rtm._shape import Record
+from uoarm_rtm._shape import IdlStruct
 from uoarm_rtm._sizes import SizeLimit
 from uoarm_rtm._types import plain_name
-from uoarm_rtm._wishes import Refusal, Wishes, read_policies, read_wishes
+from uoarm_rtm._wishes import (
+    ConnectorOptions,
+    ConnectorRefusal,
+    read_connector_options,
+    read_policies,
+)
 
 __all__ = ["INPORT_IOR", "OUTPORT_IOR", "InPort", "OutPort"]
 
@@ -39,7 +44,7 @@ _PUT_SECONDS = 0.5  # a reader may be ending the connection from within the very
 _log = logging.getLogger("uoarm.rtm")
 
 
-def _profile(kind: str, codec: Codec) -> Mapping[str, str]:
+def _profile(kind: str, codec: CdrCodec) -> Mapping[str, str]:
     """Return the properties of a data port, lists separated as both lines of OpenRTM read them."""
     properties = {
         "port.port_type": kind,
@@ -50,7 +55,7 @@ def _profile(kind: str, codec: Codec) -> Mapping[str, str]:
     }
     if kind == "DataOutPort":
         properties["dataport.subscription_type"] = "flush, new, periodic"
-    if is_derived(codec.name) and isinstance(codec.shape, Record):
+    if is_derived(codec.name) and isinstance(codec.shape, IdlStruct):
         properties[IDL] = idl_of(codec.shape)
     return properties
 
@@ -58,7 +63,7 @@ def _profile(kind: str, codec: Codec) -> Mapping[str, str]:
 class _Inlet(OpenRTM__POA.InPortCdr):  # type: ignore[misc]  # generated, without annotations
     """One connector's way into an InPort."""
 
-    def __init__(self, codec: Codec, order: Order, take: Callable[[Message], None]) -> None:
+    def __init__(self, codec: CdrCodec, order: Order, take: Callable[[Message], None]) -> None:
         self._codec = codec
         self._order = order
         self._take = take
@@ -81,28 +86,31 @@ class _Inlet(OpenRTM__POA.InPortCdr):  # type: ignore[misc]  # generated, withou
 class _DataPort(PortServant):
     """What InPort and OutPort share: the check of a profile, references by connector."""
 
-    def __init__(self, orb: Orb, name: str, kind: str, codec: Codec, seconds: float) -> None:
+    def __init__(self, orb: Orb, name: str, kind: str, codec: CdrCodec, seconds: float) -> None:
         super().__init__(orb, name, _profile(kind, codec), seconds)
         self._codec = codec
 
-    def _wishes(self, profile: Any) -> Wishes:
-        wishes = read_wishes(properties_of(profile.properties))
+    def _connector_options(self, profile: Any) -> ConnectorOptions:
+        options = read_connector_options(properties_of(profile.properties))
         mine = plain_name(self._codec.name)
-        if wishes.data_type and plain_name(wishes.data_type).split("/")[-1] != mine.split("/")[-1]:
-            text = f"its data type is {wishes.data_type}, this port's is {self._codec.name}"
-            raise Refusal(text, RTC.BAD_PARAMETER)
-        return wishes
+        if (
+            options.data_type
+            and plain_name(options.data_type).split("/")[-1] != mine.split("/")[-1]
+        ):
+            text = f"its data type is {options.data_type}, this port's is {self._codec.name}"
+            raise ConnectorRefusal(text, RTC.BAD_PARAMETER)
+        return options
 
     def _reach(self, profile: Any, key: str, interface: Any) -> Any:
         """Return the object that another port published under a key."""
         text = properties_of(profile.properties).get(key)
         if not text:
-            raise Refusal(f"no port published {key}", RTC.BAD_PARAMETER)
+            raise ConnectorRefusal(f"no port published {key}", RTC.BAD_PARAMETER)
         try:
             what = f"port {self.name}: {key}"
             return narrowed(self.orb.reference(text), interface, self._seconds, what)
         except BridgeError as error:
-            raise Refusal(str(error), RTC.RTC_ERROR) from error
+            raise ConnectorRefusal(str(error), RTC.RTC_ERROR) from error
 
 
 class InPort(_DataPort):
@@ -121,7 +129,7 @@ class InPort(_DataPort):
         self,
         orb: Orb,
         name: str,
-        codec: Codec,
+        codec: CdrCodec,
         take: Callable[[Message], None],
         seconds: float,
         rate: float = 0.0,
@@ -151,24 +159,24 @@ class InPort(_DataPort):
         return count
 
     def _publish(self, profile: Any) -> None:
-        wishes = self._wishes(profile)
-        if wishes.push:
-            inlet = self.orb.serve(_Inlet(self._codec, wishes.order, self._take))
+        options = self._connector_options(profile)
+        if options.push:
+            inlet = self.orb.serve(_Inlet(self._codec, options.order, self._take))
             self._inlets[profile.connector_id] = inlet
             self._offer(profile, {INPORT_IOR: self.orb.text(inlet)})
 
     def _subscribe(self, profile: Any) -> None:
-        wishes = self._wishes(profile)
-        if wishes.push:
+        options = self._connector_options(profile)
+        if options.push:
             return
         target = self._reach(profile, OUTPORT_IOR, OpenRTM.OutPortCdr)
         connector = profile.connector_id
         if not self._rate:
-            self._pulls[connector] = target, wishes.order
+            self._pulls[connector] = target, options.order
             return
         properties = properties_of(profile.properties)
         limit(target, self._seconds + read_policies(properties)[0].longest_read)
-        inlet = _Inlet(self._codec, wishes.order, self._take)
+        inlet = _Inlet(self._codec, options.order, self._take)
         self._pullers[connector] = Puller(
             target,
             self._rate,
@@ -194,7 +202,7 @@ class InPort(_DataPort):
 
 @frozen
 class _Outlet:
-    writer: Pusher | Threaded | Pulled
+    writer: Pusher | ThreadedPusher | PullBuffer
     order: Order
     reference: Any = None
     pusher: Pusher | None = None
@@ -216,7 +224,7 @@ class OutPort(_DataPort):
         seconds: limit of one delivery, and of calls to other ports.
     """
 
-    def __init__(self, orb: Orb, name: str, codec: Codec, seconds: float) -> None:
+    def __init__(self, orb: Orb, name: str, codec: CdrCodec, seconds: float) -> None:
         super().__init__(orb, name, "DataOutPort", codec, seconds)
         self._outlets: dict[str, _Outlet] = {}
         self._writing = threading.Lock()
@@ -247,26 +255,26 @@ class OutPort(_DataPort):
                 self._codec.encode(message)
 
     def _publish(self, profile: Any) -> None:
-        wishes = self._wishes(profile)
-        if not wishes.push:
-            buffer = Pulled(read_policies(properties_of(profile.properties))[0])
+        options = self._connector_options(profile)
+        if not options.push:
+            buffer = PullBuffer(read_policies(properties_of(profile.properties))[0])
             reference = self.orb.serve(buffer)
-            self._outlets[profile.connector_id] = _Outlet(buffer, wishes.order, reference)
+            self._outlets[profile.connector_id] = _Outlet(buffer, options.order, reference)
             self._offer(profile, {OUTPORT_IOR: self.orb.text(reference)})
 
     def _subscribe(self, profile: Any) -> None:
-        wishes = self._wishes(profile)
-        if not wishes.push:
+        options = self._connector_options(profile)
+        if not options.push:
             return
         target = self._reach(profile, INPORT_IOR, OpenRTM.InPortCdr)
         connector = profile.connector_id
         sizes = SizeLimit(f"a connection of port {self.name}", self.orb.most_octets)
         pusher = Pusher(target, sizes, lambda: self.drop(connector))
-        writer: Pusher | Threaded = pusher
-        if wishes.subscription != "flush":
+        writer: Pusher | ThreadedPusher = pusher
+        if options.subscription != "flush":
             buffer, push = read_policies(properties_of(profile.properties))
-            writer = Threaded(pusher.write, buffer, push, wishes.period)
-        self._outlets[connector] = _Outlet(writer, wishes.order, pusher=pusher)
+            writer = ThreadedPusher(pusher.write, buffer, push, options.period)
+        self._outlets[connector] = _Outlet(writer, options.order, pusher=pusher)
 
     def _quiesce(self, connector_id: str) -> None:
         outlet = self._outlets.get(connector_id)

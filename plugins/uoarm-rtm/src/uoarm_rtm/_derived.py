@@ -16,7 +16,15 @@ from uoarm.errors import BridgeError, FailureReason
 from uoarm.model import MessageStructure
 from uoarm.schema import check
 from uoarm_rtm._schema import DERIVED, schema_of
-from uoarm_rtm._shape import INTEGERS, Field, Listing, Record, Scalar, Shape, Text
+from uoarm_rtm._shape import (
+    INTEGERS,
+    IdlMember,
+    IdlScalar,
+    IdlSequence,
+    IdlString,
+    IdlStruct,
+    Shape,
+)
 
 __all__ = ["CALL", "IDL", "REQUEST", "derive", "derive_interface", "idl_of", "is_derived"]
 
@@ -30,13 +38,13 @@ _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 _DEEPEST = 32
 _NULL = {"type": "null"}
 _PLAIN: Mapping[str, Shape] = {
-    "boolean": Scalar("boolean"),
-    "number": Scalar("double"),
-    "string": Text(),
+    "boolean": IdlScalar("boolean"),
+    "number": IdlScalar("double"),
+    "string": IdlString(),
 }
 
 
-def derive(port: str, structure: MessageStructure, *, is_read: bool) -> Record:
+def derive(port: str, structure: MessageStructure, *, is_read: bool) -> IdlStruct:
     """Return the type of a port of ours that carries the messages of a structure.
 
     Args:
@@ -49,9 +57,9 @@ def derive(port: str, structure: MessageStructure, *, is_read: bool) -> Record:
         BridgeError: UNSUPPORTED, where no type of IDL holds them; the text says at which field.
     """
     shape = _exact(structure, is_read=is_read)
-    if not isinstance(shape, Record):
+    if not isinstance(shape, IdlStruct):
         raise _none("", "a data type is a struct, and this is no object")
-    return Record(f"{DERIVED}{_name(port, shape)}:1.0", shape.fields)
+    return IdlStruct(f"{DERIVED}{_name(port, shape)}:1.0", shape.fields)
 
 
 def derive_interface(port: str, structures: ServiceStructures) -> tuple[str, str]:
@@ -79,7 +87,7 @@ def is_derived(type_id: str) -> bool:
     return type_id.startswith(DERIVED)
 
 
-def idl_of(record: Record) -> str:
+def idl_of(record: IdlStruct) -> str:
     """Return the IDL of a derived type, for components that are to be compiled with it."""
     name = record.name.removeprefix(DERIVED).partition(":")[0]
     lines: list[str] = []
@@ -114,7 +122,7 @@ def _shape(schema: Any, path: str, depth: int) -> Shape:
         raise _none(path, f"it is nested deeper than {_DEEPEST}")
     kind = schema.get("type") if isinstance(schema, Mapping) else None
     if kind == "object":
-        return Record("", tuple(_fields(schema, path, depth)))
+        return IdlStruct("", tuple(_fields(schema, path, depth)))
     if kind == "array":
         return _listing(schema, path, depth)
     if kind == "integer":
@@ -124,7 +132,7 @@ def _shape(schema: Any, path: str, depth: int) -> Shape:
     raise _none(path, "it has no type of its own: expected an object, array, number or text")
 
 
-def _fields(schema: Mapping[str, Any], path: str, depth: int) -> Iterator[Field]:
+def _fields(schema: Mapping[str, Any], path: str, depth: int) -> Iterator[IdlMember]:
     properties = schema.get("properties", {})
     if not properties:
         raise _none(path, "a struct has at least one member")
@@ -133,46 +141,46 @@ def _fields(schema: Mapping[str, Any], path: str, depth: int) -> Iterator[Field]
         within = f"{path}.{name}" if path else str(name)
         if not _NAME.fullmatch(name):
             raise _none(within, "IDL has no member of this name")
-        other = seen.setdefault(name.lower(), name)
-        if other != name:
-            raise _none(within, f"IDL does not tell it from {other!r}")
+        alike = seen.setdefault(name.lower(), name)
+        if alike != name:
+            raise _none(within, f"IDL does not distinguish it from {alike!r}")
         if name not in schema.get("required", ()):
             raise _none(within, "a struct has all its members, and this may be left out")
-        yield Field(name, _shape(property_, within, depth + 1))
+        yield IdlMember(name, _shape(property_, within, depth + 1))
 
 
-def _listing(schema: Mapping[str, Any], path: str, depth: int) -> Listing:
+def _listing(schema: Mapping[str, Any], path: str, depth: int) -> IdlSequence:
     if schema.get("x-octets"):
-        element: Shape = Scalar("octet")
+        element: Shape = IdlScalar("octet")
     else:
         element = _shape(schema.get("items"), f"{path}[]", depth + 1)
     least, most = schema.get("minItems", 0), schema.get("maxItems")
     size = None if most is None else int(most)
     if size == 0:
         raise _none(path, "IDL has no array of nothing")
-    return Listing(element, size, fixed=size is not None and least == most)
+    return IdlSequence(element, size, fixed=size is not None and least == most)
 
 
-def _integer(schema: Mapping[str, Any], path: str) -> Scalar:
+def _integer(schema: Mapping[str, Any], path: str) -> IdlScalar:
     least, most = schema.get("minimum"), schema.get("maximum")
     if least is None or most is None:
         raise _none(path, "an integer of IDL has bounds: say minimum and maximum")
     for name, (low, high) in INTEGERS.items():
         if name != "octet" and low <= least and most <= high:
-            return Scalar(name)
+            return IdlScalar(name)
     raise _none(path, "no integer of IDL has 65 bits")
 
 
 def _define(shape: Shape, name: str, lines: list[str]) -> str:
     """Write what a type rests on, then the type, and return how it is called."""
-    if isinstance(shape, Record):
+    if isinstance(shape, IdlStruct):
         members = [
             f"{_define(field.shape, f'{name}_{field.name}', lines)} _{field.name};"
             for field in shape.fields
         ]
         lines.append(f"struct {name} {{ {' '.join(members)} }};")
         return name
-    if isinstance(shape, Listing):
+    if isinstance(shape, IdlSequence):
         of = _define(shape.element, f"{name}_item", lines)
         if shape.fixed:
             lines.append(f"typedef {of} {name}[{shape.size}];")
@@ -180,7 +188,7 @@ def _define(shape: Shape, name: str, lines: list[str]) -> str:
             bound = "" if shape.size is None else f", {shape.size}"
             lines.append(f"typedef sequence<{of}{bound}> {name};")
         return name
-    return shape.name if isinstance(shape, Scalar) else "string"
+    return shape.name if isinstance(shape, IdlScalar) else "string"
 
 
 def _none(path: str, why: str) -> BridgeError:

@@ -16,15 +16,15 @@ from omniORB import tcInternal
 
 from uoarm.errors import BridgeError, FailureReason
 from uoarm_rtm._shape import (
-    Choice,
-    Enumeration,
-    Field,
-    Listing,
-    Record,
-    Scalar,
+    IdlEnum,
+    IdlMember,
+    IdlScalar,
+    IdlSequence,
+    IdlString,
+    IdlStruct,
+    IdlUnion,
+    IdlUnionMember,
     Shape,
-    Text,
-    Variant,
 )
 
 __all__ = ["descriptors", "shape_of"]
@@ -89,44 +89,46 @@ def shape_of(descriptor: Any, where: str, depth: int = 0) -> Shape:
     parts: Any = (descriptor,) if isinstance(descriptor, int) else descriptor
     kind = parts[0]
     if kind in _SCALARS:
-        return Scalar(_SCALARS[kind])
+        return IdlScalar(_SCALARS[kind])
     if kind == tcInternal.tv_alias:
         return shape_of(parts[3], where, depth + 1)
     if kind in {tcInternal.tv_string, tcInternal.tv_wstring}:
-        return Text(kind == tcInternal.tv_wstring, parts[1] or None)
+        return IdlString(kind == tcInternal.tv_wstring, parts[1] or None)
     if kind == tcInternal.tv_enum:
-        return Enumeration(parts[1], tuple(map(_label, parts[3])))
+        return IdlEnum(parts[1], tuple(map(_label, parts[3])))
     if kind in {tcInternal.tv_sequence, tcInternal.tv_array}:
         element = shape_of(parts[1], f"{where}[]", depth + 1)
-        return Listing(element, parts[2] or None, fixed=kind == tcInternal.tv_array)
+        return IdlSequence(element, parts[2] or None, fixed=kind == tcInternal.tv_array)
     if kind in {tcInternal.tv_struct, tcInternal.tv_except}:
         members = zip(parts[4::2], parts[5::2], strict=True)
         fields = [
-            Field(_plain(name), shape_of(item, f"{where}.{name}", depth + 1))
+            IdlMember(_plain(name), shape_of(item, f"{where}.{name}", depth + 1))
             for name, item in members
         ]
-        return Record(parts[2], tuple(fields))
+        return IdlStruct(parts[2], tuple(fields))
     if kind == tcInternal.tv_union:
         return _choice(parts, where, depth)
     reason = _REFUSED.get(kind, f"IDL type number {kind} is not known here")
     raise BridgeError(f"{where}: {reason}", FailureReason.UNSUPPORTED)
 
 
-def _choice(parts: Any, where: str, depth: int) -> Choice:
+def _choice(parts: Any, where: str, depth: int) -> IdlUnion:
     by = shape_of(parts[4], f"{where}.switch", depth + 1)
-    assert isinstance(by, Scalar | Enumeration)
+    assert isinstance(by, IdlScalar | IdlEnum)
     default = parts[5]
     labels: dict[str, list[object]] = {}
     shapes: dict[str, Shape] = {}
     for label, name, member in parts[6]:
         shapes[name] = shape_of(member, f"{where}.{name}", depth + 1)
         labels.setdefault(name, []).append(
-            bool(label) if by == Scalar("boolean") else _label(label)
+            bool(label) if by == IdlScalar("boolean") else _label(label)
         )
     if default >= 0:
         labels[parts[6][default][1]] = []  # labels beside `default:` add nothing to it
-    variants = (Variant(_plain(name), tuple(known), shapes[name]) for name, known in labels.items())
-    return Choice(parts[2], by, tuple(variants))
+    variants = (
+        IdlUnionMember(_plain(name), tuple(known), shapes[name]) for name, known in labels.items()
+    )
+    return IdlUnion(parts[2], by, tuple(variants))
 
 
 def _label(value: Any) -> Any:

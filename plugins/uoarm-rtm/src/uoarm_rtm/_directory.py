@@ -15,16 +15,16 @@ from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason
 from uoarm_rtm._calls import calls
 from uoarm_rtm._naming import Name, NamingService
 from uoarm_rtm._orb import limit
-from uoarm_rtm._peer import Peer, peer_at
+from uoarm_rtm._peer import PeerComponent, peer_at
 
-__all__ = ["Directory", "Sighting"]
+__all__ = ["Directory", "DirectoryEntry"]
 
 _AT_ONCE = 8
 _SUFFIX = ".rtc"
 
 
 @frozen
-class Sighting:
+class DirectoryEntry:
     """A component's name and what stands behind it: `alive`, `dead` or `hung`."""
 
     path: str
@@ -44,7 +44,7 @@ class Directory:
         self._services = services
         self._seconds = seconds
 
-    def peer(self, path: str) -> Peer:
+    def peer(self, path: str) -> PeerComponent:
         """Return the component at a path, or the only one whose path ends so.
 
         Raises:
@@ -67,7 +67,7 @@ class Directory:
             raise failures[0]
         return self._below(path)
 
-    def sightings(self) -> tuple[Sighting, ...]:
+    def entries(self) -> tuple[DirectoryEntry, ...]:
         """Return every component's name, with its condition; silent services are left out.
 
         Raises:
@@ -92,60 +92,60 @@ class Directory:
         except RuntimeError as error:  # no thread can begin any more
             raise BridgeError("this process is ending", FailureReason.CLOSED) from error
 
-    def peers(self) -> tuple[tuple[Peer, ...], tuple[tuple[str, str], ...]]:
+    def peers(self) -> tuple[tuple[PeerComponent, ...], tuple[tuple[str, str], ...]]:
         """Return the components that answer, and (path, what is wrong) of those that do not."""
-        found: list[Peer] = []
+        found: list[PeerComponent] = []
         silent = []
-        for sighting in self.sightings():
-            if sighting.condition != "alive":
-                silent.append((sighting.path, sighting.condition))
+        for entry in self.entries():
+            if entry.condition != "alive":
+                silent.append((entry.path, entry.condition))
                 continue
             try:
-                found.append(peer_at(sighting.path, sighting.reference, self._seconds))
+                found.append(peer_at(entry.path, entry.reference, self._seconds))
             except BridgeError as error:
-                silent.append((sighting.path, str(error)))
+                silent.append((entry.path, str(error)))
         return tuple(found), tuple(silent)
 
-    def _look(self, name: Name) -> Sighting:
+    def _look(self, name: Name) -> DirectoryEntry:
         try:
             with calls:
                 gone = limit(name.reference, self._seconds)._non_existent()
         except CORBA.TIMEOUT:
-            return Sighting(name.path, name.reference, "hung")
+            return DirectoryEntry(name.path, name.reference, "hung")
         except CORBA.Exception:
             gone = True
-        return Sighting(name.path, name.reference, "dead" if gone else "alive")
+        return DirectoryEntry(name.path, name.reference, "dead" if gone else "alive")
 
-    def _below(self, path: str, unreadable: BridgeError | None = None) -> Peer:
+    def _below(self, path: str, unreadable: BridgeError | None = None) -> PeerComponent:
         """Return the component of this name in any context, or at this path written plainly.
 
         CORBA writes a dot within a step with a backslash before it; people write `x.y.host_cxt`.
         """
         plain = path.replace("\\", "")
-        every = self.sightings()
+        every = self.entries()
         seen = [
-            sighting
-            for sighting in every
-            if sighting.path.split("/")[-1] == path or sighting.path.replace("\\", "") == plain
+            entry
+            for entry in every
+            if entry.path.split("/")[-1] == path or entry.path.replace("\\", "") == plain
         ]
-        alive = [sighting for sighting in seen if sighting.condition == "alive"]
+        alive = [entry for entry in seen if entry.condition == "alive"]
         if len(alive) == 1:
             return peer_at(alive[0].path, alive[0].reference, self._seconds)
         where = ", ".join(service.address for service in self._services)
         if alive:
-            paths = ", ".join(sighting.path for sighting in alive)
+            paths = ", ".join(entry.path for entry in alive)
             text = f"component {path!r} is there several times: {paths}; give one whole path"
             raise BridgeError(text, FailureReason.NOT_FOUND)
-        for sighting in seen:
-            if sighting.condition == "hung":
-                raise BridgeTimeoutError(f"component {sighting.path!r} does not answer")
+        for entry in seen:
+            if entry.condition == "hung":
+                raise BridgeTimeoutError(f"component {entry.path!r} does not answer")
         if seen:
             text = f"component {seen[0].path!r} is dead: only its name is left"
             raise BridgeError(text, FailureReason.UNAVAILABLE)
         if unreadable is not None:
             raise unreadable
         text = f"there is no component {path!r} in {where}"
-        close = difflib.get_close_matches(path, [sighting.path for sighting in every], n=1)
+        close = difflib.get_close_matches(path, [entry.path for entry in every], n=1)
         if close:
             text = f"{text}; did you mean {close[0]!r}?"
         raise BridgeError(text, FailureReason.NOT_FOUND)

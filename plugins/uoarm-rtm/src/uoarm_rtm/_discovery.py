@@ -11,9 +11,9 @@ from uoarm_rtm import _control
 from uoarm_rtm._configuration import limits
 from uoarm_rtm._directory import Directory
 from uoarm_rtm._faults import corba_errors
-from uoarm_rtm._peer import Peer, Port, contexts_of, state_of
+from uoarm_rtm._options import CONFIGURATION, LIFECYCLE
+from uoarm_rtm._peer import PeerComponent, PeerPort, contexts_of, state_of
 from uoarm_rtm._service_call import described
-from uoarm_rtm._settings import CONFIGURATION, LIFECYCLE
 from uoarm_rtm._types import Types
 
 __all__ = ["discovered"]
@@ -32,7 +32,7 @@ def discovered(
     return tuple(sorted(found, key=lambda item: item.name))
 
 
-def _component(bridge: str, peer: Peer, types: Types, seconds: float) -> Discovered:
+def _component(bridge: str, peer: PeerComponent, types: Types, seconds: float) -> Discovered:
     endpoints: list[tuple[Endpoint, Description]] = []
     state, rate = _state(peer, seconds)
     remarks = [f"{peer.type_name}, {state}"]
@@ -52,7 +52,7 @@ def _component(bridge: str, peer: Peer, types: Types, seconds: float) -> Discove
                 remarks += [remark] if remark else []
                 endpoint = Endpoint(bridge, peer.path, Role.SERVICE, address, port=port.name)
                 endpoints.append((endpoint, description))
-    with contextlib.suppress(BridgeError):  # it has none, or the state has told why
+    with contextlib.suppress(BridgeError):  # it has none, or the state says why
         parameters = limits(peer, seconds)
         remarks += [f"parameters {parameters}"] if parameters else []
     for name, request, reply in (
@@ -66,7 +66,7 @@ def _component(bridge: str, peer: Peer, types: Types, seconds: float) -> Discove
     return Discovered(peer.path, tuple(endpoints), "; ".join(remarks), rates)
 
 
-def _description(port: Port, types: Types) -> tuple[Description, str]:
+def _description(port: PeerPort, types: Types) -> tuple[Description, str]:
     if port.takes_events:
         return Description(), f"port {port.name!r} takes the events of a state machine"
     try:
@@ -82,7 +82,7 @@ def _service(type_name: str, types: Types) -> tuple[Description, str]:
         return Description(), str(error)
 
 
-def _state(peer: Peer, seconds: float) -> tuple[str, float | None]:
+def _state(peer: PeerComponent, seconds: float) -> tuple[str, float | None]:
     """Return the state in words, and how often a second its execution context runs it."""
     try:
         contexts = contexts_of(peer, seconds)

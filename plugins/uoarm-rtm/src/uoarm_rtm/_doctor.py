@@ -13,7 +13,7 @@ __all__ = ["environment"]
 
 
 def environment() -> dict[str, str]:
-    """Return the version of omniORB, where its programs are, and settings of the environment."""
+    """Return the version of omniORB, where its programs are, and variables of the environment."""
     programs = omniorb_programs()
     naming = (programs / "omniNames") if programs is not None else shutil.which("omniNames")
     facts = {

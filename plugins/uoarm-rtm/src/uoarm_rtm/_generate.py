@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-__all__ = ["WIDEST", "Source"]
+__all__ = ["WIDEST", "GeneratedFunction"]
 
 WIDEST = 8
 """Greatest alignment of CDR."""
 
 
-class Source:
+class GeneratedFunction:
     """One function, line by line, that walks a CDR buffer.
 
     Nothing of a message ever enters the text: names of fields come in as quoted literals,

@@ -26,7 +26,7 @@ from attrs import frozen
 
 from uoarm.bridge import at_exit
 
-__all__ = ["Entry", "Journal", "journal", "process_of"]
+__all__ = ["Journal", "JournalEntry", "journal", "process_of"]
 
 _MOST_OCTETS = 1 << 16
 _MOST_ENTRIES = 10_000
@@ -36,7 +36,7 @@ _log = logging.getLogger("uoarm.rtm")
 
 
 @frozen
-class Entry:
+class JournalEntry:
     """A connector, or an observer in a component.
 
     Attributes:
@@ -64,6 +64,7 @@ class Journal:
         self.token = secrets.token_hex(8)
         self._lock: int | None = None
         self._broken = False
+        # Guards the making of our folder and files, and `_broken`: any thread may connect.
         self._guard = threading.Lock()
         # A record lock keeps no thread of its own process out, and any close gives it up.
         self._looking = threading.Lock()
@@ -73,7 +74,7 @@ class Journal:
         """What connectors say of their maker: host, process id and token."""
         return f"{socket.gethostname()}/{os.getpid()}/{self.token}"
 
-    def write(self, entry: Entry) -> None:
+    def write(self, entry: JournalEntry) -> None:
         """Keep an entry; it is on its way to the disk when this returns, and outlives us."""
         with self._guard:
             if self._broken:
@@ -104,10 +105,10 @@ class Journal:
         with self._looking, self._locked(token) as dead:
             return not dead
 
-    def left(self) -> Iterator[tuple[str, list[Entry]]]:
+    def left(self) -> Iterator[tuple[str, list[JournalEntry]]]:
         """Yield the token and the entries of each process that is gone, one at a time.
 
-        Nobody else is given them meanwhile. `forget` removes an entry; what stays is yielded
+        No other process is given them meanwhile. `forget` removes an entry; what stays is yielded
         again another time.
         """
         try:
@@ -139,7 +140,7 @@ class Journal:
     def _folder(self) -> Path:
         folder = self._base / self.token
         if self._lock is None:
-            # It gets its name when it is locked, so that nobody takes it for a dead one's.
+            # It gets its name when it is locked, so that no process takes it for a dead one's.
             made = folder.with_name(f".{self.token}")
             made.mkdir(mode=0o700, parents=True)
             lock = os.open(made / _LOCK, os.O_CREAT | os.O_RDWR | os.O_CLOEXEC, 0o600)
@@ -166,7 +167,7 @@ class Journal:
         finally:
             os.close(lock)
 
-    def _entries(self, token: str) -> list[Entry]:
+    def _entries(self, token: str) -> list[JournalEntry]:
         entries = []
         for file in sorted((self._base / token).glob("*.json"))[:_MOST_ENTRIES]:
             try:
@@ -175,7 +176,7 @@ class Journal:
                 is_observer = "observer" in found
                 references = found["observer" if is_observer else "ports"]
                 texts = tuple(str(reference) for reference in references)
-                entries.append(Entry(file.stem, texts, str(found["where"]), is_observer))
+                entries.append(JournalEntry(file.stem, texts, str(found["where"]), is_observer))
             except (OSError, ValueError, KeyError, TypeError):
                 _log.warning("%s is no entry of a connection: removed", file)
                 self.forget(token, file.stem)

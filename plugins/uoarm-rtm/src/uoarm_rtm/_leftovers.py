@@ -14,13 +14,13 @@ from omniORB import CORBA
 
 from uoarm.errors import BridgeError
 from uoarm_rtm._calls import calls
-from uoarm_rtm._journal import Entry, journal
+from uoarm_rtm._journal import JournalEntry, journal
 from uoarm_rtm._orb import Orb, limit
 
 __all__ = ["NAME", "PROCESS", "Leftovers", "end_connector", "end_observer"]
 
 NAME, PROCESS = "uoarm.name", "uoarm.process"
-"""Properties by which a connector tells its maker: the bridge, and `Journal.process`."""
+"""Properties in which a connector names its maker: the bridge, and `Journal.process`."""
 
 _AT_ONCE = 8
 
@@ -30,21 +30,21 @@ _log = logging.getLogger("uoarm.rtm")
 def end_connector(identifier: str, ports: Sequence[Any]) -> bool:
     """End a connector at each of its ports, of which any may be gone; those have no connectors.
 
-    The first walks all of them. The others are told on their own, since a walk ends at a port
+    The first walks all of them. The others are notified on their own, since a walk ends at a port
     whose component is gone, and leaves those behind it as they are (observed).
 
     Returns:
         Whether a port had it, or is gone: else it may be about to be made.
 
     Raises:
-        CORBA.TIMEOUT: a port did not answer; the others were told.
+        CORBA.TIMEOUT: a port did not answer; the others were notified.
     """
     silent: CORBA.TIMEOUT | None = None
     is_over = False
     for index, port in enumerate(ports):
         try:
-            report = port.disconnect if index == 0 else port.notify_disconnect
-            is_over = report(identifier) == RTC.RTC_OK or is_over
+            disconnect = port.disconnect if index == 0 else port.notify_disconnect
+            is_over = disconnect(identifier) == RTC.RTC_OK or is_over
         except CORBA.TIMEOUT as error:
             silent = error
         except CORBA.Exception as error:
@@ -90,7 +90,7 @@ class Leftovers:
         ended = 0
         deadline = time.monotonic() + self._seconds
 
-        def end(entry: Entry) -> bool:
+        def end(entry: JournalEntry) -> bool:
             return time.monotonic() < deadline and self._end(entry)
 
         for token, entries in journal().left():
@@ -105,7 +105,7 @@ class Leftovers:
             _log.info("ended %d connections that killed processes of ours had left", ended)
         return ended
 
-    def _end(self, entry: Entry) -> bool:
+    def _end(self, entry: JournalEntry) -> bool:
         """End one; returns whether it is certain that it does not exist any more."""
         kind = SDOPackage.Configuration if entry.is_observer else RTC.PortService
         references = []

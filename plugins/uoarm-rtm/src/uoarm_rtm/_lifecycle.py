@@ -18,7 +18,7 @@ from attrs import frozen
 
 from uoarm.bridge import foreign
 
-__all__ = ["Callbacks", "Lifecycle"]
+__all__ = ["Callbacks", "ComponentLifecycle"]
 
 _log = logging.getLogger("uoarm.rtm")
 
@@ -42,7 +42,7 @@ class Callbacks:
     executed: Callable[[], None] | None = None
 
 
-class Lifecycle:
+class ComponentLifecycle:
     """The state, and the calls that change it. Callbacks run in the caller's thread."""
 
     def __init__(self, callbacks: Callbacks) -> None:

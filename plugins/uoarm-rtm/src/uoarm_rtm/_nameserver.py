@@ -28,7 +28,7 @@ _TRIES = 5
 def nameserver_command(
     port: int, address: str, folder: Path, log: str = "/dev/null"
 ) -> tuple[str, ...]:
-    """Return the command line of omniNames, for whoever looks after its process.
+    """Return the command line of omniNames, for a caller that starts the process itself.
 
     Args:
         port: TCP port.
@@ -141,7 +141,7 @@ def _serves_soon(process: subprocess.Popen[bytes], address: str, port: int) -> b
 def _serves(address: str, port: int) -> bool:
     """Ask whether the root context is there, with a GIOP 1.0 LocateRequest of our own.
 
-    It listens a moment before it serves; and whoever waits may have no ORB yet.
+    It listens a moment before it serves; and the waiting process may have no ORB yet.
     """
     key = b"NameService"
     body = struct.pack("<II", 1, len(key)) + key

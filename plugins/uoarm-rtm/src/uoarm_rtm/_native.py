@@ -6,20 +6,20 @@ from collections.abc import Callable, Mapping
 
 from uoarm.bridge import Channel
 from uoarm.model import Health
-from uoarm_rtm._connector import asked
-from uoarm_rtm._place import Place, Trouble
-from uoarm_rtm._settings import Settings
+from uoarm_rtm._connector import connector_properties
+from uoarm_rtm._options import RtmEndpointOptions
+from uoarm_rtm._place import PortFault, RemotePort
 
-__all__ = ["Native"]
+__all__ = ["NativeConnector"]
 
 
-class Native(Channel):
+class NativeConnector(Channel):
     """A connector from one component's OutPort to another's InPort.
 
     Args:
         source: the OutPort.
         sink: the InPort.
-        settings: what the options of both ends ask together.
+        options: what the options of both ends ask together.
         report: that of the bridge.
 
     Raises:
@@ -28,9 +28,9 @@ class Native(Channel):
 
     def __init__(
         self,
-        source: Place,
-        sink: Place,
-        settings: Settings,
+        source: RemotePort,
+        sink: RemotePort,
+        options: RtmEndpointOptions,
         report: Callable[..., None],
     ) -> None:
         super().__init__(source.endpoint)
@@ -40,7 +40,7 @@ class Native(Channel):
         self._lost = False
         self._idle = dict.fromkeys(range(2), "")
         self._states = ["", ""]
-        properties = asked(settings, source.port.data_type)
+        properties = connector_properties(options, source.port.data_type)
         self._connector = source.connections.connect(
             self._where, properties, source.port, sink.port
         )
@@ -50,29 +50,29 @@ class Native(Channel):
         return {"native": self._where, "states": tuple(self._states)}
 
     def tick(self) -> None:
-        """Look at both ends, about once a second; the one with the surest sign is blamed.
+        """Check both ends, about once a second; the one with the surest sign is blamed.
 
         When an end dies the other drops the connection: what is gone is the cause of what ended.
         """
         if self._lost or self.closed:
             return
-        looks = [place.look(self._connector, end) for end, place in enumerate(self._ends)]
-        self._states = [look.state for look in looks]
-        worst = max(range(2), key=lambda end: looks[end].trouble)
-        if looks[worst].trouble > Trouble.INACTIVE:
+        statuses = [remote.check(self._connector, end) for end, remote in enumerate(self._ends)]
+        self._states = [status.state for status in statuses]
+        worst = max(range(2), key=lambda end: statuses[end].fault)
+        if statuses[worst].fault > PortFault.INACTIVE:
             self._lost = True
-            text = f"{looks[worst].cause}; it was connected from {self._where}"
-            if all(look.trouble is Trouble.ENDED for look in looks):
+            text = f"{statuses[worst].cause}; it was connected from {self._where}"
+            if all(status.fault is PortFault.ENDED for status in statuses):
                 text = f"{self._where}: the components have ended the connection"
-            self._tell(worst, Health.LOST, text)
+            self._report_of(worst, Health.LOST, text)
             return
-        for end, seen in enumerate(looks):
-            if seen.cause != self._idle[end]:
-                self._idle[end] = seen.cause
+        for end, cause in enumerate(status.cause for status in statuses):
+            if cause != self._idle[end]:
+                self._idle[end] = cause
                 text = f"{self._ends[end].where} works again"
-                self._tell(end, Health.DEGRADED if seen.cause else Health.OK, seen.cause or text)
+                self._report_of(end, Health.DEGRADED if cause else Health.OK, cause or text)
 
-    def _tell(self, end: int, health: Health, cause: str) -> None:
+    def _report_of(self, end: int, health: Health, cause: str) -> None:
         """Report of one component: of the source as this channel, which has its endpoint."""
         if self.closed:
             return
@@ -85,5 +85,5 @@ class Native(Channel):
         try:
             self._connector.disconnect()
         finally:
-            for place in self._ends:
-                place.ended()
+            for remote in self._ends:
+                remote.ended()

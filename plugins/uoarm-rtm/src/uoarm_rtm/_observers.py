@@ -1,12 +1,12 @@
-"""Observers that we register in components, which then tell us of their states as they change.
+"""Observers that we register in components, which then report their states as they change.
 
 A component whose process has OpenRTM's `ComponentObserver` takes an observer through its SDO
-configuration, and calls it without waiting. Where one does not, the look of every second sees the
-same, later; so an event is never believed, but brings the next look forward.
+configuration, and calls it without waiting. Where one does not, the check of every second finds
+the same, later; so an event is never believed, but brings the next check forward.
 
 Asked for are the states of the component and of its execution contexts. Changes of ports are not:
 for them a component would run a listener with each message. Nor are heartbeats: OpenRTM-aist in
-Python 1.2 goes on with them when the observer has been removed; the look asks, which says more.
+Python 1.2 goes on with them when the observer has been removed; the check asks, which says more.
 
 What we registered is ours to remove: it stands in the journal for as long as it may exist.
 """
@@ -30,10 +30,10 @@ from uoarm.bridge import Channel
 from uoarm.errors import BridgeError
 from uoarm_rtm._calls import calls
 from uoarm_rtm._faults import corba_errors
-from uoarm_rtm._journal import Entry, journal
+from uoarm_rtm._journal import JournalEntry, journal
 from uoarm_rtm._leftovers import NAME, PROCESS, end_observer
 from uoarm_rtm._orb import Orb, limit
-from uoarm_rtm._peer import Peer, pairs
+from uoarm_rtm._peer import PeerComponent, pairs
 
 __all__ = ["Observers"]
 
@@ -47,20 +47,20 @@ Tick = Callable[[], None]
 class _Observer(OpenRTM__POA.ComponentObserver):  # type: ignore[misc]  # generated
     """What one component calls."""
 
-    def __init__(self, told: Tick) -> None:
-        self._told = told
+    def __init__(self, notify: Tick) -> None:
+        self._notify = notify
 
     def update_status(self, status_kind: Any, hint: str) -> None:
-        """Take an event (CORBA operation, without an answer); the look finds out what it means."""
+        """Take an event (CORBA operation, without an answer); a check finds out what it means."""
         del status_kind, hint
-        self._told()
+        self._notify()
 
 
 @define
 class _Observed:
-    """One component: who looks at it, and our observer there once it has been asked for."""
+    """One component: the checks of its channels, and our observer there once it was asked for."""
 
-    peer: Peer
+    peer: PeerComponent
     ticks: dict[Channel, Tick] = Factory(dict)
     is_asked: bool = False
     id: str = ""
@@ -75,7 +75,7 @@ class Observers:
         orb: where they are served.
         name: of the bridge, which they carry.
         seconds: limit of each call.
-        soon: has a look taken before its turn, in another thread.
+        soon: has a check made before its turn, in another thread.
     """
 
     def __init__(self, orb: Orb, name: str, seconds: float, soon: Callable[[Tick], None]) -> None:
@@ -88,15 +88,18 @@ class Observers:
         }
         self._seconds = seconds
         self._soon = soon
+        # Guards the table, never held while a component is called.
         self._guard = threading.Lock()
+        # Held while components are called: `close` waits for a registration under way, which
+        # would be left behind otherwise.
         self._changing = threading.Lock()
         self._closed = False
         self._observed: dict[str, _Observed] = {}
 
-    def enter(self, channel: Channel, tick: Tick, peer: Peer) -> None:
-        """Have a component's events bring a channel's look forward, while the channel is open.
+    def enter(self, channel: Channel, tick: Tick, peer: PeerComponent) -> None:
+        """Have a component's events bring a channel's check forward, while the channel is open.
 
-        Does not block: the component is asked in the thread of the looks.
+        Does not block: the component is asked in the thread of the checks.
         """
         key = self._orb.text(peer.reference)  # one that came back is another
         with self._guard:
@@ -149,7 +152,7 @@ class Observers:
         observed.is_asked = True
         path = observed.peer.path
 
-        def told() -> None:
+        def notify() -> None:
             with self._guard:
                 ticks = list(observed.ticks.values())
             for tick in ticks:
@@ -161,10 +164,12 @@ class Observers:
                 if found is None:
                     return
                 observed.configuration = limit(found, self._seconds)
-            observed.reference = self._orb.serve(_Observer(told))
+            observed.reference = self._orb.serve(_Observer(notify))
             observed.id = f"uoarm-{uuid.uuid4()}"
             ior = self._orb.text(observed.configuration)
-            journal().write(Entry(observed.id, (ior,), f"observer in {path}", is_observer=True))
+            journal().write(
+                JournalEntry(observed.id, (ior,), f"observer in {path}", is_observer=True)
+            )
             profile = SDOPackage.ServiceProfile(
                 observed.id,
                 OpenRTM.ComponentObserver._NP_RepositoryId,  # noqa: SLF001 - of generated code
@@ -177,9 +182,9 @@ class Observers:
             _log.debug("%s", error)
             is_taken = False
         if is_taken:
-            told()  # it may have changed before it knew us
+            notify()  # it may have changed before it knew us
         else:
-            _log.debug("component %s takes no observer: it is only looked at", path)
+            _log.debug("component %s takes no observer: it is only checked", path)
             self._remove(observed)
 
     def _remove(self, observed: _Observed) -> None:

@@ -17,27 +17,27 @@ from omniORB import tcInternal
 
 from uoarm.errors import BridgeError, FailureReason, MessageError
 from uoarm.model import Message, MessageStructure
-from uoarm_rtm._codec import Codec, codec_of
+from uoarm_rtm._codec import CdrCodec, codec_of
 from uoarm_rtm._descriptor import shape_of
 from uoarm_rtm._schema import structure_of
-from uoarm_rtm._shape import Field, Record
+from uoarm_rtm._shape import IdlMember, IdlStruct
 from uoarm_rtm._user_idl import Stubs
 
-__all__ = ["RETURN", "Interface", "Operation", "interfaces"]
+__all__ = ["RETURN", "IdlInterface", "IdlOperation", "interfaces"]
 
 RETURN = "return"
 """Where a reply keeps what the operation returns, beside its out parameters."""
 
 
 @frozen
-class _Part:
+class _Parameter:
     name: str
     descriptor: Any
-    codec: Codec
+    codec: CdrCodec
 
 
 @frozen
-class Operation:
+class IdlOperation:
     """One operation.
 
     Attributes:
@@ -47,10 +47,10 @@ class Operation:
     """
 
     name: str
-    takes: tuple[_Part, ...]
-    gives: tuple[_Part, ...]
+    takes: tuple[_Parameter, ...]
+    gives: tuple[_Parameter, ...]
     structures: tuple[MessageStructure, MessageStructure]
-    raised: Mapping[str, _Part] = field(hash=False)
+    raised: Mapping[str, _Parameter] = field(hash=False)
 
     def arguments(self, message: Message) -> list[Any]:
         """Return omniORB's arguments for a request.
@@ -64,7 +64,7 @@ class Operation:
         """Return the request that omniORB's arguments make."""
         return _message(self.takes, arguments)
 
-    def members(self, part: _Part, error: Any) -> Message:
+    def members(self, part: _Parameter, error: Any) -> Message:
         """Return the members of a declared exception that was raised."""
         return part.codec.decode(bytes(_omnipy.cdrMarshal(part.descriptor, error, 1)))
 
@@ -100,7 +100,7 @@ class Operation:
 
 
 @frozen
-class Interface:
+class IdlInterface:
     """One interface: its stub and skeleton classes, and what can be called.
 
     `refused` holds the operations that have no structure, each with the reason.
@@ -109,10 +109,10 @@ class Interface:
     name: str
     stub: Any
     skeleton: Any
-    operations: Mapping[str, Operation] = field(hash=False)
+    operations: Mapping[str, IdlOperation] = field(hash=False)
     refused: Mapping[str, str] = field(hash=False)
 
-    def operation(self, name: str) -> Operation:
+    def operation(self, name: str) -> IdlOperation:
         """Return an operation by name.
 
         Raises:
@@ -127,7 +127,7 @@ class Interface:
         return self.operations[name]
 
 
-def interfaces(stubs: Stubs, encoding: str) -> dict[str, Interface]:
+def interfaces(stubs: Stubs, encoding: str) -> dict[str, IdlInterface]:
     """Return every interface of compiled IDL, by `Module/Name`."""
     found = {}
     for identifier, names in stubs.names.items():
@@ -143,7 +143,7 @@ def interfaces(stubs: Stubs, encoding: str) -> dict[str, Interface]:
         )
         for step in path[1:]:
             stub, skeleton = getattr(stub, step), getattr(skeleton, step)
-        operations: dict[str, Operation] = {}
+        operations: dict[str, IdlOperation] = {}
         refused: dict[str, str] = {}
         for name, parameters in names.items():
             try:
@@ -151,13 +151,13 @@ def interfaces(stubs: Stubs, encoding: str) -> dict[str, Interface]:
             except BridgeError as error:
                 refused[name] = str(error)
         full = "/".join(path)
-        found[full] = Interface(full, stub, skeleton, operations, refused)
+        found[full] = IdlInterface(full, stub, skeleton, operations, refused)
     return found
 
 
 def _operation(
     name: str, parameters: Sequence[Sequence[str]], stub: Any, encoding: str
-) -> Operation:
+) -> IdlOperation:
     takes, gives, raised = getattr(stub, f"_d_{name}")[:3]
     ins = [parameter for parameter, direction in parameters if direction != "out"]
     outs = [parameter for parameter, direction in parameters if direction != "in"]
@@ -169,47 +169,49 @@ def _operation(
     structures = _structure(taken, encoding), _structure(given, encoding)
     errors = {
         # Without its repository id, which an exception's own marshalling puts first.
-        identifier: _Part(
-            each[3],
-            (tcInternal.tv_struct, *each[1:]),
-            codec_of(shape_of(each, identifier), encoding),
+        identifier: _Parameter(
+            descriptor[3],
+            (tcInternal.tv_struct, *descriptor[1:]),
+            codec_of(shape_of(descriptor, identifier), encoding),
         )
-        for identifier, each in (raised or {}).items()
+        for identifier, descriptor in (raised or {}).items()
     }
-    return Operation(name, taken, given, structures, errors)
+    return IdlOperation(name, taken, given, structures, errors)
 
 
 def _parts(
     names: Sequence[str], descriptors: Sequence[Any], operation: str, encoding: str
-) -> tuple[_Part, ...]:
+) -> tuple[_Parameter, ...]:
     return tuple(
-        _Part(name, each, codec_of(shape_of(each, f"{operation}.{name}"), encoding))
-        for name, each in zip(names, descriptors, strict=True)
+        _Parameter(
+            name, descriptor, codec_of(shape_of(descriptor, f"{operation}.{name}"), encoding)
+        )
+        for name, descriptor in zip(names, descriptors, strict=True)
     )
 
 
-def _structure(parts: Sequence[_Part], encoding: str) -> MessageStructure:
-    record = Record("", tuple(Field(each.name, each.codec.shape) for each in parts))
+def _structure(parts: Sequence[_Parameter], encoding: str) -> MessageStructure:
+    record = IdlStruct("", tuple(IdlMember(part.name, part.codec.shape) for part in parts))
     return structure_of(record, encoding)
 
 
-def _natives(parts: Sequence[_Part], message: Message, what: str) -> list[Any]:
-    names = [each.name for each in parts]
+def _natives(parts: Sequence[_Parameter], message: Message, what: str) -> list[Any]:
+    names = [part.name for part in parts]
     if not isinstance(message, Mapping) or set(message) != set(names):
         expected = ", ".join(names) or "no fields"
         raise MessageError(f"{what}: expected an object with {expected}, got {message!r:.80}")
     natives = []
-    for each in parts:
+    for part in parts:
         try:
-            data = each.codec.encode(message[each.name])
+            data = part.codec.encode(message[part.name])
         except MessageError as error:
-            raise MessageError(f"{what}, field {each.name!r}: {error}") from None
-        natives.append(_omnipy.cdrUnmarshal(each.descriptor, data, 1))
+            raise MessageError(f"{what}, field {part.name!r}: {error}") from None
+        natives.append(_omnipy.cdrUnmarshal(part.descriptor, data, 1))
     return natives
 
 
-def _message(parts: Sequence[_Part], values: Sequence[Any]) -> Message:
+def _message(parts: Sequence[_Parameter], values: Sequence[Any]) -> Message:
     return {
-        each.name: each.codec.decode(bytes(_omnipy.cdrMarshal(each.descriptor, value, 1)))
-        for each, value in zip(parts, values, strict=False)
+        part.name: part.codec.decode(bytes(_omnipy.cdrMarshal(part.descriptor, value, 1)))
+        for part, value in zip(parts, values, strict=False)
     }

@@ -31,60 +31,61 @@ _LOOK_SECONDS = 0.001
 _log = logging.getLogger("uoarm.rtm")
 
 
-class _Ending:
-    """Ends an ORB when it is told to, in a thread of its own, since that may hang.
+class _OrbShutdown:
+    """Ends an ORB on request, in a thread of its own, since that may hang.
 
     The thread begins with the ORB: none can begin while the process exits.
     """
 
     def __init__(self, orb: Any) -> None:
         self._orb = orb
-        self._told = threading.Event()
+        self._begun = threading.Event()
         self._thread = threading.Thread(target=self._run, name="uoarm-rtm-end", daemon=True)
         self._thread.start()
 
     def begin(self) -> None:
         """End the ORB; it waits for calls under way, which have their limits."""
-        self._told.set()
+        self._begun.set()
 
     def join(self) -> None:
         """Wait until it has ended, at most 5 s."""
         self._thread.join(_DESTROY_SECONDS)
 
     def _run(self) -> None:
-        self._told.wait()
+        self._begun.wait()
         if not calls.end(_DRAIN_SECONDS):
             _log.warning("a CORBA call does not come back: the ORB is left as it is")
             return
         try:
-            # An ORB that somebody else has shut down cannot be destroyed safely: calls made since
-            # then may have opened connections, at which omniORB aborts the process.
+            # An ORB that the application has shut down cannot be destroyed safely: calls made
+            # since then may have opened connections, at which omniORB aborts the process.
             self._orb.work_pending()
             self._orb.destroy()
         except CORBA.Exception:
-            _log.warning("somebody else has shut down the ORB of this process: it is left so")
+            _log.warning("the ORB of this process was shut down from outside: it is left so")
             return
         _wait_for_workers()
 
 
 @frozen
-class _Running:
+class _RunningOrb:
     """The ORB of the process; `ending` is None for one that the application has begun."""
 
     orb: Any
     address: str
     most_octets: int
-    ending: _Ending | None
+    ending: _OrbShutdown | None
 
 
 class _Shared:
     """Counts the users of the ORB."""
 
     def __init__(self) -> None:
+        # Guards all fields: bridges begin and end in any thread, and two ORBs must never overlap.
         self.lock = threading.Lock()
         self.users = 0
-        self.running: _Running | None = None
-        self.destroying: _Ending | None = None
+        self.running: _RunningOrb | None = None
+        self.destroying: _OrbShutdown | None = None
 
 
 _shared = _Shared()
@@ -202,7 +203,9 @@ def _begin(address: str, call_seconds: float, most_octets: int) -> Any:
             words += [f"-ORB{name}", value]
         with corba_errors(f"starting the ORB on {address}"):
             orb = CORBA.ORB_init(words, CORBA.ORB_ID)
-        _shared.running = _Running(orb, address, most_octets, None if foreign else _Ending(orb))
+        _shared.running = _RunningOrb(
+            orb, address, most_octets, None if foreign else _OrbShutdown(orb)
+        )
         _shared.users = 0
     elif _shared.running.address != address and _shared.running.ending is not None:
         text = (
@@ -219,7 +222,7 @@ def _begin(address: str, call_seconds: float, most_octets: int) -> Any:
     return _shared.running.orb
 
 
-def _end() -> _Ending | None:
+def _end() -> _OrbShutdown | None:
     """Begin to end the ORB, unless it is the application's own; with the lock held."""
     running = _shared.running
     if running is None or running.ending is None:

@@ -9,28 +9,28 @@ from uoarm.bridge import Channel, Sink, Source
 from uoarm.errors import BridgeError, FailureReason
 from uoarm.model import Deliver, Endpoint, Health, Message
 from uoarm_rtm._naming import NamingService
-from uoarm_rtm._operations import Interface
+from uoarm_rtm._operations import IdlInterface
+from uoarm_rtm._options import options_of
 from uoarm_rtm._orb import Orb
 from uoarm_rtm._port_servant import PortServant
 from uoarm_rtm._service_port import ServicePort, servant_of
-from uoarm_rtm._settings import settings_of
 from uoarm_rtm._types import Types
-from uoarm_rtm.component import RtComponent, Sheet
+from uoarm_rtm.component import ComponentProfile, RtComponent
 
-__all__ = ["Own"]
+__all__ = ["OwnComponent"]
 
 
 class _OwnSource(Source):
     """An InPort of ours: what others write to it is delivered, one message at a time."""
 
     def __init__(
-        self, own: Own, endpoint: Endpoint, name: str, type_id: str, deliver: Deliver
+        self, own: OwnComponent, endpoint: Endpoint, name: str, type_id: str, deliver: Deliver
     ) -> None:
         super().__init__(endpoint)
         self._own = own
         self._deliver = deliver
         self._count = 0
-        rate = settings_of(endpoint).rate
+        rate = options_of(endpoint).rate
         self._port = own.component.add_in_port(name, type_id, own.types, self._take, rate)
 
     def facts(self) -> Mapping[str, object]:
@@ -46,9 +46,9 @@ class _OwnSource(Source):
 
 
 class _OwnSink(Sink):
-    """An OutPort of ours: what is sent goes to whoever is connected."""
+    """An OutPort of ours: what is sent goes to every connected port."""
 
-    def __init__(self, own: Own, endpoint: Endpoint, name: str, type_id: str) -> None:
+    def __init__(self, own: OwnComponent, endpoint: Endpoint, name: str, type_id: str) -> None:
         super().__init__(endpoint)
         self._own = own
         self._count = 0
@@ -74,7 +74,7 @@ class _OwnSink(Sink):
 class _OwnService(Channel):
     """A CorbaPort of ours that provides an interface."""
 
-    def __init__(self, own: Own, endpoint: Endpoint, port: ServicePort) -> None:
+    def __init__(self, own: OwnComponent, endpoint: Endpoint, port: ServicePort) -> None:
         super().__init__(endpoint)
         self._own = own
         self._port = port
@@ -84,7 +84,7 @@ class _OwnService(Channel):
         self._own.remove(self._port)
 
 
-class Own:
+class OwnComponent:
     """The component of a bridge: made, bound and activated with its first port.
 
     Args:
@@ -112,9 +112,10 @@ class Own:
         self._orb = orb
         self._services = services
         self._report = report
+        # Guards `_closed` while the name is looked up and bound, from `close` in another thread.
         self._binding = threading.Lock()
         self._closed = False
-        self.component = RtComponent(orb, Sheet(name), seconds=seconds)
+        self.component = RtComponent(orb, ComponentProfile(name), seconds=seconds)
         self.component.lifecycle.activate()
         try:
             self.component.bind(services)
@@ -136,7 +137,7 @@ class Own:
         self,
         endpoint: Endpoint,
         name: str,
-        interface: Interface,
+        interface: IdlInterface,
         operation: str,
         handler: Callable[[Message], Message],
         idl: str = "",
@@ -144,8 +145,8 @@ class Own:
         """Open a CorbaPort of ours that provides an interface."""
         self._free(name)
         servant = servant_of(interface, operation, handler)
-        full = f"{self.component.sheet.name}.{name}"
-        said = settings_of(endpoint)
+        full = f"{self.component.profile.name}.{name}"
+        said = options_of(endpoint)
         port = ServicePort(
             self._orb,
             full,
@@ -170,18 +171,18 @@ class Own:
                         continue
                     self.component.bind([service])
             except BridgeError:
-                continue  # the attendance says that it is gone
+                continue  # the monitor reports that it is gone
             text = f"naming service {service.address} had forgotten us; bound again"
             self._report(Health.OK, text)
 
     def close(self) -> None:
         """Disappear."""
-        with self._binding:  # a look that is under way would take what is unbound for forgotten
+        with self._binding:  # a check that is under way would take what is unbound for forgotten
             self._closed = True
         self.component.close()
 
     def _free(self, name: str) -> None:
-        full = f"{self.component.sheet.name}.{name}"
+        full = f"{self.component.profile.name}.{name}"
         if any(port.name == full for port in self.component.ports):
             text = f"our own component has a port {name!r} already: give one of them another name"
             raise BridgeError(text, FailureReason.BAD_ENDPOINT)

@@ -1,4 +1,4 @@
-"""A component of somebody else: its profile, its ports and its state, read in one go."""
+"""A component of another program: its profile, its ports and its state, read in one go."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from uoarm_rtm._faults import corba_errors
 from uoarm_rtm._orb import limit, narrowed
 
 __all__ = [
-    "Peer",
-    "Port",
+    "PeerComponent",
+    "PeerPort",
     "PortInterface",
     "contexts_of",
     "pairs",
@@ -36,7 +36,7 @@ class PortInterface:
 
 
 @frozen
-class Port:
+class PeerPort:
     """One port of a component.
 
     Attributes:
@@ -64,7 +64,7 @@ class Port:
 
 
 @frozen
-class Peer:
+class PeerComponent:
     """One component, as its profile describes it.
 
     Attributes:
@@ -75,10 +75,10 @@ class Peer:
     reference: Any
     instance: str
     type_name: str
-    ports: tuple[Port, ...]
+    ports: tuple[PeerPort, ...]
     language: str = ""
 
-    def port(self, name: str) -> Port:
+    def port(self, name: str) -> PeerPort:
         """Return a port by its name, with or without the component's before it.
 
         Raises:
@@ -92,7 +92,7 @@ class Peer:
         raise BridgeError(text, FailureReason.NOT_FOUND)
 
 
-def peer_at(path: str, reference: Any, seconds: float) -> Peer:
+def peer_at(path: str, reference: Any, seconds: float) -> PeerComponent:
     """Read the profile of the component behind a reference.
 
     Raises:
@@ -107,10 +107,10 @@ def peer_at(path: str, reference: Any, seconds: float) -> Peer:
         for port_profile in profile.port_profiles
     )
     language = properties_of(profile.properties).get("language", "")
-    return Peer(path, component, profile.instance_name, profile.type_name, ports, language)
+    return PeerComponent(path, component, profile.instance_name, profile.type_name, ports, language)
 
 
-def _port(profile: Any, instance: str, seconds: float) -> Port:
+def _port(profile: Any, instance: str, seconds: float) -> PeerPort:
     properties = properties_of(profile.properties)
     interfaces = tuple(
         PortInterface(
@@ -118,7 +118,7 @@ def _port(profile: Any, instance: str, seconds: float) -> Port:
         )
         for interface in profile.interfaces
     )
-    return Port(
+    return PeerPort(
         name=profile.name.removeprefix(f"{instance}."),
         reference=limit(profile.port_ref, seconds),
         kind=properties.get("port.port_type", ""),
@@ -148,7 +148,7 @@ def pairs(properties: Mapping[str, str]) -> list[Any]:
     ]
 
 
-def contexts_of(peer: Peer, seconds: float) -> list[Any]:
+def contexts_of(peer: PeerComponent, seconds: float) -> list[Any]:
     """Return the execution contexts that a component owns, then those it takes part in."""
     what = f"component {peer.path!r}: execution contexts"
     with corba_errors(what):
@@ -157,7 +157,7 @@ def contexts_of(peer: Peer, seconds: float) -> list[Any]:
     return [narrowed(item, RTC.ExecutionContext, seconds, what) for item in found]
 
 
-def state_of(peer: Peer, seconds: float) -> str:
+def state_of(peer: PeerComponent, seconds: float) -> str:
     """Return `created`, `inactive`, `active` or `error`; `none` without an execution context."""
     contexts = contexts_of(peer, seconds)
     if not contexts:

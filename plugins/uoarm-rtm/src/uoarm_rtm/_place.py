@@ -1,6 +1,6 @@
-"""What every channel to a data port stands on, and the pulse that its status shows.
+"""Data ports of other components, and the health of the channels to them.
 
-A look at a component tells the worst that is wrong with it. What is gone, hangs, has failed
+A check of a component finds the worst that is wrong with it. What is gone, hangs, has failed
 (state ERROR) or has ended the connection is lost, and is the one to blame; what is inactive is
 degraded: it takes data, and does nothing with it.
 """
@@ -18,20 +18,20 @@ from attrs import field, frozen
 from uoarm.bridge import Channel
 from uoarm.errors import BridgeError, BridgeTimeoutError
 from uoarm.model import Endpoint, Health
-from uoarm_rtm._codec import Codec
+from uoarm_rtm._codec import CdrCodec
 from uoarm_rtm._connector import Connections, Connector
 from uoarm_rtm._control import change
+from uoarm_rtm._options import RtmEndpointOptions
 from uoarm_rtm._orb import Orb
-from uoarm_rtm._peer import Peer, Port, state_of
-from uoarm_rtm._settings import Settings
+from uoarm_rtm._peer import PeerComponent, PeerPort, state_of
 
-__all__ = ["Look", "Place", "Pulse", "Trouble"]
+__all__ = ["ConnectorHealth", "PortFault", "PortStatus", "RemotePort"]
 
 
 _IDLE = {"none": "inactive, without an execution context", "created": "not initialised"}
 
 
-class Trouble(IntEnum):
+class PortFault(IntEnum):
     """What is wrong with one end of a connection, the surest sign last."""
 
     NONE = 0
@@ -44,16 +44,16 @@ class Trouble(IntEnum):
 
 
 @frozen
-class Look:
-    """What was seen of one end: the trouble, a sentence about it, and the component's state."""
+class PortStatus:
+    """What a check found at one end: the fault, a sentence about it, and the component's state."""
 
-    trouble: Trouble
+    fault: PortFault
     cause: str
     state: str
 
 
 @frozen
-class Place:
+class RemotePort:
     """One data port of a component, described and checked.
 
     `ended` is called when a channel to the port has let go of it.
@@ -62,12 +62,12 @@ class Place:
     orb: Orb
     connections: Connections
     endpoint: Endpoint
-    peer: Peer
-    port: Port
-    codec: Codec
-    settings: Settings = field(hash=False)
+    peer: PeerComponent
+    port: PeerPort
+    codec: CdrCodec
+    options: RtmEndpointOptions = field(hash=False)
     seconds: float
-    report: Callable[[Channel, Health, str], None]
+    report: Callable[..., None]
     ended: Callable[[], None]
 
     @property
@@ -75,8 +75,8 @@ class Place:
         """The port's name, for errors."""
         return f"port {self.port.name!r} of component {self.peer.path!r}"
 
-    def look(self, connector: Connector, end: int = 0) -> Look:
-        """Look at the component and at its end of a connection; activate it where that is asked.
+    def check(self, connector: Connector, end: int = 0) -> PortStatus:
+        """Check the component and its end of a connection; activate it where that is asked.
 
         Args:
             connector: the connection.
@@ -85,45 +85,48 @@ class Place:
         try:
             state = state_of(self.peer, self.seconds)
         except BridgeTimeoutError:
-            return Look(Trouble.HANGS, f"{self.where} does not answer: it hangs", "")
+            return PortStatus(PortFault.HANGS, f"{self.where} does not answer: it hangs", "")
         except BridgeError as error:
-            return Look(Trouble.GONE, str(error), "")
+            return PortStatus(PortFault.GONE, str(error), "")
         if state == "error":
             text = f"component {self.peer.path!r} has failed: it is in state ERROR"
-            return Look(Trouble.FAILED, text, state)
+            return PortStatus(PortFault.FAILED, text, state)
         try:
             is_connected = connector.alive(end)
         except BridgeTimeoutError:
             # A port may be asking the other one, which hangs; so that is the surer sign.
-            return Look(Trouble.STUCK, f"{self.where} does not answer: it hangs", state)
+            return PortStatus(PortFault.STUCK, f"{self.where} does not answer: it hangs", state)
         except BridgeError:
             # Ports of OpenRTM in Python answer with what came of asking the other one (observed).
             is_connected = False
         if not is_connected:
-            return Look(Trouble.ENDED, f"{self.where} has ended the connection", state)
+            return PortStatus(PortFault.ENDED, f"{self.where} has ended the connection", state)
         if state == "active":
-            return Look(Trouble.NONE, "", state)
-        if self.settings.activate == "keep":
-            with contextlib.suppress(BridgeError):  # it stays inactive, which is told
+            return PortStatus(PortFault.NONE, "", state)
+        if self.options.activate == "keep":
+            with contextlib.suppress(BridgeError):  # it stays inactive, which is reported
                 change(self.peer, "activate", self.seconds, there_is_fine=True)
         text = f"component {self.peer.path!r} is {_IDLE.get(state, state)}: it does nothing now"
-        return Look(Trouble.INACTIVE, text, state)
+        return PortStatus(PortFault.INACTIVE, text, state)
 
 
-class Pulse:
-    """Counts what passes, and tells of a loss once.
+class ConnectorHealth:
+    """Counts what passes, and reports a loss once.
 
     Args:
         channel: the channel that it belongs to.
-        place: the port that the channel leads to.
+        remote: the port that the channel leads to.
         stale_after: seconds without a message that count as a loss; None for any number.
     """
 
-    def __init__(self, channel: Channel, place: Place, stale_after: float | None = None) -> None:
+    def __init__(
+        self, channel: Channel, remote: RemotePort, stale_after: float | None = None
+    ) -> None:
         self._channel = channel
-        self._place = place
+        self._remote = remote
         self._stale_after = stale_after
-        self._telling = threading.Lock()
+        # Guards health and cause: messages come in threads of the ORB, checks in the ticker's.
+        self._lock = threading.Lock()
         self._health: Health = Health.OK
         self._cause = ""
         self._refusal = ""
@@ -132,62 +135,62 @@ class Pulse:
         self.state = ""
         self.last = time.monotonic()
 
-    def beat(self) -> None:
+    def note_message(self) -> None:
         """Count a message."""
         self.count += 1
         self.last = time.monotonic()
         if self._refusal:
             self._refusal = ""
-            self._weigh()
+            self._report_state()
 
     def degrade(self, cause: str) -> None:
-        """Tell of a message that did not pass; the next one that does ends that."""
+        """Report a message that did not pass; the next one that does ends that."""
         self._refusal = cause
-        self._weigh()
+        self._report_state()
 
     def lose(self, cause: str) -> None:
-        """Tell that the connection is over; nothing comes after that."""
-        self._tell(Health.LOST, cause)
+        """Report that the connection is over; nothing comes after that."""
+        self._report(Health.LOST, cause)
 
-    def look(self, connector: Connector) -> None:
-        """Look after a connection: the component's state, its end, a silence that is too long."""
-        place, limit = self._place, self._stale_after
+    def check(self, connector: Connector) -> None:
+        """Check a connection: the component's state, its end, a silence that is too long."""
+        remote, limit = self._remote, self._stale_after
         silence = time.monotonic() - self.last
         if limit is not None and silence > limit:
-            self.lose(f"no message from {place.where} for {silence:.1f} s")
+            self.lose(f"no message from {remote.where} for {silence:.1f} s")
             return
-        seen = place.look(connector)
-        self.state = seen.state
-        if seen.trouble > Trouble.INACTIVE:
-            self.lose(seen.cause)
+        status = remote.check(connector)
+        self.state = status.state
+        if status.fault > PortFault.INACTIVE:
+            self.lose(status.cause)
             return
-        self._idle = seen.cause
-        self._weigh()
+        self._idle = status.cause
+        self._report_state()
 
-    def _weigh(self) -> None:
-        """Tell the health that follows from the last message and the last look."""
+    def _report_state(self) -> None:
+        """Report the health that follows from the last message and the last check."""
         cause = self._refusal or self._idle
         if cause:
-            self._tell(Health.DEGRADED, cause)
+            self._report(Health.DEGRADED, cause)
         elif self._health is Health.DEGRADED:
-            self._tell(Health.OK, f"{self._place.where} works again")
+            self._report(Health.OK, f"{self._remote.where} works again")
 
-    def _tell(self, health: Health, cause: str) -> None:
+    def _report(self, health: Health, cause: str) -> None:
         """Report a change; nothing comes after LOST or from a closed channel."""
-        with self._telling:
+        with self._lock:
             if self._health is Health.LOST or self._channel.closed:
                 return
             if (health, cause) == (self._health, self._cause):
                 return
             self._health, self._cause = health, cause
-        self._place.report(self._channel, health, cause)
+        self._remote.report(health, cause, channel=self._channel)
 
     def facts(self) -> Mapping[str, object]:
-        """Return counters, the port, and the component's state when it was last looked at."""
+        """Return counters, the port, and the component's state at the last check."""
         return {
             "count": self.count,
-            "component": self._place.peer.path,
+            "component": self._remote.peer.path,
             "state": self.state,
-            "port": self._place.port.name,
-            "data_type": self._place.port.data_type,
+            "port": self._remote.port.name,
+            "data_type": self._remote.port.data_type,
         }

@@ -2,7 +2,7 @@
 """A port of our own component: connecting and disconnecting by the RTC specification.
 
 `connect` walks the ports of a profile: each publishes what it offers, hands the profile to the
-next, then takes from it what the others published. Whoever fails undoes the walk.
+next, then takes from it what the others published. The port that fails undoes the walk.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from omniORB import CORBA
 from uoarm_rtm._calls import calls
 from uoarm_rtm._orb import Orb, limit
 from uoarm_rtm._peer import pairs
-from uoarm_rtm._wishes import Refusal
+from uoarm_rtm._wishes import ConnectorRefusal
 
 __all__ = ["PortServant"]
 
@@ -47,6 +47,7 @@ class PortServant(RTC__POA.PortService):  # type: ignore[misc]  # generated, wit
         self.interfaces: list[Any] = []
         self.owner: Any = None
         self._seconds = seconds
+        # Guards both tables below: two requests for one connector may come at once.
         self._lock = threading.Lock()
         self._profiles: dict[str, Any] = {}
         # Not shown before they are made: components of 1.2 take them for a second connection.
@@ -106,7 +107,7 @@ class PortServant(RTC__POA.PortService):  # type: ignore[misc]  # generated, wit
             code, profile = self._next_connect(profile)
             if code == RTC.RTC_OK:
                 self._subscribe(profile)
-        except Refusal as refusal:
+        except ConnectorRefusal as refusal:
             _log.warning("port %s refuses connector %s: %s", self.name, profile.name, refusal)
             code = refusal.code
         if code != RTC.RTC_OK:
@@ -187,7 +188,9 @@ class PortServant(RTC__POA.PortService):  # type: ignore[misc]  # generated, wit
             with calls:
                 code, profile = limit(following, self._seconds).notify_connect(profile)
         except CORBA.Exception as error:
-            raise Refusal(f"the next port does not answer ({error})", RTC.RTC_ERROR) from error
+            raise ConnectorRefusal(
+                f"the next port does not answer ({error})", RTC.RTC_ERROR
+            ) from error
         return code, profile
 
     def _following(self, profile: Any) -> Any:

@@ -12,10 +12,10 @@ from omniORB import CORBA
 
 from uoarm_rtm._buffer import Buffer
 from uoarm_rtm._buffering import BufferPolicy, PushPolicy
-from uoarm_rtm._calls import Calls, calls
+from uoarm_rtm._calls import CallGuard, calls
 from uoarm_rtm._sizes import SizeLimit
 
-__all__ = ["Pulled", "Pusher", "Threaded"]
+__all__ = ["PullBuffer", "Pusher", "ThreadedPusher"]
 
 _log = logging.getLogger("uoarm.rtm")
 
@@ -26,8 +26,8 @@ class Pusher:
     Args:
         target: the InPort, with its time limit set.
         sizes: what is known of how large a message it takes.
-        lost: told when the InPort is gone; not once `end` was called, when it is still to be told
-            of the end.
+        lost: called when the InPort is gone; not once `end` was called, when the InPort is still
+            to be notified of the end.
     """
 
     def __init__(self, target: Any, sizes: SizeLimit, lost: Callable[[], None]) -> None:
@@ -36,7 +36,7 @@ class Pusher:
         self._sizes = sizes
         self._lost = lost
         self._ended = False
-        self._putting = Calls()
+        self._putting = CallGuard()
 
     def write(self, data: bytes) -> bool:
         """Send one message; a hung InPort costs its time limit, one too large is dropped."""
@@ -49,7 +49,7 @@ class Pusher:
         except CORBA.TIMEOUT:
             return True  # it may be back for the next
         except CORBA.Exception as error:
-            too_large = self._sizes.meant(error, self._target, len(data))
+            too_large = self._sizes.explain(error, self._target, len(data))
             if too_large:
                 _log.warning("%s", too_large)
                 self.dropped += 1
@@ -69,7 +69,7 @@ class Pusher:
         self._putting.end(seconds)
 
 
-class Threaded:
+class ThreadedPusher:
     """Sends from a thread of its own, out of a buffer: `new` and `periodic`.
 
     Args:
@@ -131,7 +131,7 @@ class Threaded:
                 yield data
 
 
-class Pulled(OpenRTM__POA.OutPortCdr):  # type: ignore[misc]  # generated, without annotations
+class PullBuffer(OpenRTM__POA.OutPortCdr):  # type: ignore[misc]  # generated, without annotations
     """Keeps messages in a buffer until the other side asks for them.
 
     Args:
@@ -163,5 +163,5 @@ class Pulled(OpenRTM__POA.OutPortCdr):  # type: ignore[misc]  # generated, witho
         return self._buffer.drain(seconds)
 
     def close(self) -> None:
-        """End; whoever waits in `get` or `write` is let go."""
+        """End; calls that wait in `get` or `write` return."""
         self._buffer.close()

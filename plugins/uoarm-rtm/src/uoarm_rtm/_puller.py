@@ -9,7 +9,7 @@ from typing import Any
 from _uoarm_rtm_stubs import OpenRTM
 from omniORB import CORBA
 
-from uoarm_rtm._calls import Calls, calls
+from uoarm_rtm._calls import CallGuard, calls
 from uoarm_rtm._sizes import is_there
 
 __all__ = ["Puller"]
@@ -18,7 +18,7 @@ __all__ = ["Puller"]
 class Puller:
     """Asks `rate` times a second, in a thread of its own.
 
-    Components in C++ give their last datum again for ever, unless told otherwise; those in
+    Components in C++ give their last datum again for ever, unless asked otherwise; those in
     Python raise BAD_PARAM while they are empty (observed).
 
     Args:
@@ -48,7 +48,7 @@ class Puller:
         self._lost = lost
         self._missed = missed
         self._ended = threading.Event()
-        self._asking = Calls()
+        self._asking = CallGuard()
         threading.Thread(target=self._run, name="uoarm-rtm-pull", daemon=True).start()
 
     def end(self, seconds: float) -> None:
@@ -59,7 +59,7 @@ class Puller:
         self._ended.set()
         self._asking.end(seconds)
 
-    def _tell_lost(self, error: CORBA.Exception) -> None:
+    def _report_lost(self, error: CORBA.Exception) -> None:
         if not self._ended.is_set():
             self._lost(error)
 
@@ -74,12 +74,12 @@ class Puller:
             except (CORBA.COMM_FAILURE, CORBA.MARSHAL) as error:
                 # What is larger than an ORB takes ends in these, too, and harms nothing else.
                 if self._missed is None or not is_there(self._target):
-                    self._tell_lost(error)
+                    self._report_lost(error)
                     return
                 self._missed(error)
                 continue
             except CORBA.Exception as error:
-                self._tell_lost(error)
+                self._report_lost(error)
                 return
             if status == OpenRTM.PORT_OK and (self._repeats or data != before):
                 before = data

@@ -15,17 +15,17 @@ import numpy as np
 
 from uoarm.model import Message
 from uoarm_rtm._arrays import is_block
-from uoarm_rtm._generate import Source
-from uoarm_rtm._scalars import CODES, SIZES, Misfit, Order
+from uoarm_rtm._generate import GeneratedFunction
+from uoarm_rtm._scalars import CODES, SIZES, IdlMismatch, Order
 from uoarm_rtm._schema import SWITCH
 from uoarm_rtm._shape import (
-    Choice,
-    Enumeration,
-    Listing,
-    Record,
-    Scalar,
+    IdlEnum,
+    IdlScalar,
+    IdlSequence,
+    IdlString,
+    IdlStruct,
+    IdlUnion,
     Shape,
-    Text,
     least_size,
 )
 from uoarm_rtm._texts import text_of, wchar_of
@@ -38,7 +38,7 @@ def reader(shape: Shape, order: Order, encoding: str) -> Callable[[bytes], Messa
 
     It raises Misfit for what the bytes hold and `struct.error` where they end too early.
     """
-    source = Source("def read(data):")
+    source = GeneratedFunction("def read(data):")
     source.line("at = 0; size = len(data)")
     walk = _Walk(source, order, encoding)
     made = walk.value(shape)
@@ -50,7 +50,7 @@ def reader(shape: Shape, order: Order, encoding: str) -> Callable[[bytes], Messa
 
 
 def _left_over(at: int, size: int) -> None:
-    raise Misfit(f"expected {at} bytes in all, got {size}")
+    raise IdlMismatch(f"expected {at} bytes in all, got {size}")
 
 
 class _Walk:
@@ -59,7 +59,7 @@ class _Walk:
     Names in `run` are assigned when the run is flushed; `late` are the checks that follow.
     """
 
-    def __init__(self, source: Source, order: Order, encoding: str) -> None:
+    def __init__(self, source: GeneratedFunction, order: Order, encoding: str) -> None:
         self._source = source
         self._order = order
         self._encoding = encoding
@@ -68,16 +68,16 @@ class _Walk:
         self._format = ""
 
     def value(self, shape: Shape) -> str:
-        if isinstance(shape, Record):
+        if isinstance(shape, IdlStruct):
             items = [f"{field.name!r}: {self.value(field.shape)}" for field in shape.fields]
             return f"{{{', '.join(items)}}}"
-        if isinstance(shape, Listing):
+        if isinstance(shape, IdlSequence):
             return (self._block if is_block(shape) else self._list)(shape)
-        if isinstance(shape, Choice):
+        if isinstance(shape, IdlUnion):
             return self._choice(shape)
-        if isinstance(shape, Enumeration):
+        if isinstance(shape, IdlEnum):
             return self._enumeration(shape)
-        if isinstance(shape, Text):
+        if isinstance(shape, IdlString):
             return self._text(shape)
         if shape.name == "wchar":
             self.flush()
@@ -119,7 +119,7 @@ class _Walk:
             self._source.line(f"at += {gap}")
             self._source.advance(gap)
 
-    def _scalar(self, scalar: Scalar) -> str:
+    def _scalar(self, scalar: IdlScalar) -> str:
         name = self._pack(CODES[scalar.name])
         if scalar.name == "boolean":
             check = self._source.constant(_boolean)
@@ -128,14 +128,14 @@ class _Walk:
             self._late.append(f"{name} = chr({name})")
         return name
 
-    def _enumeration(self, enumeration: Enumeration) -> str:
+    def _enumeration(self, enumeration: IdlEnum) -> str:
         name = self._pack("I")
         fail = self._source.constant(_no_label)
         self._late.append(f"if {name} >= {len(enumeration.labels)}: {fail}({name})")
         self._late.append(f"{name} = {self._source.constant(enumeration.labels)}[{name}]")
         return name
 
-    def _count(self, listing: Listing, least: int) -> str:
+    def _count(self, listing: IdlSequence, least: int) -> str:
         """Read a length, or take the fixed one, and compare it with what is left."""
         if listing.fixed:
             self.flush()
@@ -162,14 +162,14 @@ class _Walk:
         self._source.known(1)
         return name
 
-    def _text(self, text: Text) -> str:
+    def _text(self, text: IdlString) -> str:
         number = self._pack("I")
         self.flush()
         encoding = self._encoding
         return self._apply(lambda data: text_of(data, text, encoding), number)
 
-    def _block(self, listing: Listing) -> str:
-        assert isinstance(listing.element, Scalar)
+    def _block(self, listing: IdlSequence) -> str:
+        assert isinstance(listing.element, IdlScalar)
         size = SIZES[CODES[listing.element.name]]
         number = self._count(listing, size)
         if listing.element.name == "octet":
@@ -189,7 +189,7 @@ class _Walk:
         self._source.known(min(size, 4))
         return name
 
-    def _list(self, listing: Listing) -> str:
+    def _list(self, listing: IdlSequence) -> str:
         source = self._source
         number = self._count(listing, least_size(listing.element))
         name = source.name()
@@ -204,7 +204,7 @@ class _Walk:
         source.known(1)
         return name
 
-    def _choice(self, choice: Choice) -> str:
+    def _choice(self, choice: IdlUnion) -> str:
         source = self._source
         switch, name = self.value(choice.by), source.name()
         self.flush()
@@ -225,7 +225,7 @@ class _Walk:
         return name
 
 
-def _numbers(scalar: Scalar, order: Order) -> Callable[[bytes, int, int], Any]:
+def _numbers(scalar: IdlScalar, order: Order) -> Callable[[bytes, int, int], Any]:
     native = np.dtype(CODES[scalar.name])
     wire = native.newbyteorder(order)
 
@@ -240,20 +240,22 @@ def _numbers(scalar: Scalar, order: Order) -> Callable[[bytes, int, int], Any]:
 
 def _boolean(value: int) -> bool:
     if value > 1:
-        raise Misfit(f"expected a boolean, 0 or 1, got {value}")
+        raise IdlMismatch(f"expected a boolean, 0 or 1, got {value}")
     return value == 1
 
 
 def _no_label(value: int) -> None:
-    raise Misfit(f"enumerator number {value} does not exist")
+    raise IdlMismatch(f"enumerator number {value} does not exist")
 
 
 def _too_many(number: int, size: int) -> None:
-    raise Misfit(f"expected at most {size} elements, got {number}")
+    raise IdlMismatch(f"expected at most {size} elements, got {number}")
 
 
 def _too_long(number: int, left: int) -> None:
-    raise Misfit(f"a length of {number} goes beyond the end of the data, which is {left} bytes on")
+    raise IdlMismatch(
+        f"a length of {number} goes beyond the end of the data, which is {left} bytes on"
+    )
 
 
 _ITEMS: dict[str, Callable[[bytes], Any]] = {

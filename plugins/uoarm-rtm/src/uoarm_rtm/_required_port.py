@@ -6,8 +6,8 @@ from attrs import evolve
 
 from uoarm.errors import BridgeError, FailureReason
 from uoarm.model import Role
-from uoarm_rtm._peer import Peer, Port
-from uoarm_rtm._settings import Address, Settings
+from uoarm_rtm._options import PortAddress, RtmEndpointOptions
+from uoarm_rtm._peer import PeerComponent, PeerPort
 from uoarm_rtm._types import Types
 
 __all__ = ["is_big_in_cpp", "required_port"]
@@ -17,8 +17,12 @@ _MISREAD = (Role.OUTPUT, "push"), (Role.INPUT, "pull")
 
 
 def required_port(
-    peer: Peer, role: Role, address: Address, settings: Settings, types: Types
-) -> Port:
+    peer: PeerComponent,
+    role: Role,
+    address: PortAddress,
+    options: RtmEndpointOptions,
+    types: Types,
+) -> PeerPort:
     """Return the port of an address, with the data type that goes over it.
 
     Raises:
@@ -39,8 +43,8 @@ def required_port(
         )
         raise BridgeError(text, FailureReason.UNSUPPORTED)
     if port.takes_events:
-        port = _event(port, where, address, settings)
-    elif settings.event:
+        port = _event(port, where, address, options)
+    elif options.event:
         text = f"{where} takes {port.data_type}, and no events: leave the option `event` out"
         raise BridgeError(text, FailureReason.BAD_ENDPOINT)
     if address.type and not types.same(address.type, port.data_type):
@@ -49,7 +53,7 @@ def required_port(
             "correct the endpoint"
         )
         raise BridgeError(text, FailureReason.REFUSED)
-    if is_big_in_cpp(peer, settings) and (role, settings.flow) in _MISREAD:
+    if is_big_in_cpp(peer, options) and (role, options.flow) in _MISREAD:
         text = (
             f"{where}: components in C++ take no notice of `endian` where they push or ask: "
             "leave it out"
@@ -58,14 +62,16 @@ def required_port(
     return port
 
 
-def is_big_in_cpp(peer: Peer, settings: Settings) -> bool:
+def is_big_in_cpp(peer: PeerComponent, options: RtmEndpointOptions) -> bool:
     """Whether big-endian data is asked of a component that may not notice."""
-    return settings.endian == "big" and peer.language == "C++"
+    return options.endian == "big" and peer.language == "C++"
 
 
-def _event(port: Port, where: str, address: Address, settings: Settings) -> Port:
+def _event(
+    port: PeerPort, where: str, address: PortAddress, options: RtmEndpointOptions
+) -> PeerPort:
     """Return the port of a state machine as that of one event, which has a data type."""
-    if not address.type or not settings.event:
+    if not address.type or not options.event:
         text = (
             f"{where} takes the events of a state machine (type any): name the event in the "
             "option `event`, and its data type as third part of the endpoint"

@@ -12,7 +12,7 @@ from uoarm.model import Message
 from uoarm_rtm._schema import FLOAT_MAX
 from uoarm_rtm._shape import INTEGERS
 
-__all__ = ["CODES", "SIZES", "Misfit", "Order", "checker", "shown"]
+__all__ = ["CODES", "SIZES", "IdlMismatch", "Order", "checker", "shown"]
 
 Order: TypeAlias = Literal["<", ">"]
 """Little-endian or big-endian, as the struct module and numpy write it."""
@@ -36,7 +36,7 @@ SIZES = {"B": 1, "h": 2, "H": 2, "i": 4, "I": 4, "q": 8, "Q": 8, "f": 4, "d": 8}
 """Bytes of each code, which are its alignment in CDR too."""
 
 
-class Misfit(Exception):  # noqa: N818 - not an error for people: a sentence without its place
+class IdlMismatch(Exception):  # noqa: N818 - a sentence for `_explain`, which adds the path
     """A value does not fit; the text says what was expected and what came."""
 
 
@@ -64,13 +64,13 @@ def checker(name: str) -> Callable[[Message], Any]:
 
 def _boolean(value: Message) -> bool:
     if not isinstance(value, bool | np.bool_):
-        raise Misfit(f"expected true or false, got {shown(value)}")
+        raise IdlMismatch(f"expected true or false, got {shown(value)}")
     return bool(value)
 
 
 def _char(value: Message) -> int:
     if not isinstance(value, str) or len(value) != 1 or ord(value) > 255:  # noqa: PLR2004 - a byte
-        raise Misfit(f"expected one character of Latin-1, got {shown(value)}")
+        raise IdlMismatch(f"expected one character of Latin-1, got {shown(value)}")
     return ord(value)
 
 
@@ -81,10 +81,10 @@ def _integer(name: str) -> Callable[[Message], int]:
         if isinstance(value, float | np.floating) and value == value // 1:
             value = int(value)  # JSON knows no difference between 1 and 1.0
         if isinstance(value, bool | np.bool_) or not hasattr(value, "__index__"):
-            raise Misfit(f"expected an integer ({name}), got {shown(value)}")
+            raise IdlMismatch(f"expected an integer ({name}), got {shown(value)}")
         number = operator.index(value)
         if not low <= number <= high:
-            raise Misfit(f"expected {low} to {high} ({name}), got {number}")
+            raise IdlMismatch(f"expected {low} to {high} ({name}), got {number}")
         return number
 
     return check
@@ -93,13 +93,13 @@ def _integer(name: str) -> Callable[[Message], int]:
 def _number(name: str) -> Callable[[Message], float]:
     def check(value: Message) -> float:
         if isinstance(value, bool) or not isinstance(value, int | float | np.number):
-            raise Misfit(f"expected a number ({name}), got {shown(value)}")
+            raise IdlMismatch(f"expected a number ({name}), got {shown(value)}")
         try:
             number = float(value)
         except (OverflowError, TypeError) as error:
-            raise Misfit(f"expected a number ({name}), got {shown(value)}") from error
+            raise IdlMismatch(f"expected a number ({name}), got {shown(value)}") from error
         if name == "float" and abs(number) > FLOAT_MAX and abs(number) != float("inf"):
-            raise Misfit(f"expected at most 3.4e38 in size (float), got {shown(value)}")
+            raise IdlMismatch(f"expected at most 3.4e38 in size (float), got {shown(value)}")
         return number
 
     return check

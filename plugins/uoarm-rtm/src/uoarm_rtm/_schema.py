@@ -8,14 +8,14 @@ from typing import Any
 from uoarm.model import MessageStructure
 from uoarm_rtm._shape import (
     INTEGERS,
-    Choice,
-    Enumeration,
-    Listing,
-    Record,
-    Scalar,
+    IdlEnum,
+    IdlScalar,
+    IdlSequence,
+    IdlString,
+    IdlStruct,
+    IdlUnion,
+    IdlUnionMember,
     Shape,
-    Text,
-    Variant,
 )
 from uoarm_rtm._units import unit_of
 
@@ -46,20 +46,20 @@ def schema_of(shape: Shape, encoding: str = "utf-8", unit: str | None = None) ->
         encoding: of narrow strings, whose bounds count what they are written in.
         unit: holds for the numbers in it that state none.
     """
-    if isinstance(shape, Record):
+    if isinstance(shape, IdlStruct):
         return _record(shape, encoding, unit)
-    if isinstance(shape, Listing):
+    if isinstance(shape, IdlSequence):
         return _array(shape, encoding, unit)
-    if isinstance(shape, Choice):
+    if isinstance(shape, IdlUnion):
         return {"oneOf": list(_variants(shape, encoding)), "x-native-type": shape.name}
-    if isinstance(shape, Enumeration):
+    if isinstance(shape, IdlEnum):
         return {"type": "string", "enum": list(shape.labels), "x-native-type": shape.name}
-    if isinstance(shape, Text):
+    if isinstance(shape, IdlString):
         return _string(shape, encoding)
     return _scalar(shape, unit)
 
 
-def _string(text: Text, encoding: str) -> dict[str, Any]:
+def _string(text: IdlString, encoding: str) -> dict[str, Any]:
     schema: dict[str, Any] = {"type": "string", "x-nul": False}
     if text.bound is not None:
         schema["maxLength"] = text.bound
@@ -70,10 +70,10 @@ def _string(text: Text, encoding: str) -> dict[str, Any]:
     return {**schema, "x-native-type": "wstring"} if text.wide else schema
 
 
-def _record(record: Record, encoding: str, unit: str | None) -> dict[str, Any]:
+def _record(record: IdlStruct, encoding: str, unit: str | None) -> dict[str, Any]:
     members = {
-        each.name: schema_of(each.shape, encoding, unit or unit_of(record.name, each.name))
-        for each in record.fields
+        member.name: schema_of(member.shape, encoding, unit or unit_of(record.name, member.name))
+        for member in record.fields
     }
     schema = _object(members, record.name)
     named = _REPOSITORY_ID.fullmatch(record.name)
@@ -93,26 +93,26 @@ def _object(properties: dict[str, Any], name: str) -> dict[str, Any]:
     return {**schema, "x-native-type": name} if name else schema
 
 
-def _array(listing: Listing, encoding: str, unit: str | None) -> dict[str, Any]:
+def _array(listing: IdlSequence, encoding: str, unit: str | None) -> dict[str, Any]:
     items = schema_of(listing.element, encoding, unit)
     schema: dict[str, Any] = {"type": "array", "items": items}
     if listing.size is not None:
         schema["maxItems"] = listing.size
     if listing.fixed:
         schema["minItems"] = listing.size
-    if listing.element == Scalar("octet"):
+    if listing.element == IdlScalar("octet"):
         schema["x-octets"] = True
     return schema
 
 
-def _scalar(scalar: Scalar, unit: str | None = None) -> dict[str, Any]:
+def _scalar(scalar: IdlScalar, unit: str | None = None) -> dict[str, Any]:
     name = scalar.name
     if name == "boolean":
         return {"type": "boolean"}
     if name in {"char", "wchar"}:
         last = "\\u00ff" if name == "char" else "\\uffff"
-        one = {"minLength": 1, "maxLength": 1, "pattern": f"^[\\u0000-{last}]$"}
-        return {"type": "string", **one, "x-native-type": name}
+        character = {"minLength": 1, "maxLength": 1, "pattern": f"^[\\u0000-{last}]$"}
+        return {"type": "string", **character, "x-native-type": name}
     if name in INTEGERS:
         low, high = INTEGERS[name]
         schema: dict[str, Any] = {"type": "integer", "minimum": low, "maximum": high}
@@ -124,32 +124,32 @@ def _scalar(scalar: Scalar, unit: str | None = None) -> dict[str, Any]:
     return schema if unit is None else {**schema, "x-unit": unit}
 
 
-def _variants(choice: Choice, encoding: str) -> list[dict[str, Any]]:
+def _variants(choice: IdlUnion, encoding: str) -> list[dict[str, Any]]:
     """Return one closed object for every member, and one for the values that have none."""
     schemas = []
-    named = [label for each in choice.variants for label in each.labels]
+    named = [label for variant in choice.variants for label in variant.labels]
     rest = _rest(choice.by, named)
-    for each in choice.variants:
-        labels: dict[str, Any] = {"enum": list(each.labels)}
-        if not each.labels:
+    for variant in choice.variants:
+        labels: dict[str, Any] = {"enum": list(variant.labels)}
+        if not variant.labels:
             labels = rest or {"enum": []}
-        schemas.append(_variant(choice, each, labels, encoding))
-    if rest is not None and all(each.labels for each in choice.variants):
+        schemas.append(_variant(choice, variant, labels, encoding))
+    if rest is not None and all(variant.labels for variant in choice.variants):
         schemas.append(_object({SWITCH: rest}, choice.name))
     return schemas
 
 
 def _variant(
-    choice: Choice, variant: Variant, labels: dict[str, Any], encoding: str
+    choice: IdlUnion, variant: IdlUnionMember, labels: dict[str, Any], encoding: str
 ) -> dict[str, Any]:
     inner = schema_of(variant.shape, encoding)
     return _object({SWITCH: labels, variant.name: inner}, choice.name)
 
 
-def _rest(by: Scalar | Enumeration, named: list[object]) -> dict[str, Any] | None:
+def _rest(by: IdlScalar | IdlEnum, named: list[object]) -> dict[str, Any] | None:
     """Return the schema of the discriminator's other values, None when there are none."""
-    if isinstance(by, Enumeration) or by.name == "boolean":
-        every: tuple[object, ...] = (False, True) if isinstance(by, Scalar) else by.labels
+    if isinstance(by, IdlEnum) or by.name == "boolean":
+        every: tuple[object, ...] = (False, True) if isinstance(by, IdlScalar) else by.labels
         left = [label for label in every if label not in named]
         return {"enum": left} if left else None
     if by.name not in INTEGERS:

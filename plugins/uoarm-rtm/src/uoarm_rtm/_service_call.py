@@ -13,17 +13,17 @@ from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, Message
 from uoarm.model import Message, MessageStructure
 from uoarm_rtm._connector import Connections, Connector
 from uoarm_rtm._faults import corba_errors
-from uoarm_rtm._operations import Interface, Operation
+from uoarm_rtm._operations import IdlInterface, IdlOperation
 from uoarm_rtm._orb import Orb, limit, narrowed
-from uoarm_rtm._peer import Peer, Port, PortInterface
+from uoarm_rtm._peer import PeerComponent, PeerPort, PortInterface
 from uoarm_rtm._types import plain_name
 from uoarm_rtm.errors import IdlError
 
-__all__ = ["Caller", "described", "offered", "split"]
+__all__ = ["OperationCaller", "described", "offered", "split"]
 
 
-def described(interface: Interface, operation: str) -> Description:
-    """Return the structures of an operation; of all, told apart by `operation`, for an empty one.
+def described(interface: IdlInterface, operation: str) -> Description:
+    """Return the structures of an operation; of all, marked by `operation`, for an empty one.
 
     Raises:
         BridgeError: there is no such operation.
@@ -50,7 +50,9 @@ def described(interface: Interface, operation: str) -> Description:
     )
 
 
-def split(interface: Interface, operation: str, message: Message) -> tuple[Operation, Message]:
+def split(
+    interface: IdlInterface, operation: str, message: Message
+) -> tuple[IdlOperation, Message]:
     """Return the operation that a request means, and its arguments.
 
     Raises:
@@ -64,7 +66,7 @@ def split(interface: Interface, operation: str, message: Message) -> tuple[Opera
     return interface.operation(str(message["operation"])), message["arguments"]
 
 
-def offered(peer: Peer, port: Port, wanted: str, *, provided: bool) -> PortInterface:
+def offered(peer: PeerComponent, port: PeerPort, wanted: str, *, provided: bool) -> PortInterface:
     """Return the interface of a port that a type means; a port with one is not asked for names.
 
     Type names at ports are free text: `MyService`, or `SimpleService::MyService`.
@@ -85,11 +87,11 @@ def offered(peer: Peer, port: Port, wanted: str, *, provided: bool) -> PortInter
     raise BridgeError(text, FailureReason.BAD_ENDPOINT)
 
 
-class Caller:
+class OperationCaller:
     """A connection to one provided interface, made with the first call and ended with a loss.
 
     Used from any thread. A provider answers only while its component is ACTIVE. Once it has ended
-    it connects no more, so that nothing is left behind where nobody knows of it any more.
+    it connects no more, so that no connection is left behind that no caller knows of.
 
     Args:
         orb: the ORB to call through.
@@ -105,9 +107,9 @@ class Caller:
     def __init__(
         self,
         orb: Orb,
-        peer: Peer,
-        port: Port,
-        interface: Interface,
+        peer: PeerComponent,
+        port: PeerPort,
+        interface: IdlInterface,
         offer: PortInterface,
         operation: str,
         seconds: float,
@@ -122,6 +124,7 @@ class Caller:
         self._seconds = seconds
         self._where = f"port {port.name!r} of component {peer.path!r}"
         self._instance = peer.instance
+        # Guards connector and object: one call connects, `end` of another thread disconnects.
         self._lock = threading.Lock()
         self._connector: Connector | None = None
         self._object: Any = None
@@ -201,7 +204,7 @@ class Caller:
             return self._object
 
 
-def _declared(operation: Operation, error: Any, what: str) -> BridgeError:
+def _declared(operation: IdlOperation, error: Any, what: str) -> BridgeError:
     identifier = str(getattr(error, "_NP_RepositoryId", type(error).__name__))
     part = operation.raised.get(identifier)
     if part is None:

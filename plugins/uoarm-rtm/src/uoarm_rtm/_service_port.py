@@ -14,19 +14,19 @@ from uoarm.errors import MessageError
 from uoarm.model import Endpoint, Message
 from uoarm_rtm._connector import Connections
 from uoarm_rtm._derived import IDL, REQUEST
-from uoarm_rtm._operations import RETURN, Interface, Operation
+from uoarm_rtm._operations import RETURN, IdlInterface, IdlOperation
 from uoarm_rtm._orb import Orb
-from uoarm_rtm._peer import Peer, Port, PortInterface, properties_of
+from uoarm_rtm._peer import PeerComponent, PeerPort, PortInterface, properties_of
 from uoarm_rtm._port_servant import PortServant
 from uoarm_rtm.errors import IdlError
 
-__all__ = ["Offer", "ServicePort", "servant_of", "unwrapped"]
+__all__ = ["ServicePort", "ServicePortChannel", "servant_of", "unwrapped"]
 
 _log = logging.getLogger("uoarm.rtm")
 Handler = Callable[[Message], Message]
 
 
-def servant_of(interface: Interface, operation: str, handler: Handler) -> Any:
+def servant_of(interface: IdlInterface, operation: str, handler: Handler) -> Any:
     """Return a CORBA servant whose operations call a handler.
 
     Args:
@@ -59,7 +59,7 @@ def _named(name: str, handler: Handler) -> Handler:
     return lambda message: handler({"operation": name, "arguments": message})
 
 
-def _method(operation: Operation, handler: Handler) -> Callable[..., Any]:
+def _method(operation: IdlOperation, handler: Handler) -> Callable[..., Any]:
     def method(servant: Any, *arguments: Any) -> Any:
         del servant
         try:
@@ -78,7 +78,7 @@ def _method(operation: Operation, handler: Handler) -> Callable[..., Any]:
     return method
 
 
-class Offer(Channel):
+class ServicePortChannel(Channel):
     """A function of ours, connected to a port of a component that requires it.
 
     Args:
@@ -98,8 +98,8 @@ class Offer(Channel):
         self,
         orb: Orb,
         endpoint: Endpoint,
-        peer: Peer,
-        port: Port,
+        peer: PeerComponent,
+        port: PeerPort,
         wanted: PortInterface,
         servant: Any,
         connections: Connections,
@@ -135,7 +135,7 @@ class ServicePort(PortServant):
         self,
         orb: Orb,
         name: str,
-        interface: Interface,
+        interface: IdlInterface,
         servant: Any,
         *,
         instance: str = "",

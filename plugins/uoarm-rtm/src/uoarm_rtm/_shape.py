@@ -11,15 +11,15 @@ from attrs import frozen
 
 __all__ = [
     "INTEGERS",
-    "Choice",
-    "Enumeration",
-    "Field",
-    "Listing",
-    "Record",
-    "Scalar",
+    "IdlEnum",
+    "IdlMember",
+    "IdlScalar",
+    "IdlSequence",
+    "IdlString",
+    "IdlStruct",
+    "IdlUnion",
+    "IdlUnionMember",
     "Shape",
-    "Text",
-    "Variant",
     "least_size",
 ]
 
@@ -38,14 +38,14 @@ _SIZES = {"octet": 1, "boolean": 1, "char": 1, "wchar": 3, "float": 4, "double":
 
 
 @frozen
-class Scalar:
+class IdlScalar:
     """A number, `boolean`, `char` or `wchar`, by its IDL name."""
 
     name: str
 
 
 @frozen
-class Text:
+class IdlString:
     """A string; `bound` counts characters, None for no bound."""
 
     wide: bool = False
@@ -53,7 +53,7 @@ class Text:
 
 
 @frozen
-class Enumeration:
+class IdlEnum:
     """One of several labels; the wire carries the position."""
 
     name: str
@@ -61,7 +61,7 @@ class Enumeration:
 
 
 @frozen
-class Listing:
+class IdlSequence:
     """Many elements: exactly `size`, at most `size`, or any number when `size` is None."""
 
     element: Shape
@@ -70,7 +70,7 @@ class Listing:
 
 
 @frozen
-class Field:
+class IdlMember:
     """One named member of a record."""
 
     name: str
@@ -78,15 +78,15 @@ class Field:
 
 
 @frozen
-class Record:
+class IdlStruct:
     """A struct. `name` is its repository id, such as `IDL:RTC/Time:1.0`."""
 
     name: str
-    fields: tuple[Field, ...]
+    fields: tuple[IdlMember, ...]
 
 
 @frozen
-class Variant:
+class IdlUnionMember:
     """One member of a union; `labels` are the discriminator's values, empty for the default."""
 
     name: str
@@ -95,15 +95,15 @@ class Variant:
 
 
 @frozen
-class Choice:
+class IdlUnion:
     """A union. `by` is the discriminator: a Scalar or an Enumeration (labels as strings)."""
 
     name: str
-    by: Scalar | Enumeration
-    variants: tuple[Variant, ...]
+    by: IdlScalar | IdlEnum
+    variants: tuple[IdlUnionMember, ...]
 
 
-Shape: TypeAlias = "Scalar | Text | Enumeration | Listing | Record | Choice"
+Shape: TypeAlias = "IdlScalar | IdlString | IdlEnum | IdlSequence | IdlStruct | IdlUnion"
 
 
 def least_size(shape: Shape) -> int:
@@ -111,15 +111,15 @@ def least_size(shape: Shape) -> int:
 
     Never 0 but for an array of nothing: what a length in received data is checked against.
     """
-    if isinstance(shape, Record):
+    if isinstance(shape, IdlStruct):
         return sum(least_size(field.shape) for field in shape.fields)
-    if isinstance(shape, Listing):
+    if isinstance(shape, IdlSequence):
         return least_size(shape.element) * (shape.size or 0) if shape.fixed else 4
-    if isinstance(shape, Choice):
+    if isinstance(shape, IdlUnion):
         return least_size(shape.by)
-    if isinstance(shape, Text):
+    if isinstance(shape, IdlString):
         return 4 if shape.wide else 5
-    if isinstance(shape, Enumeration):
+    if isinstance(shape, IdlEnum):
         return 4
     low, high = INTEGERS.get(shape.name, (0, 0))
     return _SIZES.get(shape.name) or (high - low + 1).bit_length() // 8

@@ -12,14 +12,14 @@ from uoarm.bridge import Sink
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason
 from uoarm.model import Message
 from uoarm_rtm._buffering import buffer_policy, push_policy
-from uoarm_rtm._calls import Calls, calls
+from uoarm_rtm._calls import CallGuard, calls
 from uoarm_rtm._codec import BIG, LITTLE
-from uoarm_rtm._connector import asked
+from uoarm_rtm._connector import connector_properties
 from uoarm_rtm._data_ports import INPORT_IOR, OUTPORT_IOR
 from uoarm_rtm._faults import corba_text
 from uoarm_rtm._orb import limit, narrowed
-from uoarm_rtm._place import Place, Pulse
-from uoarm_rtm._publisher import Pulled, Threaded
+from uoarm_rtm._place import ConnectorHealth, RemotePort
+from uoarm_rtm._publisher import PullBuffer, ThreadedPusher
 from uoarm_rtm._sizes import SizeLimit
 
 __all__ = ["InPortSink"]
@@ -39,44 +39,44 @@ class InPortSink(Sink):
     message into our buffer, whose policy may be to wait for room.
 
     Args:
-        place: the port.
+        remote: the port.
 
     Raises:
         BridgeError: the port refuses or is gone; nothing stays connected.
     """
 
-    def __init__(self, place: Place) -> None:
-        super().__init__(place.endpoint)
-        self._place = place
-        self._order = BIG if place.settings.endian == "big" else LITTLE
-        self.pulse = Pulse(self, place)
-        self._policy = buffer_policy(place.settings.properties, "outport")
-        self._buffer: Pulled | Threaded | None = None
+    def __init__(self, remote: RemotePort) -> None:
+        super().__init__(remote.endpoint)
+        self._remote = remote
+        self._order = BIG if remote.options.endian == "big" else LITTLE
+        self.health = ConnectorHealth(self, remote)
+        self._policy = buffer_policy(remote.options.properties, "outport")
+        self._buffer: PullBuffer | ThreadedPusher | None = None
         self._outlet: Any = None
         self._target: Any = None
         self._gone = ""
-        self._putting = Calls()
-        self._sizes = SizeLimit(place.where, place.orb.most_octets)
-        waits = buffer_policy(place.settings.properties, "inport").longest_write
-        self._is_let_go = False
+        self._putting = CallGuard()
+        self._sizes = SizeLimit(remote.where, remote.orb.most_octets)
+        waits = buffer_policy(remote.options.properties, "inport").longest_write
+        self._is_released = False
         self._refused = 0
-        self._longest = place.settings.timeout or place.seconds + waits
-        properties = asked(place.settings, place.codec.name)
-        pulls = place.settings.flow == "pull"
+        self._longest = remote.options.timeout or remote.seconds + waits
+        properties = connector_properties(remote.options, remote.codec.name)
+        pulls = remote.options.flow == "pull"
         if pulls:
-            self._buffer = Pulled(self._policy)
-            self._outlet = place.orb.serve(self._buffer)
-            properties[OUTPORT_IOR] = place.orb.text(self._outlet)
+            self._buffer = PullBuffer(self._policy)
+            self._outlet = remote.orb.serve(self._buffer)
+            properties[OUTPORT_IOR] = remote.orb.text(self._outlet)
         try:
-            self._connector = place.connections.connect(place.where, properties, place.port)
+            self._connector = remote.connections.connect(remote.where, properties, remote.port)
             if not pulls:
                 self._target = self._reach()
         except BridgeError:
             self._withdraw()
             raise
-        if not pulls and place.settings.subscription != "flush":
-            push, period = push_policy(place.settings.properties), place.settings.period
-            self._buffer = Threaded(self._push, self._policy, push, period)
+        if not pulls and remote.options.subscription != "flush":
+            push, period = push_policy(remote.options.properties), remote.options.period
+            self._buffer = ThreadedPusher(self._push, self._policy, push, period)
         self.blocking = self._buffer is None or self._policy.full == "block"
 
     def _send(self, message: Message) -> None:
@@ -88,11 +88,11 @@ class InPortSink(Sink):
                 ORB takes, our buffer is full, or the channel was closed meanwhile.
             BridgeTimeoutError: the component does not answer in time.
         """
-        self._be_open()
-        data = self._place.codec.encode(message, self._order)
+        self._require_open()
+        data = self._remote.codec.encode(message, self._order)
         if self._buffer is None:
             self._put(data)
-            self.pulse.beat()
+            self.health.note_message()
         else:
             self._keep(data)
 
@@ -101,16 +101,16 @@ class InPortSink(Sink):
         return self._buffer is None or self._buffer.drain(timeout)
 
     def tick(self) -> None:
-        """Look after the connection; called about once a second by the bridge's watch."""
-        self.pulse.look(self._connector)
+        """Check the connection; called about once a second by the bridge's ticker."""
+        self.health.check(self._connector)
 
     def facts(self) -> Mapping[str, object]:
         """Return counters and the port."""
         dropped = {} if self._buffer is None else {"dropped": self._buffer.dropped}
-        return {**self.pulse.facts(), "refused": self._refused, **dropped}
+        return {**self.health.facts(), "refused": self._refused, **dropped}
 
-    def _be_open(self) -> None:
-        if self._is_let_go:  # later than `closed`: what moves is stopped before it is let go
+    def _require_open(self) -> None:
+        if self._is_released:  # later than `closed`: what moves is stopped before it is released
             text = f"bridge {self.endpoint.bridge!r}: {self.endpoint} is closed"
             raise BridgeError(text, FailureReason.CLOSED)
         if self._gone:
@@ -121,26 +121,26 @@ class InPortSink(Sink):
         assert self._buffer is not None
         if self._buffer.write(data):
             if self._outlet is not None:  # what we push counts when it has been put
-                self.pulse.beat()
+                self.health.note_message()
             return
-        self._be_open()
+        self._require_open()
         policy = self._policy
         stayed = f" and stayed so for {policy.write_seconds:g} s" if policy.full == "block" else ""
-        text = f"{self._place.where}: our buffer of {policy.length} for it is full{stayed}"
+        text = f"{self._remote.where}: our buffer of {policy.length} for it is full{stayed}"
         raise BridgeError(text, FailureReason.REFUSED)
 
     def _push(self, data: bytes) -> None:
-        """Put one message from the buffer's thread, where nobody takes an error."""
+        """Put one message from the buffer's thread, which has no caller to take an error."""
         try:
             self._put(data)
         except BridgeTimeoutError:
-            return  # told; it may be back for the next
+            return  # it is reported; the component may be back for the next
         except BridgeError as error:
             if error.reason is FailureReason.UNAVAILABLE:
                 self._gone = str(error)
-            self.pulse.degrade(str(error))
+            self.health.degrade(str(error))
         else:
-            self.pulse.beat()
+            self.health.note_message()
 
     def _put(self, data: bytes) -> None:
         too_large = self._sizes.refusal(len(data))
@@ -151,48 +151,48 @@ class InPortSink(Sink):
             with calls, self._putting:
                 status = self._target.put(data)
         except CORBA.TIMEOUT as error:
-            text = f"{self._place.where} did not take a message within its time limit"
-            self.pulse.degrade(text)
+            text = f"{self._remote.where} did not take a message within its time limit"
+            self.health.degrade(text)
             raise BridgeTimeoutError(text) from error
         except CORBA.Exception as error:
-            self._be_open()
-            too_large = self._sizes.meant(error, self._target, len(data))
+            self._require_open()
+            too_large = self._sizes.explain(error, self._target, len(data))
             if too_large:
                 self._refused += 1
                 raise BridgeError(too_large, FailureReason.REFUSED) from error
-            text = f"{self._place.where} is gone ({corba_text(error)})"
-            self.pulse.lose(text)
+            text = f"{self._remote.where} is gone ({corba_text(error)})"
+            self.health.lose(text)
             raise BridgeError(text, FailureReason.UNAVAILABLE) from error
         self._sizes.passed(len(data))
         if status != OpenRTM.PORT_OK:
             self._refused += 1
             reason = _REASONS.get(str(status), "it said so")
-            text = f"{self._place.where} refused a message: {status} ({reason})"
+            text = f"{self._remote.where} refused a message: {status} ({reason})"
             raise BridgeError(text, FailureReason.REFUSED)
 
     def _reach(self) -> Any:
-        place = self._place
+        remote = self._remote
         ior = self._connector.published(INPORT_IOR)
         try:
-            what = f"{place.where}: its InPortCdr"
-            target = narrowed(place.orb.reference(ior), OpenRTM.InPortCdr, place.seconds, what)
+            what = f"{remote.where}: its InPortCdr"
+            target = narrowed(remote.orb.reference(ior), OpenRTM.InPortCdr, remote.seconds, what)
             return limit(target, self._longest)
         except BridgeError:
             self._connector.disconnect()
             raise
 
     def _close(self) -> None:
-        self._is_let_go = True
+        self._is_released = True
         self._withdraw()
         # A component in C++ may abort when it is disconnected while it takes a message.
         self._putting.end(self._longest)
         try:
             self._connector.disconnect()
         finally:
-            self._place.ended()
+            self._remote.ended()
 
     def _withdraw(self) -> None:
         if self._buffer is not None:
             self._buffer.close()
         if self._outlet is not None:
-            self._place.orb.withdraw(self._outlet)
+            self._remote.orb.withdraw(self._outlet)

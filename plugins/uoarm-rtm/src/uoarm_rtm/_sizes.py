@@ -1,9 +1,9 @@
 # ruff: noqa: SLF001 - CORBA begins the names of its own operations with an underscore
-"""How large a message a peer takes: learnt, since nothing tells.
+"""How large a message a peer takes: learnt, since no profile says.
 
-An ORB has a limit for one GIOP message, of omniORB 2 MiB unless it is told otherwise. A larger one
-makes the receiver close the connection (observed), which looks like its death: only asking it
-again tells the two apart. What a limit refuses is a fault of the message, never of the component.
+An ORB has a limit for one GIOP message, of omniORB 2 MiB unless it is configured. A larger one
+makes the receiver close the connection (observed), which looks like its death: only a further
+call finds out. What a limit refuses is a fault of the message, never of the component.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ class SizeLimit:
         """Note that a message of this size passed."""
         self._passed = max(self._passed, size)
 
-    def meant(self, error: CORBA.Exception, target: Any, size: int) -> str:
+    def explain(self, error: CORBA.Exception, target: Any, size: int) -> str:
         """Return why a message did not pass, where its size was the reason; empty otherwise.
 
         Args:

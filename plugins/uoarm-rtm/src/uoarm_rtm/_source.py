@@ -13,11 +13,11 @@ from uoarm.bridge import Delivery, Source
 from uoarm.errors import BridgeError, MessageError
 from uoarm_rtm._buffering import buffer_policy, says_what_empty_means
 from uoarm_rtm._codec import BIG, LITTLE
-from uoarm_rtm._connector import asked
+from uoarm_rtm._connector import connector_properties
 from uoarm_rtm._data_ports import INPORT_IOR, OUTPORT_IOR
 from uoarm_rtm._faults import corba_text
 from uoarm_rtm._orb import limit, narrowed
-from uoarm_rtm._place import Place, Pulse
+from uoarm_rtm._place import ConnectorHealth, RemotePort
 from uoarm_rtm._puller import Puller
 
 __all__ = ["OutPortSource"]
@@ -42,27 +42,27 @@ class OutPortSource(Source):
     Messages are delivered in a thread of the ORB (push), or in one of the channel's own (pull).
 
     Args:
-        place: the port.
+        remote: the port.
         deliver: takes the messages.
 
     Raises:
         BridgeError: the port refuses or is gone; nothing stays connected.
     """
 
-    def __init__(self, place: Place, deliver: Delivery) -> None:
-        super().__init__(place.endpoint)
-        self._place = place
+    def __init__(self, remote: RemotePort, deliver: Delivery) -> None:
+        super().__init__(remote.endpoint)
+        self._remote = remote
         self._deliver = deliver
-        self._order = BIG if place.settings.endian == "big" else LITTLE
+        self._order = BIG if remote.options.endian == "big" else LITTLE
         self._puller: Puller | None = None
-        self._longest = place.seconds
-        self.pulse = Pulse(self, place, place.settings.stale_after)
-        self._inlet = place.orb.serve(_Inlet(self)) if place.settings.flow == "push" else None
-        properties = asked(place.settings, place.codec.name)
+        self._longest = remote.seconds
+        self.health = ConnectorHealth(self, remote, remote.options.stale_after)
+        self._inlet = remote.orb.serve(_Inlet(self)) if remote.options.flow == "push" else None
+        properties = connector_properties(remote.options, remote.codec.name)
         if self._inlet is not None:
-            properties[INPORT_IOR] = place.orb.text(self._inlet)
+            properties[INPORT_IOR] = remote.orb.text(self._inlet)
         try:
-            self._connector = place.connections.connect(place.where, properties, place.port)
+            self._connector = remote.connections.connect(remote.where, properties, remote.port)
             if self._inlet is None:
                 self._begin_pulling()
         except BridgeError:
@@ -74,21 +74,21 @@ class OutPortSource(Source):
         if self.closed:
             return OpenRTM.PORT_ERROR
         try:
-            message = self._place.codec.decode(data, self._order)
+            message = self._remote.codec.decode(data, self._order)
         except MessageError as error:
-            self._deliver.unreadable(f"{self._place.where}: {error}")
+            self._deliver.unreadable(f"{self._remote.where}: {error}")
             return OpenRTM.PORT_ERROR
-        self.pulse.beat()
+        self.health.note_message()
         self._deliver(message)
         return OpenRTM.PORT_OK
 
     def tick(self) -> None:
-        """Look after the connection; called about once a second by the bridge's watch."""
-        self.pulse.look(self._connector)
+        """Check the connection; called about once a second by the bridge's ticker."""
+        self.health.check(self._connector)
 
     def facts(self) -> Mapping[str, object]:
         """Return counters and the port."""
-        return self.pulse.facts()
+        return self.health.facts()
 
     def _close(self) -> None:
         if self._puller is not None:
@@ -97,27 +97,27 @@ class OutPortSource(Source):
         try:
             self._connector.disconnect()
         finally:
-            self._place.ended()
+            self._remote.ended()
 
     def _withdraw(self) -> None:
         if self._inlet is not None:
-            self._place.orb.withdraw(self._inlet)
+            self._remote.orb.withdraw(self._inlet)
 
     def _begin_pulling(self) -> None:
-        place = self._place
+        remote = self._remote
         ior = self._connector.published(OUTPORT_IOR)
-        what = f"{place.where}: its OutPortCdr"
+        what = f"{remote.where}: its OutPortCdr"
         try:
-            target = narrowed(place.orb.reference(ior), OpenRTM.OutPortCdr, place.seconds, what)
-            self._longest += buffer_policy(place.settings.properties, "outport").longest_read
+            target = narrowed(remote.orb.reference(ior), OpenRTM.OutPortCdr, remote.seconds, what)
+            self._longest += buffer_policy(remote.options.properties, "outport").longest_read
             limit(target, self._longest)
         except BridgeError:
             self._connector.disconnect()
             raise
         self._puller = Puller(
             target,
-            place.settings.rate,
-            repeats=says_what_empty_means(place.settings.properties),
+            remote.options.rate,
+            repeats=says_what_empty_means(remote.options.properties),
             take=self.receive,
             lost=self._lost,
             missed=self._missed,
@@ -125,11 +125,11 @@ class OutPortSource(Source):
 
     def _missed(self, error: CORBA.Exception) -> None:
         text = (
-            f"an answer of {self._place.where} does not arrive ({corba_text(error)}): it may be "
-            f"larger than our limit of {self._place.orb.most_octets} octets (`max_message`), or "
+            f"an answer of {self._remote.where} does not arrive ({corba_text(error)}): it may be "
+            f"larger than our limit of {self._remote.orb.most_octets} octets (`max_message`), or "
             "than the component's own (-ORBgiopMaxMsgSize there)"
         )
         self._deliver.unreadable(text)
 
     def _lost(self, error: CORBA.Exception) -> None:
-        self.pulse.lose(f"{self._place.where} is gone ({corba_text(error)})")
+        self.health.lose(f"{self._remote.where} is gone ({corba_text(error)})")

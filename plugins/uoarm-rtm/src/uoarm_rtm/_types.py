@@ -13,10 +13,10 @@ from _uoarm_rtm_stubs import RTC, OpenRTM, SDOPackage
 from uoarm.bridge import ServiceStructures
 from uoarm.errors import BridgeError, FailureReason
 from uoarm.model import MessageStructure
-from uoarm_rtm._codec import Codec, codec_of
+from uoarm_rtm._codec import CdrCodec, codec_of
 from uoarm_rtm._derived import derive, derive_interface
 from uoarm_rtm._descriptor import descriptors, shape_of
-from uoarm_rtm._operations import Interface, interfaces
+from uoarm_rtm._operations import IdlInterface, interfaces
 from uoarm_rtm._schema import structure_of
 from uoarm_rtm._user_idl import load_idl
 
@@ -54,9 +54,9 @@ class Types:
     ) -> None:
         self._encoding = encoding
         self._stubs = [load_idl(source, folder) for source in sources]
-        self._codecs: dict[str, Codec] = {}
+        self._codecs: dict[str, CdrCodec] = {}
 
-    def codec(self, type_id: str) -> Codec:
+    def codec(self, type_id: str) -> CdrCodec:
         """Return the codec of a type.
 
         Raises:
@@ -78,7 +78,9 @@ class Types:
         self._codecs.setdefault(shape.name, codec_of(shape, self._encoding))
         return shape.name
 
-    def derive_interface(self, port: str, structures: ServiceStructures) -> tuple[Interface, str]:
+    def derive_interface(
+        self, port: str, structures: ServiceStructures
+    ) -> tuple[IdlInterface, str]:
         """Return an interface for a service's messages, compiled, and its IDL.
 
         Raises:
@@ -101,7 +103,7 @@ class Types:
         if name in self._known:
             return self._known[name]
         if "/" not in name:
-            ends = [each for each in self._known if each.endswith(f"/{name}")]
+            ends = [known for known in self._known if known.endswith(f"/{name}")]
             if len(ends) == 1:
                 return self._known[ends[0]]
         close = difflib.get_close_matches(name, self._known, n=1)
@@ -109,7 +111,7 @@ class Types:
         text = f"data type {type_id!r} is not known: {hint} its IDL in the bridge's option `idl`"
         raise BridgeError(text, FailureReason.UNSUPPORTED)
 
-    def interface(self, name: str) -> tuple[Interface, str]:
+    def interface(self, name: str) -> tuple[IdlInterface, str]:
         """Return the interface that a text names, and the operation, empty for all of them.
 
         Args:
@@ -121,7 +123,7 @@ class Types:
         plain = plain_name(name)
         known = self._interfaces
         for wanted, operation in ((plain, ""), tuple(plain.rpartition("/")[::2])):
-            ends = [each for each in known if f"/{each}".endswith(f"/{wanted}")]
+            ends = [path for path in known if f"/{path}".endswith(f"/{wanted}")]
             if wanted and len(ends) == 1:
                 return known[ends[0]], operation
         there = ", ".join(known) or "none"
@@ -133,14 +135,14 @@ class Types:
 
     def same(self, first: str, second: str) -> bool:
         """Whether two ways of writing a type name the same one."""
-        one, other = plain_name(first), plain_name(second)
-        return one == other or (
-            ("/" in one) != ("/" in other) and one.split("/")[-1] == other.split("/")[-1]
+        first, second = plain_name(first), plain_name(second)
+        return first == second or (
+            ("/" in first) != ("/" in second) and first.split("/")[-1] == second.split("/")[-1]
         )
 
     @cached_property
-    def _interfaces(self) -> dict[str, Interface]:
-        found: dict[str, Interface] = {}
+    def _interfaces(self) -> dict[str, IdlInterface]:
+        found: dict[str, IdlInterface] = {}
         for stubs in self._stubs:
             found.update(interfaces(stubs, self._encoding))
         return found
@@ -149,8 +151,8 @@ class Types:
     def _known(self) -> dict[str, Any]:
         known: dict[str, Any] = {}
         for module in (RTC, OpenRTM, SDOPackage):
-            known.update((plain_name(name), each) for name, each in descriptors(module))
+            known.update((plain_name(name), found) for name, found in descriptors(module))
         for stubs in self._stubs:
             for scope in stubs.scopes:
-                known.update((plain_name(name), each) for name, each in descriptors(scope))
+                known.update((plain_name(name), found) for name, found in descriptors(scope))
         return known

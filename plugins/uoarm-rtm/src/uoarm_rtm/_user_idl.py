@@ -95,9 +95,9 @@ def _key(text: bytes, directory: Path) -> str:
     seen: set[Path] = set()
     waiting = [(text, directory)]
     while waiting:
-        each, beside = waiting.pop()
-        digest.update(each)
-        for name in _INCLUDE.findall(each):
+        source, beside = waiting.pop()
+        digest.update(source)
+        for name in _INCLUDE.findall(source):
             for folder in (beside, directory, OUR_IDL):
                 path = folder / os.fsdecode(name)
                 if path.is_file() and path not in seen:
@@ -129,7 +129,7 @@ def _compile(text: bytes, directory: Path, package: str, folder: Path, shown: st
             directory=directory,
             names=work / package / _NAMES,
         )
-        with contextlib.suppress(OSError):  # somebody else was faster
+        with contextlib.suppress(OSError):  # another process was faster
             (work / package).rename(folder)
     except BridgeError as error:
         raise BridgeError(str(error).replace(str(work / _MAIN), shown), error.reason) from None

@@ -1,4 +1,4 @@
-"""The bridge's look at the world: channels first, then who is in the naming services."""
+"""What the bridge checks again and again: channels first, then which components there are."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from uoarm.errors import BridgeError, FailureReason
 from uoarm.model import Health
 from uoarm_rtm._directory import Directory
 
-__all__ = ["Attendance", "Watch"]
+__all__ = ["DirectoryMonitor", "Ticker"]
 
 _AGAIN_SECONDS = 0.02
 
@@ -20,65 +20,60 @@ _log = logging.getLogger("uoarm.rtm")
 Tick = Callable[[], None]
 
 
-class Attendance:
-    """Which components are there, compared with the last look.
+class DirectoryMonitor:
+    """Which components are there, compared with the last check.
 
     Args:
-        directory: where to look.
-        report: takes (health, sentence, component's path).
+        directory: names and what stands behind them.
+        report: that of the bridge.
         own: path to leave out: the bridge's own component.
     """
 
-    def __init__(
-        self, directory: Directory, report: Callable[[Health, str, str], None], own: str
-    ) -> None:
+    def __init__(self, directory: Directory, report: Callable[..., None], own: str) -> None:
         self._directory = directory
         self._report = report
         self._own = own
         self._conditions: dict[str, str] | None = None
-        self._deaf = False
+        self._is_unreachable = False
 
     def tick(self) -> None:
-        """Report who came, left, died, hung or woke up; the first look reports nothing."""
+        """Report what came, left, died, hung or woke up; the first check reports nothing."""
         try:
-            sightings = self._directory.sightings()
+            entries = self._directory.entries()
         except BridgeError as error:
             if error.reason is FailureReason.CLOSED:
                 return
             # A naming service that is gone says nothing of the components.
-            if not self._deaf:
-                self._deaf = True
-                self._report(Health.DEGRADED, str(error), "")
+            if not self._is_unreachable:
+                self._is_unreachable = True
+                self._report(Health.DEGRADED, str(error))
             return
-        if self._deaf:
-            self._deaf = False
-            self._report(Health.OK, "a naming service answers again", "")
-        now = {
-            sighting.path: sighting.condition
-            for sighting in sightings
-            if sighting.path != self._own
-        }
+        if self._is_unreachable:
+            self._is_unreachable = False
+            self._report(Health.OK, "a naming service answers again")
+        now = {entry.path: entry.condition for entry in entries if entry.path != self._own}
         before, self._conditions = self._conditions, now
         if before is None:
             return
         for path in sorted(before.keys() | now.keys()):
             was, is_now = before.get(path), now.get(path)
             if was != is_now:
-                self._tell(path, was, is_now)
+                self._report_change(path, was, is_now)
 
-    def _tell(self, path: str, was: str | None, is_now: str | None) -> None:
+    def _report_change(self, path: str, was: str | None, is_now: str | None) -> None:
         if is_now == "alive":
             word = "answers again" if was == "hung" else "appeared"
-            self._report(Health.OK, f"component {path} {word}", path)
+            self._report(Health.OK, f"component {path} {word}", component=path)
         elif is_now == "hung":
-            self._report(Health.LOST, f"component {path} does not answer: it hangs", path)
+            text = f"component {path} does not answer: it hangs"
+            self._report(Health.LOST, text, component=path)
         elif was in {"alive", "hung"}:
             end = "left" if is_now is None else "died: only its name is left"
-            self._report(Health.LOST, f"component {path} {end}", path)
+            self._report(Health.LOST, f"component {path} {end}", component=path)
 
 
-class Watch:
-    """A thread that calls some ticks again and again, each on its own, and others when told.
+class Ticker:
+    """A thread that calls some ticks again and again, each on its own, and others on request.
 
     Args:
         ticks: returns what to call now.
@@ -92,13 +87,16 @@ class Watch:
         self._ended = False
         self._urgent: dict[Tick, None] = {}
         self._thread = threading.Thread(target=self._run, name="uoarm-rtm-watch", daemon=True)
-        if seconds:
+
+    def start(self) -> None:
+        """Begin, where there are rounds at all."""
+        if self._seconds:
             self._thread.start()
 
     def soon(self, tick: Tick) -> None:
         """Have a tick called next, after the one under way, and once more 20 ms later.
 
-        A component tells of a state before it is in it (observed). Several that wait are one.
+        A component reports a state before it is in it (observed). Several that wait are one.
         """
         with self._changed:
             self._urgent[tick] = None
@@ -142,7 +140,7 @@ class Watch:
             for _ in range(2):
                 for tick in urgent:
                     _call(tick)
-                with self._changed:  # also because a component may tell without end
+                with self._changed:  # also because a component may report without end
                     if self._changed.wait_for(lambda: self._ended, _AGAIN_SECONDS):
                         return False
             if time.monotonic() >= until:
@@ -153,4 +151,4 @@ def _call(tick: Tick) -> None:
     try:
         tick()
     except Exception:  # noqa: BLE001 - one that fails hurts no other
-        _log.exception("a look at OpenRTM failed")
+        _log.exception("a check of OpenRTM failed")

@@ -15,14 +15,14 @@ from uoarm_rtm._buffering import BufferPolicy, PushPolicy, buffer_policy, push_p
 from uoarm_rtm._codec import BIG, LITTLE
 from uoarm_rtm._scalars import Order
 
-__all__ = ["Refusal", "Wishes", "read_policies", "read_wishes"]
+__all__ = ["ConnectorOptions", "ConnectorRefusal", "read_connector_options", "read_policies"]
 
 _ORDERS: dict[str, Order] = {"little": LITTLE, "big": BIG}
 _SUBSCRIPTIONS = ("flush", "new", "periodic")
 _DEFAULT_HZ = 10.0
 
 
-class Refusal(Exception):  # noqa: N818 - an answer, not a failure of ours
+class ConnectorRefusal(Exception):  # noqa: N818 - an answer, not a failure of ours
     """A connector that cannot be had; `code` is the RTC return code to answer with."""
 
     def __init__(self, text: str, code: object) -> None:
@@ -31,7 +31,7 @@ class Refusal(Exception):  # noqa: N818 - an answer, not a failure of ours
 
 
 @frozen
-class Wishes:
+class ConnectorOptions:
     """How one connector moves data.
 
     Attributes:
@@ -54,22 +54,24 @@ class Wishes:
         return 1.0 / self.rate if self.subscription == "periodic" else 0.0
 
 
-def read_wishes(properties: Mapping[str, str]) -> Wishes:
+def read_connector_options(properties: Mapping[str, str]) -> ConnectorOptions:
     """Read the properties of a connector profile.
 
     Raises:
-        Refusal: something in them is unknown here.
+        ConnectorRefusal: something in them is unknown here.
     """
     interface = properties.get("dataport.interface_type", "").strip().lower()
     if interface != "corba_cdr":
-        raise Refusal(f"interface type {interface!r} is not corba_cdr", RTC.BAD_PARAMETER)
+        raise ConnectorRefusal(f"interface type {interface!r} is not corba_cdr", RTC.BAD_PARAMETER)
     flow = properties.get("dataport.dataflow_type", "").strip().lower()
     if flow not in {"push", "pull"}:
-        raise Refusal(f"dataflow type {flow!r} is neither push nor pull", RTC.BAD_PARAMETER)
+        raise ConnectorRefusal(
+            f"dataflow type {flow!r} is neither push nor pull", RTC.BAD_PARAMETER
+        )
     subscription = properties.get("dataport.subscription_type", "flush").strip().lower()
     if flow == "push" and subscription not in _SUBSCRIPTIONS:
-        raise Refusal(f"subscription type {subscription!r} is unknown", RTC.RTC_ERROR)
-    return Wishes(
+        raise ConnectorRefusal(f"subscription type {subscription!r} is unknown", RTC.RTC_ERROR)
+    return ConnectorOptions(
         push=flow == "push",
         subscription=subscription,
         rate=_rate(properties),
@@ -82,12 +84,12 @@ def read_policies(properties: Mapping[str, str]) -> tuple[BufferPolicy, PushPoli
     """Read how an OutPort is to keep what waits, and which of it to push.
 
     Raises:
-        Refusal: a policy is unknown here.
+        ConnectorRefusal: a policy is unknown here.
     """
     try:
         return buffer_policy(properties, "outport"), push_policy(properties)
     except ValueError as error:
-        raise Refusal(str(error), RTC.BAD_PARAMETER) from None
+        raise ConnectorRefusal(str(error), RTC.BAD_PARAMETER) from None
 
 
 def _rate(properties: Mapping[str, str]) -> float:
@@ -96,8 +98,10 @@ def _rate(properties: Mapping[str, str]) -> float:
         rate = float(text) if text else _DEFAULT_HZ
     except ValueError:
         rate = 0.0
-    if not 0 < rate <= 1e6:  # noqa: PLR2004 - a microsecond is nobody's period
-        raise Refusal(f"push rate {text!r} is not a number of calls a second", RTC.BAD_PARAMETER)
+    if not 0 < rate <= 1e6:  # noqa: PLR2004 - no port has a period of a microsecond
+        raise ConnectorRefusal(
+            f"push rate {text!r} is not a number of calls a second", RTC.BAD_PARAMETER
+        )
     return rate
 
 
@@ -107,4 +111,4 @@ def _order(text: str) -> Order:
         order = _ORDERS.get(word.strip())
         if order is not None:
             return order
-    raise Refusal(f"byte order {text!r} is neither little nor big", RTC.UNSUPPORTED)
+    raise ConnectorRefusal(f"byte order {text!r} is neither little nor big", RTC.UNSUPPORTED)

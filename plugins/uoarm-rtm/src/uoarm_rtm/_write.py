@@ -12,10 +12,10 @@ from struct import Struct
 
 from uoarm.model import Message
 from uoarm_rtm._arrays import blocks, counted, is_block
-from uoarm_rtm._generate import Source
+from uoarm_rtm._generate import GeneratedFunction
 from uoarm_rtm._scalars import CODES, SIZES, Order, checker
 from uoarm_rtm._schema import SWITCH
-from uoarm_rtm._shape import Choice, Enumeration, Listing, Record, Scalar, Shape, Text
+from uoarm_rtm._shape import IdlEnum, IdlScalar, IdlSequence, IdlString, IdlStruct, IdlUnion, Shape
 from uoarm_rtm._texts import write_text, write_wchar
 
 __all__ = ["writer"]
@@ -29,7 +29,7 @@ def writer(shape: Shape, order: Order, encoding: str) -> Callable[[Message], byt
     It raises Misfit, KeyError, TypeError or another ordinary exception of the step that failed;
     `_explain.misfit_of` says which field that was. Padding is zero.
     """
-    source = Source("def write(message):")
+    source = GeneratedFunction("def write(message):")
     source.line("out = bytearray()")
     walk = _Walk(source, order, encoding)
     walk.value(shape, "message")
@@ -43,7 +43,7 @@ def writer(shape: Shape, order: Order, encoding: str) -> Callable[[Message], byt
 class _Walk:
     """Writes the text for a shape; `run` holds scalars that wait to be packed together."""
 
-    def __init__(self, source: Source, order: Order, encoding: str) -> None:
+    def __init__(self, source: GeneratedFunction, order: Order, encoding: str) -> None:
         self._source = source
         self._order = order
         self._encoding = encoding
@@ -52,15 +52,15 @@ class _Walk:
         self._zeros = source.constant(_ZEROS)
 
     def value(self, shape: Shape, given: str) -> None:
-        if isinstance(shape, Record):
+        if isinstance(shape, IdlStruct):
             self._record(shape, given)
-        elif isinstance(shape, Listing):
+        elif isinstance(shape, IdlSequence):
             (self._block if is_block(shape) else self._list)(shape, given)
-        elif isinstance(shape, Choice):
+        elif isinstance(shape, IdlUnion):
             self._choice(shape, given)
-        elif isinstance(shape, Enumeration):
+        elif isinstance(shape, IdlEnum):
             self._pack("I", f"{self._positions(shape)}[{given}]")
-        elif isinstance(shape, Text):
+        elif isinstance(shape, IdlString):
             self._align(4)
             make = self._source.constant(write_text(shape, self._order, self._encoding))
             self._octets(f"{make}({given})")
@@ -104,7 +104,7 @@ class _Walk:
         self._run.append(expression)
         self._source.advance(size)
 
-    def _scalar(self, scalar: Scalar, given: str) -> None:
+    def _scalar(self, scalar: IdlScalar, given: str) -> None:
         name = self._source.name()
         kind = {"f": "float", "d": "float"}.get(CODES[scalar.name], "int")
         check = self._source.constant(checker(scalar.name))
@@ -115,15 +115,15 @@ class _Walk:
             self._source.line(f"if type({name}) is not {kind}: {name} = {check}({name})")
         self._pack(CODES[scalar.name], name)
 
-    def _record(self, record: Record, given: str) -> None:
+    def _record(self, record: IdlStruct, given: str) -> None:
         name = self._source.name()
         self._source.line(f"{name} = {given}")
         self._source.line(f"if len({name}) != {len(record.fields)}: raise KeyError")
         for field in record.fields:
             self.value(field.shape, f"{name}[{field.name!r}]")
 
-    def _block(self, listing: Listing, given: str) -> None:
-        assert isinstance(listing.element, Scalar)
+    def _block(self, listing: IdlSequence, given: str) -> None:
+        assert isinstance(listing.element, IdlScalar)
         size = SIZES[CODES[listing.element.name]]
         make = self._source.constant(blocks(listing, self._order))
         number, data = self._source.name(), self._source.name()
@@ -140,9 +140,9 @@ class _Walk:
         self._source.line(f"out += {data}")
         self._source.known(min(size, 4))
 
-    def _list(self, listing: Listing, given: str) -> None:
+    def _list(self, listing: IdlSequence, given: str) -> None:
         source = self._source
-        name, each = source.name(), source.name()
+        name, element = source.name(), source.name()
         count = source.constant(counted(listing))
         source.line(f"{name} = {given}")
         if listing.fixed:
@@ -150,15 +150,15 @@ class _Walk:
         else:
             self._pack("I", f"{count}({name})")
         self.flush()
-        source.line(f"for {each} in {name}:")
+        source.line(f"for {element} in {name}:")
         source.depth += 1
         source.known(1)
-        self.value(listing.element, each)
+        self.value(listing.element, element)
         self.flush()
         source.depth -= 1
         source.known(1)
 
-    def _choice(self, choice: Choice, given: str) -> None:
+    def _choice(self, choice: IdlUnion, given: str) -> None:
         source = self._source
         name, switch = source.name(), source.name()
         source.line(f"{name} = {given}")
@@ -180,6 +180,6 @@ class _Walk:
         source.line(f"elif len({name}) != 1: raise KeyError")
         source.known(1)
 
-    def _positions(self, enumeration: Enumeration) -> str:
+    def _positions(self, enumeration: IdlEnum) -> str:
         positions = {label: index for index, label in enumerate(enumeration.labels)}
         return self._source.constant(positions)

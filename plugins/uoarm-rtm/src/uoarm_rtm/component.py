@@ -2,7 +2,7 @@
 """An RT-Component of our own: what other components, RT System Editor and rtshell see of us.
 
 orb = Orb("127.0.0.1", call_seconds=2.0)
-component = RtComponent(orb, Sheet("Counter0"))
+component = RtComponent(orb, ComponentProfile("Counter0"))
 out = component.add_out_port("count", "RTC::TimedLong", Types())
 component.bind([NamingService(orb, "localhost:2809", 2.0)])
 out.write({"tm": {"sec": 1, "nsec": 0}, "data": 1})
@@ -22,13 +22,13 @@ from uoarm_rtm._configuration_servant import ConfigurationServant
 from uoarm_rtm._context_servant import ContextServant
 from uoarm_rtm._data_ports import InPort, OutPort
 from uoarm_rtm._faults import corba_errors
-from uoarm_rtm._lifecycle import Callbacks, Lifecycle
+from uoarm_rtm._lifecycle import Callbacks, ComponentLifecycle
 from uoarm_rtm._naming import NamingService
 from uoarm_rtm._orb import Orb
 from uoarm_rtm._port_servant import PortServant
 from uoarm_rtm._types import Types
 
-__all__ = ["Callbacks", "NamingService", "Orb", "RtComponent", "Sheet", "Types"]
+__all__ = ["Callbacks", "ComponentProfile", "NamingService", "Orb", "RtComponent", "Types"]
 
 _CONTEXT = 0
 _OK = RTC.RTC_OK
@@ -39,7 +39,7 @@ def _ignored(values: Mapping[str, str]) -> None:
 
 
 @frozen
-class Sheet:
+class ComponentProfile:
     """What a component says of itself."""
 
     name: str
@@ -54,44 +54,47 @@ class Sheet:
 class RtComponent(OpenRTM__POA.DataFlowComponent):  # type: ignore[misc]  # generated
     """A component with one execution context of its own.
 
-    Made inactive; whoever sees it activates it. Callbacks run in threads of the ORB.
+    Made inactive; a tool or another program activates it. Callbacks run in threads of the ORB.
 
     Args:
         orb: where it is served.
-        sheet: what it says of itself.
+        profile: what it says of itself.
         callbacks: what it does at changes of its lifecycle.
         rate: steps a second for `callbacks.executed`; 0 for none.
-        configured: told the configuration in force when it changes.
+        configured: called with the configuration in force when it changes.
         seconds: limit of every call to other components.
     """
 
     def __init__(
         self,
         orb: Orb,
-        sheet: Sheet,
+        profile: ComponentProfile,
         *,
         callbacks: Callbacks = Callbacks(),  # noqa: B008 - a frozen value
         rate: float = 0.0,
         configured: Callable[[Mapping[str, str]], None] | None = None,
         seconds: float = 2.0,
     ) -> None:
-        self.sheet = sheet
-        self.lifecycle = Lifecycle(callbacks)
+        self.profile = profile
+        self.lifecycle = ComponentLifecycle(callbacks)
         self._orb = orb
         self._seconds = seconds
+        # Guards the list of ports: profiles are asked for in threads of the ORB.
         self._lock = threading.Lock()
         self._ports: list[PortServant] = []
         self._bound: list[tuple[NamingService, str]] = []
         self._exiting = threading.Event()
         self._context = ContextServant(orb, self.lifecycle, rate)
-        self._configuration = ConfigurationServant(orb, sheet.configuration, configured or _ignored)
+        self._configuration = ConfigurationServant(
+            orb, profile.configuration, configured or _ignored
+        )
         self.reference = orb.serve(self)
         self._context.component = self.reference
 
     @property
     def path(self) -> str:
         """The name under which it is bound when no other is given."""
-        return f"{self.sheet.name}.rtc"
+        return f"{self.profile.name}.rtc"
 
     @property
     def ports(self) -> tuple[PortServant, ...]:
@@ -120,7 +123,7 @@ class RtComponent(OpenRTM__POA.DataFlowComponent):  # type: ignore[misc]  # gene
                 take(message)
 
         codec = types.codec(type_id)
-        full = f"{self.sheet.name}.{name}"
+        full = f"{self.profile.name}.{name}"
         port = InPort(self._orb, full, codec, taken, self._seconds, rate)
         self.add_port(port)
         return port
@@ -132,7 +135,7 @@ class RtComponent(OpenRTM__POA.DataFlowComponent):  # type: ignore[misc]  # gene
             BridgeError: the type is not known.
         """
         codec = types.codec(type_id)
-        port = OutPort(self._orb, f"{self.sheet.name}.{name}", codec, self._seconds)
+        port = OutPort(self._orb, f"{self.profile.name}.{name}", codec, self._seconds)
         self.add_port(port)
         return port
 
@@ -162,7 +165,7 @@ class RtComponent(OpenRTM__POA.DataFlowComponent):  # type: ignore[misc]  # gene
             service.bind(bound[1], self.reference)
 
     def wait_for_exit(self, seconds: float | None = None) -> bool:
-        """Wait until somebody calls `exit` on the component; returns whether that came."""
+        """Wait until a client calls `exit` on the component; returns whether that came."""
         return self._exiting.wait(seconds)
 
     def close(self) -> None:
@@ -180,11 +183,17 @@ class RtComponent(OpenRTM__POA.DataFlowComponent):  # type: ignore[misc]  # gene
 
     def get_component_profile(self) -> Any:
         """Return the profile (CORBA operation)."""
-        sheet = self.sheet
-        words = (sheet.type_name, sheet.description, sheet.version, sheet.vendor, sheet.category)
+        profile = self.profile
+        words = (
+            profile.type_name,
+            profile.description,
+            profile.version,
+            profile.vendor,
+            profile.category,
+        )
         with self._lock:
             ports = [port.get_port_profile() for port in self._ports]
-        return RTC.ComponentProfile(sheet.name, *words, ports, None, [])
+        return RTC.ComponentProfile(profile.name, *words, ports, None, [])
 
     def get_ports(self) -> list[Any]:
         """Return references of the ports (CORBA operation)."""
@@ -204,7 +213,7 @@ class RtComponent(OpenRTM__POA.DataFlowComponent):  # type: ignore[misc]  # gene
         return RTC.PRECONDITION_NOT_MET
 
     def exit(self) -> Any:
-        """Ask whoever made the component to end it (CORBA operation)."""
+        """Ask the owner of the component to end it (CORBA operation)."""
         self._exiting.set()
         return _OK
 
@@ -238,16 +247,16 @@ class RtComponent(OpenRTM__POA.DataFlowComponent):  # type: ignore[misc]  # gene
 
     def get_sdo_id(self) -> str:
         """Return the instance's name (CORBA operation)."""
-        return self.sheet.name
+        return self.profile.name
 
     def get_sdo_type(self) -> str:
         """Return the description (CORBA operation)."""
-        return self.sheet.description
+        return self.profile.description
 
     def get_device_profile(self) -> Any:
         """Return what the component is, as a device (CORBA operation)."""
-        sheet = self.sheet
-        words = (sheet.category, sheet.vendor, sheet.type_name, sheet.version)
+        profile = self.profile
+        words = (profile.category, profile.vendor, profile.type_name, profile.version)
         return SDOPackage.DeviceProfile(*words, [])
 
     def get_service_profiles(self) -> list[Any]:

@@ -16,14 +16,14 @@ __all__ = [
     "CONFIGURATION",
     "LIFECYCLE",
     "SELF",
-    "Address",
-    "BridgeSettings",
-    "Settings",
+    "PortAddress",
+    "RtmBridgeOptions",
+    "RtmEndpointOptions",
     "address_of",
-    "bridge_settings",
-    "linked",
-    "mistake",
-    "settings_of",
+    "bridge_options",
+    "linked_options",
+    "option_mistake",
+    "options_of",
 ]
 
 SELF = "self"
@@ -72,11 +72,11 @@ BRIDGE_OPTIONS: Schema = {
             "type": "number",
             "minimum": 0,
             "maximum": 3600,
-            "description": "seconds between looks at who is there; 0 never; default 1",
+            "description": "seconds between checks of components; 0 never; default 1",
         },
         "observe": {
             "type": "boolean",
-            "description": "whether components are asked to tell when their states change; "
+            "description": "whether components are asked to notify us when their states change; "
             "default true",
         },
         "text": {
@@ -99,7 +99,7 @@ BRIDGE_OPTIONS: Schema = {
 
 
 @frozen
-class Address:
+class PortAddress:
     """A port of a component, or the component itself.
 
     Attributes:
@@ -114,7 +114,7 @@ class Address:
 
 
 @frozen
-class BridgeSettings:
+class RtmBridgeOptions:
     """The options of a bridge instance; `operation_seconds` is None where none are asked for."""
 
     component: str
@@ -131,7 +131,7 @@ class BridgeSettings:
 
 
 @frozen
-class Settings:
+class RtmEndpointOptions:
     """The options of an endpoint; meaning in docs/rtm.md.
 
     `properties` holds also what the options for buffers and pushing come to.
@@ -156,10 +156,10 @@ class Settings:
         return 1.0 / self.rate if self.subscription == "periodic" else 0.0
 
 
-def bridge_settings(name: str, options: Options) -> BridgeSettings:
+def bridge_options(name: str, options: Options) -> RtmBridgeOptions:
     """Read the options of a bridge, which have been checked against BRIDGE_OPTIONS."""
-    defaults = BridgeSettings(str(options.get("component", f"uoarm_{name}")))
-    return BridgeSettings(
+    defaults = RtmBridgeOptions(str(options.get("component", f"uoarm_{name}")))
+    return RtmBridgeOptions(
         defaults.component,
         _texts(options.get("nameserver")) or defaults.nameservers,
         _texts(options.get("idl")),
@@ -174,7 +174,7 @@ def bridge_settings(name: str, options: Options) -> BridgeSettings:
     )
 
 
-def address_of(endpoint: Endpoint) -> Address:
+def address_of(endpoint: Endpoint) -> PortAddress:
     """Read an endpoint's address.
 
     Raises:
@@ -186,17 +186,17 @@ def address_of(endpoint: Endpoint) -> Address:
     return address
 
 
-def settings_of(endpoint: Endpoint) -> Settings:
+def options_of(endpoint: Endpoint) -> RtmEndpointOptions:
     """Read an endpoint's options.
 
     Raises:
         BridgeError: with BAD_ENDPOINT and what is wrong.
     """
     with reading_endpoint(endpoint):
-        return _settings(endpoint.options)
+        return _read_options(endpoint.options)
 
 
-def linked(source: Endpoint, sink: Endpoint) -> Settings | None:
+def linked_options(source: Endpoint, sink: Endpoint) -> RtmEndpointOptions | None:
     """Return what both ends of a native link ask together; None where one link cannot be both.
 
     That is so where the two contradict each other, or ask for what needs us in between:
@@ -217,37 +217,37 @@ def linked(source: Endpoint, sink: Endpoint) -> Settings | None:
             elif before != value:
                 return None
     try:
-        return _settings(together)
+        return _read_options(together)
     except ValueError:  # each is right by itself, and the two are not
         return None
 
 
-def mistake(address: tuple[str, ...], options: Options) -> str:
+def option_mistake(address: tuple[str, ...], options: Options) -> str:
     """Return what is wrong with an address or its options, or ""."""
     try:
         _address(address)
-        _settings(options)
+        _read_options(options)
     except ValueError as error:
         return str(error)
     return ""
 
 
-def _address(parts: tuple[str, ...]) -> Address:
+def _address(parts: tuple[str, ...]) -> PortAddress:
     if not 2 <= len(parts) <= 3 or not all(parts[:2]):  # noqa: PLR2004 - as the sentence says
         text = "expected [component, port] or [component, port, type]"
         raise ValueError(f"{text}, such as [Camera0.rtc, image], got {list(parts)}")
-    return Address(*parts)
+    return PortAddress(*parts)
 
 
-def _fits(address: Address, role: Role, *, is_offered: bool) -> None:
+def _fits(address: PortAddress, role: Role, *, is_offered: bool) -> None:
     if role is not Role.SERVICE and address.port in {LIFECYCLE, CONFIGURATION}:
         raise ValueError(f"{address.port} is a service, not an {role.value}")
     if address.component == SELF and not address.type and not is_offered:
         raise ValueError("a port of our own component needs its type as third part")
 
 
-def _settings(options: Options) -> Settings:
-    known = [*(attr.name for attr in Settings.__attrs_attrs__), *POLICY_OPTIONS]
+def _read_options(options: Options) -> RtmEndpointOptions:
+    known = [*(attr.name for attr in RtmEndpointOptions.__attrs_attrs__), *POLICY_OPTIONS]
     unknown = sorted(set(options) - set(known))
     if unknown:
         raise ValueError(f"there is no option {unknown[0]!r}; there are {', '.join(known)}")
@@ -272,10 +272,10 @@ def _settings(options: Options) -> Settings:
     for side in ("inport", "outport"):
         buffer_policy(properties, side)
     push_policy(properties)
-    return Settings(
+    return RtmEndpointOptions(
         flow,  # type: ignore[arg-type]  # checked above
         subscription,  # type: ignore[arg-type]  # checked above
-        _seconds(options, "rate") or Settings().rate,
+        _seconds(options, "rate") or RtmEndpointOptions().rate,
         _one_of(options, "endian", ("little", "big")),  # type: ignore[arg-type]  # checked there
         activate,
         reset,
