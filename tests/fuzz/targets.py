@@ -240,7 +240,7 @@ def _web() -> Mapping[str, Target]:
     if find_spec("uoarm_rosbridge") is None:
         return {}
     from uoarm_rosbridge._cdr import serialiser
-    from uoarm_rosbridge._subscription import read_wish
+    from uoarm_rosbridge._subscription import read_options
     from uoarm_rosbridge._wire import Fragments, check_fields, read_operation
 
     laid_out = MessageStructure(
@@ -262,7 +262,7 @@ def _web() -> Mapping[str, Target]:
             fields = read_operation(line, Spending(BUDGET))
             within(fields, BUDGET)
             check_fields(fields, ("op",))
-            read_wish(fields)
+            read_options(fields)
             if fields["op"] == "fragment":
                 check_fields(fields, ("id", "data", "num", "total"))
                 whole = fragments.add(fields)
