@@ -125,12 +125,13 @@ def test_auth_comes_first_and_on_every_connection_anew(played: Played, tmp_path:
     assert "kiwi" not in json.dumps(played.came)
 
 
-def test_a_secret_goes_nowhere_in_the_clear(tmp_path: Path) -> None:
+@pytest.mark.parametrize("host", ["robot.example", "localhost.example", "127.example"])
+def test_a_secret_goes_nowhere_in_the_clear(tmp_path: Path, host: str) -> None:
     secret = tmp_path / "secret"
     secret.write_text("kiwi")
     with (
         pytest.raises(ConfigurationError, match="in the clear: use wss://"),
-        bridge_to("ws://robot.example:9090", token_file=str(secret)),
+        bridge_to(f"ws://{host}:9090", token_file=str(secret)),
     ):
         pass
 

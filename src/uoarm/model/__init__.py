@@ -35,7 +35,7 @@ from uoarm.model._control_wire import read_control, write_control
 from uoarm.model._discovery import BridgeFindings, FoundComponent, FoundPort
 from uoarm.model._json import finite, read_json, write_json
 from uoarm.model._json_scan import count_names, scan_json
-from uoarm.model._listening import Listening, place_problem
+from uoarm.model._listening import Listening, is_loopback, place_problem
 from uoarm.model._octets import message_octets
 from uoarm.model._offer import Offer, OfferedPort, OfferedService, OfferState, OfferStatus
 from uoarm.model._plan import (
@@ -148,6 +148,7 @@ __all__ = [
     "format_status",
     "format_trouble",
     "from_json",
+    "is_loopback",
     "message_octets",
     "place_problem",
     "read_control",

@@ -7,7 +7,7 @@ import re
 
 from attrs import frozen
 
-__all__ = ["Listening", "place_problem"]
+__all__ = ["Listening", "is_loopback", "place_problem"]
 
 _PLACE = re.compile(r"(tls|tcp)/(\[[0-9a-fA-F:.]+\]|[A-Za-z0-9.-]+):([0-9]{1,5})")
 _LAST_PORT = 65535
@@ -33,15 +33,16 @@ def place_problem(place: str) -> str:
     found = _PLACE.fullmatch(place)
     if found is None or not 0 < int(found[3]) <= _LAST_PORT:
         return "expected tls/ADDRESS:PORT"
-    if found[1] == "tcp" and not _is_loopback(found[2].strip("[]")):
+    if found[1] == "tcp" and not is_loopback(found[2].strip("[]")):
         return "without TLS only on loopback, such as tcp/127.0.0.1:7447"
     return ""
 
 
-def _is_loopback(address: str) -> bool:
-    if address == "localhost":
+def is_loopback(host: str) -> bool:
+    """Say whether a host name or address is this machine's loopback."""
+    if host == "localhost":
         return True
     try:
-        return ipaddress.ip_address(address).is_loopback
+        return ipaddress.ip_address(host).is_loopback
     except ValueError:
         return False

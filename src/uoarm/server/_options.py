@@ -10,8 +10,8 @@ from pathlib import Path
 from attrs import field, frozen
 
 from uoarm.errors import ConfigurationError
+from uoarm.model import is_loopback
 from uoarm.server._limits import Limits
-from uoarm.server.access import is_loopback
 from uoarm.server.http import own_certificate, state_folder
 
 __all__ = ["ServerOptions"]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ipaddress
 import os
 import ssl
 from collections.abc import Callable, Mapping
@@ -14,7 +13,7 @@ from attrs import frozen
 from jsonschema import Draft202012Validator
 
 from uoarm.errors import ConfigurationError
-from uoarm.model import Budget, Options, Schema
+from uoarm.model import Budget, Options, Schema, is_loopback
 
 __all__ = [
     "BRIDGE_OPTIONS",
@@ -237,7 +236,7 @@ def connection_options(name: str, options: Options) -> ConnectionOptions:
     if "tls" in given and not encrypted:
         raise _wrong(name, "`tls` goes with a url that begins with mqtts://")
     password = _password(name, given)
-    if password and not (encrypted or _is_loopback(host) or given.get("plain_password")):
+    if password and not (encrypted or is_loopback(host) or given.get("plain_password")):
         text = "the password would cross the network unencrypted: mqtts://, or `plain_password`"
         raise _wrong(name, f"{text}: true where the network is your own")
     return ConnectionOptions(
@@ -291,13 +290,6 @@ def _context(name: str, tls: Mapping[str, str]) -> ssl.SSLContext:
     except (OSError, ValueError) as error:
         raise _wrong(name, f"tls: {dict(tls)}: {error}") from None
     return context
-
-
-def _is_loopback(host: str) -> bool:
-    try:
-        return ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        return host == "localhost"
 
 
 def _wrong(name: str, what: str) -> ConfigurationError:

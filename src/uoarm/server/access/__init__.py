@@ -7,7 +7,6 @@ from uoarm.server.access._admission import (
     RequestHead,
     WrongTokenError,
     WrongTokens,
-    is_loopback,
     read_head,
 )
 from uoarm.server.access._role import (
@@ -34,7 +33,6 @@ __all__ = [
     "WrongTokenError",
     "WrongTokens",
     "hash_token",
-    "is_loopback",
     "make_token",
     "read_head",
 ]

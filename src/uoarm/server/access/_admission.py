@@ -18,6 +18,7 @@ from websockets.http11 import Request
 
 from uoarm._whole_file import stamp_of
 from uoarm.errors import ConfigurationError, UoarmError
+from uoarm.model import is_loopback
 from uoarm.server.access._access_file import read_access
 from uoarm.server.access._role import EVERYTHING, AccessPolicy, AccessRole, Now, hash_token
 
@@ -29,7 +30,6 @@ __all__ = [
     "RequestHead",
     "WrongTokenError",
     "WrongTokens",
-    "is_loopback",
     "read_head",
 ]
 
@@ -307,16 +307,6 @@ class Admission:
         except ValueError:
             return False
         return is_loopback(name) or name in self._hosts
-
-
-def is_loopback(host: str) -> bool:
-    """Say whether a host name or address is this machine's loopback."""
-    if host == "localhost":
-        return True
-    try:
-        return ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        return False
 
 
 def _common_name(certificate: Mapping[str, Any]) -> str:

@@ -10,13 +10,14 @@ import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
+from urllib.parse import urlsplit
 
 from attrs import frozen
 from jsonschema import Draft202012Validator
 
 from uoarm.bridge import reading_endpoint
 from uoarm.errors import ConfigurationError
-from uoarm.model import Budget, Endpoint, Options, Role, Schema
+from uoarm.model import Budget, Endpoint, Options, Role, Schema, is_loopback
 
 __all__ = [
     "BRIDGE_OPTIONS",
@@ -189,7 +190,7 @@ def client_options(name: str, options: Options) -> ClientOptions:
     if tls is not None and not is_secure:
         raise ConfigurationError(f"bridge {name!r}: `tls` is for wss://, and the url is {url}")
     has_secret = "token_file" in given or "auth" in given
-    is_here = re.match(r"wss?://(localhost|127\.|\[::1\])", url) is not None
+    is_here = is_loopback(_host(name, url))
     if has_secret and not (is_secure or is_here or given.get("plain_secrets")):
         text = f"bridge {name!r}: the secret would go to {url} in the clear: use wss://, or say "
         raise ConfigurationError(f"{text}`plain_secrets: true`")
@@ -212,13 +213,21 @@ def client_options(name: str, options: Options) -> ClientOptions:
     )
 
 
+def _host(name: str, url: str) -> str:
+    try:
+        return urlsplit(url).hostname or ""
+    except ValueError as error:
+        raise ConfigurationError(f"bridge {name!r}: url {url}: {error}") from None
+
+
 def _context(name: str, tls: Mapping[str, str] | None) -> ssl.SSLContext:
     given = tls or {}
     try:
         context = ssl.create_default_context(cafile=given.get("ca"))
         if "certificate" in given:
-            context.load_cert_chain(given["certificate"], given.get("key"))
-    except (OSError, ssl.SSLError) as error:
+            # Asked for no passphrase on a terminal: a key that has one is refused.
+            context.load_cert_chain(given["certificate"], given.get("key"), password=lambda: b"")
+    except (OSError, ValueError) as error:
         raise ConfigurationError(f"bridge {name!r}: tls: {error}") from error
     return context
 
