@@ -7,8 +7,9 @@ from collections.abc import Callable
 from typing import Any
 
 from attrs import evolve, frozen
-from uoarm_mqtt import _bridge, _channels, _codec, _discovery, _health, _link, _subscriptions
+from uoarm_mqtt import _bridge, _channels, _codec, _discovery, _link, _subscriptions
 
+from uoarm.bridge import Disconnection
 from uoarm.errors import BridgeError, MessageError
 from uoarm.model import Health
 from uoarm.testing.conformance._breaking import Breaking
@@ -205,7 +206,7 @@ BUGS: tuple[Bug, ...] = (
     ),
     Bug(
         "does not report that the broker is back",
-        _health.Disconnection,
+        Disconnection,
         "up",
         unsaid,
         Breaking.test_a_break_is_reported_with_its_cause_and_so_is_its_end,

@@ -1,4 +1,4 @@
-"""Decided without a connection: what to report of its end, and which receivers get a message."""
+"""Decided without a connection: which receivers get a message."""
 
 from __future__ import annotations
 
@@ -8,29 +8,12 @@ from types import SimpleNamespace
 import pytest
 from paho.mqtt.enums import CallbackAPIVersion, MQTTErrorCode
 from uoarm_mqtt._codec import PayloadCodec
-from uoarm_mqtt._health import Disconnection
 from uoarm_mqtt._link import ThreadedClient
 from uoarm_mqtt._subscriptions import ReceivedMessage, Receiver, Subscriptions
 
 from uoarm.bridge import Registry
 from uoarm.errors import MessageError
-from uoarm.model import Budget, Endpoint, Health, MessageStructure, Role
-
-
-def test_a_disconnection_is_reported_once_lost_once_and_over_once() -> None:
-    disconnection = Disconnection(grace=10.0)
-    assert disconnection.up() is None
-    reported = [disconnection.down(now, final=False) for now in (0.0, 1.0, 9.9, 10.0, 11.0)]
-    assert reported == [Health.DEGRADED, None, None, Health.LOST, None]
-    assert disconnection.is_over
-    assert [disconnection.up(), disconnection.up()] == [Health.OK, None]
-    assert disconnection.down(20.0, final=True) is Health.LOST
-
-
-def test_what_no_client_relied_upon_is_not_lost_and_its_coming_is_news() -> None:
-    disconnection = Disconnection(grace=10.0)
-    assert [disconnection.down(now, final=True) for now in (0.0, 100.0)] == [None, None]
-    assert disconnection.up() is Health.OK
+from uoarm.model import Budget, Endpoint, MessageStructure, Role
 
 
 class Ending(ThreadedClient):

@@ -14,6 +14,7 @@ from uoarm.bridge._description import (
     HealthEvent,
     ServiceStructures,
 )
+from uoarm.bridge._disconnection import Disconnection
 from uoarm.bridge._gate import Delivery
 from uoarm.bridge._plugin import BridgeType
 from uoarm.bridge._registry import Registry
@@ -27,6 +28,7 @@ __all__ = [
     "Channel",
     "Delivery",
     "Description",
+    "Disconnection",
     "Discovered",
     "Handler",
     "HealthEvent",

@@ -1,4 +1,4 @@
-"""Health of the link and of components, as events say it: no clock, no socket."""
+"""Health of components, as their topics say it: no clock, no socket."""
 
 from __future__ import annotations
 
@@ -12,47 +12,9 @@ from uoarm.model import Budget, Health
 from uoarm_mqtt._codec import PayloadCodec
 from uoarm_mqtt._options import PresenceOptions
 
-__all__ = ["ComponentPresence", "Disconnection", "PresenceStatus"]
+__all__ = ["ComponentPresence", "PresenceStatus"]
 
 _SMALL = Budget(octets=16_384, elements=1000, depth=16)
-
-
-class Disconnection:
-    """The states of a link: not up yet, up, down, given up. Times are in seconds of one clock."""
-
-    def __init__(self, grace: float) -> None:
-        self._grace = grace
-        self._since: float | None = None  # down since then; None where nothing was reported
-        self._was_up = False
-        self._reported: Health | None = None
-
-    @property
-    def is_over(self) -> bool:
-        """Whether the link was given up."""
-        return self._reported is Health.LOST
-
-    def up(self) -> Health | None:
-        """The link carries messages; returns what to report, None for nothing."""
-        self._was_up, self._since = True, None
-        return self._report(Health.OK if self._reported is not None else None)
-
-    def down(self, now: float, *, final: bool) -> Health | None:
-        """The link broke, or an attempt to mend it failed; `final`: no attempt will do better."""
-        if not self._was_up:
-            # What no client has relied upon yet is not lost: a client that asks for it is refused.
-            # When it comes up later, that is news.
-            self._reported = self._reported or Health.DEGRADED
-            return None
-        self._since = now if self._since is None else self._since
-        if final or now - self._since >= self._grace:
-            return self._report(Health.LOST)
-        return self._report(Health.DEGRADED)
-
-    def _report(self, health: Health | None) -> Health | None:
-        if health is self._reported or (self.is_over and health is Health.DEGRADED):
-            return None
-        self._reported = None if health is Health.OK else health
-        return health
 
 
 @frozen

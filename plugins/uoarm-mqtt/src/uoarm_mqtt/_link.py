@@ -19,9 +19,9 @@ from paho.mqtt.properties import Properties
 from paho.mqtt.reasoncodes import ReasonCode
 from paho.mqtt.subscribeoptions import SubscribeOptions
 
+from uoarm.bridge import Disconnection
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, MessageError
 from uoarm.model import Health
-from uoarm_mqtt._health import Disconnection
 from uoarm_mqtt._options import ConnectionOptions
 from uoarm_mqtt._subscriptions import ReceivedMessage, Receiver, Subscriptions
 
