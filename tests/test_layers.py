@@ -78,14 +78,13 @@ WITHIN = {
         {"__init__"},
     ],
     "schema": [
-        {"_errors", "_repeated"},
-        {"_meter", "_values"},
+        {"_errors"},
+        {"_values"},
         {"regex"},
         {"read"},
         {"solve"},
-        {"explain"},
+        {"_explain"},
         {"_check"},
-        {"_command"},
         {"__init__", "__main__"},
     ],
     "server": [

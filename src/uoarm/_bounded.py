@@ -34,7 +34,7 @@ _HANGING_IN_ALL = 256
 
 
 class BoundedStep:
-    """The name of a step, put together where it is told: in most steps it never is.
+    """The name of a step, put together where it is shown: in most steps it never is.
 
     Args:
         *parts: shown one after another; values that do not change.
@@ -132,7 +132,7 @@ class _Job(Generic[T]):
             self._wait()
         except BridgeTimeoutError:
             raise
-        except BaseException:  # Ctrl-C: nobody waits for it any more, as after its deadline
+        except BaseException:  # Ctrl-C: its caller waits no longer, as after its deadline
             if not self._give_up():
                 self._put_away()
             raise
@@ -201,14 +201,14 @@ def run(
         action: called once, in another thread unless this is already one of ours.
         on_late: takes a result that came after the step was given up, in the worker's thread.
         on_give_up: called when the step is given up, in the thread that waits; so that what goes
-            on alone may be told to end.
+            on alone may be asked to end.
         keeps_time: the action ends within the limit by itself, with an error of its own: it runs
-            in the caller's thread, and nobody gives it up.
+            in the caller's thread, and it is never given up.
         grace: seconds more that the action is given to end with an error of its own, which says
             what it waited for.
 
     Raises:
-        BridgeTimeoutError: the step did not finish in time; it goes on alone, unheard.
+        BridgeTimeoutError: the step did not finish in time; it goes on alone, its result dropped.
         BridgeError: it was not begun, because too many like it hang already.
         Exception: what the action raised; in another thread, what is none is contained.
     """

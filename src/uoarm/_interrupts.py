@@ -2,7 +2,7 @@
 
 Python raises KeyboardInterrupt in the main thread, after any call, and so does SIGTERM whatever its
 handler raises, SystemExit most often. Where that thread owns what others share, half of a change
-would be lost, and nobody could know which half.
+would be lost, and it could not be known which half.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ class Uninterrupted:
         try:
             for number in handlers:
                 _signal.signal(number, self._note)
-        except BaseException:  # what came before this, of which Python tells here
+        except BaseException:  # what came before this, which Python raises here
             self._put_back(handlers)
             raise
         _here.is_put_off = self._is_inside
@@ -82,7 +82,7 @@ class Uninterrupted:
         handlers[number](number, frame)
 
     def _put_back(self, handlers: dict[int, Any]) -> None:
-        """Have the handlers that were there before, where nobody has set others meanwhile.
+        """Have the handlers that were there before, where no others were set meanwhile.
 
         Python may raise in between what comes just then: what is not put back yet stays with
         `_note`, which is outside then, and puts nothing off any more.

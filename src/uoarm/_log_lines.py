@@ -79,7 +79,7 @@ class StderrHandler(logging.Handler):
         try:
             sys.stderr.write(f"{self.format(record)}\n")
             sys.stderr.flush()
-        except Exception:  # noqa: BLE001 - whoever logs must not pay for it
+        except Exception:  # noqa: BLE001 - the code that logs must not pay for it
             self.handleError(record)
 
 

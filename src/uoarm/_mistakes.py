@@ -1,6 +1,6 @@
 """What a validator found wrong, in our own words: what was expected, what came, what to write.
 
-They are for schemas of anybody; a schema with meanings of its own has words of its own for those.
+They are for any schema; a schema with meanings of its own has words of its own for those.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Where installed distributions came from, and what installs more of the same.
 
 A hint must work where it is read. In an environment that was made from a checkout or from wheel
-files, names of an index would be another uoarm's, or nobody's.
+files, names of an index would be another uoarm's, or of no package.
 """
 
 from __future__ import annotations

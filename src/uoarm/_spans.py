@@ -55,7 +55,7 @@ def _tracer() -> Any:
 
 
 def _of(module: str, name: str) -> Any:
-    """Return what a module has; None where nobody has imported it, or another thread is at it."""
+    """Return what a module has; None where it is not imported, or another thread is at it."""
     return getattr(sys.modules.get(module), name, None)
 
 

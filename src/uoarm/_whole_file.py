@@ -48,7 +48,7 @@ def written_beside(
 
 
 def stamp_of(path: Path) -> tuple[int, ...]:
-    """Return what tells a file from what it was before; () where there is none."""
+    """Return what distinguishes a file from what it was before; () where there is none."""
     try:
         found = path.stat()
     except OSError:

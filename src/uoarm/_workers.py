@@ -98,7 +98,7 @@ class WorkerPool:
             call: what may wait.
             args: handed to it.
             done: called once, in the call's thread, when the call does not count as busy any more:
-                whoever learns of an end through it finds room for the next. What it raises is
+                a caller that learns of an end through it finds room for the next. What it raises is
                 logged; without it, what the call raises is.
             queue: False to refuse the call, rather than let it wait, where all threads are at work.
 
@@ -196,7 +196,7 @@ class WorkerPool:
     def _next(
         self, inbox: SimpleQueue[_Task[Any] | None], *, is_first: bool = False
     ) -> _Task[Any] | None:
-        """Wait for a task; None tells the thread to end."""
+        """Wait for a task; None ends the thread."""
         with self._lock:
             self._beginning = self._beginning and not is_first
             if self._waiting:

@@ -94,7 +94,7 @@ class CommandRefusedError(UoarmError):
 
     Attributes:
         reason: `late`, `beyond-limits`, `stopping`, `held` (the emergency stop is not released),
-            `leased` (somebody else commands the input), `stopped` (its sender stopped while it
+            `leased` (another client commands the input), `stopped` (its sender stopped while it
             waited) or `closed`: by it the command counts as dropped.
     """
 

@@ -9,6 +9,7 @@ from pathlib import Path
 import click
 import pytest
 from click.testing import CliRunner, Result
+from tests.cli.commands import members
 
 from uoarm.bridge import Registry
 from uoarm.cli import _discover, main
@@ -39,7 +40,7 @@ ASKED_EACH_TIME = {"doctor"}  # what it finds of frameworks may be other a secon
 
 
 def commands(group: click.Group) -> Iterator[click.Command]:
-    for command in group.commands.values():
+    for command in members(group).values():
         if isinstance(command, click.Group):
             yield from commands(command)
         elif any(parameter.name == "file" for parameter in command.params):

@@ -6,8 +6,11 @@ from collections.abc import Iterator
 
 import click
 import pytest
+from click.testing import CliRunner
+from tests.cli.commands import members
 
 from uoarm.cli import main
+from uoarm.cli._main import COMMANDS
 
 _WIDTH = 78  # what click uses of a terminal of 80 columns
 _BESIDE = 6  # columns around the names
@@ -19,8 +22,8 @@ def contexts(
     context = click.Context(command, info_name=command.name or "uoarm", parent=parent)
     yield context
     if isinstance(command, click.Group):
-        for name in sorted(command.commands):  # those of plugins are loaded only when they run
-            yield from contexts(command.commands[name], context)
+        for member in members(command).values():
+            yield from contexts(member, context)
 
 
 ALL = list(contexts(main))
@@ -31,8 +34,9 @@ GROUPS = [item for item in ALL if isinstance(item.command, click.Group)]
 def test_the_list_of_commands_cuts_no_sentence(context: click.Context) -> None:
     group = context.command
     assert isinstance(group, click.Group)
-    room = _WIDTH - _BESIDE - max(map(len, group.commands))
-    shown = {name: command.get_short_help_str(room) for name, command in group.commands.items()}
+    commands = members(group)
+    room = _WIDTH - _BESIDE - max(map(len, commands))
+    shown = {name: command.get_short_help_str(room) for name, command in commands.items()}
     assert {name: text for name, text in shown.items() if not text or text.endswith("...")} == {}
 
 
@@ -42,3 +46,17 @@ def test_every_option_says_what_it_is_for(context: click.Context) -> None:
         parameter for parameter in context.command.params if isinstance(parameter, click.Option)
     ]
     assert [option.opts for option in options if not option.help] == []
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_the_list_says_of_a_command_what_its_own_help_says(name: str) -> None:
+    command = main.get_command(click.Context(main), name)
+    assert command is not None
+    assert command.name == name
+    assert command.get_short_help_str(_WIDTH) == COMMANDS[name][2]
+
+
+def test_help_lists_every_command() -> None:
+    shown = CliRunner().invoke(main, ["--help"]).output
+    assert [name for name, (_, _, line) in COMMANDS.items() if f"{name} " not in shown] == []
+    assert [line for _, _, line in COMMANDS.values() if line not in shown] == []

@@ -14,6 +14,7 @@ from pathlib import Path
 import click
 import pytest
 from click.testing import CliRunner, Result
+from tests.cli.commands import members
 
 from uoarm._log_lines import HostFormatter, JsonFormatter, TextFormatter, read_host_line
 from uoarm.cli import main
@@ -42,7 +43,7 @@ RECORD = re.compile(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d\.\d{3}Z (DEBUG|INFO|WARNING
 
 
 def everything(group: click.Group) -> Iterator[click.Command]:
-    for command in group.commands.values():
+    for command in members(group).values():
         yield command
         if isinstance(command, click.Group):
             yield from everything(command)

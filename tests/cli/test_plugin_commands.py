@@ -8,7 +8,7 @@ from importlib.metadata import EntryPoint
 import pytest
 from click.testing import CliRunner
 
-from uoarm.cli import _plugin_commands, main
+from uoarm.cli import _main, main
 from uoarm.plugins import Command, hookimpl
 
 seen: list[list[str]] = []
@@ -36,7 +36,7 @@ def plugins(monkeypatch: pytest.MonkeyPatch) -> None:
         EntryPoint("gone", "no_such_module", "uoarm.commands"),
     ]
     found: Callable[..., list[EntryPoint]] = lambda group: points  # noqa: E731 - a stand-in
-    monkeypatch.setattr(_plugin_commands, "entry_points", found)
+    monkeypatch.setattr(_main, "entry_points", found)
 
 
 def test_a_command_gets_its_arguments_and_gives_the_exit_code() -> None:

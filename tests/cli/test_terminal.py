@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from tests.cli.terminal import on_a_terminal
 
-from uoarm.cli._live_messages import _Shown
+from uoarm.cli._run import _Shown
 from uoarm.testing import ManualClock
 
 ROBOT = """

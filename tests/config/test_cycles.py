@@ -7,7 +7,7 @@ from itertools import pairwise
 from hypothesis import given
 from hypothesis import strategies as st
 
-from uoarm.config._cycles import Needs, avoidable_cycles, unavoidable_cycles
+from uoarm.config._loops import Needs, avoidable_cycles, unavoidable_cycles
 
 NAMES = "abcdef"
 NEEDS = st.dictionaries(

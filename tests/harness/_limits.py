@@ -55,7 +55,7 @@ _CONSTANTS = {
     "uoarm._resolve._search": ("_CHECK_SECONDS",),
     "uoarm.bridge._channel": ("_LAST_SECONDS",),
     "uoarm.bridge._watchdog": ("_LAST_SECONDS",),
-    "uoarm.cli._configured": ("_SECONDS",),
+    "uoarm.cli._look": ("_SECONDS",),
     "uoarm.config._plugins": ("_PARAMETER_SECONDS",),
     "uoarm.config._suggestion": ("_PAIR_SECONDS",),
     "uoarm.environments._doctor": ("_SECONDS",),

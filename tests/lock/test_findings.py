@@ -7,7 +7,7 @@ from pathlib import Path
 from xml.etree import ElementTree as ET
 
 from uoarm._lock import LockFinding, LockOutcome
-from uoarm.cli._findings import FORMS
+from uoarm.cli._lock import FORMS
 
 LOCK = Path("robots/the cart/robot.lock")
 FINDINGS = [

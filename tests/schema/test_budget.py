@@ -17,13 +17,12 @@ from tests.schema._hostile import HOSTILE, chain, choices, rows
 from tests.schema._reference import Reference
 
 from uoarm.schema import CheckBudget, check
-from uoarm.schema._errors import BudgetError
-from uoarm.schema._meter import Meter
-from uoarm.schema.explain import find_losses
+from uoarm.schema._errors import BudgetError, Meter
+from uoarm.schema._explain import find_losses
 from uoarm.schema.read import Pool, SchemaDocument
 from uoarm.schema.regex import walker_of
 from uoarm.schema.solve._branch import Branch
-from uoarm.schema.solve._number_goals import find_number_whole
+from uoarm.schema.solve._numbers import find_number_whole
 from uoarm.schema.solve._solver import SearchState
 
 PATIENT = 1_000.0

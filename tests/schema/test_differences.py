@@ -10,7 +10,7 @@ from tests.schema._random_choices import RandomChoices
 from tests.schema._robot_schemas import closed, integer_type, robot_schema
 
 from uoarm.schema import check
-from uoarm.schema._meter import Meter
+from uoarm.schema._errors import Meter
 from uoarm.schema.read import Pool, SchemaDocument
 from uoarm.schema.solve import Empty, Solver, differences
 from uoarm.schema.solve import answer as search

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from tests.schema._judge import answer, verify_counterexample
 
 from uoarm.schema import CheckBudget, check
-from uoarm.schema._meter import Meter
+from uoarm.schema._errors import Meter
 from uoarm.schema.regex import found_in, shortest_word
 
 FLOAT32 = {"type": "number", "minimum": -3.4028234663852886e38, "maximum": 3.4028234663852886e38}

@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
 
+import click
 import pytest
 from click.testing import CliRunner
 from tests.server.conftest import Serve
@@ -229,6 +230,8 @@ def test_the_command_line_says_who_has_not_stopped(
 
 @pytest.mark.parametrize("command", ["stop", "apply", "history"])
 def test_who_names_no_server_asks_the_one_that_serve_starts_here(command: str) -> None:
-    found = {parameter.name: parameter.default for parameter in main.commands[command].params}
+    found_command = main.get_command(click.Context(main), command)
+    assert found_command is not None
+    found = {parameter.name: parameter.default for parameter in found_command.params}
     settings = ServerOptions()
     assert found["url"] == f"ws://{settings.host}:{settings.port}/"

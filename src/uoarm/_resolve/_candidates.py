@@ -1,4 +1,4 @@
-"""Candidates that nobody named: the configuration, and what was discovered and proven to fit.
+"""Candidates without a name in the file: the configuration, and what was found and proven to fit.
 
 Each function with needs gets the discovered components that fulfil them, behind those that the
 configuration names. Their inputs are fed by functions, level by level: first those that need no
@@ -106,8 +106,8 @@ def add_candidates(
     Args:
         robot: the configuration, with or without candidates of before, which count for nothing.
         findings: what bridges see.
-        structures: tells those of configured components; asks bridges.
-        topic: tells which topic an endpoint stands for; None where there is none.
+        structures: returns those of configured components; asks bridges.
+        topic: returns the topic that an endpoint stands for; None where there is none.
         proofs: judges pairs of structures.
     """
     robot = without_candidates(robot)

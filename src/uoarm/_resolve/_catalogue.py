@@ -99,7 +99,7 @@ class _Entry:
 class StructureCache:
     """Asks bridges for structures and remembers what they said. Thread safe.
 
-    What a bridge could not tell is asked again the next time.
+    What a bridge could not say is asked again the next time.
 
     Args:
         bridge: gives the bridge instance of a name; may raise what starting one raises.
@@ -135,7 +135,7 @@ class StructureCache:
     def forget(self, component: str) -> None:
         """Ask again the next time.
 
-        An answer that is under way goes to those who wait for it and to nobody else: it lands in
+        An answer that is under way goes to the callers that wait for it only: it lands in
         an entry that is no longer listed.
         """
         with self._lock:

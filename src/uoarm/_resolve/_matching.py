@@ -156,7 +156,7 @@ def _judged(
     """Say why a port does not fit, or nothing; and whether it has the very structure."""
     if need.role is Role.SERVICE:
         pairs = ((need.request, port.request), (port.reply, need.reply))
-        if need.like:  # a type of services is told by its request's or its reply's name
+        if need.like:  # a type of services is found by its request's or its reply's name
             types = {
                 structure.native_type
                 for structure in (port.request, port.reply)

@@ -159,7 +159,7 @@ class Resolver:
                 for function in {*before, *functions}
                 if before.get(function) != functions.get(function)
             }
-            # Whoever is fed by what is the same has the same feeds before and after.
+            # What is fed by what is the same has the same feeds before and after.
             components = (
                 component for function in before.values() for component in function.components
             )

@@ -15,8 +15,7 @@ from uoarm import RobotManager
 from uoarm._whole_file import write_whole
 from uoarm.bridge import Registry
 from uoarm.cli._file import STANDARD, Unnamed, takes_configuration
-from uoarm.cli._shared import BRIDGE, json_option, print_json, reporting
-from uoarm.cli._width import fitted
+from uoarm.cli._shared import BRIDGE, fitted, json_option, print_json, reporting
 from uoarm.config import is_blank, load, merge
 from uoarm.config import suggest as suggestion_for
 from uoarm.errors import UsageError
@@ -41,7 +40,7 @@ _timeout_option = click.option(
 
 @click.command()
 @takes_configuration(unnamed=Unnamed.IF_THERE)
-@click.option("--watch", is_flag=True, help="Look again until Ctrl-C, and tell what is different.")
+@click.option("--watch", is_flag=True, help="Look again until Ctrl-C, and print what is different.")
 @click.option(
     "--every",
     type=click.FloatRange(min=0.1),
@@ -137,7 +136,7 @@ def _octets(path: str | Path) -> bytes:
 
 
 def _merge_into(path: Path, before: bytes, lines: str) -> None:
-    """Add suggested lines to a file, unless somebody else changed it meanwhile."""
+    """Add suggested lines to a file, unless it was changed meanwhile."""
     merged = merge(before.decode(), lines).encode()
     if _octets(path) != before:
         raise UsageError(f"{path} was changed meanwhile: nothing was added")

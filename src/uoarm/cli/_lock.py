@@ -1,18 +1,24 @@
-"""`uoarm lock`: what plans rest on, as a file, and what a difference of it breaks."""
+"""`uoarm lock`, what plans rest on and what a difference of it breaks; `uoarm types` of that."""
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import Any
+from urllib.parse import quote
+from xml.etree import ElementTree as ET
 
 import click
 from attrs import evolve
 
+import uoarm
 from uoarm import RobotManager, environments
 from uoarm._lock import (
     Lock,
+    LockError,
     LockFinding,
     LockOutcome,
     compare,
@@ -23,16 +29,121 @@ from uoarm._lock import (
     uncompared_types,
     write_lock,
 )
+from uoarm._types import read_functions, write_document, write_python, write_typescript
 from uoarm._whole_file import write_whole
 from uoarm.bridge import Registry
 from uoarm.cli._file import takes_configuration
-from uoarm.cli._findings import FORMS
 from uoarm.cli._shared import REFUSED, print_warning, reporting
 from uoarm.config import load
 from uoarm.errors import ResolutionError
-from uoarm.model import Plan
+from uoarm.model import Plan, to_json, write_json
 
-__all__ = ["lock", "lock_of", "open_unlocked"]
+__all__ = ["FORMS", "lock", "lock_of", "open_unlocked", "types"]
+
+_RULES: Mapping[LockOutcome, tuple[str, str, str]] = {
+    LockOutcome.BREAKS: ("breaks", "error", "Not every message fits any more."),
+    LockOutcome.FITS_WITH_MAP: ("fits-with-a-map", "error", "Messages fit with a map only."),
+    LockOutcome.UNDECIDED: ("undecided", "warning", "Whether messages fit cannot be decided."),
+}
+
+
+def _text(findings: list[LockFinding], _: Path) -> str:
+    lines = []
+    for finding in findings:
+        if finding.changed:
+            lines.append(_sentence(finding))
+            lines += (f"    {line}" for line in finding.suggestion.splitlines())
+    counts = Counter(finding.outcome for finding in findings)
+    lines.append(", ".join(f"{kind.value}: {counts[kind]}" for kind in LockOutcome))
+    return "\n".join(lines)
+
+
+def _json(findings: list[LockFinding], _: Path) -> str:
+    return write_json(to_json({"findings": findings}), indent=2)
+
+
+def _github(findings: list[LockFinding], lock: Path) -> str:
+    """Return annotations of a pull request, one for each line that does not fit as it is."""
+    return "\n".join(
+        f"::error file={lock}::"
+        + "%0A".join([_sentence(finding), *finding.suggestion.splitlines()])
+        for finding in _unfit(findings)
+    )
+
+
+def _junit(findings: list[LockFinding], _: Path) -> str:
+    """Return a report of tests: a suite for each function, a case for each edge and port."""
+    unfit = len(list(_unfit(findings)))
+    root = ET.Element(
+        "testsuites", name="uoarm lock", tests=str(len(findings)), failures=str(unfit), errors="0"
+    )
+    for function in dict.fromkeys(finding.function for finding in findings):
+        own = [finding for finding in findings if finding.function == function]
+        failures = str(len(list(_unfit(own))))
+        suite = ET.SubElement(
+            root, "testsuite", name=function, tests=str(len(own)), failures=failures, errors="0"
+        )
+        for finding in own:
+            case = ET.SubElement(suite, "testcase", classname=function, name=finding.subject)
+            if finding.outcome is not LockOutcome.FITS:
+                kind = _RULES[finding.outcome][0]
+                report = ET.SubElement(case, "failure", type=kind, message=_sentence(finding))
+                report.text = "\n".join([_sentence(finding), finding.suggestion]).rstrip()
+    ET.indent(root)
+    return '<?xml version="1.0" encoding="utf-8"?>\n' + ET.tostring(root, encoding="unicode")
+
+
+def _sarif(findings: list[LockFinding], lock: Path) -> str:
+    """Return a log of static analysis, version 2.1.0."""
+    rules = [
+        {"id": name, "shortDescription": {"text": text}, "defaultConfiguration": {"level": level}}
+        for name, level, text in _RULES.values()
+    ]
+    driver = {"name": "uoarm lock", "semanticVersion": uoarm.__version__, "rules": rules}
+    place = lock.as_uri() if lock.is_absolute() else quote(lock.as_posix())
+    run = {
+        "tool": {"driver": driver},
+        "columnKind": "unicodeCodePoints",
+        "results": [_result(finding, place) for finding in _unfit(findings)],
+    }
+    log = {
+        "$schema": "https://json.schemastore.org/sarif-2.1.0.json",
+        "version": "2.1.0",
+        "runs": [run],
+    }
+    return write_json(log, indent=2)
+
+
+def _result(one: LockFinding, place: str) -> dict[str, Any]:
+    name, level, _ = _RULES[one.outcome]
+    location = {"artifactLocation": {"uri": place}, "region": {"startLine": 1}}
+    logical = {"name": one.subject, "fullyQualifiedName": f"{one.function}: {one.subject}"}
+    return {
+        "ruleId": name,
+        "ruleIndex": [rule[0] for rule in _RULES.values()].index(name),
+        "level": level,
+        "message": {"text": "\n".join([_sentence(one), one.suggestion]).rstrip()},
+        "locations": [{"physicalLocation": location, "logicalLocations": [logical]}],
+        # What it is about, not how it is worded, makes it the finding that was seen before.
+        "partialFingerprints": {"subject/v1": f"{one.function}/{one.subject}/{one.path}"},
+    }
+
+
+def _unfit(findings: Iterable[LockFinding]) -> Iterable[LockFinding]:
+    return (finding for finding in findings if finding.outcome is not LockOutcome.FITS)
+
+
+def _sentence(one: LockFinding) -> str:
+    text = f"{one.function}: {one.subject}: {one.outcome.value}"
+    if not one.sentence:
+        return text
+    return f"{text}: {f'{one.path}: ' if one.path else ''}{one.sentence}"
+
+
+FORMS: Mapping[str, Callable[[list[LockFinding], Path], str]] = {
+    "text": _text, "json": _json, "github": _github, "junit": _junit, "sarif": _sarif,
+}  # fmt: skip
+"""Writers by the name of the form: from findings and the lock's file to text."""
 
 
 @click.command()
@@ -145,3 +256,60 @@ def lock_of(robot: RobotManager) -> Lock:
         with suppress(ResolutionError):  # what is not there is no candidate now
             described[name] = robot.structures(name)
     return record(robot.config, plans, described)
+
+
+_WRITERS = {
+    "python": write_python, "typescript": write_typescript, "jsonschema": write_document,
+}  # fmt: skip
+
+
+@click.command()
+@takes_configuration()
+@click.option("--python", "form", flag_value="python", help="A module of TypedDicts.")
+@click.option("--typescript", "form", flag_value="typescript", help="Declarations for uoarm.js.")
+@click.option("--jsonschema", "form", flag_value="jsonschema", help="One schema with $defs.")
+@click.option("--lock", "path", help="The lock's file, which must be there.  [robot.lock if any]")
+@click.option("-o", "--output", type=click.Path(dir_okay=False), help="Write this file instead.")
+def types(file: str, form: str | None, path: str | None, output: str | None) -> None:
+    """Write the types of what functions give and take.
+
+    They are those of the lock beside the configuration; where there is none, of the structures that
+    bridges describe now. Standard error says which.
+
+    Exit codes: 0 written; 1 written, but a function has no plan, and so no types; 3 a file cannot
+    be read or written; 4 a bridge failed.
+    """
+    if form is None:
+        raise click.UsageError("say which: --python, --typescript or --jsonschema")
+    with reporting():
+        lock = _source(file, path)
+        robot = read_functions(lock)
+        text = _WRITERS[form](robot)
+        if output is None:
+            click.echo(text, nl=False)
+        else:
+            _write_stubs(Path(output), text)
+    refused = [name for name, function in robot.functions.items() if function.refused]
+    for name in refused:
+        print_warning(f"{name} has no plan: no types")
+    sys.exit(REFUSED if refused else 0)
+
+
+def _source(file: str, path: str | None) -> Lock:
+    beside = Path(file).with_name("robot.lock")
+    if path is not None or beside.exists():
+        place = beside if path is None else Path(path)
+        lock = read_lock(place)
+        click.echo(f"types of {place}", err=True)
+        return lock
+    with open_unlocked(file) as robot:
+        lock = lock_of(robot)
+    click.echo(f"types of what the bridges of {file} describe now: no {beside}", err=True)
+    return lock
+
+
+def _write_stubs(path: Path, text: str) -> None:
+    try:
+        write_whole(path, text.encode())
+    except OSError as error:
+        raise LockError(f"{path}: cannot be written: {error}") from error

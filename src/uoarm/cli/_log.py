@@ -102,7 +102,7 @@ def logging_to_stderr(context: click.Context) -> Iterator[None]:
 
 
 def at_least(level: int) -> None:
-    """Have a command that is about its log write these records unless told otherwise."""
+    """Have a command that is about its log write these records unless an option says otherwise."""
     click.get_current_context().meta[_META].at_least(level)
 
 

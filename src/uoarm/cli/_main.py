@@ -1,64 +1,163 @@
-"""The commands that look: configuration, functions, plans, plugins, environment."""
+"""The command `uoarm`, and which commands it has: ours, and those that plugins bring.
+
+A command's module is imported when it is run. `uoarm rtm nameserver` belongs to uoarm-rtm: an
+entry point of the group `uoarm.commands` has the name of a command, and names a module with the
+hook `uoarm_commands`.
+"""
 
 from __future__ import annotations
 
-import platform
+import errno
+import os
 import sys
-import threading
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
-from functools import partial
-from pathlib import Path
+from collections.abc import Mapping
+from contextlib import suppress
+from importlib import import_module
+from importlib.metadata import EntryPoint, entry_points
+from typing import TYPE_CHECKING, Any
 
 import click
 
-import uoarm
-from uoarm._checks import plugin_facts
-from uoarm._resolve import NoPlanError
+from uoarm._raised import text_of
 from uoarm._switch_interval import short_switch_interval
-from uoarm.bridge import Registry
-from uoarm.cli._apply import apply, history
-from uoarm.cli._certificates import certificates
-from uoarm.cli._configured import assigned_options, environment_facts
-from uoarm.cli._discover import discover, suggest
-from uoarm.cli._env import env
-from uoarm.cli._file import Unnamed, takes_configuration
-from uoarm.cli._host import host
-from uoarm.cli._lock import lock
+from uoarm._version import __version__
 from uoarm.cli._log import add_log_options, logging_to_stderr
-from uoarm.cli._new_bridge import new_bridge
-from uoarm.cli._offer import offer
-from uoarm.cli._plugin_commands import PluginGroup
-from uoarm.cli._run import call, request
-from uoarm.cli._serve import serve, token
-from uoarm.cli._shared import (
-    CONFIGURATION,
-    function_argument,
-    json_option,
-    open_robot,
-    print_error,
-    print_json,
-    print_warning,
-    reporting,
-    terminable,
-)
-from uoarm.cli._status import status
-from uoarm.cli._stop import stop
-from uoarm.cli._types import types
-from uoarm.cli._up import up
-from uoarm.config import inspect, load, published_schema
-from uoarm.errors import UsageError
-from uoarm.model import to_json
-from uoarm.schema._command import schema as alone
+from uoarm.cli._shared import INTERRUPTED, exit_code_of, fail, terminable
+from uoarm.errors import PluginError, UoarmError, UsageError
 
-__all__ = ["main"]
+if TYPE_CHECKING:
+    from uoarm.plugins import Command
 
-_LARGE = 1_000_000
-_SILENT_SECONDS = 3.0
+__all__ = ["COMMANDS", "PluginGroup", "main"]
+
+_GROUP = "uoarm.commands"
+_NO_ROOM = frozenset({errno.ENOSPC, errno.EFBIG, errno.EDQUOT})
+
+# By name: a command's module and object, and its line of `uoarm --help`, which imports none.
+COMMANDS: Mapping[str, tuple[str, str, str]] = {
+    "apply": ("_remote", "apply", "Give a running robot another configuration."),
+    "bridges": ("_look", "bridges", "List the installed bridge plugins."),
+    "call": ("_run", "call", "Call the service NAME and print its reply."),
+    "certificates": ("_setup", "certificates", "Make the certificates that machines join with."),
+    "check": ("_look", "check", "Say everything that is wrong with a configuration FILE."),
+    "discover": ("_discover", "discover", "Show every component and port that bridges see now."),
+    "doctor": ("_look", "doctor", "Say what the environment is and what plugins find in it."),
+    "env": ("_setup", "env", "Make and remove Python environments for bridge hosts."),
+    "history": ("_remote", "history", "Show the revisions of a running robot's configuration."),
+    "host": ("_host", "host", "Run BRIDGES of a configuration, until interrupted."),
+    "list": ("_look", "list_functions", "List the functions and the components that provide them."),
+    "lock": ("_lock", "lock", "Write down what all plans rest on, or check it."),
+    "new-bridge": ("_setup", "new_bridge", "Make a bridge plugin to start from, with its tests."),
+    "offer": ("_run", "offer", "Offer functions in frameworks, as `offer:` says."),
+    "request": ("_run", "request", "Open a function and show its messages."),
+    "resolve": ("_look", "resolve", "Find the plan for a function without opening anything."),
+    "schema": ("_look", "schema", "Print the JSON Schema of robot.yaml, for editors."),
+    "serve": ("_serve", "serve", "Serve a robot to WebSocket clients and browsers."),
+    "status": ("_status", "status", "Show what can be had now, and from which component."),
+    "stop": ("_remote", "stop", "Stop everything that moves of a running robot."),
+    "suggest": ("_discover", "suggest", "Write the configuration of what bridges see."),
+    "token": ("_serve", "token", "Make a token for a client of `uoarm serve`."),
+    "types": ("_lock", "types", "Write the types of what functions give and take."),
+    "up": ("_up", "up", "Serve whatever there is, without a configuration."),
+}
+
+
+class PluginGroup(click.Group):
+    """A group that imports a command when it is run, ours or a plugin's."""
+
+    def invoke(self, ctx: click.Context) -> Any:
+        """Run a command; say in one line that it was interrupted, or its output has no room."""
+        try:
+            return super().invoke(ctx)
+        except KeyboardInterrupt:  # which click would report as a failure, with the code of one
+            click.echo("interrupted", err=True)
+            sys.exit(INTERRUPTED)
+        except UoarmError as error:  # of a plugin's command, and what a command of ours lets pass
+            fail(error, exit_code_of(error))
+        except OSError as error:
+            if error.errno not in _NO_ROOM:
+                raise
+            with suppress(OSError, ValueError):  # what waits would fail once more when Python ends
+                os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            raise click.ClickException(f"nothing more can be written: {error.strerror}") from error
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        """Return our own commands, then those of plugins."""
+        own = sorted({*COMMANDS, *super().list_commands(ctx)})
+        plugins = {point.name for point in entry_points(group=_GROUP)}
+        return [*own, *sorted(plugins - set(own))]
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        """Return a command, imported if it is ours; a plugin's is only when it runs."""
+        own = super().get_command(ctx, cmd_name)
+        if own is not None:
+            return own
+        if cmd_name in COMMANDS:
+            module, attribute, _ = COMMANDS[cmd_name]
+            found: click.Command = getattr(import_module(f"uoarm.cli.{module}"), attribute)
+            add_log_options(found)
+            self.add_command(found, cmd_name)
+            return found
+        point = next(
+            (entry for entry in entry_points(group=_GROUP) if entry.name == cmd_name), None
+        )
+        return None if point is None else _command(point)
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write the commands with a line about each, of ours without importing them."""
+        names = self.list_commands(ctx)
+        limit = formatter.width - 6 - max(map(len, names))  # as click does for commands it has
+        rows = [(name, self._listed(ctx, name).get_short_help_str(limit)) for name in names]
+        with formatter.section("Commands"):
+            formatter.write_dl(rows)
+
+    def _listed(self, ctx: click.Context, name: str) -> click.Command:
+        if name in COMMANDS:
+            return click.Command(name, help=COMMANDS[name][2])
+        found = self.get_command(ctx, name)
+        assert found is not None
+        return found
+
+
+def _command(point: EntryPoint) -> click.Command:
+    @click.command(
+        point.name,
+        help=f"Commands of the plugin {point.name}.",
+        add_help_option=False,
+        context_settings={"ignore_unknown_options": True, "allow_interspersed_args": False},
+    )
+    @click.argument("arguments", nargs=-1, type=click.UNPROCESSED)
+    def run(arguments: tuple[str, ...]) -> None:
+        try:
+            found = _load(point)
+        except Exception as error:
+            raise PluginError(
+                f"the plugin {point.name} cannot be used: {text_of(error)}"
+            ) from error
+        sys.exit(found.run(list(arguments)))
+
+    add_log_options(run)
+    return run
+
+
+def _load(point: EntryPoint) -> Command:
+    from uoarm._plugins import values_of  # noqa: PLC0415 - of a plugin's command only
+    from uoarm.plugins import CONTRACT_VERSION, Command, CommandHooks  # noqa: PLC0415 - as above
+
+    commands = values_of(point, CommandHooks, "uoarm_commands", Command)
+    found = next((command for command in commands if command.name == point.name), None)
+    if found is None:
+        raise PluginError(f"it has no command {point.name!r}")
+    if found.contract != CONTRACT_VERSION:
+        raise PluginError(
+            f"it is written for version {found.contract} of the hooks, this uoarm has version "
+            f"{CONTRACT_VERSION}: install matching versions"
+        )
+    return found
 
 
 @click.group(cls=PluginGroup)
-@click.version_option(uoarm.__version__, prog_name="uoarm")
+@click.version_option(__version__, prog_name="uoarm")
 @click.pass_context
 def main(context: click.Context) -> None:
     """Ask for a robot function by name and get it from whichever framework provides it."""
@@ -70,199 +169,4 @@ def main(context: click.Context) -> None:
         raise click.UsageError(str(error)) from error
 
 
-@main.command()
-@takes_configuration()
-@json_option
-def check(file: str, *, as_json: bool) -> None:
-    """Say everything that is wrong with a configuration FILE.
-
-    Python components that run in this environment are imported, to check their parameters. What is
-    not here, a module or a plugin, is a warning: the file may be for another machine.
-    """
-    _say_that_it_takes_a_while(file)
-    registry = Registry()
-    report = inspect(file, registry.types, parameters=True, missing=registry.missing)
-    if as_json:
-        print_json(
-            {
-                "problems": report.problems,
-                "warnings": report.warnings,
-                "unchecked": report.unchecked,
-            }
-        )
-    else:
-        for problem in report.problems:
-            print_error(problem)
-        for warning in report.warnings:
-            print_warning(warning)
-        if report.robot is not None:
-            functions, bridges = len(report.robot.functions), len(report.robot.bridges)
-            click.echo(f"{file}: no errors (functions: {functions}, bridges: {bridges})")
-        if report.unchecked:
-            click.echo(f"not looked at here, but by uoarm status {file}:")
-            click.echo("\n".join(f"  {line}" for line in report.unchecked))
-    sys.exit(0 if report.robot is not None else CONFIGURATION)
-
-
-def _say_that_it_takes_a_while(file: str) -> None:
-    """Tell whoever waits at a terminal before a large file is checked."""
-    with suppress(OSError, ValueError):
-        octets = Path(file).stat().st_size
-        if octets >= _LARGE and sys.stderr.isatty():
-            click.echo(f"checking {file}, {octets / 1e6:.1f} MB: this takes a while", err=True)
-
-
-@main.command("list")
-@takes_configuration()
-@json_option
-def list_functions(file: str, *, as_json: bool) -> None:
-    """List the functions and the components that can provide them."""
-    with reporting():
-        robot = load(file)
-    if as_json:
-        print_json(robot.functions)
-        return
-    for function in robot.functions.values():
-        click.echo(click.style(function.name, bold=True) + f"  {function.description}".rstrip())
-        for component in function.components:
-            click.echo(f"  {component.priority:>4}  {component.name}  ({component.bridge})")
-
-
-@contextmanager
-def _saying_that_it_waits(timeout: float) -> Iterator[None]:
-    """Tell whoever waits at a terminal that it is bridges that are waited for."""
-    text = f"waiting for bridges to start and tell what they see, at most {timeout:g} s"
-    timer = threading.Timer(_SILENT_SECONDS, partial(click.echo, text, err=True))
-    timer.daemon = True
-    if sys.stderr.isatty():
-        timer.start()
-    try:
-        yield
-    finally:
-        timer.cancel()
-        if timer.ident is not None:
-            timer.join()
-
-
-@main.command()
-@function_argument()
-@takes_configuration("name")
-@click.option("--explain", is_flag=True, help="Print the whole plan and what was passed over.")
-@click.option(
-    "--timeout",
-    type=click.FloatRange(min=0.1, max=600),
-    default=60.0,
-    show_default=True,
-    help="Seconds to start bridges, hear what they see and find the plan.",
-)
-@json_option
-def resolve(name: str, file: str, *, explain: bool, timeout: float, as_json: bool) -> None:
-    """Find the plan for a function without opening anything."""
-    with open_robot(file) as robot:
-        try:
-            with _saying_that_it_waits(timeout):
-                plan = robot.resolve(name, timeout=timeout)
-        except NoPlanError as error:
-            if as_json:
-                reports = {"function": error.function, "error": str(error)}
-                print_json({**reports, "rejected": error.rejections})
-            raise
-        offers = [item for item in robot.config.offers if item.function == plan.function]
-    if as_json:
-        places = [
-            {"bridge": item.bridge, "endpoints": [endpoint.address for endpoint in item.endpoints]}
-            for item in offers
-        ]
-        print_json({**to_json(plan), "offers": to_json(places)})
-    elif explain:
-        click.echo(plan)
-        for item in offers:
-            where = ", ".join(" ".join(endpoint.address) for endpoint in item.endpoints)
-            click.echo(f"offered in {item.bridge} at {where}")
-    else:
-        click.echo(" -> ".join(step.component.name for step in plan.steps))
-
-
-@main.command()
-@takes_configuration(unnamed=Unnamed.NONE)
-@json_option
-def bridges(*, file: str | None, as_json: bool) -> None:
-    """List the installed bridge plugins.
-
-    Broken ones with the cause; with a configuration also what uoarm chose for its bridges.
-    """
-    registry = Registry()
-    assigned = dict(assigned_options(file, registry))
-    if as_json:
-        types = [
-            {"name": type_.name, "summary": type_.summary} for type_ in registry.types.values()
-        ]
-        print_json({"bridges": types, "problems": registry.problems, "assigned": assigned})
-        return
-    for type_ in registry.types.values():
-        click.echo(f"{type_.name:<10} {type_.summary}")
-    for problem in registry.problems:
-        click.echo(f"{problem.name:<10} {click.style('broken:', fg='red')} {problem.cause}")
-    for option, value in assigned.items():
-        click.echo(f"{option} {value}, chosen by uoarm")
-
-
-@main.command()
-@takes_configuration(unnamed=Unnamed.NONE)
-@json_option
-def doctor(*, file: str | None, as_json: bool) -> None:
-    """Say what the environment is and what plugins find in it.
-
-    With a configuration also what its bridges find that have an environment of their own.
-    """
-    registry = Registry()
-    facts: dict[str, dict[str, str]] = {
-        "uoarm": {
-            "version": uoarm.__version__,
-            "python": f"{platform.python_version()} at {sys.executable}",
-            "platform": platform.platform(),
-        }
-    }
-    facts |= plugin_facts(registry)
-    facts |= environment_facts(file, registry)
-    chosen = dict(assigned_options(file, registry))
-    if chosen:
-        facts["chosen by uoarm"] = chosen
-    if as_json:
-        print_json(facts)
-        return
-    for name, findings in facts.items():
-        click.echo(click.style(name, bold=True))
-        for key, finding in findings.items():
-            click.echo(f"  {key:<14} {finding}")
-
-
-@main.group(invoke_without_command=True)
-@click.pass_context
-def schema(context: click.Context) -> None:
-    """Print the JSON Schema of robot.yaml, for editors."""
-    if context.invoked_subcommand is None:
-        print_json(published_schema())
-
-
-for command in alone.commands.values():
-    schema.add_command(command)
-main.add_command(apply)
-main.add_command(history)
-main.add_command(certificates)
-main.add_command(discover)
-main.add_command(env)
-main.add_command(host)
-main.add_command(lock)
-main.add_command(offer)
-main.add_command(request)
-main.add_command(call)
-main.add_command(new_bridge)
-main.add_command(suggest)
-main.add_command(serve)
-main.add_command(token)
-main.add_command(status)
-main.add_command(stop)
-main.add_command(types)
-main.add_command(up)
 add_log_options(main)

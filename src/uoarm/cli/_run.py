@@ -1,21 +1,30 @@
-"""The commands that run: `request` shows a flow live, `call` asks a service."""
+"""The commands that run: `request` and `call` of an application, `offer` of functions."""
 
 from __future__ import annotations
 
 import logging
 import re
 import sys
+import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 
 import click
+from rich.console import Console
+from rich.live import Live
+from rich.measure import Measurement
+from rich.table import Table
+from rich.text import Text
 
 from uoarm import Connection, ConnectionClosedError, RobotManager, ValidationMode
 from uoarm.cli._file import takes_configuration
 from uoarm.cli._log import leaving_out
 from uoarm.cli._shared import (
     BRIDGE,
+    CONFIGURATION,
     fail,
+    fitted,
     function_argument,
     json_option,
     open_robot,
@@ -23,9 +32,20 @@ from uoarm.cli._shared import (
     print_warning,
 )
 from uoarm.errors import UsageError
-from uoarm.model import ConnectionState, Health, Message, RouteStatus, read_json, write_json
+from uoarm.model import (
+    ConnectionState,
+    Health,
+    Message,
+    OfferState,
+    OfferStatus,
+    RouteStatus,
+    StatusEvent,
+    read_json,
+    to_json,
+    write_json,
+)
 
-__all__ = ["call", "request"]
+__all__ = ["call", "offer", "request", "show_live"]
 
 _GLANCE_SECONDS = 0.25
 _DEATH = re.compile(r"component \S+ lost: |connection \S+ failed: ")
@@ -74,7 +94,7 @@ def request(
         if not connection.plan.provider.component.outputs:
             _stay(connection, duration)
         elif sys.stdout.isatty() and not as_json:
-            from uoarm.cli._live_messages import show_live  # noqa: PLC0415 - slow import
+            from uoarm.cli._run import show_live  # noqa: PLC0415 - slow import
 
             show_live(robot, connection, reading)
         else:
@@ -215,3 +235,179 @@ def _stay(connection: Connection, duration: float | None) -> None:
     deadline = None if duration is None else time.monotonic() + duration
     while not connection.ended and (deadline is None or time.monotonic() < deadline):
         time.sleep(_GLANCE_SECONDS)
+
+
+_REFRESH_SECONDS = 0.25
+_LINES = 10
+_ITEMS = 100
+_WHOLE = 10_000  # characters, of a table that nothing is cut from
+
+
+class _Shown:
+    """Which messages have a line of their own: so many in each period, and the others counted."""
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+        self.messages = 0
+        self.hidden = 0
+        self._clock = clock
+        self._begun = 0.0
+        self._lines = 0
+
+    def has_line(self) -> bool:
+        """Count one message and say whether it is shown."""
+        now = self._clock()
+        if now - self._begun >= _REFRESH_SECONDS:
+            self._begun, self._lines = now, 0
+        self.messages += 1
+        self._lines += 1
+        if self._lines > _LINES:
+            self.hidden += 1
+        return self._lines <= _LINES
+
+    def __str__(self) -> str:
+        text = f"{self.messages:,} message{'s' if self.messages != 1 else ''}"
+        if self.hidden:
+            text += f", {self.hidden:,} of them not shown; --json writes all"
+        return text
+
+
+def show_live(robot: RobotManager, connection: Connection, messages: Iterable[Message]) -> None:
+    """Print the plan, then messages as they come above a table of flows, until they end."""
+    console = Console(highlight=False)
+    console.print(str(connection.plan), markup=False, soft_wrap=True)
+    shown = _Shown()
+
+    def table() -> Table | Text:
+        routes = _routes(robot, connection)
+        table = _table(routes, str(shown))
+        whole = Measurement.get(console, console.options.update(max_width=_WHOLE), table)
+        return table if whole.maximum <= console.width else _lines(routes, str(shown))
+
+    period = 1 / _REFRESH_SECONDS
+    with Live(get_renderable=table, console=console, refresh_per_second=period):
+        for message in messages:
+            if shown.has_line():
+                line = write_json(plain(message, _ITEMS))[: console.width + 1]
+                console.print(Text(line), no_wrap=True, overflow="ellipsis")
+
+
+def _routes(robot: RobotManager, connection: Connection) -> tuple[RouteStatus, ...]:
+    """Return the flows of the robot, or, once the connection has ended, what its own counted."""
+    routes = robot.status().routes
+    if connection.ended:
+        return (*connection.status().ended, *connection.routes())
+    return routes
+
+
+def _table(routes: Iterable[RouteStatus], caption: str) -> Table:
+    table = Table("from", "to", "received", "delivered", "rate", "dropped", caption=caption)
+    for route in routes:
+        table.add_row(
+            route.producer,
+            route.consumer,
+            str(route.received),
+            str(route.delivered),
+            _rate(route),
+            _dropped(route),
+        )
+    return table
+
+
+def _lines(routes: Iterable[RouteStatus], caption: str) -> Text:
+    """Return what the table has for a terminal that is too narrow for it: lines for each flow."""
+    lines: list[str] = []
+    for route in routes:
+        reports = [f"received {route.received}", f"delivered {route.delivered}"]
+        reports += [rate] if (rate := _rate(route)) else []
+        reports += [f"dropped {dropped}"] if (dropped := _dropped(route)) else []
+        lines += [f"{route.producer} -> {route.consumer}", f"  {', '.join(reports)}"]
+    return Text(fitted("\n".join([*lines, caption])))
+
+
+def _rate(route: RouteStatus) -> str:
+    if route.native:
+        return "native"
+    return "" if route.rate is None else f"{route.rate:.1f}/s"
+
+
+def _dropped(route: RouteStatus) -> str:
+    return ", ".join(f"{reason} {count}" for reason, count in route.dropped)
+
+
+_COLOURS = {OfferState.OPEN: "green", OfferState.FAILED: "red"}
+_FINE = {OfferState.OPEN, OfferState.FINISHED}
+
+
+@click.command()
+@takes_configuration()
+@json_option
+@click.option("--once", is_flag=True, help="Try each offer once, close it again, and end.")
+def offer(file: str, *, as_json: bool, once: bool) -> None:
+    """Offer functions in frameworks, as `offer:` says.
+
+    Until Ctrl-C or SIGTERM, or until the sources of all that is offered have finished.
+
+    One line for each offer, and for each change after that. What cannot be opened is tried again.
+    With --once the exit code is 4 where one could not be opened.
+    """
+    with _without_record_of_offers(), open_robot(file) as robot:
+        if not robot.config.offers:
+            fail(f"{file} has no `offer:`", CONFIGURATION)
+        statuses = robot.offer()
+        try:
+            for status in statuses:
+                click.echo(write_json(to_json(status)) if as_json else _line(status))
+            if not once:
+                _follow(robot, statuses, as_json=as_json)
+                statuses = robot.status().offers
+        except (KeyboardInterrupt, SystemExit):  # Ctrl-C and SIGTERM are how offering ends
+            if once:
+                raise
+            sys.exit(0)
+    if any(status.state not in _FINE for status in statuses):
+        sys.exit(BRIDGE)
+
+
+def _follow(robot: RobotManager, statuses: tuple[OfferStatus, ...], *, as_json: bool) -> None:
+    """Print each change since these were printed, until the sources of all have finished."""
+    over = threading.Event()
+    reports = {f"offer {status.name}": (status.state.value, status.cause) for status in statuses}
+
+    def print_event(event: StatusEvent) -> None:
+        # What was printed may come as an event only now.
+        if event.subject.startswith("offer ") and reports.pop(event.subject, None) != (
+            event.change,
+            event.cause,
+        ):
+            click.echo(write_json(to_json(event)) if as_json else event)
+        if _is_over(robot.status().offers):
+            over.set()
+
+    robot.listen(print_event)
+    if not _is_over(robot.status().offers):  # before the listener was there
+        over.wait()
+
+
+@contextmanager
+def _without_record_of_offers() -> Iterator[None]:
+    """Leave out of the log what is printed on stdout: a terminal would show it twice."""
+
+    def is_other(record: logging.LogRecord) -> bool:
+        return not record.getMessage().startswith("offer ")
+
+    log = logging.getLogger("uoarm")
+    log.addFilter(is_other)
+    try:
+        yield
+    finally:
+        log.removeFilter(is_other)
+
+
+def _line(status: OfferStatus) -> str:
+    state = click.style(status.state.value, fg=_COLOURS.get(status.state))
+    where = ", ".join(" ".join(endpoint) for endpoint in status.endpoints)
+    return f"{status.name} {state} at {where}" + (f": {status.cause}" if status.cause else "")
+
+
+def _is_over(statuses: tuple[OfferStatus, ...]) -> bool:
+    return all(status.state is OfferState.FINISHED for status in statuses)

@@ -292,7 +292,7 @@ def _name_and_port(given: str) -> tuple[str, int]:
 
 
 def say(server: Server, settings: ServerOptions, *, err: bool = False) -> None:
-    """Tell where a server listens, as addresses that can be opened, and what clients need."""
+    """Print where a server listens, as addresses that can be opened, and what clients need."""
     from uoarm.server import fingerprint_of  # noqa: PLC0415 - an extra, and slow
 
     s = "s" if settings.secured else ""

@@ -1,10 +1,12 @@
-"""What every command shares: the configuration file, exit codes, one line for an error."""
+"""What every command shares: exit codes, one line for an error, text for a terminal."""
 
 from __future__ import annotations
 
 import os
+import shutil
 import signal
 import sys
+import textwrap
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -23,6 +25,7 @@ __all__ = [
     "FunctionArgument",
     "exit_code_of",
     "fail",
+    "fitted",
     "function_argument",
     "json_option",
     "needing",
@@ -33,6 +36,7 @@ __all__ = [
     "print_warning",
     "reporting",
     "terminable",
+    "terminal_width",
 ]
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -196,3 +200,30 @@ def print_error(error: object) -> None:
 def print_warning(warning: object) -> None:
     """Say on stderr what is worth a look."""
     click.echo(f"{click.style('warning:', fg='yellow')} {warning}", err=True)
+
+
+_LEAST = 20
+
+
+def terminal_width() -> int | None:
+    """Return the columns of the terminal that stdout is; None where it is none."""
+    return max(_LEAST, shutil.get_terminal_size().columns) if sys.stdout.isatty() else None
+
+
+def fitted(text: str) -> str:
+    """Return text whose lines fit the terminal: what goes on stands below, two columns further."""
+    width = terminal_width()
+    if width is None:
+        return text
+    lines: list[str] = []
+    for line in text.splitlines():
+        indent = line[: len(line) - len(line.lstrip())][: width // 2]
+        lines += textwrap.wrap(
+            line.strip(),
+            width,
+            initial_indent=indent,
+            subsequent_indent=f"{indent}  ",
+            break_on_hyphens=False,
+            replace_whitespace=False,
+        ) or [""]
+    return "\n".join(lines)

@@ -1,22 +1,168 @@
-"""`uoarm status`: which functions can be had now, from which component, and why not the others."""
+"""`uoarm status`: which functions can be had now, here or in a robot that runs elsewhere."""
 
 from __future__ import annotations
 
+import asyncio
 import sys
 import time
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import Any
 
 import click
+from attrs import frozen
 
 from uoarm import RobotManager
-from uoarm.cli._file import takes_configuration
-from uoarm.cli._frameworks import show_frameworks
-from uoarm.cli._live_status import show_live_status
-from uoarm.cli._remote import Remote, remote_options
-from uoarm.cli._shared import REFUSED, json_option, open_robot, print_json
-from uoarm.cli._width import fitted
-from uoarm.model import FunctionStatus
+from uoarm._checks import plugin_facts
+from uoarm.bridge import Registry
+from uoarm.cli._discover import looking
+from uoarm.cli._file import STANDARD, takes_configuration
+from uoarm.cli._remote import Remote, asked, remote_options
+from uoarm.cli._shared import (
+    BRIDGE,
+    REFUSED,
+    fitted,
+    json_option,
+    open_robot,
+    print_json,
+    terminal_width,
+)
+from uoarm.model import BridgeFindings, FunctionStatus, format_status, to_json, write_json
 
-__all__ = ["status"]
+__all__ = ["show_frameworks", "show_live_status", "status"]
+
+
+def show_live_status(server: Remote, *, watch: bool, every: float, as_json: bool) -> None:
+    """Print the status map of a server, again and again with each event where `watch` says so.
+
+    Exits with 4 when the server cannot be reached, or goes away.
+    """
+    show = _print_json if as_json else _print_tables
+
+    async def work(robot: Any) -> None:
+        if not watch:
+            show(await robot.status())
+            return
+        events = asyncio.ensure_future(_follow_events(robot, as_json=as_json))
+        # It asks for events before the first status, so that none is missed.
+        await asyncio.sleep(0)
+        show(await robot.status())
+        await asyncio.gather(events, _follow(robot, show))
+
+    async def _follow(robot: Any, show: Callable[[Mapping[str, Any]], None]) -> None:
+        while True:
+            await asyncio.sleep(every)
+            if sys.stdout.isatty() and not as_json:
+                click.clear()
+            show(await robot.status())
+
+    asked(server, work, watches=watch)
+
+
+async def _follow_events(robot: Any, *, as_json: bool) -> None:
+    async for event in robot.watch():
+        if as_json:
+            click.echo(write_json({"event": to_json(event)}))
+        else:
+            click.echo(fitted(str(event)))
+
+
+def _print_json(status: Mapping[str, Any]) -> None:
+    click.echo(write_json(to_json(status)))
+
+
+def _print_tables(status: Mapping[str, Any]) -> None:
+    for line in format_status(status, terminal_width()).splitlines():
+        click.echo(line if line.startswith(" ") else click.style(line, bold=True))
+
+
+_SECONDS = 10.0
+
+
+@frozen
+class Framework:
+    """What is known of one framework.
+
+    Attributes:
+        bridge: that reaches it; empty where its plugin is broken.
+        plugin: of the bridge.
+        is_configured: whether the configuration has the bridge.
+        is_reachable: whether the bridge answered.
+        cause: why it did not.
+        facts: what its plugin finds here, versions among it.
+        components: that the bridge sees, by the framework's names.
+        ports: how many these have.
+        functions: that these provide, or may provide, in the configuration.
+    """
+
+    bridge: str
+    plugin: str
+    is_configured: bool
+    is_reachable: bool
+    cause: str
+    facts: Mapping[str, str]
+    components: tuple[str, ...] = ()
+    ports: int = 0
+    functions: tuple[str, ...] = ()
+
+    def __str__(self) -> str:
+        state = "reachable" if self.is_reachable else f"not reachable: {self.cause}"
+        lines = [f"{self.bridge or self.plugin}  {self.plugin}  {state}"]
+        lines += [f"  {name}: {fact}" for name, fact in self.facts.items()]
+        if self.is_reachable:
+            lines.append(f"  sees components: {len(self.components)}, ports: {self.ports}")
+        if self.functions:
+            lines.append(f"  for {', '.join(self.functions)}")
+        return "\n".join(lines)
+
+
+def show_frameworks(file: str, *, as_json: bool) -> None:
+    """Print what is known of every framework; without the file, of those that are installed."""
+    with looking(file if file != STANDARD or Path(file).exists() else None) as (robot, given):
+        findings = robot.discover(timeout=_SECONDS)
+        provided: dict[str, dict[str, None]] = {}
+        for component in robot.config.components():
+            provided.setdefault(component.bridge, {})[component.function] = None
+        facts = plugin_facts(robot.registry)
+        found = [
+            _framework(
+                finding,
+                facts,
+                finding.bridge in given.bridges,
+                tuple(provided.get(finding.bridge, ())),
+            )
+            for finding in findings
+        ]
+        found += _broken(robot.registry, facts)
+    if as_json:
+        print_json(found)
+    else:
+        click.echo(fitted("\n".join(map(str, found))) or "no bridge plugin is installed")
+    sys.exit(0 if any(framework.is_reachable for framework in found) else BRIDGE)
+
+
+def _framework(
+    one: BridgeFindings,
+    facts: Mapping[str, Mapping[str, str]],
+    is_configured: bool,  # noqa: FBT001 - a fact like the others
+    functions: tuple[str, ...],
+) -> Framework:
+    return Framework(
+        one.bridge,
+        one.plugin,
+        is_configured,
+        not one.cause,
+        one.cause,
+        facts.get(one.plugin, {}),
+        tuple(component.name for component in one.components),
+        sum(len(component.ports) for component in one.components),
+        functions,
+    )
+
+
+def _broken(registry: Registry, facts: Mapping[str, Mapping[str, str]]) -> Iterator[Framework]:
+    for problem in registry.problems:
+        yield Framework("", problem.name, False, False, problem.cause, facts.get(problem.name, {}))
 
 
 @click.command()

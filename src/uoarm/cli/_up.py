@@ -61,7 +61,7 @@ def up(
     mention are asked with their default options. The inputs of components are fed by what is proven
     to fit; one with an input that nothing feeds is none, unless --unfed names that input.
 
-    Tells what comes and goes, and what each function would run on or why it cannot be had,
+    Prints what comes and goes, and what each function would run on or why it cannot be had,
     until Ctrl-C or SIGTERM. Nothing is written to a file.
     """
     registry = Registry()
@@ -83,7 +83,7 @@ def up(
 
 
 class _Follower:
-    """Gives a function to whatever is seen, and tells what is different each time.
+    """Gives a function to whatever is seen, and prints what is different each time.
 
     Args:
         manager: of the robot; others may change its configuration, too.

@@ -94,7 +94,7 @@ async def connect(
             it. What waited for an answer fails; no command is repeated. 0: everything fails.
 
     Raises:
-        OSError: nobody listens there.
+        OSError: no server listens there.
         ssl.SSLCertVerificationError: the server's certificate is not trusted.
         TimeoutError: it took too long.
         websockets.exceptions.InvalidHandshake: the server refused, for example without a token.
@@ -347,7 +347,7 @@ class RemoteRobot:
         """Let commands through again; needs the right `release`.
 
         Raises:
-            BridgeError: some inputs could not be told, and go on refusing commands.
+            BridgeError: some inputs could not be reached, and go on refusing commands.
             ServerError: the role may not.
         """
         await self._ask("Stop", jsonMessage={"release": True})
@@ -420,7 +420,7 @@ class RemoteRobot:
         self._streams.clear()
 
     def _open_again(self) -> None:
-        """Have a new session open what the one before had, and tell what changes."""
+        """Have a new session open what the one before had, and report what changes."""
         self._away = {stream for stream in self._away if not stream.ended}
         works = [self._renew(stream) for stream in self._away]
         if self._watchers:
@@ -515,7 +515,7 @@ class RemoteRobot:
         if received["op"] == "Error":
             asked.answer.set_exception(_error(message["code"], message["text"]))
         elif asked.fields["op"] == "Request":
-            # Made here, since the first message may follow before whoever asked has woken.
+            # Made here, since the first message may follow before the caller has woken.
             stream = asked.renewed
             if stream is None:
                 stream = RemoteStream(message, asked.fields, self._ask, self._diagnose, _HELD)

@@ -53,8 +53,8 @@ class Link:
         form: in which messages are.
         take: gets each message of the server but those about resuming.
         again_seconds: how long to try to begin a new session where this one is gone; 0: not at all.
-        lost: told why the session is gone, before a new one is begun.
-        begun: told when a new one was.
+        lost: called with why the session is gone, before a new one is begun.
+        begun: called when a new one was.
 
     Attributes:
         session: how many sessions were begun after the first.
@@ -274,7 +274,7 @@ def trust_fingerprint(url: str, fingerprint: str, *, timeout: float = 10.0) -> s
     """Return a TLS context that trusts the certificate of this server, and no other.
 
     The server is asked for its certificate once, over a connection of its own on which nothing
-    else is told. Blocks.
+    else is said. Blocks.
 
     Args:
         url: `wss://HOST:PORT/`.
@@ -285,7 +285,7 @@ def trust_fingerprint(url: str, fingerprint: str, *, timeout: float = 10.0) -> s
     Raises:
         UsageError: the fingerprint or the address is none.
         ssl.SSLCertVerificationError: the server has another certificate.
-        OSError: nobody listens there, or no TLS is spoken.
+        OSError: no server listens there, or no TLS is spoken.
     """
     wanted = fingerprint.replace(":", "").lower()
     if len(wanted) != hashlib.sha256().digest_size * 2 or set(wanted) - set("0123456789abcdef"):

@@ -33,7 +33,7 @@ class RemoteStream(Generic[T]):
         inputs: inputs that `send` can feed.
         lifetimes: seconds for which a command lives, by input; of those that have one.
         lost: messages that did not get here, as gaps in their numbers.
-        gaps: how often the server began anew meanwhile, so that nobody knows what was lost.
+        gaps: how often the server began anew meanwhile, so that it is not known what was lost.
         state: `open`; or how it ended: `closed`, `finished` or `failed`.
         cause: why it ended; empty while it is open, and where this client gave it back.
         request: what opened it, and opens it again.
@@ -136,7 +136,7 @@ class RemoteStream(Generic[T]):
             take_over: whether to take the lease from a holder of the same priority.
 
         Raises:
-            CommandRefusedError: the emergency stop holds the input, or somebody else its lease.
+            CommandRefusedError: the emergency stop holds the input, or another client its lease.
             MessageError: it does not match the input's structure.
             UsageError: there is no such input.
             ConnectionClosedError: the function has ended.
@@ -213,7 +213,7 @@ class RemoteStream(Generic[T]):
     def take(self, number: int | None, message: Message) -> None:
         """Take one message from the client's reader; without a number, one that stood already."""
         if number is not None:
-            # What the server could not write is told before the messages that wait; its number is
+            # What the server could not write comes before the messages that wait; its number is
             # missing among theirs.
             if self._taken is not None and number > self._taken + 1:
                 self._refusal = ""
@@ -226,7 +226,7 @@ class RemoteStream(Generic[T]):
         self._refusal = why
 
     def finish(self, state: str, cause: str) -> None:
-        """Hear that no more will come."""
+        """Take in that no more will come."""
         if not self.ended:
             self.state, self.cause = state, cause
         self._changed.set()

@@ -109,7 +109,7 @@ def rewrite(text: str, wanted: str) -> str:
 
     What both have stays as it stands, its comments, order and spelling included; what is new is
     written as in the other one, after what was there. Where the other text was made from this one,
-    which its lines and comments tell, it is returned as it is.
+    which its lines and comments show, it is returned as it is.
 
     Args:
         text: the configuration so far, as YAML without mistakes.

@@ -9,9 +9,7 @@ from attrs import Factory, define
 
 from uoarm._spelling import Speller
 from uoarm._yaml import Document, Path, Problem, clip, write_path
-from uoarm.config._cycles import avoidable_cycles, unavoidable_cycles
-from uoarm.config._hosts import host_mistakes
-from uoarm.config._needs import need_mistakes, unknown_frameworks
+from uoarm.config._loops import avoidable_cycles, unavoidable_cycles
 from uoarm.config._parts import (
     ComponentPart,
     PortPart,
@@ -19,8 +17,11 @@ from uoarm.config._parts import (
     bridge_names,
     components,
     function_names,
+    host_mistakes,
+    need_mistakes,
     needs,
     offers,
+    unknown_frameworks,
 )
 
 __all__ = ["MeaningChecker"]
@@ -35,7 +36,7 @@ class _Emitted:
     Attributes:
         names: outputs that at least one component has, in the order of the file.
         has_main: some component has an only or a default output, which needs no name.
-        is_clear: the outputs of every component could be told.
+        is_clear: the outputs of every component could be read.
     """
 
     names: dict[str, None] = Factory(dict)

@@ -7,11 +7,12 @@ hides nothing in another.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from typing import Any
+from typing import Any, TypeAlias
 
 from attrs import frozen
 
-from uoarm._yaml import Path
+from uoarm._yaml import Path, clip
+from uoarm.model import place_problem
 
 __all__ = [
     "ComponentPart",
@@ -21,9 +22,12 @@ __all__ = [
     "bridge_names",
     "components",
     "function_names",
+    "host_mistakes",
     "listening",
+    "need_mistakes",
     "needs",
     "offers",
+    "unknown_frameworks",
 ]
 
 _STREAMS = ("input", "inputs", "output", "outputs")
@@ -66,7 +70,7 @@ class ComponentPart:
 
     @property
     def is_clear(self) -> bool:
-        """Whether its ports can be told: every key is known and every port a mapping."""
+        """Whether its ports can be read: every key is known and every port a mapping."""
         ports = [self.value[key] for key in (*_STREAMS, "service") if key in self.value]
         return self.value.keys() <= _KEYS and all(isinstance(port, dict) for port in ports)
 
@@ -112,17 +116,17 @@ def offers(value: object) -> Iterator[OfferPart]:
 
 
 def bridge_names(value: object) -> dict[str, Any]:
-    """Return the bridges by name, where they can be told at all."""
+    """Return the bridges by name, where they can be read at all."""
     return _mapping(_mapping(value).get("bridges"))
 
 
 def function_names(value: object) -> dict[str, Any]:
-    """Return the functions by name, where they can be told at all."""
+    """Return the functions by name, where they can be read at all."""
     return _mapping(_mapping(value).get("functions"))
 
 
 def needs(value: object) -> dict[str, dict[str, Any]]:
-    """Return what functions need of discovered components, by function, where it can be told."""
+    """Return what functions need of discovered components, by function, where it can be read."""
     reports = {
         name: _mapping(function_name).get("needs")
         for name, function_name in function_names(value).items()
@@ -131,13 +135,13 @@ def needs(value: object) -> dict[str, dict[str, Any]]:
 
 
 def applications(value: object) -> dict[str, list[Any]]:
-    """Return what each application asks for, where it can be told."""
+    """Return what each application asks for, where it can be read."""
     asked = _mapping(_mapping(value).get("applications"))
     return {name: names for name, names in asked.items() if isinstance(names, list)}
 
 
 def listening(value: object) -> dict[str, Any]:
-    """Return where hosts on other machines join, where it can be told."""
+    """Return where hosts on other machines join, where it can be read."""
     return _mapping(_mapping(value).get("hosts"))
 
 
@@ -154,3 +158,90 @@ def components(value: object) -> Iterator[ComponentPart]:
 
 def _mapping(value: object) -> dict[str, Any]:
     return value if isinstance(value, dict) else {}
+
+
+Mistake: TypeAlias = "tuple[Path, str, str]"
+"""Path of the key at fault, sentence, hint."""
+
+_WITH_MACHINE = {"machine", "silence", "start"}
+
+
+def host_mistakes(value: object) -> Iterator[Mistake]:
+    """Yield every mistake in a document's `hosts` and in the `host` of each bridge."""
+    for name, bridge in bridge_names(value).items():
+        host = bridge.get("host") if isinstance(bridge, dict) else None
+        if isinstance(host, dict):
+            yield from _mistakes_of(("bridges", name, "host"), host, listening(value))
+    yield from _mistakes_of_place(listening(value))
+
+
+def _mistakes_of(
+    path: Path, host: dict[str, object], hosts: dict[str, object]
+) -> Iterator[Mistake]:
+    if "machine" not in host:
+        if "environment" in host and "python" in host:
+            yield (*path, "python"), "give either environment or python, not both", ""
+        return
+    for key in host:
+        if key not in _WITH_MACHINE:
+            sentence = f"{key} is settled on the machine itself, where the host is started"
+            yield (*path, key), sentence, "machine goes with silence and start only"
+    if not hosts:
+        hint = "add hosts: {listen: tls/ADDRESS:PORT, certificates: FOLDER} to the file"
+        yield (*path, "machine"), "nothing says where this machine joins", hint
+
+
+def _mistakes_of_place(hosts: dict[str, object]) -> Iterator[Mistake]:
+    place = hosts.get("listen")
+    if not isinstance(place, str):
+        return
+    problem = place_problem(place)
+    if problem:
+        yield ("hosts", "listen"), f"{problem}; got {clip(place)}", ""
+    elif place.startswith("tls/") and "certificates" not in hosts:
+        hint = "name the folder that `uoarm certificates` made"
+        yield ("hosts", "listen"), "TLS needs certificates", hint
+
+
+_TELLING = ("structure", "request", "reply", "like", "name", "port", "label")
+
+
+def need_mistakes(value: object) -> Iterator[tuple[Path, str, str, bool]]:
+    """Yield where each mistake is, its sentence, a hint, and whether it is about the key."""
+    for name, function in function_names(value).items():
+        if isinstance(function, dict) and not {"components", "needs"} & function.keys():
+            hint = "it has no candidates"
+            yield ("functions", name), "components or needs is missing", hint, True
+    for name, need in needs(value).items():
+        path: Path = ("functions", name, "needs")
+        if not any(key in need for key in _TELLING):
+            yield path, "it does not say what is needed", f"one of {', '.join(_TELLING)}", True
+        if "like" in need and "structure" in need:
+            yield (*path, "like"), "give either structure or like, not both", "", True
+        if need.get("like") == name:
+            hint = "name another function, or a type of messages"
+            yield (*path, "like"), "the function is like itself", hint, False
+        is_service = need.get("role") == "service"
+        for key in ("request", "reply"):
+            if key in need and not is_service:
+                yield (*path, key), f"only a service has a {key}", "add role: service", True
+        if is_service and "structure" in need:
+            hint = "give request, reply or both"
+            yield (*path, "structure"), "a service has no structure of its own", hint, True
+
+
+def unknown_frameworks(value: object) -> Iterator[tuple[Path, str]]:
+    """Yield what `prefer` and `exclude` name and the file does not have."""
+    bridges = bridge_names(value)
+    plugins = {bridge.get("plugin") for bridge in bridges.values() if isinstance(bridge, dict)}
+    for name, need in needs(value).items():
+        for key in ("prefer", "exclude"):
+            for word in _several(need.get(key)):
+                if word not in bridges and word not in plugins:
+                    sentence = f"no bridge is named {clip(word)}, and none has such a plugin"
+                    yield ("functions", name, "needs", key), sentence
+
+
+def _several(value: Any) -> list[str]:
+    written = [value] if isinstance(value, str) else value
+    return [item for item in written if isinstance(item, str)] if isinstance(written, list) else []

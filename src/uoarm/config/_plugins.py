@@ -1,4 +1,4 @@
-"""Mistakes that only a plugin can tell: options that it does not know, addresses it cannot read."""
+"""Mistakes that only a plugin can find: options that it does not know, addresses it cannot read."""
 
 from __future__ import annotations
 
@@ -13,7 +13,6 @@ from uoarm._raised import foreign, text_of
 from uoarm._spelling import Speller
 from uoarm._yaml import Document, Path, Problem, clip, write_path
 from uoarm.bridge import BridgeType
-from uoarm.config._assignments import assignables, installation
 from uoarm.config._build import bridge_options, folder_of
 from uoarm.config._loops import SharedTopic, feedback_loops
 from uoarm.config._parts import (
@@ -24,6 +23,7 @@ from uoarm.config._parts import (
     components,
     offers,
 )
+from uoarm.config._shape import assignables, installation
 from uoarm.errors import BridgeError, FailureReason, UoarmError
 from uoarm.model import Endpoint, Role
 
@@ -36,7 +36,7 @@ class PluginChecker:
     """Asks the installed bridge types about what is written for them.
 
     A bridge whose plugin is not installed is passed over, and so is a component that is not here:
-    the same file may serve machines with different frameworks. `absences` tells of both.
+    the same file may serve machines with different frameworks. `absences` has both.
     """
 
     def __init__(
@@ -74,7 +74,7 @@ class PluginChecker:
     def parameter_problems(self) -> Iterator[Problem]:
         """Yield every mistake in the parameters of components that run in this environment.
 
-        Imports those of Python, each within ten seconds. Which cannot be asked, `absences` tells.
+        Imports those of Python, each within ten seconds; `absences` has what cannot be asked.
         """
         for component in components(self._document.value):
             bridge, given = component.text("bridge"), component.value.get("parameters", {})
@@ -253,7 +253,7 @@ class PluginChecker:
             return None
         try:
             name = foreign(kind.topic, tuple(address), options)
-        except Exception:  # noqa: BLE001 - a plugin may raise anything; check_endpoint tells
+        except Exception:  # noqa: BLE001 - a plugin may raise anything; check_endpoint reports it
             return None
         return (
             SharedTopic(f"{kind.name} {json.dumps(own, default=str, sort_keys=True)}", name)
@@ -312,7 +312,7 @@ class PluginChecker:
 
 
 def _address(port: Mapping[str, Any]) -> tuple[str, ...] | None:
-    """Return the address of a port; None where it is none, which the shape of the file tells."""
+    """Return the address of a port; None where it is none, which the check of shape reports."""
     address = port.get("endpoint")
     if not isinstance(address, list) or not all(isinstance(part, str) for part in address):
         return None

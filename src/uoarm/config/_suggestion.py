@@ -2,25 +2,28 @@
 
 from __future__ import annotations
 
+import glob
 import json
 import re
 import time
 from collections.abc import Callable, Container, Iterable, Iterator
 
-from attrs import define, field, frozen
+from attrs import define, evolve, field, frozen
 
 from uoarm.model import (
     BridgeFindings,
     FoundComponent,
     FoundPort,
+    Function,
     MessageStructure,
+    Need,
     Robot,
     Role,
     to_json,
 )
 from uoarm.schema import CheckBudget, SchemaError, check
 
-__all__ = ["new_name", "suggest"]
+__all__ = ["add_functions", "new_name", "suggest"]
 
 _MOST_COMPONENTS = 500
 _SHOWN = 5
@@ -118,7 +121,7 @@ def _proposals(robot: Robot, findings: Iterable[BridgeFindings]) -> Iterator[_Pr
     """Yield components that have a port which the configuration does not name.
 
     What it names is not offered in another role: a function that is called as a service could be
-    a consumer, too, and what publishes on a topic may hear it.
+    a consumer, too, and what publishes on a topic may subscribe to it.
     """
     taken = {*robot.functions, *(component.name for component in robot.components())}
     for finding in findings:
@@ -209,7 +212,7 @@ def _feed(
         output
         for output in outputs
         if output.owner != proposal.owner and (output.owner[0], output.address) != here
-    ]  # what is sent to the very topic that is heard arrives there already
+    ]  # what is sent to the very topic that is subscribed to arrives there already
     fits = [output for output in others if output.structure.schema == wanted.schema]
     reason = "has its structure"
     left = 0
@@ -264,3 +267,59 @@ def _unknown(port: FoundPort) -> str:
     if port.endpoint.role is Role.SERVICE:
         return "  # not known, and must be added: request: SCHEMA, reply: SCHEMA; true is any"
     return "  # not known, and must be added: structure: SCHEMA; true is any"
+
+
+_MOST_FUNCTIONS = 500
+_ABOUT_ITSELF = "@"  # begins the names of ports that are about the component, not part of it
+
+
+def add_functions(
+    robot: Robot, findings: Iterable[BridgeFindings], *, unfed: tuple[str, ...] = ()
+) -> Robot:
+    """Return a robot with a function for each output and service that is seen and not named.
+
+    Such a function names no component: it needs what has that name in that framework, so that it is
+    fed by whatever is proven to fit, may go and come back, and says why it cannot be had. It is
+    called after the component, and after the port where there are several. What is about a
+    component itself, such as its state, is no function. Equal arguments give equal robots; a robot
+    that has them already is returned as it is.
+
+    Args:
+        robot: the configuration, which stays as it is otherwise.
+        findings: what its bridges see. Beyond five hundred functions nothing is added.
+        unfed: patterns of inputs that may stay without a feed.
+    """
+    known = {function.needs for function in robot.functions.values() if function.needs is not None}
+    taken = {*robot.functions, *(component.name for component in robot.components())}
+    more: dict[str, Function] = {}
+    for finding in findings:
+        for found in finding.components if finding.bridge in robot.bridges else ():
+            for wanted, need in _needs(finding.bridge, found, unfed):
+                if need in known or len(robot.functions) + len(more) >= _MOST_FUNCTIONS:
+                    continue
+                name = new_name(wanted, taken)
+                more[name] = Function(name, (), f"{found.name} of {finding.bridge}", needs=need)
+    return evolve(robot, functions={**robot.functions, **more}) if more else robot
+
+
+def _needs(
+    bridge: str, found: FoundComponent, unfed: tuple[str, ...]
+) -> Iterator[tuple[str, Need]]:
+    """Yield what would be needed of a component, and a name for it."""
+    for role in (Role.OUTPUT, Role.SERVICE):
+        ports = [found_port for found_port in found.ports if found_port.endpoint.role is role]
+        for found_port in ports:
+            port = found_port.endpoint.port
+            if found_port.used_by or port.startswith(_ABOUT_ITSELF):
+                continue
+            if found_port.message is None and found_port.request is None:
+                continue
+            need = Need(
+                role=role,
+                names=(glob.escape(found.name),),
+                ports=(glob.escape(port),) if len(ports) > 1 else (),
+                prefer=(bridge,),
+                unfed=unfed if role is Role.OUTPUT else (),
+            )
+            is_plain = port == "default" or (len(ports) == 1 and role is Role.OUTPUT)
+            yield found.name if is_plain else f"{found.name}_{port}", need

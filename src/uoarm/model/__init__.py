@@ -1,8 +1,5 @@
 """Frozen values that every layer shares. They hold facts and do nothing."""
 
-from uoarm.model._availability import Availability, FunctionStatus
-from uoarm.model._budget import Budget, Spending
-from uoarm.model._change import ConfigurationChange, ConnectionEffect, Effect
 from uoarm.model._command import (
     CommandPhase,
     CommandPolicy,
@@ -30,14 +27,38 @@ from uoarm.model._component import (
     Role,
     Service,
 )
-from uoarm.model._control import ControlMessage, Op
-from uoarm.model._control_wire import read_control, write_control
+from uoarm.model._control import ControlMessage, Op, read_control, write_control
 from uoarm.model._discovery import BridgeFindings, FoundComponent, FoundPort
-from uoarm.model._json import finite, read_json, write_json
-from uoarm.model._json_scan import count_names, scan_json
-from uoarm.model._listening import Listening, is_loopback, place_problem
-from uoarm.model._octets import message_octets
-from uoarm.model._offer import Offer, OfferedPort, OfferedService, OfferState, OfferStatus
+from uoarm.model._json import (
+    Budget,
+    Spending,
+    count_names,
+    finite,
+    read_json,
+    scan_json,
+    show_value,
+    write_json,
+)
+from uoarm.model._message import (
+    Deliver,
+    Message,
+    MessageStructure,
+    Options,
+    OverflowPolicy,
+    QueuePolicy,
+    Schema,
+    ValidationMode,
+    message_octets,
+)
+from uoarm.model._offer import (
+    Availability,
+    FunctionStatus,
+    Offer,
+    OfferedPort,
+    OfferedService,
+    OfferState,
+    OfferStatus,
+)
 from uoarm.model._plan import (
     Edge,
     Plan,
@@ -47,9 +68,19 @@ from uoarm.model._plan import (
     format_reason,
     format_rejections,
 )
-from uoarm.model._queue import OverflowPolicy, QueuePolicy, ValidationMode
-from uoarm.model._robot import BridgeSpec, FailoverPolicy, FailureLimits, LockMode, Robot
-from uoarm.model._show import show_value
+from uoarm.model._robot import (
+    BridgeSpec,
+    ConfigurationChange,
+    ConnectionEffect,
+    Effect,
+    FailoverPolicy,
+    FailureLimits,
+    Listening,
+    LockMode,
+    Robot,
+    is_loopback,
+    place_problem,
+)
 from uoarm.model._status import (
     BridgeStatus,
     ChannelStatus,
@@ -63,10 +94,9 @@ from uoarm.model._status import (
     RouteStatus,
     StatusEvent,
     StatusMap,
+    format_status,
+    format_trouble,
 )
-from uoarm.model._status_text import format_status, format_trouble
-from uoarm.model._structure import MessageStructure
-from uoarm.model._values import Deliver, Message, Options, Schema
 from uoarm.model._wire import from_json, to_json
 
 __all__ = [

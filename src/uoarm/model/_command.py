@@ -61,7 +61,7 @@ class LeaseHolder:
     """Who sends commands.
 
     Attributes:
-        id: tells it from every other, for people too: `session 3`, `connection c1`.
+        id: distinguishes it from every other, for people too: `session 3`, `connection c1`.
         role: by which it has its priority; of a client of the server the one it was let in with.
     """
 
@@ -94,7 +94,7 @@ class CommandPolicy:
     """How an input that moves something is kept safe, in the process that talks to the framework.
 
     Attributes:
-        lifetime: seconds after which a command that nobody renewed is followed by the stop
+        lifetime: seconds after which a command that was not renewed is followed by the stop
             message; None: it lives until the next one.
         stop: the stop message; None: there is none.
         limits: what commands may ask for; one beyond is refused and renews nothing.
@@ -108,7 +108,7 @@ class CommandPolicy:
 
 
 class CommandPhase(Enum):
-    """What an input that moves something was told last.
+    """What an input that moves something was sent last.
 
     IDLE: nothing yet. MOVING: a command. STOPPING: the stop message is on its way, and was not
     taken yet. STOPPED: the stop message, which was taken.
@@ -125,7 +125,7 @@ class CommandStatus:
     """An input that moves something, at one moment.
 
     Attributes:
-        phase: what it was told last.
+        phase: what it was sent last.
         since: seconds since that is so.
         left: seconds that the command still lives; None where nothing is to expire.
         held: whether commands are refused until the emergency stop is released.

@@ -9,9 +9,7 @@ from types import MappingProxyType
 from attrs import field, frozen
 
 from uoarm.model._command import CommandPolicy
-from uoarm.model._queue import QueuePolicy
-from uoarm.model._structure import MessageStructure
-from uoarm.model._values import Options
+from uoarm.model._message import MessageStructure, Options, QueuePolicy
 
 __all__ = [
     "Component",
@@ -55,7 +53,7 @@ class Endpoint:
         options: settings of this port (QoS, buffer policy), meaning set by the bridge.
         parameters: settings of the whole component, the same on all its endpoints.
         command: how it is kept safe, for an input that moves something; None for any other.
-        is_offered: whether a function is offered here: nobody of the framework has to be there.
+        is_offered: whether a function is offered here: no peer in the framework has to be there.
     """
 
     bridge: str
@@ -165,7 +163,7 @@ class Service:
 
 @frozen
 class Match:
-    """Why a component that nobody named is a candidate.
+    """Why a component that the configuration does not name is a candidate.
 
     Attributes:
         why: the rules by which it is one, and stands where it does.
@@ -228,7 +226,7 @@ class Component:
 class Need:
     """What a function asks of components that bridges discover.
 
-    Patterns are those of `fnmatch`, upper and lower case told apart. An earlier one ranks higher.
+    Patterns are those of `fnmatch`, case counts. An earlier one ranks higher.
 
     Attributes:
         role: of the port that provides the function.

@@ -7,7 +7,7 @@ import json
 from attrs import field, frozen
 
 from uoarm.model._component import Endpoint
-from uoarm.model._structure import MessageStructure
+from uoarm.model._message import MessageStructure
 from uoarm.model._wire import to_json
 
 __all__ = ["BridgeFindings", "FoundComponent", "FoundPort"]
@@ -27,7 +27,7 @@ class FoundPort:
         reply: that of its reply.
         used_by: components of the configuration that have this endpoint.
         rate: messages a second that come out of it: as measured while the robot has it open, else
-            as the framework states it; None where nobody knows. Findings that differ in rates
+            as the framework states it; None where it is not known. Findings that differ in rates
             only are equal.
         is_measured: whether the rate was.
     """

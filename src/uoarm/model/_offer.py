@@ -1,4 +1,4 @@
-"""Functions that are offered in a framework, for whatever there knows nothing of uoarm."""
+"""What can be had now: functions and their candidates, and functions offered in a framework."""
 
 from __future__ import annotations
 
@@ -8,10 +8,17 @@ from enum import Enum
 from attrs import field, frozen
 
 from uoarm.model._component import Endpoint, Meaning
-from uoarm.model._queue import QueuePolicy
-from uoarm.model._structure import MessageStructure
+from uoarm.model._message import MessageStructure, QueuePolicy
 
-__all__ = ["Offer", "OfferState", "OfferStatus", "OfferedPort", "OfferedService"]
+__all__ = [
+    "Availability",
+    "FunctionStatus",
+    "Offer",
+    "OfferState",
+    "OfferStatus",
+    "OfferedPort",
+    "OfferedService",
+]
 
 _STATED = Meaning()
 
@@ -125,3 +132,46 @@ class OfferStatus:
     calls: int = 0
     failed: int = 0
     cause: str = ""
+
+
+@frozen
+class Availability:
+    """One candidate for a function; `cause` says why it cannot be had, empty when it can."""
+
+    component: str
+    bridge: str
+    priority: int
+    cause: str = ""
+
+
+@frozen
+class FunctionStatus:
+    """One function as a request would find it now.
+
+    Attributes:
+        name: the function.
+        provider: the component that a request would get, None when no plan fits.
+        candidates: its components in the order in which they are tried.
+        cause: why no plan fits, empty when one does.
+
+    As text (`str`, `print`) it is what `uoarm status` shows.
+    """
+
+    name: str
+    provider: str | None
+    candidates: tuple[Availability, ...]
+    cause: str = ""
+
+    def __str__(self) -> str:
+        state = "cannot be had" if self.provider is None else f"from {self.provider}"
+        lines = [f"{self.name}  {state}"]
+        for candidate in self.candidates:
+            mark = "*" if candidate.component == self.provider else " "
+            text = candidate.cause or "available"
+            lines.append(
+                f"  {mark} {candidate.priority:>4}  {candidate.component}"
+                f"  ({candidate.bridge})  {text}"
+            )
+        if self.provider is None and not any(candidate.cause for candidate in self.candidates):
+            lines.append(f"  {self.cause}")
+        return "\n".join(lines)

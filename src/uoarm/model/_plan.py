@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from attrs import field, frozen
 
 from uoarm.model._component import Component
-from uoarm.model._structure import MessageStructure
+from uoarm.model._message import MessageStructure
 
 __all__ = ["Edge", "Plan", "Reason", "Rejection", "Step", "format_reason", "format_rejections"]
 

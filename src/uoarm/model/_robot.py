@@ -1,18 +1,69 @@
-"""The configuration of one robot, read and checked."""
+"""The configuration of one robot, read and checked, and what a change of it means."""
 
 from __future__ import annotations
 
+import ipaddress
+import re
 from collections.abc import Iterator, Mapping
 from enum import Enum
 
 from attrs import field, frozen
 
 from uoarm.model._component import Component, Function
-from uoarm.model._listening import Listening
+from uoarm.model._message import Options
 from uoarm.model._offer import Offer
-from uoarm.model._values import Options
 
-__all__ = ["BridgeSpec", "FailoverPolicy", "FailureLimits", "LockMode", "Robot"]
+__all__ = [
+    "BridgeSpec",
+    "ConfigurationChange",
+    "ConnectionEffect",
+    "Effect",
+    "FailoverPolicy",
+    "FailureLimits",
+    "Listening",
+    "LockMode",
+    "Robot",
+    "is_loopback",
+    "place_problem",
+]
+
+_PLACE = re.compile(r"(tls|tcp)/(\[[0-9a-fA-F:.]+\]|[A-Za-z0-9.-]+):([0-9]{1,5})")
+_LAST_PORT = 65535
+
+
+@frozen
+class Listening:
+    """Where a manager waits for other machines.
+
+    Attributes:
+        place: `tls/ADDRESS:PORT`; `tcp/...` on loopback only.
+        certificates: the folder of its certificate; None where there is no TLS.
+        silence: seconds without a sign of life after which a link to a machine counts as cut.
+    """
+
+    place: str
+    certificates: str | None = None
+    silence: float = 3.0
+
+
+def place_problem(place: str) -> str:
+    """Say why machines cannot meet at this place, "" when they can."""
+    found = _PLACE.fullmatch(place)
+    if found is None or not 0 < int(found[3]) <= _LAST_PORT:
+        return "expected tls/ADDRESS:PORT"
+    if found[1] == "tcp" and not is_loopback(found[2].strip("[]")):
+        return "without TLS only on loopback, such as tcp/127.0.0.1:7447"
+    return ""
+
+
+def is_loopback(host: str) -> bool:
+    """Say whether a host name or address is this machine's loopback."""
+    if host == "localhost":
+        return True
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return False
 
 
 @frozen
@@ -78,7 +129,7 @@ class FailoverPolicy:
 class LockMode(Enum):
     """What becomes of a component whose structures are not those of the lock.
 
-    WARN: it is used, and told. ENFORCE: it is passed over.
+    WARN: it is used, and reported. ENFORCE: it is passed over.
     """
 
     WARN = "warn"
@@ -93,7 +144,7 @@ class Robot:
         warnings: remarks about the file that do not stop it from being used.
         origin: the absolute path of the file it was read from, empty when it was built in memory.
         applications: the functions that each application is said to ask for; for readers and
-            checks, nobody else is kept from asking.
+            checks, no other client is kept from asking.
         failover: what happens to connections when a component dies.
         hosts: where hosts on other machines join; None where there are none.
         offers: the functions that are offered in frameworks.
@@ -116,3 +167,71 @@ class Robot:
         """Yield every component, in the order of the file."""
         for function in self.functions.values():
             yield from function.components
+
+
+class Effect(Enum):
+    """What a change of configuration does to a connection."""
+
+    MOVES = "moves"
+    ENDS = "ends"
+
+
+@frozen
+class ConnectionEffect:
+    """A connection that does not stay as it is.
+
+    Attributes:
+        connection: its id.
+        function: that it asked for.
+        effect: whether it goes on with another plan, or ends.
+        before: the components of its plan, producers first.
+        after: those of the plan that it goes on with; empty when it ends.
+        cause: why it ends.
+    """
+
+    connection: str
+    function: str
+    effect: Effect
+    before: tuple[str, ...]
+    after: tuple[str, ...] = ()
+    cause: str = ""
+
+    def __str__(self) -> str:
+        start = f"{self.connection} ({self.function}) {self.effect.value}"
+        if self.effect is Effect.ENDS:
+            return f"{start}: {self.cause}"
+        return f"{start}: {' > '.join(self.before)}  to  {' > '.join(self.after)}"
+
+
+@frozen
+class ConfigurationChange:
+    """One revision of the configuration, applied or only looked at.
+
+    Attributes:
+        revision: its number; the configuration that a manager began with is 0.
+        differences: what it has other than the one before: a line for each bridge, component and
+            function, `+` added, `-` taken away, `~` changed.
+        connections: those that do not stay as they are, as seen when it was looked at.
+        is_applied: whether it is in force.
+        is_kept: whether it was written to the file of the configuration.
+        time: when it was applied, in seconds since the epoch.
+        robot: the configuration itself, to be applied again.
+
+    As text (`str`, `print`) it is what `uoarm apply` shows.
+    """
+
+    revision: int
+    differences: tuple[str, ...] = ()
+    connections: tuple[ConnectionEffect, ...] = ()
+    is_applied: bool = False
+    is_kept: bool = False
+    time: float = 0.0
+    robot: Robot | None = field(default=None, eq=False, repr=False)
+
+    def __str__(self) -> str:
+        state = "applied" if self.is_applied else "not applied"
+        state += " and kept" if self.is_kept else ""
+        lines = [f"revision {self.revision}, {state}"]
+        lines += [f"  {line}" for line in self.differences] or ["  nothing is different"]
+        lines += [f"  connection {connection}" for connection in self.connections]
+        return "\n".join(lines)

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 import attrs
 
+from uoarm.model._message import MessageStructure
 from uoarm.model._plan import Reason, Rejection
-from uoarm.model._structure import MessageStructure
 
 if TYPE_CHECKING:
     from cattrs import Converter

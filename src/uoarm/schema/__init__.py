@@ -5,7 +5,7 @@ Stands on its own: it needs nothing else of uoarm.
 
 from uoarm.schema._check import check
 from uoarm.schema._errors import SchemaError
-from uoarm.schema.explain import CheckBudget, Loss, MismatchReason, Verdict
+from uoarm.schema._explain import CheckBudget, Loss, MismatchReason, Verdict
 from uoarm.schema.regex import UnsupportedPatternError, found_in
 
 __all__ = [

@@ -1,5 +1,102 @@
-"""`python -m uoarm.schema check A.json B.json`."""
+"""`uoarm schema check A.json B.json`, also as `python -m uoarm.schema`."""
 
-from uoarm.schema._command import schema
+from __future__ import annotations
 
-schema(prog_name="python -m uoarm.schema")
+import json
+import math
+import sys
+from pathlib import Path
+from typing import Any
+
+import click
+
+from uoarm.schema._check import check
+from uoarm.schema._errors import SchemaError
+from uoarm.schema._explain import Verdict
+
+__all__ = ["schema"]
+
+_UNDECIDED = 3
+_UNREADABLE = 2
+
+
+@click.group()
+def schema() -> None:
+    """Message structures on their own."""
+
+
+@schema.command("check")
+@click.argument("producer", type=click.Path(exists=True, dir_okay=False, path_type=Path))
+@click.argument("consumer", type=click.Path(exists=True, dir_okay=False, path_type=Path))
+@click.option("--json", "as_json", is_flag=True, help="Print the verdict as JSON.")
+def check_files(producer: Path, consumer: Path, *, as_json: bool) -> None:
+    """Say whether every message of PRODUCER is accepted by CONSUMER.
+
+    Exit codes: 0 compatible, 1 incompatible, 2 not a schema, 3 undecided.
+    """
+    try:
+        verdict = check(_read(producer), _read(consumer))
+    except SchemaError as error:
+        click.echo(f"not a JSON Schema: {error}", err=True)
+        sys.exit(_UNREADABLE)
+    click.echo(json.dumps(verdict.to_dict(), indent=2) if as_json else _sentences(verdict))
+    sys.exit(0 if verdict.compatible else 1 if verdict.incompatible else _UNDECIDED)
+
+
+def _read(path: Path) -> Any:
+    try:
+        text = path.read_text(encoding="utf-8")
+        read = json.loads(
+            text, object_pairs_hook=_mapping, parse_float=_number, parse_constant=_refuse
+        )
+        if "\\u" in text:
+            json.dumps(read, ensure_ascii=False).encode()  # half of a surrogate pair is no text
+    except (OSError, ValueError, RecursionError) as error:
+        click.echo(f"{path}: not JSON: {error}", err=True)
+        sys.exit(_UNREADABLE)
+    return read
+
+
+def _mapping(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """Refuse a key that is given twice: JSON's readers disagree on which of the two is meant."""
+    made: dict[str, Any] = {}
+    for key, value in pairs:
+        if key in made:
+            raise ValueError(f"the key {json.dumps(key)} is given twice in one object")
+        made[key] = value
+    return made
+
+
+def _number(text: str) -> float:
+    number = float(text)
+    if math.isinf(number):
+        raise ValueError(f"{text[:40]} is beyond what a number of 64 bits can hold")
+    return number
+
+
+def _refuse(name: str) -> Any:
+    raise ValueError(f"{name} is no number of JSON")
+
+
+def _sentences(verdict: Verdict) -> str:
+    if verdict.undecided is not None:
+        return f"undecided: {verdict.undecided}"
+    lines = ["compatible" if verdict.compatible else "incompatible"]
+    for reason in verdict.reasons:
+        lines.append(f"  {reason.path or 'the message'}: {reason.sentence}")
+        lines.append(f"    may be emitted: {reason.producer}")
+        lines.append(f"    is taken:       {reason.consumer}")
+    if verdict.incompatible:
+        text = json.dumps(verdict.excerpt if verdict.abridged else verdict.counterexample)
+        what = "counterexample, in short" if verdict.abridged else "counterexample"
+        lines.append(f"  {what}: {text[:400]}")
+    lines += [f"  note, {loss.path or 'the message'}: {loss.sentence}" for loss in verdict.losses]
+    lines += [
+        f"  note, a pattern: {pattern!r} is read as ECMA-262 does; other engines may differ"
+        for pattern in verdict.disputed_patterns
+    ]
+    return "\n".join(lines)
+
+
+if __name__ == "__main__":
+    schema(prog_name="python -m uoarm.schema")

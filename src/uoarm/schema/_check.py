@@ -7,10 +7,9 @@ from typing import Any, TypeAlias
 
 from attrs import evolve
 
-from uoarm.schema._errors import BudgetError, OutOfScopeError
-from uoarm.schema._meter import Meter
+from uoarm.schema._errors import BudgetError, Meter, OutOfScopeError
+from uoarm.schema._explain import CheckBudget, Verdict, explain, find_losses
 from uoarm.schema._values import build, describe, is_small
-from uoarm.schema.explain import CheckBudget, Verdict, explain, find_losses
 from uoarm.schema.read import Pool, SchemaDocument, SchemaNode
 from uoarm.schema.solve import (
     EMPTY,

@@ -128,7 +128,7 @@ def build(value: Any) -> Any:
 
 
 def describe(value: Any) -> Any:
-    """Return a short JSON value that tells what a long one is like."""
+    """Return a short JSON value that shows what a long one is like."""
     return _Description().describe(value)
 
 
@@ -225,7 +225,7 @@ class Keys:
     shared costs what it takes to store, not what it takes to write.
 
     Args:
-        spend: is told of each array and object.
+        spend: is called for each array and object.
     """
 
     def __init__(self, spend: Callable[[int], None] = lambda _: None) -> None:

@@ -13,7 +13,7 @@ from typing import Any
 
 from attrs import frozen
 
-from uoarm.schema.read._keywords import ANNOTATIONS
+from uoarm.schema.read._node import ANNOTATIONS
 
 __all__ = ["DRAFT_2019", "NEWEST", "OLD_FORMS", "Dialect", "dialect_of"]
 

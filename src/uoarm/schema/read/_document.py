@@ -13,12 +13,20 @@ from math import isfinite
 from typing import Any, TypeAlias
 from urllib.parse import urlsplit
 
-from uoarm.schema._errors import OutOfScopeError, Pointer, SchemaError, write_pointer
-from uoarm.schema._meter import Meter
+from uoarm.schema._errors import Meter, OutOfScopeError, Pointer, SchemaError, write_pointer
 from uoarm.schema._values import SCALARS, Keys
 from uoarm.schema.read._dialects import DRAFT_2019, NEWEST, dialect_of
-from uoarm.schema.read._keywords import ANNOTATIONS, LISTS, MAPS, READERS, SINGLES, check_keyword
-from uoarm.schema.read._node import Reference, SchemaNode, Scope
+from uoarm.schema.read._node import (
+    ANNOTATIONS,
+    LISTS,
+    MAPS,
+    READERS,
+    SINGLES,
+    Reference,
+    SchemaNode,
+    Scope,
+    check_keyword,
+)
 from uoarm.schema.read._resources import PLACING, POSITIONAL, REFERENCES, Resources, Scopes
 from uoarm.schema.regex import UnsupportedPatternError, is_disputed
 
@@ -79,7 +87,7 @@ class Texts:
     def first(self, schema: dict[str, Any]) -> dict[str, Any]:
         """Return the first schema of the same text, itself where it is that; part of a plain one.
 
-        The text tells numbers from booleans and floats from integers, and has the order of names.
+        Numbers and booleans, and floats and integers, differ in it; it has the order of names.
         """
         text = marshal.dumps(schema, 0)
         found = self._first.setdefault(text, schema)
@@ -225,7 +233,7 @@ class SchemaDocument:
         return SchemaNode(self._pool.number(content), {}, self, unsupported=cause)
 
     def _identify(self, schema: object) -> int:
-        """Return what tells references of this document from those of another.
+        """Return what distinguishes references of this document from those of another.
 
         Documents of equal content refer to the same schemas, unless a reference depends on where a
         document without a name came from. What lies outside may itself refer to any schema with a

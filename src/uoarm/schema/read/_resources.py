@@ -11,11 +11,9 @@ from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 from urllib.parse import unquote, urljoin
 
-from uoarm.schema._errors import OutOfScopeError, SchemaError
-from uoarm.schema._meter import Meter
+from uoarm.schema._errors import Meter, OutOfScopeError, SchemaError
 from uoarm.schema.read._dialects import DRAFT_2019, Dialect, dialect_of
-from uoarm.schema.read._keywords import LISTS, MAPS, SINGLES
-from uoarm.schema.read._node import Scope
+from uoarm.schema.read._node import LISTS, MAPS, SINGLES, Scope
 
 __all__ = [
     "PLACING",

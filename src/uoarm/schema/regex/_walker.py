@@ -30,7 +30,7 @@ _MAX_KEPT = 200_000
 """Threads that one walker, and all that are kept, remember, of some 200 octets each."""
 
 _TOLD = 16
-"""Characters after which the budget is told: of 64 that are known, or of 8 threads, as one step."""
+"""Characters after which the budget is charged: of 64 known ones, or of 8 threads, as one step."""
 
 Duty: TypeAlias = "tuple[bool, int, WalkState]"
 """Whether the rest must or must not match, which automaton is looking, and how far it is."""
@@ -235,7 +235,7 @@ def found_in(pattern: str, text: str, spend: Callable[[int], None] = lambda _: N
     Args:
         pattern: without anchors it may be found anywhere.
         text: to look in.
-        spend: told of the work in steps of the budget.
+        spend: called with the work in steps of the budget.
 
     Raises:
         UnsupportedPatternError: the pattern is not decided here.

@@ -11,7 +11,7 @@ from bisect import bisect_left, bisect_right
 from collections.abc import Collection, Sequence
 from typing import TypeAlias
 
-from uoarm.schema._meter import Meter
+from uoarm.schema._errors import Meter
 from uoarm.schema.regex._nfa import CLASSES, CharSet
 from uoarm.schema.regex._parser import compile_pattern
 from uoarm.schema.regex._walker import CodeUnits, UnitWalker, WalkState, walker_of
@@ -279,7 +279,7 @@ def _weight(state: WordState) -> int:
 def _letters(
     patterns: Sequence[Pattern], excluded: Collection[str], *, without_nul: bool
 ) -> tuple[list[str], list[str]]:
-    """Return one character for each class that the patterns and texts tell apart.
+    """Return one character for each class that the patterns and texts distinguish.
 
     Classes that only have halves of surrogate pairs come second.
     """

@@ -2,19 +2,273 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Generator, Sequence
 from itertools import product
-from typing import Any
+from typing import Any, TypeAlias
 
-from uoarm.schema._values import Repeated
-from uoarm.schema.solve._branch import EMPTY, Found, Literal, Unknown
-from uoarm.schema.solve._counting import build_counted, distinct
+from attrs import frozen
+
+from uoarm.schema._values import Keys, Repeated, key_of, kind_of
+from uoarm.schema.solve._branch import EMPTY, Found, Literal, Result, Unknown
+from uoarm.schema.solve._evaluate import accepts
 from uoarm.schema.solve._layout import Layout
-from uoarm.schema.solve._solver import Asking, SearchState, Solver
+from uoarm.schema.solve._solver import Asking, Goal, SearchState, Solver
 
-__all__ = ["array_leaf"]
+__all__ = ["Matching", "array_leaf", "build_counted", "distinct", "several"]
 
-_MAX_ITEMS = 4_000_000
+_GROWTH = {
+    "number": "exclusiveMinimum",
+    "string": "minLength",
+    "array": "minItems",
+    "object": "minProperties",
+}
+
+
+class Matching:
+    """Places, each with candidates, and a value for each that no other place has.
+
+    `keys` lives as long as the candidates.
+    """
+
+    def __init__(self, keys: Keys) -> None:
+        self._keys = keys
+        self._candidates: list[Sequence[Any]] = []
+        self._holder: dict[object, int] = {}
+        self._values: dict[object, Any] = {}
+
+    def copy(self) -> Matching:
+        """Return a matching that can be changed on its own."""
+        other = Matching(self._keys)
+        other._candidates = list(self._candidates)
+        other._holder = dict(self._holder)
+        other._values = dict(self._values)
+        return other
+
+    def add(self, candidates: Sequence[Any]) -> bool:
+        """Give one more place a value of its own, moving others along an augmenting path."""
+        self._candidates.append(candidates)
+        came: dict[object, tuple[int, object]] = {}
+        waiting: list[tuple[int, object]] = [(len(self._candidates) - 1, None)]
+        for place, via in waiting:
+            for value in self._candidates[place]:
+                key = self._keys.of(value)
+                if key in came:
+                    continue
+                self._values[key] = value
+                came[key] = (place, via)
+                if key not in self._holder:
+                    at: object = key
+                    while at is not None:
+                        self._holder[at], at = came[at]
+                    return True
+                waiting.append((self._holder[key], key))
+        self._candidates.pop()
+        return False
+
+    def values(self) -> list[Any]:
+        """Return the value of each place."""
+        chosen = {place: self._values[key] for key, place in self._holder.items()}
+        return [chosen[place] for place in range(len(self._candidates))]
+
+
+def distinct(solver: Solver, goals: Sequence[Goal]) -> Generator[Goal, Result, Result]:
+    """Return one value for each goal, all different."""
+    candidates: dict[Goal, list[Any]] = {}
+    matching = Matching(Keys(solver.spend))
+    for goal in goals:
+        if goal not in candidates:
+            found = yield from several(solver, goal, len(goals))
+            if isinstance(found, Unknown):
+                return found
+            candidates[goal] = found
+        if not matching.add(candidates[goal]):
+            return EMPTY
+    return Found(matching.values())
+
+
+def several(solver: Solver, goal: Goal, count: int) -> Generator[Goal, Result, list[Any] | Unknown]:
+    """Return up to `count` different values that meet a goal."""
+    found: dict[object, Any] = {}
+    grown: set[str] = set()
+    beyond: Literal | None = None
+    while len(found) < count:
+        result: Result = EMPTY
+        if beyond is not None:
+            result = yield (*goal, beyond)
+        if not isinstance(result, Found):
+            beyond = None
+            values = list(found.values())
+            others = solver.make(f"one of {list(found)}", {"enum": values})
+            result = yield (*goal, (others, False))
+        if isinstance(result, Unknown):
+            return result
+        if not isinstance(result, Found):
+            break
+        key = key_of(result.value)
+        if key in found:
+            return Unknown("internal: a value that was excluded came again")
+        if beyond is not None or kind_of(result.value) not in grown:
+            beyond = _beyond(solver, result.value)
+            grown.add(kind_of(result.value))
+        found[key] = result.value
+    return list(found.values())
+
+
+def _beyond(solver: Solver, value: Any) -> Literal | None:
+    """Return what only larger values of the same kind meet.
+
+    It spares telling a new value apart from each of those before.
+    """
+    kind = kind_of(value)
+    if kind not in _GROWTH:
+        return None
+    size = value if kind == "number" else len(value) + 1
+    schema = {"type": kind, _GROWTH[kind]: size}
+    return solver.make(f"beyond {schema}", schema), True
+
+
+_MAX_ITEMS = 130
+_MAX_TRIES = 20_000
+
+
+@frozen
+class _Option:
+    """One class of items that a position may hold: which counted schemas they meet."""
+
+    signs: tuple[bool, ...]
+    candidates: Sequence[Any]
+
+
+Options: TypeAlias = "list[list[_Option]]"
+
+
+def _build_distinct(solver: Solver, layout: Layout, longest: int) -> Asking:
+    """Build an array of at most `longest` items, trying what each position may hold in turn."""
+    if longest > _MAX_ITEMS:
+        return Unknown(f"up to {longest:,} distinct items would have to be counted through")
+    options: Options = []
+    unknown: Unknown | None = None
+    for position in range(longest):
+        if position > layout.generic:
+            options.append(options[-1])
+            continue
+        found = yield from _options(solver, layout, position, longest)
+        unknown = found if isinstance(found, Unknown) else unknown
+        options.append([] if isinstance(found, Unknown) else found)
+    result = _choose(solver, layout, options)
+    return result if isinstance(result, Found) else unknown or result
+
+
+def _options(
+    solver: Solver, layout: Layout, position: int, longest: int
+) -> Generator[Goal, Result, list[_Option] | Unknown]:
+    options: list[_Option] = []
+    for signs, goal in layout.classes(position):
+        found = yield from several(solver, goal, longest)
+        if isinstance(found, Unknown):
+            return found
+        if found:
+            options.append(_Option(signs, found))
+    return options
+
+
+def _choose(solver: Solver, layout: Layout, options: Options) -> Result:
+    """Go through the choices; positions that are alike take their options in order."""
+    start = tuple(0 for _ in layout.counts)
+    waiting: list[tuple[int, tuple[int, ...], int, Matching]] = [
+        (0, start, 0, Matching(Keys(solver.spend)))
+    ]
+    tries = 0
+    while waiting:
+        position, counts, last, matching = waiting.pop()
+        if position >= layout.least and layout.enough(counts):
+            return Found(matching.values())
+        if position == len(options):
+            continue
+        first = last if position > layout.generic else 0
+        for number in range(len(options[position]) - 1, first - 1, -1):
+            tries += 1
+            solver.spend()
+            if tries > _MAX_TRIES:
+                return Unknown("distinct items together with contains")
+            option = options[position][number]
+            after = layout.count_on(counts, option.signs)
+            longer = matching.copy()
+            if after is not None and longer.add(option.candidates):
+                waiting.append((position + 1, after, number, longer))
+    return EMPTY
+
+
+_MAX_COUNTED = 3_000
+
+
+def build_counted(solver: Solver, layout: Layout, fixed: dict[int, Any]) -> Asking:
+    """Build an array of which given numbers of items meet given schemas."""
+    needed = sum(least for _, least, _ in layout.counts)
+    longest = max(layout.least, layout.generic) + needed
+    if layout.most is not None:
+        longest = min(longest, layout.most)
+    if layout.unique:
+        return (yield from _build_distinct(solver, layout, longest))
+    if longest > _MAX_COUNTED:
+        return Unknown(f"arrays of up to {longest:,} items would have to be counted through")
+    unknown: Unknown | None = None
+    layers: list[dict[tuple[int, ...], tuple[tuple[int, ...], Goal]]] = [{}]
+    start = tuple(0 for _ in layout.counts)
+    reached: dict[tuple[int, ...], tuple[tuple[int, ...], Goal]] = {start: (start, ())}
+    for length in range(longest + 1):
+        if length >= layout.least and length > max(fixed, default=-1):
+            for counts in reached:
+                if layout.enough(counts):
+                    return (yield from _assemble(layers, counts, length, fixed))
+        if length == longest:
+            break
+        options: list[tuple[tuple[bool, ...], Goal]] = []
+        for signs, goal in layout.classes(length):
+            if length in fixed:
+                holds = all(accepts(node, fixed[length]) == sign for node, sign in goal)
+                result: Result = Found(None) if holds else EMPTY
+            else:
+                result = yield goal
+            if isinstance(result, Found):
+                options.append((signs, goal))
+            unknown = result if isinstance(result, Unknown) else unknown
+        following: dict[tuple[int, ...], tuple[tuple[int, ...], Goal]] = {}
+        for counts in reached:
+            for signs, goal in options:
+                solver.spend()
+                after = layout.count_on(counts, signs)
+                if after is not None:
+                    following.setdefault(after, (counts, goal))
+        layers.append(following)
+        reached = following
+    return unknown or EMPTY
+
+
+def _assemble(
+    layers: list[dict[tuple[int, ...], tuple[tuple[int, ...], Goal]]],
+    counts: tuple[int, ...],
+    length: int,
+    fixed: dict[int, Any],
+) -> Asking:
+    goals: list[Goal] = []
+    for position in range(length, 0, -1):
+        counts, goal = layers[position][counts]
+        goals.append(goal)
+    goals.reverse()
+    items = []
+    for position, goal in enumerate(goals):
+        if position in fixed:
+            items.append(fixed[position])
+            continue
+        result = yield goal
+        if not isinstance(result, Found):
+            return result
+        items.append(result.value)
+    return Found(items)
+
+
+_MAX_LENGTH = 4_000_000
 _MAX_WRITTEN = 100
 _MAX_DISTINCT = 300
 _MAX_COUNTS = 8
@@ -90,7 +344,7 @@ def _build(solver: Solver, layout: Layout, fixed: dict[int, Any]) -> Asking:
     """Build the array, its demanded positions chosen and some items perhaps fixed."""
     if layout.counts:
         return (yield from build_counted(solver, layout, fixed))
-    if layout.least > _MAX_ITEMS:
+    if layout.least > _MAX_LENGTH:
         return Unknown(f"the shortest array has {layout.least:,} items")
     if layout.unique and layout.least > 1:
         goals = [layout.literals(n) for n in range(min(layout.least, _MAX_DISTINCT))]

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 from attrs import fields
 
-from uoarm.schema._meter import Meter
+from uoarm.schema._errors import Meter
 from uoarm.schema._values import Repeated
 from uoarm.schema.read import SchemaNode
 from uoarm.schema.solve._branch import KINDS, Found
@@ -121,7 +121,7 @@ def _parts(found: SchemaDifference) -> Iterator[SchemaDifference]:
 
 
 class Messages:
-    """Makes the simplest messages of plain schemas, which whoever asks for one has to check."""
+    """Makes the simplest messages of plain schemas, which the caller has to check."""
 
     def __init__(self, meter: Meter) -> None:
         self._meter = meter

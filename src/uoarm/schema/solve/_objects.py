@@ -241,7 +241,7 @@ def _mentioned(view: ObjectView) -> list[str]:
 def _name_classes(
     solver: Solver, view: ObjectView, demands: Sequence[Atom] = ()
 ) -> list[list[Literal]]:
-    """Return the classes of names that the patterns in play and some demands tell apart."""
+    """Return the classes of names that the patterns in play and some demands distinguish."""
     patterns = dict.fromkeys(pattern for pattern, _ in view.patterns)
     for node in [n for n, _ in view.rests] + [d[1] for d in view.demands if d[0] == "somerest"]:
         patterns.update(dict.fromkeys(pattern for pattern, _ in node.patterns))  # type: ignore[attr-defined] # a node

@@ -9,12 +9,20 @@ from uoarm.schema._errors import OutOfScopeError
 from uoarm.schema._values import Repeated, exact, is_small, kind_of, runs_of
 from uoarm.schema.regex import TooLong, UnsupportedPatternError, shortest_word
 from uoarm.schema.solve._arrays import array_leaf
-from uoarm.schema.solve._atoms import contradicts, tags_of
-from uoarm.schema.solve._branch import EMPTY, Branch, Choice, Empty, Found, Result, Unknown
+from uoarm.schema.solve._branch import (
+    EMPTY,
+    Branch,
+    Choice,
+    Empty,
+    Found,
+    Result,
+    Unknown,
+    contradicts,
+    tags_of,
+)
 from uoarm.schema.solve._expand import expand
 from uoarm.schema.solve._layout import ArrayView
-from uoarm.schema.solve._number_goals import find_number_whole
-from uoarm.schema.solve._numbers import find_number
+from uoarm.schema.solve._numbers import find_number, find_number_whole
 from uoarm.schema.solve._objects import ObjectView, object_leaf
 from uoarm.schema.solve._solver import Asking, Goal, SearchState, Solver, possible_kinds, try_values
 
@@ -294,7 +302,7 @@ def _shape(value: object) -> dict[str, object]:
     size = len(value)
     shape: dict[str, object] = {"minItems": size, "maxItems": size}
     if size > _MAX_PLACES:
-        raise TooLong(f"an array of {size:,} items would have to be told apart from others")
+        raise TooLong(f"an array of {size:,} items would have to be distinguished from others")
     if size:
         items = [item for _, item, count in runs_of(value) for _ in range(count)]
         shape["prefixItems"] = [{"const": element} for element in items]

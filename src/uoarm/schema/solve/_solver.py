@@ -19,7 +19,6 @@ from uoarm.schema._errors import OutOfScopeError
 from uoarm.schema._values import Key, kind_of
 from uoarm.schema.read import Pool, SchemaDocument, SchemaNode
 from uoarm.schema.regex import TooLong, UnsupportedPatternError
-from uoarm.schema.solve._atoms import contradicts, tags_of
 from uoarm.schema.solve._branch import (
     EMPTY,
     KINDS,
@@ -31,6 +30,8 @@ from uoarm.schema.solve._branch import (
     Literal,
     Result,
     Unknown,
+    contradicts,
+    tags_of,
 )
 from uoarm.schema.solve._evaluate import Judgements
 from uoarm.schema.solve._expand import expand

@@ -1,0 +1,278 @@
+"""The commands that look: configuration, functions, plans, plugins, environment."""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import click
+
+from uoarm._checks import plugin_facts
+from uoarm._resolve import NoPlanError
+from uoarm._version import __version__
+from uoarm.bridge import Registry
+from uoarm.cli._file import Unnamed, takes_configuration
+from uoarm.cli._shared import (
+    CONFIGURATION,
+    function_argument,
+    json_option,
+    needing,
+    open_robot,
+    print_error,
+    print_json,
+    print_warning,
+    reporting,
+)
+from uoarm.config import assign, inspect, installation, load, published_schema
+from uoarm.errors import BridgeError
+from uoarm.model import to_json
+from uoarm.schema.__main__ import schema as alone
+
+__all__ = ["bridges", "check", "doctor", "list_functions", "resolve", "schema"]
+
+_LARGE = 1_000_000
+_SILENT_SECONDS = 3.0
+_SECONDS = 60.0
+
+
+@click.command()
+@takes_configuration()
+@json_option
+def check(file: str, *, as_json: bool) -> None:
+    """Say everything that is wrong with a configuration FILE.
+
+    Python components that run in this environment are imported, to check their parameters. What is
+    not here, a module or a plugin, is a warning: the file may be for another machine.
+    """
+    _say_that_it_takes_a_while(file)
+    registry = Registry()
+    report = inspect(file, registry.types, parameters=True, missing=registry.missing)
+    if as_json:
+        print_json(
+            {
+                "problems": report.problems,
+                "warnings": report.warnings,
+                "unchecked": report.unchecked,
+            }
+        )
+    else:
+        for problem in report.problems:
+            print_error(problem)
+        for warning in report.warnings:
+            print_warning(warning)
+        if report.robot is not None:
+            functions, bridges = len(report.robot.functions), len(report.robot.bridges)
+            click.echo(f"{file}: no errors (functions: {functions}, bridges: {bridges})")
+        if report.unchecked:
+            click.echo(f"not looked at here, but by uoarm status {file}:")
+            click.echo("\n".join(f"  {line}" for line in report.unchecked))
+    sys.exit(0 if report.robot is not None else CONFIGURATION)
+
+
+def _say_that_it_takes_a_while(file: str) -> None:
+    """Say at a terminal that a large file takes a while to check."""
+    with suppress(OSError, ValueError):
+        octets = Path(file).stat().st_size
+        if octets >= _LARGE and sys.stderr.isatty():
+            click.echo(f"checking {file}, {octets / 1e6:.1f} MB: this takes a while", err=True)
+
+
+@click.command("list")
+@takes_configuration()
+@json_option
+def list_functions(file: str, *, as_json: bool) -> None:
+    """List the functions and the components that provide them."""
+    with reporting():
+        robot = load(file)
+    if as_json:
+        print_json(robot.functions)
+        return
+    for function in robot.functions.values():
+        click.echo(click.style(function.name, bold=True) + f"  {function.description}".rstrip())
+        for component in function.components:
+            click.echo(f"  {component.priority:>4}  {component.name}  ({component.bridge})")
+
+
+@contextmanager
+def _saying_that_it_waits(timeout: float) -> Iterator[None]:
+    """Say at a terminal that it is bridges that are waited for."""
+    text = f"waiting for bridges to start and report what they see, at most {timeout:g} s"
+    timer = threading.Timer(_SILENT_SECONDS, partial(click.echo, text, err=True))
+    timer.daemon = True
+    if sys.stderr.isatty():
+        timer.start()
+    try:
+        yield
+    finally:
+        timer.cancel()
+        if timer.ident is not None:
+            timer.join()
+
+
+@click.command()
+@function_argument()
+@takes_configuration("name")
+@click.option("--explain", is_flag=True, help="Print the whole plan and what was passed over.")
+@click.option(
+    "--timeout",
+    type=click.FloatRange(min=0.1, max=600),
+    default=60.0,
+    show_default=True,
+    help="Seconds to start bridges, learn what they see and find the plan.",
+)
+@json_option
+def resolve(name: str, file: str, *, explain: bool, timeout: float, as_json: bool) -> None:
+    """Find the plan for a function without opening anything."""
+    with open_robot(file) as robot:
+        try:
+            with _saying_that_it_waits(timeout):
+                plan = robot.resolve(name, timeout=timeout)
+        except NoPlanError as error:
+            if as_json:
+                reports = {"function": error.function, "error": str(error)}
+                print_json({**reports, "rejected": error.rejections})
+            raise
+        offers = [item for item in robot.config.offers if item.function == plan.function]
+    if as_json:
+        places = [
+            {"bridge": item.bridge, "endpoints": [endpoint.address for endpoint in item.endpoints]}
+            for item in offers
+        ]
+        print_json({**to_json(plan), "offers": to_json(places)})
+    elif explain:
+        click.echo(plan)
+        for item in offers:
+            where = ", ".join(" ".join(endpoint.address) for endpoint in item.endpoints)
+            click.echo(f"offered in {item.bridge} at {where}")
+    else:
+        click.echo(" -> ".join(step.component.name for step in plan.steps))
+
+
+@click.command()
+@takes_configuration(unnamed=Unnamed.NONE)
+@json_option
+def bridges(*, file: str | None, as_json: bool) -> None:
+    """List the installed bridge plugins.
+
+    Broken ones with the cause; with a configuration also what uoarm chose for its bridges.
+    """
+    registry = Registry()
+    assigned = dict(assigned_options(file, registry))
+    if as_json:
+        types = [
+            {"name": type_.name, "summary": type_.summary} for type_ in registry.types.values()
+        ]
+        print_json({"bridges": types, "problems": registry.problems, "assigned": assigned})
+        return
+    for type_ in registry.types.values():
+        click.echo(f"{type_.name:<10} {type_.summary}")
+    for problem in registry.problems:
+        click.echo(f"{problem.name:<10} {click.style('broken:', fg='red')} {problem.cause}")
+    for option, value in assigned.items():
+        click.echo(f"{option} {value}, chosen by uoarm")
+
+
+@click.command()
+@takes_configuration(unnamed=Unnamed.NONE)
+@json_option
+def doctor(*, file: str | None, as_json: bool) -> None:
+    """Say what the environment is and what plugins find in it.
+
+    With a configuration also what its bridges find that have an environment of their own.
+    """
+    registry = Registry()
+    facts: dict[str, dict[str, str]] = {
+        "uoarm": {
+            "version": __version__,
+            "python": f"{platform.python_version()} at {sys.executable}",
+            "platform": platform.platform(),
+        }
+    }
+    facts |= plugin_facts(registry)
+    facts |= environment_facts(file, registry)
+    chosen = dict(assigned_options(file, registry))
+    if chosen:
+        facts["chosen by uoarm"] = chosen
+    if as_json:
+        print_json(facts)
+        return
+    for name, findings in facts.items():
+        click.echo(click.style(name, bold=True))
+        for key, finding in findings.items():
+            click.echo(f"  {key:<14} {finding}")
+
+
+@click.group(invoke_without_command=True)
+@click.pass_context
+def schema(context: click.Context) -> None:
+    """Print the JSON Schema of robot.yaml, for editors."""
+    if context.invoked_subcommand is None:
+        print_json(published_schema())
+
+
+for _member in alone.commands.values():
+    schema.add_command(_member)
+
+
+def assigned_options(file: str | None, registry: Registry) -> Iterator[tuple[str, str]]:
+    """Yield every option that uoarm chose, as `bridge.option` and its value."""
+    if file is None:
+        return
+    with reporting():
+        robot = assign(load(file, registry.types), registry.types)
+    for bridge in robot.bridges.values():
+        for option, value in bridge.assigned.items():
+            yield f"{bridge.name}.{option}", str(value)
+
+
+def environment_facts(file: str | None, registry: Registry) -> Iterator[tuple[str, dict[str, str]]]:
+    """Yield what each bridge with a Python of its own finds there, asked of that Python.
+
+    Every one of them is given a minute.
+    """
+    if file is None:
+        return
+    with reporting():
+        robot = load(file, registry.types)
+    for bridge in robot.bridges.values():
+        place = installation(bridge.host)
+        if not place:
+            continue
+        with reporting(), needing("hosts"):
+            from uoarm._host import HostSettings  # noqa: PLC0415 - needs an extra
+        settings = HostSettings.read(bridge.host or {})
+        name = f"{bridge.name}, with {place.partition(' ')[2]}"
+        try:
+            interpreter = settings.interpreter()
+        except BridgeError as error:
+            yield name, {"usable": f"no: {error}"}
+        else:
+            variables = settings.process_variables(os.environ)
+            yield name, _asked(interpreter, variables, bridge.plugin)
+
+
+def _asked(interpreter: Path, variables: dict[str, str], plugin: str) -> dict[str, str]:
+    command = [str(interpreter), "-m", "uoarm", "doctor", "--json"]
+    try:
+        done = subprocess.run(  # noqa: S603 - the interpreter that the configuration names
+            command, capture_output=True, env=variables, text=True, timeout=_SECONDS, check=False
+        )
+        report: Any = json.loads(done.stdout)
+        found = report.get(plugin, {"usable": f"no: the plugin {plugin} is not installed there"})
+        return {"uoarm": report["uoarm"]["version"], **found}
+    except subprocess.TimeoutExpired:
+        return {"usable": f"no: it did not answer within {_SECONDS:g} s"}
+    except OSError as error:
+        return {"usable": f"no: {error}"}
+    except (ValueError, LookupError, TypeError, AttributeError):
+        last = done.stderr.strip().rpartition("\n")[2]
+        return {"usable": f"no: it has no uoarm that answers: {last}"}

@@ -1,0 +1,209 @@
+"""What is made beside a robot: `uoarm env`, `uoarm certificates` and `uoarm new-bridge`."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import sys
+from collections.abc import Iterator
+from importlib.resources import files
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from uoarm import environments
+from uoarm.cli._shared import BRIDGE, json_option, needing, print_json, print_warning, reporting
+
+__all__ = ["certificates", "env", "new_bridge"]
+
+_NONE = "there are no environments: make one with uoarm env create NAME --plugin PLUGIN"
+
+
+@click.group()
+def env() -> None:
+    """Make and remove Python environments for bridge hosts."""
+
+
+@env.command()
+@click.argument("name")
+@click.option("--plugin", required=True, help="Bridge plugin that will run in it.")
+@click.option("--distribution", help="Version of the plugin's middleware, such as jazzy.")
+@click.option("--with", "more", multiple=True, help="Further requirement, or path of a project.")
+@click.option("--python", help="Python to build on: a path, or a version where uv is installed.")
+@click.option("--no-uv", is_flag=True, help="Use venv and pip although uv is installed.")
+def create(
+    name: str,
+    plugin: str,
+    distribution: str | None,
+    more: tuple[str, ...],
+    python: str | None,
+    *,
+    no_uv: bool,
+) -> None:
+    """Make the environment NAME.
+
+    A bridge runs in it with `host: {environment: NAME}`.
+    """
+    with reporting():
+        wanted = environments.requirements(plugin, distribution, more)
+        made = environments.create(
+            name, wanted, python=python, progress=click.echo, uv="" if no_uv else None
+        )
+        [found] = (
+            environments.examine(environment)
+            for environment in environments.listed()
+            if environment.name == name
+        )
+    click.echo(f"environment {name} is ready: {made}")
+    if plugin in found.unusable:
+        hint = "--distribution names the middleware to install with it"
+        print_warning(
+            f"the plugin {plugin} cannot be used in it yet ({hint}): {found.unusable[plugin]}"
+        )
+
+
+@env.command("list")
+@json_option
+def list_environments(*, as_json: bool) -> None:
+    """List the environments."""
+    found = environments.listed()
+    if as_json:
+        print_json(
+            [
+                {"name": environment.name, "requirements": environment.requirements}
+                for environment in found
+            ]
+        )
+        return
+    if not found:
+        click.echo(_NONE, err=True)
+    for environment in found:
+        state = ", ".join(environment.requirements) if environment.is_whole else "incomplete"
+        click.echo(f"{environment.name}: {state}")
+
+
+@env.command()
+@click.argument("name")
+def remove(name: str) -> None:
+    """Remove the environment NAME."""
+    with reporting():
+        environments.remove(name)
+    click.echo(f"environment {name} is removed")
+
+
+@env.command()
+@json_option
+def doctor(*, as_json: bool) -> None:
+    """Say what environments have and whether hosts would start.
+
+    Exit code 4 where one would not.
+    """
+    found = [environments.examine(environment) for environment in environments.listed()]
+    if as_json:
+        print_json(found)
+    elif not found:
+        click.echo(_NONE, err=True)
+    else:
+        for finding in found:
+            facts = ", ".join(f"{key} {value}" for key, value in finding.facts.items())
+            click.echo(f"{finding.name}: {finding.problem or facts}")
+            for plugin, cause in finding.unusable.items():
+                print_warning(f"{finding.name}: the plugin {plugin} cannot be used in it: {cause}")
+    if any(finding.problem for finding in found):
+        sys.exit(BRIDGE)
+
+
+@click.command()
+@click.option(
+    "--manager",
+    "addresses",
+    multiple=True,
+    help="Address or name under which machines reach the manager; may be given again.",
+)
+@click.option("--machine", "machines", multiple=True, help="Name of a machine; likewise.")
+@click.option("--folder", default="certificates", show_default=True, help="Where they are.")
+@click.option(
+    "--days",
+    type=click.IntRange(1, 3650),
+    default=730,
+    show_default=True,
+    help="For which they are good.",
+)
+def certificates(
+    addresses: tuple[str, ...], machines: tuple[str, ...], folder: str, days: int
+) -> None:
+    """Make the certificates that machines join with.
+
+    For the manager and for machines whose bridge hosts join it. The first time, an authority is
+    made, too. Private keys can be read by their owner only.
+    """
+    if not addresses and not machines:
+        raise click.UsageError("say for whom: --manager ADDRESS, --machine NAME, or both")
+    with reporting():
+        with needing("certificates"):
+            from uoarm._certificates import Authority  # noqa: PLC0415 - needs an extra
+        authority = Authority.of(Path(folder))
+        if addresses:
+            click.echo(f"the manager: {authority.certify_manager(addresses, days)}")
+        for machine in machines:
+            made = authority.certify_machine(machine, days)
+            click.echo(f"machine {machine}: {made}; copy it, its .key and ca.pem there")
+
+
+if TYPE_CHECKING:
+    from importlib.abc import Traversable
+
+
+_NAME = re.compile(r"[a-z][a-z0-9_]{0,39}")
+_SKIPPED = {"__pycache__"}
+
+
+@click.command("new-bridge")
+@click.argument("name")
+@click.option(
+    "--into",
+    type=click.Path(file_okay=False, path_type=Path),
+    default=Path(),
+    help="Folder in which uoarm-NAME is made; the current one unless given.",
+)
+def new_bridge(name: str, into: Path) -> None:
+    """Make a bridge plugin to start from, with its tests.
+
+    The project is called uoarm-NAME.
+    """
+    if not _NAME.fullmatch(name):
+        raise click.BadParameter(
+            f"{name!r}: use small letters, digits and _, a letter first, 40 at most",
+            param_hint="NAME",
+        )
+    project = into / f"uoarm-{name.replace('_', '-')}"
+    if project.exists():
+        raise click.ClickException(f"{project} is there already; nothing was changed")
+    try:
+        for place, text in _files(files("uoarm.cli").joinpath("template"), ""):
+            target = project / _named(place, name)
+            target.parent.mkdir(parents=True, exist_ok=True)
+            target.write_text(_named(text, name), encoding="utf-8")
+    except OSError as error:
+        shutil.rmtree(project, ignore_errors=True)
+        raise click.ClickException(f"{project} cannot be made: {error}") from error
+    click.echo(f"made {project}; next:\n")
+    click.echo(f"  cd {project}\n  pip install -e '.[dev]'\n  pytest")
+
+
+def _files(folder: Traversable, prefix: str) -> Iterator[tuple[str, str]]:
+    for entry in sorted(folder.iterdir(), key=lambda path: path.name):
+        if entry.name in _SKIPPED:
+            continue
+        if entry.is_dir():
+            yield from _files(entry, f"{prefix}{entry.name}/")
+        else:
+            yield f"{prefix}{entry.name}", entry.read_text(encoding="utf-8")
+
+
+def _named(text: str, name: str) -> str:
+    """Put a name where the template says example; distributions are written with hyphens."""
+    camel = "".join(part.title() for part in name.split("_"))
+    text = text.replace("uoarm-example", f"uoarm-{name.replace('_', '-')}")
+    return text.replace("Example", camel).replace("example", name)

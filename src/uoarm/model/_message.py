@@ -1,0 +1,153 @@
+"""Messages: their structures, the memory that they take, and the queues that they wait in."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable, Mapping
+from enum import Enum
+from functools import cached_property
+from sys import getsizeof
+from typing import Any, TypeAlias
+
+from attrs import field, frozen
+from attrs.validators import ge, gt
+
+from uoarm._arguments import built_with_arguments
+from uoarm._mistakes import choose
+from uoarm.errors import ConfigurationError
+
+__all__ = [
+    "Deliver",
+    "Message",
+    "MessageStructure",
+    "Options",
+    "OverflowPolicy",
+    "QueuePolicy",
+    "Schema",
+    "ValidationMode",
+    "message_octets",
+]
+
+Message: TypeAlias = Any
+"""A value of the JSON data model, plus `bytes`-like octets and numeric buffers (numpy, array)."""
+
+Schema: TypeAlias = Mapping[str, object] | bool
+"""A JSON Schema of draft 2020-12; treated as immutable everywhere."""
+
+Options: TypeAlias = Mapping[str, object]
+"""Named settings from the configuration file, already plain JSON values."""
+
+Deliver: TypeAlias = Callable[[Message], None]
+"""Takes one message; never raises, never blocks longer than its declared policy."""
+
+
+@frozen(slots=False, eq=False)
+class MessageStructure:
+    """The structure of the messages of one port.
+
+    Attributes:
+        schema: JSON Schema 2020-12 of the logical value (octets are arrays of 0 to 255).
+        native_type: the framework's own name of the type, empty where it has none.
+
+    Two structures are equal when their schemas and native types are equal as JSON.
+    """
+
+    schema: Schema
+    native_type: str = field(default="", kw_only=True)
+
+    @cached_property
+    def fingerprint(self) -> str:
+        """A short name of the content: equal for equal structures, on every machine."""
+        text = json.dumps([self.schema, self.native_type], sort_keys=True, separators=(",", ":"))
+        return hashlib.sha256(text.encode()).hexdigest()[:32]
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, MessageStructure):
+            return NotImplemented
+        return self is other or self.fingerprint == other.fingerprint
+
+    def __hash__(self) -> int:
+        return hash(self.fingerprint)
+
+
+class OverflowPolicy(Enum):
+    """What happens to a message that finds the queue full; every loss is counted."""
+
+    LATEST = "latest"
+    DROP_OLDEST = "drop-oldest"
+    BLOCK = "block"
+
+
+def _policy(name: OverflowPolicy | str) -> OverflowPolicy:
+    return choose(OverflowPolicy, name, "policy", ConfigurationError)
+
+
+@built_with_arguments
+@frozen
+class QueuePolicy:
+    """Length and overflow policy of one queue.
+
+    Attributes:
+        length: messages held at most; `latest` always holds one.
+        policy: `latest` keeps the newest only, `drop-oldest` makes room at the old end,
+            `block` makes the producer wait. Its name does, too; an unknown one is a
+            ConfigurationError.
+        timeout: seconds that `block` waits before the new message is dropped and counted.
+        octets: memory that the messages may hold, as decoded values; with more the queue counts as
+            full. One message of any size passes when it is alone.
+    """
+
+    length: int = field(default=16, validator=ge(1))
+    policy: OverflowPolicy = field(default=OverflowPolicy.DROP_OLDEST, converter=_policy)
+    timeout: float = field(default=1.0, validator=gt(0.0))
+    octets: int = field(default=67_108_864, validator=ge(1))
+
+
+class ValidationMode(Enum):
+    """How many messages of a connection are checked against their declared structure."""
+
+    OFF = "off"
+    SAMPLED = "sampled"
+    ALWAYS = "always"
+
+    __hash__ = object.__hash__  # members are singletons; by name it costs ten times as much
+
+
+_FLAT = {int, float, bool, type(None), str, bytes}
+_MANY = 32
+
+
+def message_octets(message: Message, *, most: int | None = None) -> int:
+    """Return how many octets of memory a message holds: its decoded values, with their containers.
+
+    An estimate on the safe side: what several places share (a name, a small number) is counted at
+    each; of an object beyond the data model only what it says of itself. Never raises, never
+    recurses, linear in the number of values; a buffer is one value, and long lists of numbers or
+    texts are counted at the speed of C.
+
+    Args:
+        message: any value of the data model, with octets and numeric buffers.
+        most: counting stops when this is passed; the result is then some number above it.
+    """
+    octets = 0
+    waiting: list[Any] = [message]
+    while waiting:
+        one = waiting.pop()
+        kind = type(one)
+        octets += getsizeof(one)
+        if most is not None and octets > most:
+            break  # before the values of a long list are even looked at
+        if kind in _FLAT:
+            continue
+        if kind is dict or isinstance(one, Mapping):
+            octets += sum(map(getsizeof, one))
+            waiting.extend(one.values())
+        elif isinstance(one, list | tuple):
+            if len(one) > _MANY and set(map(type, one)) <= _FLAT:
+                octets += sum(map(getsizeof, one))
+            else:
+                waiting.extend(one)
+        elif isinstance(size := getattr(one, "nbytes", None), int):
+            octets += max(size - getsizeof(one), 0)  # what a view or a numpy array stands for
+    return octets
