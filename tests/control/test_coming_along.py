@@ -7,8 +7,10 @@ rare.
 from __future__ import annotations
 
 import pytest
+from attrs import evolve
 from tests.control.test_transcripts import Player
 
+from uoarm._control.engine.ordered import OrderedMap
 from uoarm._control.engine.state import Switchover
 from uoarm.model import FailoverPolicy
 
@@ -28,8 +30,8 @@ def test_whose_inputs_change_hands_or_who_is_reconfigured_is_left_alone(
     is_switching: bool, is_reconfiguration: bool
 ) -> None:
     player = _returning(is_switching=is_switching, is_reconfiguration=is_reconfiguration)
-    mine, other = player.state.switchovers.values()
-    assert other.id == OTHER
+    other = player.state.switchovers[OTHER]
+    (mine,) = (group for number, group in player.state.switchovers.items() if number != OTHER)
     assert (set(mine.members), set(other.members)) == ({"c1"}, {"c2"})
 
 
@@ -43,17 +45,19 @@ def _returning(*, is_switching: bool, is_reconfiguration: bool) -> Player:
     player.play("time 0.05")
     player.play("do c1?")
     state = player.state
-    switchovers = {
-        **state.switchovers,
-        OTHER: Switchover(
-            OTHER,
-            {"c2": None},
-            player.now,
-            is_switching=is_switching,
-            is_reconfiguration=is_reconfiguration,
-        ),
-    }
-    connections = {**state.connections, "c2": state.connections["c2"]._replace(switchover=OTHER)}
-    player.state = state._replace(switchovers=switchovers, connections=connections)
+    other = Switchover(
+        OTHER,
+        OrderedMap([("c2", None)]),
+        OrderedMap([("c2", None)]),
+        player.now,
+        is_switching=is_switching,
+        is_reconfiguration=is_reconfiguration,
+    )
+    moved = state.connections["c2"]._replace(switchover=OTHER)
+    player.state = evolve(
+        state,
+        switchovers=state.switchovers.insert(OTHER, other),
+        connections=state.connections.insert("c2", moved),
+    )
     player.play("do switchover")
     return player

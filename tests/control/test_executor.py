@@ -11,6 +11,7 @@ import pytest
 from tests.control.world import FACE
 
 from uoarm import RobotManager
+from uoarm._control.engine.ordered import OrderedMap
 from uoarm._control.engine.state import forget_earlier, keep_newest, listed
 from uoarm._control.live import parts
 from uoarm._control.revisions import Revision
@@ -97,11 +98,10 @@ def test_an_action_that_fails_keeps_none_of_the_others_from_being_done(
 
 
 def test_what_died_long_ago_is_forgotten_however_many_names_come_and_go() -> None:
-    times = {"first": 0.0, "second": 100.0, "third": 400.0}
-    forget_earlier(times, 401.0)
+    times = OrderedMap([("first", 0.0), ("second", 100.0), ("third", 400.0)])
+    times = forget_earlier(times, 401.0)
     assert times == {"third": 400.0}
-    forget_earlier(times, 1000.0)
-    assert times == {}
+    assert forget_earlier(times, 1000.0) == {}
 
 
 def test_of_many_that_die_together_a_few_are_named() -> None:

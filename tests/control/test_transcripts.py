@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Iterator
+from collections.abc import Set as AbstractSet
 from enum import Enum
 from pathlib import Path
 from typing import Any
@@ -19,6 +20,7 @@ from tests.control.world import FACE, NAME, OTHERS, PORTS, Plans, World, discove
 
 from uoarm._control.engine import actions as act
 from uoarm._control.engine import events as ev
+from uoarm._control.engine.ordered import OrderedMap
 from uoarm._control.engine.state import ConnectionRecord, Part, Parts, Placement, names
 from uoarm.model import FailoverPolicy, Health, Plan, PortRef, ValidationMode
 
@@ -227,9 +229,9 @@ def plain(value: Any) -> str:
         return f"{type(value).__name__}({plain(str(value))}{text})"
     if isinstance(value, Enum):
         return str(value.value)
-    if isinstance(value, frozenset):
+    if isinstance(value, AbstractSet):
         return f"{{{','.join(sorted(map(plain, value)))}}}"
-    if isinstance(value, tuple):
+    if isinstance(value, tuple | OrderedMap):
         return f"({','.join(map(plain, value))})"
     if isinstance(value, float):
         return f"{value:g}"

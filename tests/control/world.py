@@ -15,7 +15,7 @@ from attrs import evolve
 from uoarm._adapt import check_edge
 from uoarm._control.engine import actions as act
 from uoarm._control.engine import events as ev
-from uoarm._control.engine.state import OPEN, Kind, Part, Parts, Placement, State, names
+from uoarm._control.engine.state import Kind, Part, Parts, Placement, State, names
 from uoarm._control.engine.step import step
 from uoarm._control.revisions import find_replacement
 from uoarm._resolve import Resolver, StructureCache
@@ -321,8 +321,9 @@ class World:
         assert set(self.replies) <= set(self.asked)
         assert all(count == 1 for count in Counter(self.replies).values()), self.replies
         for part, batch in state.parts.items():
-            assert batch == OPEN or part in state.batches[batch].parts
-            if batch == OPEN:
+            if batch in state.batches:
+                assert part in state.batches[batch].parts
+            else:
                 assert part in self.open, f"{part} is thought to be open"
         for key, number in state.feeding.items():
             record = state.edges[number]
@@ -470,7 +471,7 @@ class World:
                 action.plan,
                 action.output,
                 action.excluded | self.dead,
-                action.failed,
+                tuple(action.failed),
                 self.plans,
             )
         except ResolutionError as error:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator
 from typing import Any
 
 import pytest
@@ -112,13 +112,14 @@ def cameras(stage: Stage) -> list[str]:
     return [live.name for live in open_now if live.function == "camera"]
 
 
-def set_users(
-    robot: RobotManager,
-    change: Callable[[Mapping[str, ValidationMode]], Mapping[str, ValidationMode]],
-) -> None:
+def set_user(robot: RobotManager, user: str, mode: ValidationMode | None) -> None:
+    """Let it use every edge, or, with None, those no more that it uses."""
     executor = robot._executor
-    edges = {n: edge._replace(users=change(edge.users)) for n, edge in executor.state.edges.items()}
-    executor.state = executor.state._replace(edges=edges)
+    edges = executor.state.edges
+    for number, edge in edges.items():
+        if mode is not None or user in edge.users:
+            edges = edges.insert(number, edge.used_by(user, mode))
+    executor.state = evolve(executor.state, edges=edges)
 
 
 def test_a_component_in_the_middle_is_fed_by_the_better_one_again(stage: Stage) -> None:
@@ -174,14 +175,14 @@ def test_one_that_cannot_return_leaves_all_where_they_are(stage: Stage) -> None:
     stage.lose_best(connection)
     stage.revive_best()
     # A stranger who is fed by the spare, and stays.
-    set_users(stage.robot, lambda users: {**users, "c99": ValidationMode.OFF})
+    set_user(stage.robot, "c99", ValidationMode.OFF)
     stage.look_twice()
     assert len(connection.gaps) == 1
     assert cameras(stage) == ["spare"]
     assert stage.one.open_channels == 0  # what was opened of the better one is closed again
     stage.spare.emit(5)
     assert connection.get(patience()) == 5
-    set_users(stage.robot, lambda users: {user: users[user] for user in users if user != "c99"})
+    set_user(stage.robot, "c99", None)
     stage.look_twice()
     assert [gap.after[0] for gap in connection.gaps] == ["spare", "best"]
 

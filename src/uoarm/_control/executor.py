@@ -19,9 +19,9 @@ from collections.abc import Iterable
 from uoarm import _bounded
 from uoarm._control.bridges import BridgeSet
 from uoarm._control.engine import events as ev
-from uoarm._control.engine.draft import connection_of
+from uoarm._control.engine.draft import by_age, connection_of
 from uoarm._control.engine.events import write_event
-from uoarm._control.engine.state import ComponentRecord, State
+from uoarm._control.engine.state import ComponentRecord, State, oldest_first
 from uoarm._control.engine.step import step
 from uoarm._control.live.component import LiveComponent
 from uoarm._control.live.connection_runtime import ConnectionRuntime
@@ -285,7 +285,8 @@ class Executor:
     def connections(self) -> tuple[ConnectionRuntime, ...]:
         """Return the connections that have a plan and have not ended, oldest first."""
         runtimes = self.live.runtimes.copy()
-        found = (runtimes.get(connection) for connection in self.state.connections)
+        records = oldest_first(self.state.connections.values())
+        found = (runtimes.get(record.id) for record in records)
         return tuple(
             runtime for runtime in found if runtime is not None and runtime.record is not None
         )
@@ -298,7 +299,8 @@ class Executor:
     def edges(self) -> tuple[LiveEdge, ...]:
         """Return the edges that feed something."""
         objects = self.live.edges.copy()
-        return tuple(objects[number] for number in self.state.feeding.values() if number in objects)
+        numbers = sorted(self.state.feeding.values())
+        return tuple(objects[number] for number in numbers if number in objects)
 
     def component_statuses(self) -> tuple[ComponentStatus, ...]:
         """Return what the status map shows of components."""
@@ -325,10 +327,16 @@ class Executor:
         record = state.components.get(number)
         if record is None or state.serving.get(record.name) != number:
             return
-        others = frozenset(self.live.components.copy()) - {number}
-        bridge, is_lost = record.step.component.bridge, health is Health.LOST
         self.post(
-            ev.HealthReported(bridge, health, cause, record.name, "messages", others, is_lost)
+            ev.HealthReported(
+                record.step.component.bridge,
+                health,
+                cause,
+                record.name,
+                "messages",
+                is_avoided=health is Health.LOST,
+                instance=number,
+            )
         )
 
     def _handle(self, event: ev.Event) -> None:
@@ -362,7 +370,7 @@ def _status(record: ComponentRecord, live: LiveComponent | None) -> ComponentSta
         function=record.step.component.function,
         bridge=record.step.component.bridge,
         health=record.health.health,
-        users=tuple(dict.fromkeys(map(connection_of, record.users))),
+        users=tuple(by_age(map(connection_of, record.users))),
         cause=record.health.cause,
         channels=channels,
         failed=0 if live is None else live.failures.failed,

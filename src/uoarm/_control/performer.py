@@ -199,7 +199,9 @@ class Performer:
             joined.renew_check()
 
     def _forget_all(self, action: act.Forget) -> None:
-        self._revisions.current.forget(action.components)
+        revision = self._revisions.current
+        may = revision.within(action.function, action.components)
+        revision.forget(action.components if not action.function else may)
 
     def _adopt(self, number: int) -> None:
         self._revisions.adopt(number)

@@ -10,7 +10,8 @@ import logging
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Container, Iterator, Mapping
+from collections.abc import Set as AbstractSet
 from contextlib import contextmanager
 from typing import Protocol
 
@@ -34,7 +35,15 @@ from uoarm.errors import (
     UoarmError,
     UsageError,
 )
-from uoarm.model import ConfigurationChange, ConnectionEffect, Effect, MessageStructure, Plan, Robot
+from uoarm.model import (
+    ConfigurationChange,
+    ConnectionEffect,
+    Effect,
+    Function,
+    MessageStructure,
+    Plan,
+    Robot,
+)
 
 __all__ = [
     "Resolve",
@@ -62,9 +71,12 @@ class Resolving(Protocol):
         """How many changes of candidates there were in it."""
 
     def resolve(
-        self, name: str, excluded: frozenset[str] = ..., avoided: frozenset[str] = ...
+        self, name: str, excluded: frozenset[str] = ..., avoided: AbstractSet[str] = ...
     ) -> Plan:
         """Return the best plan; raises ResolutionError."""
+
+    def within(self, function: str, components: Container[str]) -> frozenset[str]:
+        """Return those of some components that plans of a function may have."""
 
     def forget(self, components: Collection[str]) -> None:
         """Ask for the structures of components again the next time."""
@@ -73,12 +85,14 @@ class Resolving(Protocol):
 def seek_replacement(action: act.FindReplacement, revision: Resolving) -> ev.ReplacementSought:
     """Look for a plan that gives the application what its own gave."""
     asked = action.connection, action.attempt
+    failed, function = action.failed, action.plan.function
     try:
+        # Thousands may have died with one bridge: of these only what matters here is looked at.
         plan = find_replacement(
             action.plan,
             action.output,
-            action.excluded,
-            action.failed,
+            revision.within(function, action.excluded),
+            tuple(sorted(revision.within(function, failed), key=failed.place)),
             lambda name, excluded: revision.resolve(name, excluded, action.avoided),
         )
     except Exception as error:  # noqa: BLE001 - the state learns of it whatever it is
@@ -234,6 +248,8 @@ class Revision:
     guard: LockGuard | None = None
     candidates: int = 0
     needs_candidates: bool = field(init=False)
+    # Filled by any thread; two that find the same do no harm.
+    _reach: dict[str, frozenset[str]] = field(init=False, factory=dict)
 
     def __attrs_post_init__(self) -> None:
         needs = any(function.needs is not None for function in self.base.functions.values())
@@ -243,10 +259,10 @@ class Revision:
         self,
         name: str,
         excluded: frozenset[str] = frozenset(),
-        avoided: frozenset[str] = frozenset(),
+        avoided: AbstractSet[str] = frozenset(),
     ) -> Plan:
         """Resolve without what is avoided; where there is nothing else, with it."""
-        avoided -= excluded
+        avoided = self.within(name, avoided) - excluded if avoided else frozenset()
         if avoided:
             try:
                 return self.resolver.resolve(name, excluded=excluded | avoided)
@@ -254,11 +270,32 @@ class Revision:
                 pass
         return self.resolver.resolve(name, excluded=excluded)
 
+    def within(self, function: str, components: Container[str]) -> frozenset[str]:
+        """Return those of some components that plans of a function may have."""
+        reach = self._reach.get(function)
+        if reach is None:
+            reach = self._reach[function] = _reach(self.robot.functions, function)
+        return frozenset(name for name in reach if name in components)
+
     def forget(self, components: Collection[str]) -> None:
         """Ask for the structures of components again the next time."""
         for component in components:
             self.structures.forget(component)
         self.resolver.invalidate(frozenset(components))
+
+
+def _reach(functions: Mapping[str, Function], name: str) -> frozenset[str]:
+    """Return the names of all components that a plan of a function may have."""
+    found: set[str] = set()
+    seen, sought = {name}, [name]
+    while sought:
+        function = functions.get(sought.pop())
+        for component in () if function is None else function.components:
+            found.add(component.name)
+            sources = {port.source.function for port in component.inputs if port.source is not None}
+            sought += sources - seen
+            seen |= sources
+    return frozenset(found)
 
 
 @frozen(eq=False)

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
-from typing import Protocol, runtime_checkable
+from functools import lru_cache
+from typing import Protocol, cast, runtime_checkable
 
 from uoarm.model import Deliver, Message
 
@@ -42,6 +43,11 @@ class Delivery(Protocol):
         """
 
 
+@lru_cache(maxsize=64)  # there are few, and to ask a protocol costs ten times as much as to open
+def _is_delivery(kind: type) -> bool:
+    return issubclass(kind, Delivery)
+
+
 class Gate:
     """Hands messages to `deliver` one at a time, and none once it is shut.
 
@@ -68,7 +74,8 @@ class Gate:
 
     def __init__(self, deliver: Deliver | Delivery) -> None:
         self._deliver = deliver
-        self._delivery = deliver if isinstance(deliver, Delivery) else None
+        kind: type = type(deliver)
+        self._delivery = cast("Delivery", deliver) if _is_delivery(kind) else None
         self._turn = threading.RLock()
         self._is_shut = False
         self.refused = 0

@@ -8,10 +8,13 @@ state may have forgotten it.
 
 from __future__ import annotations
 
+from collections.abc import Collection
+from collections.abc import Set as AbstractSet
 from typing import TypeAlias
 
 from attrs import frozen
 
+from uoarm._control.engine.ordered import OrderedMap
 from uoarm._control.engine.state import ConnectionRecord, Part, Parts, Placement
 from uoarm.model import Plan
 
@@ -57,7 +60,7 @@ class Resolve:
     lane: str
     connection: str
     function: str
-    avoided: frozenset[str]
+    avoided: AbstractSet[str]
 
 
 @frozen
@@ -144,8 +147,8 @@ class FindReplacement:
     plan: Plan
     output: str | None
     excluded: frozenset[str]
-    failed: tuple[str, ...]
-    avoided: frozenset[str]
+    failed: OrderedMap[str, float]
+    avoided: AbstractSet[str]
     switchover: int = 0
 
 
@@ -156,7 +159,7 @@ class CheckPreferred:
     lane: str
     connection: str
     plan: Plan
-    avoided: frozenset[str]
+    avoided: AbstractSet[str]
 
 
 @frozen
@@ -271,9 +274,15 @@ class CancelBatch:
 
 @frozen
 class Forget:
-    """Ask for the structures of these components again the next time."""
+    """Ask for the structures of these components again the next time.
 
-    components: tuple[str, ...]
+    Attributes:
+        function: of those, only those that it may use; empty: all of them.
+    """
+
+    components: Collection[str]
+    # Thousands may have died with one bridge, and each of as many connections waits for its own.
+    function: str = ""
 
 
 @frozen

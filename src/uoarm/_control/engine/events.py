@@ -168,6 +168,7 @@ class HealthReported:
         is_avoided: whether it emits too little or raises too often, which no bridge would notice:
             it is avoided for a while.
         function: of a service, of which no instance is open that would have it.
+        instance: the one that it is about, and no other of the name; 0: the one that serves.
     """
 
     bridge: str
@@ -180,6 +181,7 @@ class HealthReported:
     spared: frozenset[int] = frozenset()
     is_avoided: bool = False
     function: str = ""
+    instance: int = 0
 
 
 @frozen

@@ -5,6 +5,8 @@ How a connection ends is here, too, and how a plan that was opened for it is aba
 
 from __future__ import annotations
 
+from collections.abc import Container, Mapping
+
 from attrs import evolve
 
 from uoarm._control.engine.actions import (
@@ -32,7 +34,7 @@ from uoarm._control.engine.state import (
     forget_earlier,
     listed,
     names,
-    recently,
+    oldest_first,
 )
 from uoarm.errors import BridgeError, FailureReason
 from uoarm.model import ConnectionState, Health, Plan
@@ -128,11 +130,12 @@ def cancel_switchover(draft: Draft, number: int, *, is_abandoned: bool = False) 
         number: of the return.
         is_abandoned: whether members of a reconfiguration should not try it together once more.
     """
-    group = draft.switchovers.pop(number)
+    group = draft.switchovers[number]
+    draft.switchovers = draft.switchovers.remove(number)
     # A change of configuration is owed to its caller: it is begun again when what disturbed it is
     # over. A return is only better, and is looked for anew by each member.
     if group.is_reconfiguration and not is_abandoned:
-        draft.outdated |= frozenset(group.members)
+        draft.outdated = draft.outdated.update(group.members)
     for identity in group.members:
         record = drop_next(draft, draft.connections[identity])
         record = draft.put(record, switchover=0, available_since=None, look_at=None)
@@ -170,7 +173,9 @@ def health_reported(draft: Draft, event: HealthReported) -> None:
             _judge_service(draft, name, event)
         # Spared are those that the next bridge of this name has opened already: the death of the
         # one before was reported late.
-        if number is None or (is_lost and number in event.spared):
+        if number is None or event.instance not in {0, number}:
+            continue
+        if is_lost and number in event.spared:
             continue
         record = _note(draft, draft.components[number], event)
         if event.health is Health.FINISHED:
@@ -183,7 +188,7 @@ def health_reported(draft: Draft, event: HealthReported) -> None:
     # After the edges were stopped, as its closing may bring last messages.
     if is_lost and event.component is None:
         draft.actions.append(RetireBridge(event.bridge))
-    if event.health is Health.OK and not draft.serving.keys() >= set(concerned):
+    if event.health is Health.OK and not all(name in draft.serving for name in concerned):
         look_soon(draft)  # what is not open may be a candidate again
 
 
@@ -197,7 +202,8 @@ def _concerned(draft: Draft, event: HealthReported) -> list[str]:
         if number is not None:
             bridge = draft.components[number].step.component.bridge
         return [name] if bridge == event.bridge else []
-    there = {key: draft.components[n].step.component.bridge for key, n in draft.serving.items()}
+    serving = (draft.components[number] for number in sorted(draft.serving.values()))
+    there = {record.name: record.step.component.bridge for record in serving}
     bridges = {**draft.bridges, **there}
     return [name for name, bridge in bridges.items() if bridge == event.bridge]
 
@@ -207,11 +213,9 @@ def _judge_service(draft: Draft, name: str, event: HealthReported) -> None:
     subject = f"component {name}"
     draft.actions.append(Announce(subject, event.health.value, event.cause, event.function))
     if event.health is Health.LOST:
-        forget_earlier(draft.avoided, draft.now)
-        draft.avoided.pop(name, None)
-        draft.avoided[name] = draft.now
+        draft.avoided = forget_earlier(draft.avoided, draft.now).insert_last(name, draft.now)
     elif event.health is Health.OK:
-        draft.avoided.pop(name, None)
+        draft.avoided = draft.avoided.discard(name)
 
 
 def _note(draft: Draft, record: ComponentRecord, event: HealthReported) -> ComponentRecord:
@@ -219,18 +223,20 @@ def _note(draft: Draft, record: ComponentRecord, event: HealthReported) -> Compo
     if health.is_news(record.health, event.health, event.cause):
         subject, function = f"component {record.name}", record.step.component.function
         draft.actions.append(Announce(subject, health.health.value, health.cause, function))
-    record = draft.components[record.id] = record._replace(health=health)
+    record = record._replace(health=health)
+    draft.components = draft.components.insert(record.id, record)
     return record
 
 
 def _finish(draft: Draft, component: ComponentRecord) -> None:
     """Have connections end when what is under way has arrived."""
-    for record in tuple(draft.connections.values()):
-        if not _uses(record.current, frozenset({component.id})) or record.finished:
+    for identity in draft.using((component.id,)):
+        record = draft.connections[identity]
+        if not _uses(record.current, (component.id,)) or record.finished:
             continue
         if record.state is ConnectionState.CLOSING:
             continue
-        record = draft.put(record, finished=f"component {component.name!r} finished")  # noqa: PLW2901
+        record = draft.put(record, finished=f"component {component.name!r} finished")
         # One that is still being opened drains when it is open (`step._run`): what has come by
         # then is for the application.
         if record.is_active:
@@ -239,15 +245,12 @@ def _finish(draft: Draft, component: ComponentRecord) -> None:
 
 def _lose(draft: Draft, lost: list[int], concerned: frozenset[str], event: HealthReported) -> None:
     dead = [draft.components[number].name for number in lost]
-    forget_earlier(draft.failed, draft.now)
-    forget_earlier(draft.avoided, draft.now)
-    for name in dead:
-        # Taken out first, so that it stands last: the order is that of the times.
-        draft.failed.pop(name, None)
-        draft.failed[name] = draft.now
+    draft.failed = forget_earlier(draft.failed, draft.now)
+    draft.avoided = forget_earlier(draft.avoided, draft.now)
+    for name in dead:  # last, as the order is that of the times
+        draft.failed = draft.failed.insert_last(name, draft.now)
         if event.is_avoided:
-            draft.avoided.pop(name, None)
-            draft.avoided[name] = draft.now
+            draft.avoided = draft.avoided.insert_last(name, draft.now)
     were = f"component {dead[0]!r} was"
     if len(dead) > 1:
         were = f"components {listed(dead)} were"
@@ -258,28 +261,38 @@ def _lose(draft: Draft, lost: list[int], concerned: frozenset[str], event: Healt
 def replace(draft: Draft, failure: ComponentFailure) -> None:
     """Let no message through what was lost, and have the connections that use it do without."""
     # First all edges, then the connections: what one of them finds may not use another's dead.
-    lost = frozenset(failure.lost)
+    lost = {number: place for place, number in enumerate(failure.lost)}
     draft.actions.append(Stop(draft.lose(failure.lost)))
-    for identity in tuple(draft.connections):
+    for identity in draft.using(lost):
         # Read anew: what was done for one before may have changed it, as members of a switchover.
         record = draft.connections[identity]
         if record.state is ConnectionState.CLOSING:
             continue
         if _uses(record.current, lost):
-            _lose_current(draft, record, failure)
+            _lose_current(draft, record, failure, lost)
         elif _uses(record.next, lost):
             _lose_next(draft, record, failure)
 
 
-def _lose_current(draft: Draft, record: ConnectionRecord, failure: ComponentFailure) -> None:
-    """Replace the plan that runs, or end; an end while it is opened is the request's failure."""
+def _lose_current(
+    draft: Draft, record: ConnectionRecord, failure: ComponentFailure, places: Mapping[int, int]
+) -> None:
+    """Replace the plan that runs, or end; an end while it is opened is the request's failure.
+
+    Args:
+        draft: the state.
+        record: the connection.
+        failure: what all connections lost.
+        places: where in that each component stands.
+    """
     # A second death while the first is being replaced adds to it: the gap counts from the first.
     before = record.failure
     # Its own alone: a bridge may have died with thousands, and every plan counts what it lost.
-    ids = frozenset(record.placement.components.values())
+    ids = set(record.placement.components.values())
     if record.next is not None:
-        ids |= frozenset(record.next.components.values())
-    failure = evolve(failure, lost=tuple(number for number in failure.lost if number in ids))
+        ids.update(record.next.components.values())
+    lost = sorted((number for number in ids if number in places), key=places.__getitem__)
+    failure = evolve(failure, lost=tuple(lost))
     if before is not None:
         failure = evolve(
             before,
@@ -298,7 +311,7 @@ def _lose_current(draft: Draft, record: ConnectionRecord, failure: ComponentFail
     elif record.switchover:
         cancel_switchover(draft, record.switchover)
         seek(draft, draft.connections[record.id])
-    elif _uses(record.next, frozenset(failure.lost)):
+    elif _uses(record.next, failure.lost):
         seek(draft, drop_next(draft, record))
     elif record.next is None:
         seek(draft, record)
@@ -336,7 +349,7 @@ def seek(draft: Draft, record: ConnectionRecord) -> None:
             output=record.output,
             excluded=failure.excluded,
             failed=draft.failed_lately(but=runs),
-            avoided=recently(draft.avoided, draft.now),
+            avoided=draft.avoided_lately(),
         )
     )
 
@@ -379,7 +392,8 @@ def found(draft: Draft, record: ConnectionRecord, event: ReplacementSought) -> N
     record = draft.put(record, failure=failure, state=ConnectionState.WAITING, cause=failure.cause)
     if runs:  # once, and not after each search
         draft.publish(record)
-    draft.actions += [Forget(tuple(sorted(failure.dead))), WakeAt(retry_at)]
+    function = record.placement.plan.function
+    draft.actions += [Forget(failure.dead, function), WakeAt(retry_at)]
 
 
 def look_again(draft: Draft, record: ConnectionRecord) -> None:
@@ -397,7 +411,7 @@ def look_soon(draft: Draft) -> None:
     """Have connections that wait look for what takes over, now that something may."""
     # Not at once: where much comes back, each report of it calls this, and one search is enough.
     soon = draft.now + _AGAIN_SECONDS
-    for record in tuple(draft.connections.values()):
+    for record in oldest_first(draft.connections[identity] for identity in draft.timed):
         failure = record.failure
         if failure is not None and failure.retry_at is not None and failure.retry_at > soon:
             draft.put(record, failure=evolve(failure, retry_at=soon))
@@ -482,5 +496,7 @@ def _seek_without(draft: Draft, record: ConnectionRecord, more: frozenset[str]) 
     seek(draft, draft.put(record, failure=failure))
 
 
-def _uses(placement: Placement | None, components: frozenset[int]) -> bool:
-    return placement is not None and not components.isdisjoint(placement.components.values())
+def _uses(placement: Placement | None, components: Container[int]) -> bool:
+    return placement is not None and any(
+        number in components for number in placement.components.values()
+    )

@@ -6,13 +6,14 @@ another part, so that a late result is never taken for one of the new instance.
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Mapping, Sequence
+from collections.abc import Hashable, Iterable, Mapping, Sequence
 from enum import Enum
-from types import MappingProxyType
 from typing import Any, NamedTuple, TypeVar
 
-from attrs import evolve, field, frozen
+from attrs import define, evolve, field, frozen, setters
+from rpds import HashTrieMap, HashTrieSet
 
+from uoarm._control.engine.ordered import OrderedMap
 from uoarm.model import (
     ConnectionState,
     Edge,
@@ -25,7 +26,6 @@ from uoarm.model import (
 )
 
 __all__ = [
-    "OPEN",
     "PORTS",
     "Batch",
     "ComponentFailure",
@@ -44,7 +44,7 @@ __all__ = [
     "keep_newest",
     "listed",
     "names",
-    "only_drains",
+    "oldest_first",
     "recently",
 ]
 
@@ -91,9 +91,9 @@ _LISTED = 8
 _NAMES = 1000
 _WELL = ComponentHealth()
 T = TypeVar("T")
-_NOTHING: Mapping[Any, Any] = MappingProxyType({})
-OPEN = 0
-"""In `State.parts`: the part is open. Any other number is the batch that is opening it."""
+_NOTHING: HashTrieMap[Any, Any] = HashTrieMap()
+_NONE: HashTrieSet[Any] = HashTrieSet()
+_STRICTNESS = tuple(ValidationMode)
 
 
 class Kind(Enum):
@@ -112,8 +112,7 @@ PORTS = frozenset({Kind.RECEIVE, Kind.SEND})
 """Where the application touches a plan; these call a bridge for inputs that it feeds, only."""
 
 
-# A tuple and no class of attrs, as all records that a step copies or hashes many times: of a
-# thousand connections each event copies the mappings that hold them.
+# A tuple and no class of attrs, as all records that a step makes or hashes many times.
 class Part(NamedTuple):
     """Something that is opened by one call into a bridge, or attached.
 
@@ -155,6 +154,7 @@ class ComponentRecord(NamedTuple):
     Attributes:
         step: of the first plan that needed it.
         users: the placements that depend on it.
+        draining: how many of these only let pass what is under way.
         health: how it is doing.
         is_lost: whether it died; then it is shared no more.
         is_superseded: whether the configuration has another in its place, or none; the same.
@@ -162,10 +162,23 @@ class ComponentRecord(NamedTuple):
 
     id: int
     step: Step
-    users: tuple[str, ...]
+    # Of a component that thousands share, one more user must not cost a copy of all of them. Who
+    # has lost something is found here, and not by looking at every connection.
+    users: HashTrieSet[str] = _NONE
+    draining: int = 0
     health: ComponentHealth = _WELL
     is_lost: bool = False
     is_superseded: bool = False
+
+    @property
+    def only_drains(self) -> bool:
+        """Whether only draining plans use it."""
+        return self.draining == len(self.users)
+
+    def used_by(self, users: HashTrieSet[str]) -> ComponentRecord:
+        """Return the instance with other users."""
+        # Half of all changes, in a quarter of the time of `_replace`.
+        return ComponentRecord(self[0], self[1], users, *self[3:])
 
     @property
     def name(self) -> str:
@@ -184,8 +197,10 @@ class EdgeRecord(NamedTuple):
     edge: Edge
     producer: int
     consumer: int
-    # The mode of each user and not the strictest: as that one leaves, the check is relaxed.
-    users: Mapping[str, ValidationMode]
+    # The mode of each user and not the strictest: as that one leaves, the check is relaxed. How
+    # many wish for each is counted, so that no change looks at all users.
+    users: HashTrieMap[str, ValidationMode] = _NOTHING
+    counts: tuple[int, ...] = (0,) * len(_STRICTNESS)
     # A held edge is in `State.beside` and no other is; it moves to `feeding` in one step with the
     # end of the one before, so that an input never has two edges that let messages through.
     is_held: bool = False
@@ -199,6 +214,25 @@ class EdgeRecord(NamedTuple):
     def origin(self) -> tuple[str, str]:
         """The output that feeds it."""
         return self.edge.producer, self.edge.output
+
+    @property
+    def strictest(self) -> ValidationMode:
+        """The mode that satisfies every user."""
+        return max(
+            (mode for mode, count in zip(_STRICTNESS, self.counts, strict=True) if count),
+            key=_STRICTNESS.index,
+            default=ValidationMode.OFF,
+        )
+
+    def used_by(self, user: str, mode: ValidationMode | None) -> EdgeRecord:
+        """Return the edge with a user that wishes this mode; None: it uses it no more."""
+        counts, before = list(self.counts), self.users.get(user)
+        if before is not None:
+            counts[_STRICTNESS.index(before)] -= 1
+        if mode is None:
+            return self._replace(users=self.users.remove(user), counts=tuple(counts))
+        counts[_STRICTNESS.index(mode)] += 1
+        return self._replace(users=self.users.insert(user, mode), counts=tuple(counts))
 
 
 class Placement(NamedTuple):
@@ -305,6 +339,7 @@ class ConnectionRecord(NamedTuple):
         switchover: id of the switchover that it takes part in; 0: none.
         moves: when its plan changed within the last minute.
         finished: why it ends when all that is under way has arrived; empty: it does not.
+        number: of its request; the oldest has the lowest.
     """
 
     id: str
@@ -338,6 +373,7 @@ class ConnectionRecord(NamedTuple):
     moves: tuple[float, ...] = ()
     # Set once and never taken back: a source that has finished is not played again.
     finished: str = ""
+    number: int = 0
 
     @property
     def is_over(self) -> bool:
@@ -354,7 +390,7 @@ class ConnectionRecord(NamedTuple):
         """Ids of its application ports; none when it ends."""
         if self.state is ConnectionState.CLOSING:
             return ()
-        return tuple(one.ports for one in (self.current, self.next) if one is not None)
+        return tuple(plan.ports for plan in (self.current, self.next) if plan is not None)
 
     @property
     def placement(self) -> Placement:
@@ -379,13 +415,15 @@ class Switchover:
 
     Attributes:
         members: connections by id, with the plan found for each, None while it is sought.
+        unsought: those whose plan is to be sought, the one that is sought first.
         began: when the messages of the plans so far are counted to.
         is_switching: whether the inputs are changing hands, which nothing interrupts.
         is_reconfiguration: whether the plans are better since the configuration is another.
     """
 
     id: int
-    members: Mapping[str, Plan | None]
+    members: OrderedMap[str, Plan | None]
+    unsought: OrderedMap[str, None]
     began: float
     # From `SwitchInputs` to `InputsSwitched`. Meanwhile the state says that the new edges feed,
     # and the objects may not yet: neither a death nor a change may undo what is half done.
@@ -393,20 +431,26 @@ class Switchover:
     is_reconfiguration: bool = False
 
 
-class State(NamedTuple):
-    """Everything. Mappings are never changed in place.
+# Persistent maps: an event makes new ones that share with those before all that it did not touch,
+# so that it costs what it touches. Threads that read see one state, from which nothing vanishes.
+# They have no order; where one matters, it is by the numbers in the records.
+@define(slots=False, on_setattr=setters.frozen)
+class State:
+    """Everything. Only a `Draft`, which is the next state in the making, can be assigned to.
 
     Attributes:
         policy: whether, how often, and whether to return.
         bridges: the bridge of each component of the configuration.
-        parts: open (`OPEN`), or the number of the batch that is opening it.
+        parts: with the batch that opens each; where that is over, the part is open.
         serving: the instance of each component that new users share.
         feeding: the edge that feeds each input.
         beside: the edge that will, after a switchover.
         batches: what is being opened, by number.
         draining: what was replaced and is open still, by the user of its parts.
+        timed: connections that may wait for a time.
         failed: when a component died last, longest ago first.
         avoided: the same for those that emitted too little or raised too often.
+        requests: how many there were.
         number: the last id given.
         is_closing: whether no request is taken any more.
         closers: callers that wait until every connection has ended.
@@ -421,31 +465,34 @@ class State(NamedTuple):
     policy: FailoverPolicy
     bridges: Mapping[str, str]
     # The invariants below are checked after each event by `World.check` in tests/control/world.py.
-    # In the order of their requests; of several that may be meant, the oldest acts first.
-    connections: Mapping[str, ConnectionRecord] = _NOTHING
+    # Of several that may be meant, the oldest acts first.
+    connections: HashTrieMap[str, ConnectionRecord] = _NOTHING
     # An instance is here as long as it has a user: a running, an opening or a draining plan.
-    components: Mapping[int, ComponentRecord] = _NOTHING
-    edges: Mapping[int, EdgeRecord] = _NOTHING
+    components: HashTrieMap[int, ComponentRecord] = _NOTHING
+    edges: HashTrieMap[int, EdgeRecord] = _NOTHING
     # A part is in one batch at most, and none is opened that is open or being opened.
-    parts: Mapping[Part, int] = _NOTHING
+    parts: HashTrieMap[Part, int] = _NOTHING
     # One instance a name. One that died or was superseded leaves at once, though its users stay.
-    serving: Mapping[str, int] = _NOTHING
+    serving: HashTrieMap[str, int] = _NOTHING
     # One edge an input, from a producer that lives to the instance that serves.
-    feeding: Mapping[tuple[str, str], int] = _NOTHING
-    beside: Mapping[tuple[str, str], int] = _NOTHING
-    batches: Mapping[int, Batch] = _NOTHING
-    draining: Mapping[str, DrainingPlan] = _NOTHING
-    switchovers: Mapping[int, Switchover] = _NOTHING
-    # Their order is that of the times: a name is taken out before it is set anew.
-    failed: Mapping[str, float] = _NOTHING
-    avoided: Mapping[str, float] = _NOTHING
+    feeding: HashTrieMap[tuple[str, str], int] = _NOTHING
+    beside: HashTrieMap[tuple[str, str], int] = _NOTHING
+    batches: HashTrieMap[int, Batch] = _NOTHING
+    draining: HashTrieMap[str, DrainingPlan] = _NOTHING
+    switchovers: HashTrieMap[int, Switchover] = _NOTHING
+    # Kept by `Draft.put`: all that have failed or look for a better plan, and no other.
+    timed: HashTrieSet[str] = _NONE
+    # Their order is that of the times: a name that is set anew is the last.
+    failed: OrderedMap[str, float] = field(factory=OrderedMap)
+    avoided: OrderedMap[str, float] = field(factory=OrderedMap)
+    requests: int = 0
     # Counts on over everything that is numbered: no id of an object is ever given again.
     number: int = 0
     is_closing: bool = False
     closers: tuple[str, ...] = ()
     revision: int = 0
     # These three are settled together, in `switchover.continue_reconfiguration`.
-    outdated: frozenset[str] = frozenset()
+    outdated: HashTrieSet[str] = _NONE
     postponed: tuple[str, ...] = ()
     configurers: tuple[str, ...] = ()
     candidates: int = 0
@@ -453,8 +500,8 @@ class State(NamedTuple):
 
     def shared(self) -> tuple[ComponentRecord, ...]:
         """Return the instances that new users share, without those that only drain."""
-        every = (self.components[one] for one in self.serving.values())
-        return tuple(one for one in every if not only_drains(one, self.draining))
+        records = (self.components[number] for number in sorted(self.serving.values()))
+        return tuple(record for record in records if not record.only_drains)
 
 
 def names(plan: Plan) -> tuple[str, ...]:
@@ -462,20 +509,21 @@ def names(plan: Plan) -> tuple[str, ...]:
     return tuple(step.component.name for step in plan.steps)
 
 
-def only_drains(record: ComponentRecord, draining: Mapping[str, DrainingPlan]) -> bool:
-    """Say whether only draining plans use an instance."""
-    return draining.keys() >= set(record.users)
+def oldest_first(records: Iterable[ConnectionRecord]) -> list[ConnectionRecord]:
+    """Return connections in the order of their requests."""
+    return sorted(records, key=lambda record: record.number)
 
 
-def forget_earlier(times: dict[str, float], now: float) -> None:
-    """Forget what was longer ago than is remembered: names come and go for ever.
+def forget_earlier(times: OrderedMap[str, float], now: float) -> OrderedMap[str, float]:
+    """Return times without those longer ago than is remembered: names come and go for ever.
 
     Args:
-        times: in their own order, which is why a name is taken out before it is set anew.
+        times: in their own order, which is why a name that is set anew is the last.
         now: the time.
     """
-    while times and times[oldest := next(iter(times))] < now - _REMEMBERED_SECONDS:
-        del times[oldest]
+    while times and times[oldest := times.first()] < now - _REMEMBERED_SECONDS:
+        times = times.discard(oldest)
+    return times
 
 
 def keep_newest(by_name: dict[str, T], name: str, value: T) -> None:
@@ -497,4 +545,6 @@ def listed(names: Sequence[str]) -> str:
 
 def recently(times: Mapping[str, float], now: float) -> frozenset[str]:
     """Return what happened within the last five minutes."""
+    if not times:
+        return frozenset()
     return frozenset(name for name, time in times.items() if time >= now - _REMEMBERED_SECONDS)

@@ -32,7 +32,7 @@ from uoarm._control.engine.events import (
     TimeReached,
 )
 from uoarm._control.engine.failover import end, finish_if_asked
-from uoarm._control.engine.state import ConnectionRecord, State, names
+from uoarm._control.engine.state import ConnectionRecord, State, names, oldest_first
 from uoarm.errors import ConnectionClosedError, ResolutionError, UsageError
 from uoarm.model import ConnectionState, Plan, PortRef
 
@@ -49,30 +49,30 @@ def step(state: State, event: Event, now: float) -> tuple[State, tuple[Action, .
         event: what happened.
         now: when, in seconds of the manager's monotonic clock.
     """
-    draft = Draft(state, now)
+    draft = Draft.of(state, now)
     _HANDLERS[type(event)](draft, event)
     # Whatever happened may have been the last thing that a change of configuration waited for.
     switchover.continue_reconfiguration(draft)
-    return draft.state(), tuple(draft.actions)
+    return draft.finished(), tuple(draft.actions)
 
 
 def _requested(draft: Draft, event: Requested) -> None:
     if draft.is_closing:
         draft.actions.append(Reply(event.waiter, ConnectionClosedError(_CLOSED)))
         return
-    record = draft.put(
-        ConnectionRecord(
-            event.connection,
-            event.wanted,
-            event.validate,
-            event.waiter,
-            has_callback=event.has_callback,
-        )
+    draft.requests += 1
+    record = ConnectionRecord(
+        event.connection,
+        event.wanted,
+        event.validate,
+        event.waiter,
+        has_callback=event.has_callback,
+        number=draft.requests,
     )
     # The plan was found in the caller's thread, before the event: the configuration, or a
     # candidate, may have changed in between. Then it is only sought once more.
     if event.plan is None or _is_outdated(draft, event):
-        draft.resolve(record)
+        draft.resolve(draft.put(record))
     else:
         _begin(draft, record, event.plan)
 
@@ -108,13 +108,14 @@ def _begin(draft: Draft, record: ConnectionRecord, plan: Plan) -> None:
         text = f"function {plan.function!r} has no output to read"
         _refuse(draft, record, UsageError(text))
         return
-    record = draft.put(record, output=output)
+    record = record._replace(output=output)
     try:
         placement = draft.place(record, plan, record.id)
     except InputInUseError as error:
         # Connections that move to the new configuration may leave what is in the way. To ask the
         # caller to try again would be to let a race of ours fail its request.
         if draft.configurers:
+            draft.put(record)
             draft.postponed = (*draft.postponed, record.id)
         else:
             _refuse(draft, record, ResolutionError(str(error)))
@@ -129,7 +130,7 @@ def _begin(draft: Draft, record: ConnectionRecord, plan: Plan) -> None:
 def _refuse(draft: Draft, record: ConnectionRecord, error: BaseException | None) -> None:
     """Answer a request of which nothing was opened."""
     # No end to be waited for, and nothing was published: the record just goes.
-    del draft.connections[record.id]
+    draft.remove(record)
     draft.actions.append(Reply(record.waiter, error))
 
 
@@ -167,7 +168,8 @@ def _run(draft: Draft, record: ConnectionRecord) -> None:
 
 def _opened(draft: Draft, event: Opened) -> None:
     # Who waits is read first: a failure, below, changes who uses what.
-    batch = draft.batches.pop(event.batch)
+    batch = draft.batches[event.batch]
+    draft.batches = draft.batches.remove(event.batch)
     waiting = draft.waiting_for(batch)
     late = draft.settle(batch, event.done)
     if late:
@@ -234,7 +236,8 @@ def _ran_out(draft: Draft, event: RanOut) -> None:
 
 def _ended(draft: Draft, event: Ended) -> None:
     # In no list any more when the caller's thread goes on, and published before that.
-    record = draft.connections.pop(event.connection)
+    record = draft.connections[event.connection]
+    draft.remove(record)
     error = record.error
     if error is None and record.waiter:
         text = f"connection {record.id} ended while it was being opened"
@@ -249,8 +252,8 @@ def _ended(draft: Draft, event: Ended) -> None:
 def _stopped(draft: Draft, event: Stopped) -> None:
     # First, so that nothing that is asked from here on begins anew.
     draft.is_closing, draft.closers = True, (*draft.closers, event.waiter)
-    for identity in tuple(draft.connections):
-        record = draft.connections[identity]  # an end may change others, with which it returns
+    for item in oldest_first(draft.connections.values()):
+        record = draft.connections[item.id]  # an end may change others, with which it returns
         if record.current is None:
             _refuse(draft, record, ConnectionClosedError(_CLOSED))
         else:
@@ -269,9 +272,9 @@ def _time_reached(draft: Draft, event: TimeReached) -> None:
     # The timer keeps one time only, the earliest. So all that waits is looked at; each says anew
     # when it is due where that is not yet, and times that lie close together are one event.
     del event
-    for identity in tuple(draft.connections):
-        failover.look_again(draft, draft.connections[identity])
-        switchover.look_for_preferred(draft, draft.connections[identity])
+    for record in oldest_first(draft.connections[identity] for identity in draft.timed):
+        failover.look_again(draft, draft.connections[record.id])
+        switchover.look_for_preferred(draft, draft.connections[record.id])
 
 
 def _replacement_sought(draft: Draft, event: ReplacementSought) -> None:

@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 
 from attrs import evolve
+from rpds import HashTrieSet
 
 from uoarm._control.engine.actions import (
     Adopt,
@@ -40,13 +41,14 @@ from uoarm._control.engine.failover import (
     replace,
     seek,
 )
+from uoarm._control.engine.ordered import OrderedMap
 from uoarm._control.engine.state import (
     ComponentFailure,
     ConnectionRecord,
     Switchover,
     listed,
     names,
-    recently,
+    oldest_first,
 )
 from uoarm.errors import ResolutionError
 from uoarm.model import ConnectionState, Plan
@@ -76,10 +78,15 @@ def begin(
 ) -> None:
     """Have connections change to better plans together, which are sought one after another."""
     number = draft.new_id()
-    plans = {record.id: None for record in records}
-    draft.switchovers[number] = Switchover(
-        number, plans, draft.now, is_reconfiguration=is_reconfiguration
+    unsought = OrderedMap((record.id, None) for record in records)
+    group = Switchover(
+        number,
+        OrderedMap((record.id, None) for record in records),
+        unsought,
+        draft.now,
+        is_reconfiguration=is_reconfiguration,
     )
+    draft.switchovers = draft.switchovers.insert(number, group)
     # One search at a time, all in the lane of the switchover: what the plan of one member moves
     # along may be members itself, of which the search for the next must know.
     first, *_ = [draft.put(record, switchover=number) for record in records]
@@ -95,11 +102,12 @@ def found(draft: Draft, record: ConnectionRecord, event: ReplacementSought) -> N
     if event.plan is not None and draft.is_outdated(event.plan, event.candidates):
         _seek_for(draft, record)
         return
-    members = {**group.members, record.id: event.plan}
+    members, unsought = group.members.insert(record.id, event.plan), group.unsought
+    unsought = unsought.discard(record.id)
     rivals = set[str]() if event.plan is None else draft.rivals(event.plan)
     if group.is_reconfiguration:
         if event.plan is None or _serves(draft, record, event.plan):
-            del members[record.id]  # what it must not keep is replaced after the switchover
+            members = members.discard(record.id)  # what must go is replaced after the switchover
             draft.put(record, switchover=0)
         if event.plan is None and not _is_superseded(draft, record):
             draft.actions.append(Warn(record.id, f"stays where it is: {event.error}"))
@@ -111,14 +119,13 @@ def found(draft: Draft, record: ConnectionRecord, event: ReplacementSought) -> N
     for identity in sorted(rival for rival in rivals if rival not in members):
         for member in _joining_with(draft, identity):
             draft.put(drop_next(draft, draft.connections[member]), switchover=group.id)
-            members[member] = None
-    group = draft.switchovers[group.id] = evolve(group, members=members)
-    for identity, plan in members.items():
-        if plan is None:
-            _seek_for(draft, draft.connections[identity])
-            return
+            members, unsought = members.insert(member, None), unsought.insert(member, None)
     if not members:
-        del draft.switchovers[group.id]
+        draft.switchovers = draft.switchovers.remove(group.id)
+        return
+    group = _put(draft, evolve(group, members=members, unsought=unsought))
+    if unsought:
+        _seek_for(draft, draft.connections[unsought.first()])
         return
     # Nothing of any member is placed before each has its plan: until then a death costs nothing.
     for identity, plan in members.items():
@@ -136,18 +143,22 @@ def found(draft: Draft, record: ConnectionRecord, event: ReplacementSought) -> N
 
 def seek_outdated(draft: Draft) -> None:
     """Have plans sought anew that were found and not placed yet, with candidates that changed."""
-    for group in draft.switchovers.values():
+    for _, group in sorted(draft.switchovers.items()):
         if group.is_switching:  # nothing is sought any more, and members may have ended meanwhile
             continue
-        members = {
-            identity: None
-            if plan is not None
-            and draft.connections[identity].next is None
-            and draft.is_outdated(plan, draft.candidates - 1)
-            else plan
+        members = OrderedMap(
+            (
+                identity,
+                None
+                if plan is not None
+                and draft.connections[identity].next is None
+                and draft.is_outdated(plan, draft.candidates - 1)
+                else plan,
+            )
             for identity, plan in group.members.items()
-        }
-        draft.switchovers[group.id] = evolve(group, members=members)
+        )
+        unsought = OrderedMap((name, None) for name, plan in members.items() if plan is None)
+        _put(draft, evolve(group, members=members, unsought=unsought))
 
 
 def advance(draft: Draft, group: Switchover, members: Iterable[str]) -> None:
@@ -162,24 +173,27 @@ def advance(draft: Draft, group: Switchover, members: Iterable[str]) -> None:
         # All are asked for, also after one that is not open: they open one after another anyway.
         lane = f"switchover {group.id}"
         is_open = draft.open(record, record.next, lane, is_receiving=False) and is_open
-    # The last member first: it opens last, so that the end of each batch looks at few of them.
-    plans = [draft.connections[identity].next for identity in reversed(tuple(group.members))]
-    if not is_open or not all(plan is not None and draft.is_open(plan) for plan in plans):
+    if not is_open or not _is_open(draft, group.members.last()):
         return
-    edges = [edge for plan in reversed(plans) if plan is not None for edge in plan.edges]
+    # The last member opens last: few times only all of them are looked at.
+    if not all(_is_open(draft, identity) for identity in group.members):
+        return
+    plans = (draft.connections[identity].next for identity in group.members)
+    edges = [edge for plan in plans if plan is not None for edge in plan.edges]
     try:
         pairs = draft.switch_inputs(edges)
     except ResolutionError as error:
         abandon(draft, group, str(error))
         return
     # From here on to `InputsSwitched` nothing takes this back: see `Switchover.is_switching`.
-    draft.switchovers[group.id] = evolve(group, is_switching=True)
+    _put(draft, evolve(group, is_switching=True))
     draft.actions.append(SwitchInputs(f"switchover {group.id}", group.id, pairs))
 
 
 def inputs_switched(draft: Draft, event: InputsSwitched) -> None:
     """Let the better plans be the ones that run; where that failed, look for any plan."""
-    group = draft.switchovers.pop(event.switchover)
+    group = draft.switchovers[event.switchover]
+    draft.switchovers = draft.switchovers.remove(event.switchover)
     for identity in group.members:
         # Killed, or ended, while the inputs changed hands.
         record = draft.connections.get(identity)
@@ -210,6 +224,17 @@ def inputs_switched(draft: Draft, event: InputsSwitched) -> None:
             seek(draft, draft.put(record, failure=failure))
 
 
+def _put(draft: Draft, group: Switchover) -> Switchover:
+    draft.switchovers = draft.switchovers.insert(group.id, group)
+    return group
+
+
+def _is_open(draft: Draft, identity: str) -> bool:
+    """Say whether the plan to which a member changes is placed and open."""
+    plan = draft.connections[identity].next
+    return plan is not None and draft.is_open(plan)
+
+
 def abandon(draft: Draft, group: Switchover, error: str) -> None:
     """Leave all where they are."""
     first = next(iter(group.members))
@@ -229,8 +254,8 @@ def _seek_for(draft: Draft, record: ConnectionRecord) -> None:
             plan=record.placement.plan,
             output=record.output,
             excluded=frozenset(),
-            failed=draft.failed_lately(frozenset()) if is_reconfiguration else (),
-            avoided=recently(draft.avoided, draft.now),
+            failed=draft.failed_lately(but=()) if is_reconfiguration else OrderedMap(),
+            avoided=draft.avoided_lately(),
             switchover=record.switchover,
         )
     )
@@ -249,7 +274,7 @@ def _joining_with(draft: Draft, identity: str) -> tuple[str, ...]:
         return (identity,) if may_move(record) else ()
     if group.is_switching or group.is_reconfiguration:
         return ()
-    del draft.switchovers[group.id]
+    draft.switchovers = draft.switchovers.remove(group.id)
     return tuple(group.members)
 
 
@@ -288,9 +313,7 @@ def look_for_preferred(draft: Draft, record: ConnectionRecord) -> None:
     # One look at a time: a bridge that hangs in it holds up no other connection's.
     draft.put(record, is_looking=True, look_at=None)
     lane = f"{record.id}?"
-    draft.actions.append(
-        CheckPreferred(lane, record.id, record.preferred, recently(draft.avoided, draft.now))
-    )
+    draft.actions.append(CheckPreferred(lane, record.id, record.preferred, draft.avoided_lately()))
 
 
 def preferred_checked(draft: Draft, event: PreferredChecked) -> None:
@@ -319,13 +342,13 @@ def configured(draft: Draft, event: Configured) -> None:
     # Before any connection is looked at: what is placed from here on shares nothing old.
     draft.supersede(event.superseded)
     for name in event.superseded:
-        draft.failed.pop(name, None)
-        draft.avoided.pop(name, None)
+        draft.failed = draft.failed.discard(name)
+        draft.avoided = draft.avoided.discard(name)
     # Before the searches that follow, which are to be made in this revision.
     report = Announce("configuration", f"revision {event.revision}")
     draft.actions += [Adopt(event.revision), report]
-    for identity in tuple(draft.connections):
-        record = draft.connections[identity]
+    for item in oldest_first(draft.connections.values()):
+        record = draft.connections[item.id]
         if record.current is None or record.state is ConnectionState.CLOSING:
             continue
         if record.wanted.function in event.functions or _superseded(draft, record):
@@ -358,7 +381,7 @@ def _outdate(draft: Draft, record: ConnectionRecord) -> None:
         failure = evolve(record.failure, excluded=frozenset())
         seek(draft, draft.put(drop_next(draft, record), failure=failure))
     else:
-        draft.outdated |= {record.id}
+        draft.outdated = draft.outdated.insert(record.id)
 
 
 def continue_reconfiguration(draft: Draft) -> None:
@@ -367,17 +390,18 @@ def continue_reconfiguration(draft: Draft) -> None:
         return
     records = [
         record
-        for identity in sorted(draft.outdated & set(draft.connections))
-        if (record := draft.connections[identity]).state is not ConnectionState.CLOSING
+        for identity in sorted(draft.outdated)
+        if (record := draft.connections.get(identity)) is not None
+        and record.state is not ConnectionState.CLOSING
     ]
-    draft.outdated = frozenset(record.id for record in records)
+    draft.outdated = HashTrieSet(record.id for record in records)
     # All move at once or not at all, so that what is opening or switching now is waited for. Each
     # of these ends with an event, after which this is called again.
     if any(group.is_reconfiguration for group in draft.switchovers.values()) or any(
         record.state is ConnectionState.OPENING or record.switchover for record in records
     ):
         return
-    draft.outdated = frozenset()
+    draft.outdated = HashTrieSet()
     members = [record for record in records if record.failure is None and not record.finished]
     if members:
         begin(draft, members, is_reconfiguration=True)
@@ -408,7 +432,7 @@ def _superseded(draft: Draft, record: ConnectionRecord) -> tuple[int, ...]:
 def _replace_what_is_left(draft: Draft) -> None:
     """Close what the configuration has no more, and let connections that use it look further."""
     left: set[int] = set()
-    for record in draft.connections.values():
+    for record in oldest_first(draft.connections.values()):
         if record.is_active and record.failure is None and not record.finished:
             # In the lane in which `replace` has the next plan sought and opened: a device that can
             # be open once is free by then.

@@ -14,7 +14,6 @@ from attrs import define
 
 from uoarm._control.bridges import BridgeSet
 from uoarm._control.engine.actions import Finish, Open
-from uoarm._control.engine.draft import strictest
 from uoarm._control.engine.state import (
     PORTS,
     ComponentRecord,
@@ -330,7 +329,7 @@ class LiveParts:
 
     def _strictness(self, edge: int) -> ValidationMode:
         record = self._state().edges.get(edge)
-        return ValidationMode.OFF if record is None else strictest(record.users)
+        return ValidationMode.OFF if record is None else record.strictest
 
     def _receive(self, action: Open) -> None:
         runtime, ports = self._ports_of(action)
