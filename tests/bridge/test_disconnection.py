@@ -20,3 +20,13 @@ def test_what_no_client_relied_upon_is_not_lost_and_its_coming_is_news() -> None
     disconnection = Disconnection(grace=10.0)
     assert [disconnection.down(now, final=True) for now in (0.0, 100.0)] == [None, None]
     assert disconnection.up() is Health.OK
+
+
+def test_it_says_how_long_a_break_may_still_last() -> None:
+    disconnection = Disconnection(grace=10.0)
+    disconnection.up()
+    assert disconnection.left(0.0) is None
+    disconnection.down(1.0, final=False)
+    assert [disconnection.left(now) for now in (1.0, 4.0, 12.0)] == [10.0, 7.0, 0.0]
+    disconnection.down(12.0, final=False)
+    assert disconnection.left(12.0) is None

@@ -15,6 +15,7 @@ from hypothesis import HealthCheck, settings
 sys.path.insert(0, str(Path(__file__).parent))  # for the modules that the tests share
 
 from components import CONFIGURATION, script
+from played import ANSWERS, Played
 from ros import Enter, Ros, Serve, url
 
 from uoarm import RobotManager
@@ -67,3 +68,11 @@ def enter(server: Server) -> Iterator[Enter]:
     """Connect a client to the server."""
     with ExitStack() as stack:
         yield lambda: stack.enter_context(Ros(url(server)))
+
+
+@pytest.fixture
+def played() -> Iterator[Played]:
+    """A server whose answers a test writes."""
+    server = Played(ANSWERS)
+    yield server
+    server.close()

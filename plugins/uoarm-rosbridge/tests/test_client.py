@@ -4,109 +4,27 @@ from __future__ import annotations
 
 import json
 import re
-import threading
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import pytest
 import trustme
+from played import LISTEN, TALK, Played, asked, bridge_to, seen
 from ros import Serve, eventually, url
 from uoarm_rosbridge.client._options import mistake
 from uoarm_rosbridge.client._types import read_types, reader, structure_of, writer
-from websockets.sync.server import ServerConnection, serve
+from websockets.sync.server import ServerConnection
 
-from uoarm.bridge import Bridge, HealthEvent, Registry
 from uoarm.errors import BridgeError, ConfigurationError, FailureReason, MessageError
-from uoarm.model import BridgeSpec, Endpoint, Health, Role
+from uoarm.model import Endpoint, Health, Role
 from uoarm.server import hash_token, make_token
-from uoarm.testing import Collector, patience
+from uoarm.testing import Collector
 
-STRING = {
-    "type": "std_msgs/String", "fieldnames": ["data"], "fieldtypes": ["string"],
-    "fieldarraylen": [-1], "examples": [""], "constnames": [], "constvalues": [],
-}  # fmt: skip
 ACCESS = """
 version: 1
 roles: {{driver: {{see: ["*"], request: ["*"], send: ["*"]}}}}
 tokens: [{{name: robot, role: driver, sha256: {token}}}]
 """
-
-
-class Played:
-    """A server that answers rosapi as it is written here, and keeps what came."""
-
-    def __init__(self, answers: Mapping[str, object]) -> None:
-        self._answers = answers
-        self.came: list[Any] = []
-        self.sockets: list[ServerConnection] = []
-        self.changed = threading.Condition()
-        self._server = serve(self._talk, "127.0.0.1", 0)
-        self.url = f"ws://127.0.0.1:{self._server.socket.getsockname()[1]}"
-        self._thread = threading.Thread(target=self._server.serve_forever)
-        self._thread.start()
-
-    def _talk(self, socket: ServerConnection) -> None:
-        self.sockets.append(socket)
-        for text in socket:
-            fields = json.loads(text)
-            self.came.append(fields)
-            if fields["op"] == "call_service":
-                name = fields["service"].rpartition("/")[2]
-                is_known = name in self._answers
-                values = self._answers.get(name, f"there is no service {name}")
-                answer = {
-                    "op": "service_response", "id": fields["id"], "values": values,
-                    "result": is_known,
-                }  # fmt: skip
-                socket.send(json.dumps(answer))
-            self.on(socket, fields)
-
-    def on(self, socket: ServerConnection, fields: Any) -> None:
-        """Say more to an operation; a test replaces it."""
-
-    def close(self) -> None:
-        self._server.shutdown()
-        self._thread.join(patience())
-
-
-ANSWERS = {
-    "topic_type": {"type": "std_msgs/String"},
-    "message_details": {"typedefs": [STRING]},
-    "publishers": {"publishers": ["/talker"]},
-    "subscribers": {"subscribers": ["/listener"]},
-    "get_time": {"time": {"secs": 1, "nsecs": 2}},
-}
-TALK = Endpoint("far", "talker", Role.OUTPUT, ("/chatter",))
-LISTEN = Endpoint("far", "listener", Role.INPUT, ("/chatter",))
-
-
-@pytest.fixture
-def played() -> Iterator[Played]:
-    server = Played(ANSWERS)
-    yield server
-    server.close()
-
-
-@contextmanager
-def bridge_to(address: str, **options: object) -> Iterator[Bridge]:
-    given = {"url": address, "check": 0.1, "wait": min(patience(), 60), **options}
-    bridge = Registry().create(BridgeSpec("far", "rosbridge", given))
-    try:
-        yield bridge
-    finally:
-        bridge.close()
-
-
-def seen(bridge: Bridge) -> list[HealthEvent]:
-    events: list[HealthEvent] = []
-    bridge.watch(events.append)
-    return events
-
-
-def asked(played: Played, op: str) -> list[Any]:
-    return [fields for fields in played.came if fields["op"] == op]
 
 
 def test_auth_comes_first_and_on_every_connection_anew(played: Played, tmp_path: Path) -> None:
@@ -209,7 +127,7 @@ def test_an_advertisement_that_is_refused_opens_nothing(played: Played) -> None:
 
 
 def test_a_server_without_rosapi_is_named(played: Played) -> None:
-    played._answers = {}
+    played.answers = {}
     with bridge_to(played.url) as bridge, pytest.raises(BridgeError, match="does rosapi run there"):
         bridge.describe(TALK)
 

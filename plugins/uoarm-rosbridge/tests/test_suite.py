@@ -80,7 +80,7 @@ def test_types_are_those_of_ros_2_and_stay_the_same(bridge: Bridge) -> None:
     assert "x-constants" not in schema  # rosapi lists fields, and addresses of memory, as such
 
 
-@pytest.mark.parametrize("compression", ["cbor", "none"])
+@pytest.mark.parametrize("compression", ["cbor", "cbor-raw", "none"])
 def test_messages_come_with_their_types(compression: str) -> None:
     options = {"url": ADDRESS, "wait": min(patience(), 60), "compression": compression}
     bridge = Registry().create(BridgeSpec("far", "rosbridge", options))
@@ -95,7 +95,7 @@ def test_messages_come_with_their_types(compression: str) -> None:
     scan: Any = scans.wait(1)[0]
     assert scan["ranges"].dtype == np.float32
     # JSON has no word for what is not finite: null, whichever it was
-    last = [np.inf, np.nan] if compression == "cbor" else [np.nan, np.nan]
+    last = [np.nan, np.nan] if compression == "none" else [np.inf, np.nan]
     assert np.array_equal(scan["ranges"], np.array([0.5, *last], np.float32), equal_nan=True)
     bridge.close()
 
@@ -160,6 +160,25 @@ def test_an_action_is_a_call(bridge: Bridge) -> None:
     assert bridge.call(count, {"order": 4}) == {"sequence": [0, 1, 1, 2]}
     with pytest.raises(BridgeError, match="the goal was aborted"):
         bridge.call(count, {"order": -1})
+
+
+def test_a_function_answers_goals(bridge: Bridge) -> None:
+    offered = at(
+        Role.SERVICE, "/ours/count", "test_msgs/action/Fibonacci", peer="optional", at_once=1
+    )
+
+    def count(message: Any) -> Message:
+        if message["order"] < 0:
+            raise ValueError("it cannot")
+        return {"sequence": list(range(message["order"]))}
+
+    channel = bridge.serve(offered, count)
+    called = at(Role.SERVICE, "/ours/count", "test_msgs/action/Fibonacci")
+    eventually(lambda: is_there(bridge, called), "the action is there")
+    assert bridge.call(called, {"order": 4}) == {"sequence": [0, 1, 2, 3]}
+    with pytest.raises(BridgeError, match="the goal was aborted"):
+        bridge.call(called, {"order": -1})
+    channel.close()
 
 
 def test_parameters_are_read_watched_and_set(bridge: Bridge) -> None:

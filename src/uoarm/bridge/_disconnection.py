@@ -45,6 +45,12 @@ class Disconnection:
             return self._report(Health.LOST)
         return self._report(Health.DEGRADED)
 
+    def left(self, now: float) -> float | None:
+        """Return the seconds until a break is a loss; None: there is none, or it is lost."""
+        if self._since is None or self.is_over:
+            return None
+        return max(0.0, self._since + self._grace - now)
+
     def _report(self, health: Health | None) -> Health | None:
         if health is self._reported or (self.is_over and health is Health.DEGRADED):
             return None

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import threading
 import time
-from collections import defaultdict
-from collections.abc import Mapping
 from contextlib import suppress
 from typing import Any, TypeVar
 from weakref import WeakSet
@@ -27,38 +25,30 @@ from uoarm.model import Endpoint, Health, Message, MessageStructure, Options, Ro
 from uoarm_rosbridge.client._channels import (
     ParameterSink,
     ParameterSource,
-    ServedService,
     TopicSink,
     TopicSource,
     parameter,
 )
 from uoarm_rosbridge.client._connection import Fields, ServerConnection
+from uoarm_rosbridge.client._discovery import discovered
+from uoarm_rosbridge.client._goals import ActionlibCaller, ActionlibTypes, call_action
 from uoarm_rosbridge.client._options import (
     Address,
     Port,
     address_of,
     client_options,
-    is_type,
     port_of,
 )
+from uoarm_rosbridge.client._served import AdvertisedAction, AdvertisedService, ServedTypes
 from uoarm_rosbridge.client._types import RosType, read_types, reader, structure_of, writer
 
 __all__ = ["RosbridgeBridge"]
 
 C = TypeVar("C", bound=Channel)
-_SUCCEEDED, _CANCELED, _ABORTED = 4, 5, 6
-_OUTCOMES = {_CANCELED: "canceled", _ABORTED: "aborted"}
 _FINITE = {"x-nonfinite": False}  # JSON, in which everything is published, has no NaN
 _TICK_SECONDS = 0.25
 _JOIN_SECONDS = 1.0
 _DEEP = 16
-_EVERYWHERE = frozenset({"/rosout", "/rosout_agg", "/parameter_events", "/clock"})
-_OF_THE_SERVER = ("/rosapi", "/rosbridge_websocket")
-_OF_EVERY_NODE = (
-    "/get_loggers", "/set_logger_level", "/describe_parameters", "/get_parameter_types",
-    "/get_parameters", "/list_parameters", "/set_parameters", "/set_parameters_atomically",
-    "/get_type_description",
-)  # fmt: skip
 
 
 class RosbridgeBridge(Bridge):
@@ -77,9 +67,12 @@ class RosbridgeBridge(Bridge):
         self._types: dict[tuple[str, str], RosType] = {}
         self._kinds: dict[Endpoint, str] = {}
         self._channels: WeakSet[Channel] = WeakSet()
+        # Guards the clients of actions of ROS 1, each of which is made once.
+        self._callers_lock = threading.Lock()
+        self._callers: dict[str, ActionlibCaller] = {}
         # Guards what is open and what was lost, between steps, the connection and the watch.
         self._table_lock = threading.Lock()
-        self._lost: dict[str, tuple[str, str, frozenset[str] | None]] = {}
+        self._lost: dict[str, tuple[Endpoint, frozenset[str]]] = {}
         self._closing, self._poked = threading.Event(), threading.Event()
         self._is_new = False
         self._watch = threading.Thread(
@@ -124,12 +117,13 @@ class RosbridgeBridge(Bridge):
         return Description(structure_of(made), limits=limits)
 
     def _describe_service(self, endpoint: Endpoint, address: Address, port: Port) -> Description:
-        if address.is_action:
-            if not endpoint.is_offered and port.peer_required:
-                servers = self._ask("action_servers").get("action_servers", [])
-                if address.name not in servers:
-                    text = f"{endpoint}: there is no server of action {address.name}"
-                    raise BridgeError(text, FailureReason.NOT_FOUND)
+        is_action = address.is_action or address.is_actionlib
+        if is_action and not endpoint.is_offered and port.peer_required:
+            self._require_server(endpoint)
+        if address.is_actionlib:
+            types = self._actionlib_types(address)
+            request, reply = types.request(), types.reply()
+        elif address.is_action:
             kinds = self._action_types(address)
             if kinds is None:
                 hint = (
@@ -137,9 +131,15 @@ class RosbridgeBridge(Bridge):
                     "request and the reply"
                 )
                 return Description(hint=hint)
+            request, reply = kinds
         else:
-            kinds = self._service_types(self._service_kind(endpoint, address))
-        return Description(request=structure_of(kinds[0]), reply=structure_of(kinds[1]))
+            request, reply = self._service_types(self._service_kind(endpoint, address))
+        return Description(request=structure_of(request), reply=structure_of(reply))
+
+    def _require_server(self, endpoint: Endpoint) -> None:
+        if not self._peers(endpoint):
+            text = f"{endpoint}: there is no server of action {address_of(endpoint).name}"
+            raise BridgeError(text, FailureReason.NOT_FOUND)
 
     def _message_type(self, endpoint: Endpoint, address: Address) -> RosType:
         actual = str(self._ask("topic_type", topic=_full(address.name)).get("type") or "")
@@ -180,6 +180,19 @@ class RosbridgeBridge(Bridge):
                 raise
             return None
 
+    def _actionlib_types(self, address: Address) -> ActionlibTypes:
+        return ActionlibTypes(
+            *(
+                self._type("message_details", kind)
+                for kind in (
+                    f"{address.type}Goal",
+                    f"{address.type}Result",
+                    "actionlib_msgs/GoalStatusArray",
+                    "actionlib_msgs/GoalID",
+                )
+            )
+        )
+
     def _type(self, details: str, kind: str) -> RosType:
         made = self._types.get((details, kind))
         if made is None:
@@ -191,19 +204,36 @@ class RosbridgeBridge(Bridge):
         return self._connection.rosapi(service, **arguments)
 
     def _require_peer(self, endpoint: Endpoint, address: Address, port: Port) -> None:
-        if not port.peer_required or self._peers(endpoint.role, address.name):
+        if not port.peer_required or self._peers(endpoint):
             return
         does = "publishes" if endpoint.role is Role.OUTPUT else "subscribes to"
         text = f"{endpoint}: no node {does} {_full(address.name)}"
         raise BridgeError(text, FailureReason.NOT_FOUND)
 
-    def _peers(self, role: Role, name: str) -> frozenset[str]:
-        """Return the nodes behind a topic, a service or an action."""
-        if role is Role.SERVICE:
-            server = self._ask("service_type", service=_full(name)).get("type")
+    def _peers(self, endpoint: Endpoint) -> frozenset[str]:
+        """Return the nodes behind an endpoint; of a parameter its name, where it is set."""
+        address = address_of(endpoint)
+        name = _full(address.name)
+        if address.is_parameter:
+            with suppress(BridgeError):
+                parameter(self._connection, endpoint, address.name)
+                return frozenset({name})
+            return frozenset()
+        if address.is_action:
+            servers = self._ask("action_servers").get("action_servers")
+            is_there = isinstance(servers, list) and {name, address.name} & set(servers)
+            return frozenset({name} if is_there else ())
+        if address.is_actionlib:
+            return self._nodes("publishers", f"{name}/status") & self._nodes(
+                "subscribers", f"{name}/goal"
+            )
+        if endpoint.role is Role.SERVICE:
+            server = self._ask("service_type", service=name).get("type")
             return frozenset({str(server)} if server else ())
-        what = "publishers" if role is Role.OUTPUT else "subscribers"
-        found = self._ask(what, topic=_full(name)).get(what)
+        return self._nodes("publishers" if endpoint.role is Role.OUTPUT else "subscribers", name)
+
+    def _nodes(self, what: str, topic: str) -> frozenset[str]:
+        found = self._ask(what, topic=topic).get(what)
         return frozenset(map(str, found)) if isinstance(found, list) else frozenset()
 
     def _open_source(
@@ -212,7 +242,11 @@ class RosbridgeBridge(Bridge):
         del structure  # the server says the type
         address, port = address_of(endpoint), port_of(endpoint)
         if address.is_parameter:
-            return self._keep(ParameterSource(endpoint, self._connection, address.name, deliver))
+            return self._keep(
+                ParameterSource(
+                    endpoint, self._connection, address.name, deliver, self._report_channel
+                )
+            )
         made = self._message_type(endpoint, address)
         self._require_peer(endpoint, address, port)
         topic = _full(address.name)
@@ -239,8 +273,15 @@ class RosbridgeBridge(Bridge):
     ) -> Message:
         address, deadline = address_of(endpoint), time.monotonic() + timeout
         try:
+            if address.is_actionlib:
+                caller = self._caller(endpoint, address)
+                return caller.call(endpoint, message, timeout, self.cancelling)
             if address.is_action:
-                return self._call_action(endpoint, address, message, deadline, timeout)
+                name, kinds = _full(address.name), self._action_types(address)
+                left = max(0.0, deadline - time.monotonic())
+                return call_action(
+                    self._calls, endpoint, name, address.type, kinds, message, left, self.cancelling
+                )
             kind = self._kinds.get(endpoint) or self._service_kind(endpoint, address)
             request, reply = self._service_types(kind)
             fields = {
@@ -271,94 +312,49 @@ class RosbridgeBridge(Bridge):
             text = f"{endpoint}: no reply within {timeout:g} s"
             raise BridgeTimeoutError(text) from None
 
-    def _call_action(
-        self,
-        endpoint: Endpoint,
-        address: Address,
-        message: Message,
-        deadline: float,
-        timeout: float,
-    ) -> Message:
-        kinds = self._action_types(address)
-        name, identity = _full(address.name), self._calls.new_id("goal")
-        cancel = {"op": "cancel_action_goal", "id": identity, "action": name}
-        fields = {
-            "op": "send_action_goal", "id": identity, "action": name, "action_type": address.type,
-            "args": message if kinds is None else writer(kinds[0])(message), "feedback": False,
-        }  # fmt: skip
-        try:
-            with self.cancelling(lambda: self._calls.send(cancel)):
-                answer = self._request(endpoint, fields, deadline, timeout)
-        except BridgeTimeoutError:
-            with suppress(BridgeError):
-                self._calls.send(cancel)
-            raise
-        values, status = answer.get("values"), answer.get("status")
-        if answer.get("result") is False or status != _SUCCEEDED:
-            word = _OUTCOMES.get(status, "refused") if isinstance(status, int) else "refused"
-            why = f": {values[:1000]}" if isinstance(values, str) else ""
-            raise BridgeError(f"{endpoint}: the goal was {word}{why}")
-        return values if kinds is None else reader(kinds[1])(values)
+    def _caller(self, endpoint: Endpoint, address: Address) -> ActionlibCaller:
+        name = _full(address.name)
+        with self._callers_lock:
+            if (caller := self._callers.get(name)) is None:
+                self._require_server(endpoint)
+                types = self._actionlib_types(address)
+                caller = self._callers[name] = ActionlibCaller(self._connection, name, types)
+            return caller
 
     def _serve(
         self, endpoint: Endpoint, structures: ServiceStructures, handler: Handler
     ) -> Channel:
         del structures
         address, port = address_of(endpoint), port_of(endpoint)
-        if not address.type or address.is_action:
-            what = "an action" if address.is_action else "a service without a type"
+        if not address.type or address.is_actionlib:
+            what = "an action of ROS 1" if address.type else "a service without a type"
             text = f"{endpoint}: {what} cannot be served through rosbridge by this bridge"
             raise BridgeError(text, FailureReason.UNSUPPORTED)
-        types, name = self._service_types(address.type), _full(address.name)
+        is_action = address.is_action
+        made = AdvertisedAction if is_action else AdvertisedService
+        kinds = self._action_types(address) if is_action else self._service_types(address.type)
         return self._keep(
-            ServedService(
-                endpoint, self._connection, name, address.type, types, handler, port.at_once
+            made(
+                endpoint,
+                self._connection,
+                _full(address.name),
+                address.type,
+                ServedTypes(kinds),
+                handler,
+                port.at_once,
+                self._report_channel,
             )
         )
 
     def _discover(self) -> tuple[Discovered, ...]:
-        topics = self._ask("topics")
-        kinds = dict(zip(topics.get("topics", ()), topics.get("types", ()), strict=False))
-        found = []
-        for node in self._ask("nodes").get("nodes", ()):
-            if str(node).endswith(_OF_THE_SERVER):
-                continue
-            details = self._ask("node_details", node=str(node))
-            ports = [
-                (role, str(name))
-                for role, part in (
-                    (Role.OUTPUT, "publishing"),
-                    (Role.INPUT, "subscribing"),
-                    (Role.SERVICE, "services"),
-                )
-                for name in details.get(part, ())
-                if name not in _EVERYWHERE and not str(name).endswith(_OF_EVERY_NODE)
-            ]
-            found.append(self._discovered(str(node), ports, kinds))
-        return tuple(component for component in found if component.endpoints)
-
-    def _discovered(
-        self, node: str, ports: list[tuple[Role, str]], kinds: Mapping[str, str]
-    ) -> Discovered:
-        endpoints, missing = [], dict[str, None]()
-        names: defaultdict[str, int] = defaultdict(int)
-        for role, name in ports:
-            kind = kinds.get(name, "") if role is not Role.SERVICE else ""
-            port = name.strip("/").replace("/", "_")
-            names[port] += 1
-            at = (name, kind) if is_type(kind) else (name,)
-            endpoint = Endpoint(self.name, node, role, at, port=port)
-            try:
-                description = self._describe(endpoint)
-            except BridgeError as error:
-                description = Description()
-                missing[str(error)] = None
-            endpoints.append((endpoint, description))
-        return Discovered(node, tuple(endpoints), "; ".join(missing))
+        return discovered(self.name, self._ask, self._describe)
 
     def _close(self) -> None:
         self._closing.set()
         self._poked.set()
+        with self._callers_lock:
+            for caller in self._callers.values():
+                caller.fail("the bridge was closed")
         self._calls.close()
         self._connection.close()
         self._watch.join(_JOIN_SECONDS)
@@ -377,34 +373,25 @@ class RosbridgeBridge(Bridge):
 
         What was there and said nothing for too long is back when others are there.
         """
-        try:
-            address = address_of(endpoint)
-        except BridgeError:
+        if endpoint.is_offered:
             return
-        if address.is_parameter or address.is_action or endpoint.is_offered:
-            return
-        before: frozenset[str] | None = None
-        if is_silent:
-            with suppress(BridgeError):
-                before = self._peers(endpoint.role, address.name)
+        before = frozenset[str]()
+        with suppress(BridgeError):
+            if is_silent:
+                before = self._peers(endpoint)
         with self._table_lock:
-            self._lost[endpoint.component] = (endpoint.role.value, address.name, before)
+            self._lost[endpoint.component] = (endpoint, before)
 
     def _changed(self, cause: str) -> None:
         """Take note of a break, or of its end; in the connection's thread."""
-        if not cause:
-            self._types.clear()
-            self._kinds.clear()
-            self._is_new = True
-            self._poked.set()
+        if cause:
+            for caller in tuple(self._callers.values()):
+                caller.fail(cause)
             return
-        with self._table_lock:
-            channels = tuple(self._channels)
-        for channel in channels:
-            if isinstance(channel, TopicSource | TopicSink):
-                channel.lose(cause)
-            elif isinstance(channel, ParameterSource | ParameterSink) and not channel.closed:
-                self.report(Health.LOST, cause, channel=channel)
+        self._types.clear()
+        self._kinds.clear()
+        self._is_new = True
+        self._poked.set()
 
     def _look_around(self) -> None:
         """Watch who publishes, what was lost, and the silence of sources, until the close."""
@@ -425,28 +412,41 @@ class RosbridgeBridge(Bridge):
                     channel.tick()
 
     def _look(self) -> None:
+        """Look at all that is open, and for all that was lost; one that fails hinders no other."""
         with self._table_lock:
             channels, lost = tuple(self._channels), dict(self._lost)
         is_new, self._is_new = self._is_new, False
         for channel in channels:
-            if channel.closed:
-                continue
-            if isinstance(channel, ServedService) and is_new:
-                channel.advertise()
-            elif isinstance(channel, ParameterSource):
-                channel.look()
-            elif isinstance(channel, TopicSource | TopicSink):
-                self._look_at_peers(channel)
-        for component, (role, name, before) in lost.items():
-            now = self._peers(Role(role), name)
+            if not channel.closed:
+                with suppress(BridgeError):
+                    self._look_at(channel, is_new=is_new)
+        for component, (endpoint, before) in lost.items():
+            now = frozenset[str]()
+            with suppress(BridgeError):
+                now = self._peers(endpoint)
             if now and now != before:
                 with self._table_lock:
                     self._lost.pop(component, None)
+                name = address_of(endpoint).name
                 self.report(Health.OK, f"{name} is there again", component=component)
 
+    def _look_at(self, channel: Channel, *, is_new: bool) -> None:
+        if isinstance(channel, ParameterSource):
+            channel.look()
+        elif isinstance(channel, TopicSource | TopicSink):
+            self._look_at_peers(channel)
+            if is_new and not self._is_same(channel.made):
+                channel.lose(f"{channel.topic} has another type since the connection broke")
+
+    def _is_same(self, made: RosType) -> bool:
+        """Say whether a type is the same in what may be another server than before."""
+        return structure_of(self._type("message_details", made.name)) == structure_of(made)
+
     def _look_at_peers(self, channel: TopicSource | TopicSink) -> None:
-        role = channel.endpoint.role
-        if port_of(channel.endpoint).peer_required and not self._peers(role, channel.topic):
+        endpoint, role = channel.endpoint, channel.endpoint.role
+        if time.monotonic() < self._connection.patient_until:
+            return  # nodes come back one by one, as the connection did
+        if port_of(endpoint).peer_required and not self._peers(endpoint):
             does = "publishes" if role is Role.OUTPUT else "subscribes to"
             channel.lose(f"no node {does} {channel.topic}")
 

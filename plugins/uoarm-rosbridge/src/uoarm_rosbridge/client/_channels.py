@@ -1,4 +1,4 @@
-"""Sources and sinks on topics and parameters, and functions that are served as services."""
+"""Sources and sinks on topics and parameters."""
 
 from __future__ import annotations
 
@@ -7,21 +7,22 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Mapping
-from contextlib import suppress
 from typing import Any
 
-from uoarm.bridge import Channel, Delivery, Handler, Sink, Source
+import numpy as np
+
+from uoarm.bridge import Channel, Delivery, Sink, Source
 from uoarm.errors import BridgeError, FailureReason, MessageError
 from uoarm.model import Endpoint, Health, Message
 from uoarm_rosbridge._wire import write_publish
 from uoarm_rosbridge.client._connection import Fields, ServerConnection
 from uoarm_rosbridge.client._options import Port
+from uoarm_rosbridge.client._raw import raw_reader
 from uoarm_rosbridge.client._types import RosType, reader, writer
 
-__all__ = ["ParameterSink", "ParameterSource", "ServedService", "TopicSink", "TopicSource"]
+__all__ = ["ParameterSink", "ParameterSource", "TopicSink", "TopicSource", "parameter", "plain"]
 
 Report = Callable[[Channel, Health, str], None]
-_MOST_REQUESTS = 256
 
 
 class TopicSource(Source):
@@ -43,11 +44,13 @@ class TopicSource(Source):
         super().__init__(endpoint)
         self.latched = port.latch
         self._connection, self._topic, self._deliver = connection, topic, deliver
-        self._read, self._report, self._port = reader(made), report, port
+        self._report, self._port, self.made = report, port, made
         # Guards what waits, between the connection's thread and that which delivers.
         self._changed = threading.Condition()
         self._waiting: deque[Any] = deque()
         self._received = self._dropped = 0
+        self._breaks = self._seen_breaks = connection.breaks
+        self._newest: Any = None
         self._last = time.monotonic()
         self._is_ended = self._is_lost = False
         self.is_silent = False
@@ -56,21 +59,18 @@ class TopicSource(Source):
             target=self._run, name=f"uoarm-rosbridge-{topic}", daemon=True
         )
         connection.on_status(self._identity, lambda text: self.lose(f"{topic}: {text}"))
-        first = _add(connection, topic, self._take)
-        self._thread.start()
+        options = connection.options
+        fields: Fields = {
+            "op": "subscribe", "id": self._identity, "topic": topic, "type": made.name,
+            "throttle_rate": port.throttle, "queue_length": 0,
+            "compression": port.compression or options.compression,
+        }  # fmt: skip
         try:
-            if first:
-                connection.send(
-                    {
-                        "op": "subscribe",
-                        "id": self._identity,
-                        "topic": topic,
-                        "type": made.name,
-                        "throttle_rate": port.throttle,
-                        "queue_length": 0,
-                        "compression": connection.options.compression,
-                    }
-                )
+            # Where another source has the topic already, messages come as that has asked for.
+            fields = connection.subscribe(fields, self._take)
+            is_raw = fields["compression"] == "cbor-raw"
+            self._read = raw_reader(made, options.budget.elements) if is_raw else reader(made)
+            self._thread.start()
             connection.rosapi("get_time")  # operations are worked through in order
         except BaseException:
             self._close()
@@ -87,6 +87,7 @@ class TopicSource(Source):
             "received": self._received,
             "under_way": len(self._waiting),
             "lost_on_link": self._dropped,
+            "interruptions": self._connection.breaks - self._breaks,
         }
 
     def lose(self, cause: str) -> None:
@@ -107,6 +108,12 @@ class TopicSource(Source):
             if self._is_ended:
                 return
             self._last = time.monotonic()
+            if self.latched:
+                before, self._newest = self._newest, message
+                is_first = self._seen_breaks != self._connection.breaks
+                self._seen_breaks = self._connection.breaks
+                if is_first and is_same(before, message):
+                    return  # what stands is sent again with each subscription
             self._received += 1
             self._waiting.append(message)
             if len(self._waiting) > self._port.queue:
@@ -135,34 +142,7 @@ class TopicSource(Source):
             self._changed.notify_all()
         connection = self._connection
         connection.forget_status(self._identity)
-        if _remove(connection, self._topic, self._take) and connection.is_up:
-            with suppress(BridgeError):
-                connection.send({"op": "unsubscribe", "topic": self._topic})
-
-
-_LISTENERS = threading.Lock()
-"""Guards the tables of who takes what of connections, between steps."""
-
-
-def _add(connection: ServerConnection, topic: str, take: Callable[[Any], None]) -> bool:
-    """Have a topic's messages taken; returns whether it is the first to take them.
-
-    The server sends each message once to a client, however often that has subscribed.
-    """
-    with _LISTENERS:
-        before = connection.topics.get(topic, ())
-        connection.topics = {**connection.topics, topic: (*before, take)}
-        return not before
-
-
-def _remove(connection: ServerConnection, topic: str, take: Callable[[Any], None]) -> bool:
-    """Have them taken no more; returns whether it was the last."""
-    with _LISTENERS:
-        left = tuple(other for other in connection.topics.get(topic, ()) if other != take)
-        topics = {name: takes for name, takes in connection.topics.items() if name != topic}
-        was_there = topic in connection.topics
-        connection.topics = {**topics, topic: left} if left else topics
-        return was_there and not left
+        connection.unsubscribe(self._topic, self._take)
 
 
 class TopicSink(Sink):
@@ -181,14 +161,14 @@ class TopicSink(Sink):
     ) -> None:
         super().__init__(endpoint)
         self._connection, self._topic = connection, topic
-        self._write, self._report = writer(made), report
+        self._write, self._report, self.made = writer(made), report, made
         self._sent = self._refused = 0
         self._why = ""
-        self._is_lost = self._is_ended = False
+        self._is_lost = self._is_ended = self._is_open = False
         self._identity = connection.new_id("advertise")
         connection.on_status(self._identity, self._status)
         try:
-            connection.send(
+            connection.stand(
                 {
                     "op": "advertise",
                     "id": self._identity,
@@ -206,6 +186,7 @@ class TopicSink(Sink):
             text = f"{endpoint}: the server refuses to have {topic} advertised: {self._why}"
             self._close()
             raise BridgeError(text, FailureReason.REFUSED)
+        self._is_open = True
 
     @property
     def topic(self) -> str:
@@ -241,131 +222,15 @@ class TopicSink(Sink):
         """Take note of what the server says of it: an operation was refused."""
         self._refused += 1
         self._why = text
-        if self._sent and not self._is_ended:
+        if self._is_open and not self._is_ended:
             self._report(self, Health.DEGRADED, f"{self._topic}: the server says: {text}")
 
     def _close(self) -> None:
         self._is_ended = True
         connection = self._connection
         connection.forget_status(self._identity)
-        if connection.is_up:
-            with suppress(BridgeError):
-                connection.send({"op": "unadvertise", "id": self._identity, "topic": self._topic})
-
-
-class ServedService(Channel):
-    """A function that clients of the server call; a few requests at a time, the others wait."""
-
-    def __init__(
-        self,
-        endpoint: Endpoint,
-        connection: ServerConnection,
-        service: str,
-        kind: str,
-        types: tuple[RosType, RosType],
-        handler: Handler,
-        at_once: int,
-    ) -> None:
-        super().__init__(endpoint)
-        self._connection, self._service, self._kind = connection, service, kind
-        self._read, self._write = reader(types[0]), writer(types[1])
-        self._handler = handler
-        # Guards the requests that wait, between the connection's thread and those that answer.
-        self._changed = threading.Condition()
-        self._waiting: deque[Fields] = deque()
-        self._is_ended = False
-        self._answered = self._failed = self._refused = 0
-        if service in connection.services:
-            raise BridgeError(f"{endpoint}: it is served here already", FailureReason.REFUSED)
-        connection.services[service] = self._take
-        self._why = ""
-        self._identity = connection.new_id("serve")
-        connection.on_status(self._identity, self._status)
-        self._threads = [
-            threading.Thread(target=self._run, name=f"uoarm-rosbridge-{service}", daemon=True)
-            for _ in range(at_once)
-        ]
-        for thread in self._threads:
-            thread.start()
-        try:
-            self.advertise()
-        except BaseException:
-            self._close()
-            raise
-
-    def advertise(self) -> None:
-        """Tell the server of it, for the first time or after a break.
-
-        Raises:
-            BridgeError: the connection is down, or the server refuses.
-        """
-        fields = {
-            "op": "advertise_service", "id": self._identity, "service": self._service,
-            "type": self._kind,
-        }  # fmt: skip
-        self._why = ""
-        self._connection.send(fields)
-        self._connection.rosapi("get_time")
-        if self._why:
-            text = f"{self.endpoint}: the server refuses to have it served: {self._why}"
-            raise BridgeError(text, FailureReason.REFUSED)
-
-    def facts(self) -> Mapping[str, object]:
-        """Return counters of requests."""
-        return {
-            "answered": self._answered,
-            "failed": self._failed,
-            "refused": self._refused,
-            "waiting": len(self._waiting),
-        }
-
-    def _status(self, text: str) -> None:
-        self._why = text
-
-    def _take(self, fields: Fields) -> None:
-        with self._changed:
-            if not self._is_ended and len(self._waiting) < _MOST_REQUESTS:
-                self._waiting.append(fields)
-                self._changed.notify()
-                return
-            self._refused += 1
-        self._respond(fields, f"{_MOST_REQUESTS} requests wait already", succeeded=False)
-
-    def _run(self) -> None:
-        while True:
-            with self._changed:
-                self._changed.wait_for(lambda: self._waiting or self._is_ended)
-                if self._is_ended:
-                    return
-                fields = self._waiting.popleft()
-            try:
-                values = self._write(self._handler(self._read(fields.get("args") or {})))
-            except Exception as error:  # noqa: BLE001 - of the handler: the caller gets it
-                self._failed += 1
-                self._respond(fields, f"{type(error).__name__}: {error}"[:1000], succeeded=False)
-            else:
-                self._answered += 1
-                self._respond(fields, values, succeeded=True)
-
-    def _respond(self, fields: Fields, values: object, *, succeeded: bool) -> None:
-        answer = {
-            "op": "service_response", "id": fields.get("id"), "service": self._service,
-            "values": values, "result": succeeded,
-        }  # fmt: skip
-        with suppress(BridgeError):  # who asked is gone with the connection
-            self._connection.send(answer)
-
-    def _close(self) -> None:
-        connection = self._connection
-        with self._changed:
-            self._is_ended = True
-            self._changed.notify_all()
-        connection.forget_status(self._identity)
-        if connection.services.get(self._service) == self._take:
-            del connection.services[self._service]
-        if connection.is_up:
-            with suppress(BridgeError):
-                connection.send({"op": "unadvertise_service", "service": self._service})
+        fields = {"op": "unadvertise", "id": self._identity, "topic": self._topic}
+        connection.withdraw(self._identity, fields)
 
 
 class ParameterSource(Source):
@@ -377,10 +242,16 @@ class ParameterSource(Source):
     latched = True
 
     def __init__(
-        self, endpoint: Endpoint, connection: ServerConnection, name: str, deliver: Delivery
+        self,
+        endpoint: Endpoint,
+        connection: ServerConnection,
+        name: str,
+        deliver: Delivery,
+        report: Report,
     ) -> None:
         super().__init__(endpoint)
         self._connection, self._name, self._deliver = connection, name, deliver
+        self._report = report
         self._received = 0
         self._is_lost = False
         self._last = parameter(connection, endpoint, name)
@@ -392,7 +263,13 @@ class ParameterSource(Source):
 
     def look(self) -> None:
         """Look at the value; raises BridgeError where it is gone, or the connection is."""
-        value = parameter(self._connection, self.endpoint, self._name)
+        try:
+            value = parameter(self._connection, self.endpoint, self._name)
+        except BridgeError as error:
+            if error.reason is FailureReason.NOT_FOUND and not self._is_lost:
+                self._is_lost = True
+                self._report(self, Health.LOST, str(error))
+            raise
         if value != self._last and not self.closed:
             self._last = value
             self._received += 1
@@ -417,7 +294,7 @@ class ParameterSink(Sink):
 
     def _send(self, message: Message) -> None:
         try:
-            value = json.dumps(_plain(message), allow_nan=False)
+            value = json.dumps(plain(message), allow_nan=False)
         except (TypeError, ValueError) as error:
             raise MessageError(f"{self._name}: it has no form as JSON: {error}") from error
         answer = self._connection.rosapi("set_param", name=self._name, value=value)
@@ -446,9 +323,25 @@ def parameter(connection: ServerConnection, endpoint: Endpoint, name: str) -> An
         raise BridgeError(f"{endpoint}: {error}", FailureReason.BAD_MESSAGE) from error
 
 
-def _plain(value: Any) -> Any:
+def is_same(value: Any, other: Any) -> bool:
+    """Return whether two messages are equal as they came; of cbor-raw the octets count."""
+    if isinstance(value, dict) and isinstance(other, dict):
+        if "bytes" in value and value.keys() == other.keys() == {"secs", "nsecs", "bytes"}:
+            return bool(value["bytes"] == other["bytes"])
+        same_names = value.keys() == other.keys()
+        return same_names and all(is_same(item, other[name]) for name, item in value.items())
+    if isinstance(value, list) and isinstance(other, list):
+        return len(value) == len(other) and all(map(is_same, value, other))
+    if isinstance(value, np.ndarray) and isinstance(other, np.ndarray):
+        return value.dtype == other.dtype and value.tobytes() == other.tobytes()
+    is_none = value != value and other != other  # noqa: PLR0124 - two NaN
+    return type(value) is type(other) and bool(is_none or value == other)
+
+
+def plain(value: Any) -> Any:
+    """Return a value with mappings, lists and scalars of Python alone, as JSON has them."""
     if isinstance(value, Mapping):
-        return {key: _plain(item) for key, item in value.items()}
+        return {key: plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
+        return [plain(item) for item in value]
     return value.tolist() if hasattr(value, "tolist") else value

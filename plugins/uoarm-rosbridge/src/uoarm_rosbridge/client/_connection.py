@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import threading
+import time
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from itertools import count
@@ -13,6 +14,7 @@ from attrs import define, field
 from websockets.exceptions import ConnectionClosed, InvalidHandshake, InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 
+from uoarm.bridge import Disconnection
 from uoarm.errors import BridgeError, BridgeTimeoutError, ControlMessageError, FailureReason
 from uoarm.model import Health, Spending
 from uoarm.server.front_end import read_binary, read_text
@@ -29,8 +31,11 @@ _CONNECT_SECONDS = 3.0
 _GOODBYE_SECONDS = 0.5
 _JOIN_SECONDS = 2.0
 _RETRY_SECONDS = (0.1, 5.0)
+_QUICKEST_SECONDS = 0.25
+_FINAL = (401, 403)  # answers to the handshake that no other attempt changes
 _MOST_WAITING = 1024
 _ROOM_FOR_FIELDS = 65_536
+_SERVED = {"call_service": "service", "send_action_goal": "action", "cancel_action_goal": "action"}
 
 
 @define(eq=False)
@@ -42,8 +47,19 @@ class _Pending:
     failure: str = ""
 
 
+@define(eq=False)
+class _Subscription:
+    """One topic: the operation that the server knows of it, and what takes its messages."""
+
+    fields: Fields
+    takes: tuple[Callable[[Any], None], ...]
+
+
 class ServerConnection:
     """Connects at the first use, again after each break, and to nothing once it is closed.
+
+    What stands at the server (subscriptions, and what is advertised) ends there with a connection:
+    it is sent again, in its order, with the next one. A request is sent once.
 
     What comes is handed on in the connection's thread: what takes it must return at once.
 
@@ -53,20 +69,20 @@ class ServerConnection:
         report: has the health of the connection reported.
 
     Attributes:
-        topics: what takes the messages of a topic.
-        services: what takes the calls of a service that is served here.
+        serving: what takes the calls of a service, or the goals of an action, by which and name.
         watchers: are called with why the connection broke, and with nothing when it is up again.
         breaks: how often it broke.
+        patient_until: monotonic seconds; until then a robot may be as incomplete as after a break.
     """
 
     def __init__(
         self, name: str, options: ClientOptions, report: Callable[[Health, str], None]
     ) -> None:
         self.options = options
-        self.topics: dict[str, tuple[Callable[[Any], None], ...]] = {}
-        self.services: dict[str, Callable[[Fields], None]] = {}
+        self.serving: dict[tuple[str, str], Callable[[Fields], None]] = {}
         self.watchers: tuple[Callable[[str], None], ...] = ()
         self.breaks = 0
+        self.patient_until = 0.0
         self._name, self._report = name, report
         # Guards the state of the connection, and what waits for answers, between the connection's
         # thread and those of steps. Nothing is sent, and no receiver called, under it.
@@ -75,6 +91,12 @@ class ServerConnection:
         self._thread: threading.Thread | None = None
         self._cause = ""  # why it is not up; empty: not known yet
         self._is_closed = False
+        self._disconnection = Disconnection(options.grace)
+        # Guards the two tables of what stands at the server, and the order in which that is sent:
+        # what stands when a connection begins is sent with it, all else by who has it stand.
+        self._standing_lock = threading.RLock()
+        self._standing: dict[str, Fields] = {}
+        self._topics: dict[str, _Subscription] = {}
         self._pending: dict[str, _Pending] = {}
         self._statuses: dict[str, Callable[[str], None]] = {}
         self._numbers = count(1)
@@ -173,6 +195,65 @@ class ServerConnection:
             raise BridgeError(text, FailureReason.UNSUPPORTED)
         return values
 
+    def stand(self, fields: Fields) -> None:
+        """Send an operation that stands at the server from now on, over breaks, by its id.
+
+        Raises:
+            BridgeError: the connection is down, or breaks; then nothing stands.
+        """
+        self.require_up()
+        with self._standing_lock:
+            self._standing[fields["id"]] = fields
+            try:
+                self.send(fields)
+            except BaseException:
+                del self._standing[fields["id"]]
+                raise
+
+    def withdraw(self, identity: str, fields: Fields) -> None:
+        """Have an operation stand no more, and send the one that ends it if that can be."""
+        with self._standing_lock:
+            was_there = self._standing.pop(identity, None) is not None
+            if was_there and self.is_up:
+                with suppress(BridgeError):
+                    self.send(fields)
+
+    def subscribe(self, fields: Fields, take: Callable[[Any], None]) -> Fields:
+        """Have the messages of a topic taken; returns the operation that the server knows of it.
+
+        The server sends each message once to a client, however often that has subscribed: the
+        first subscription to a topic is that of all.
+
+        Raises:
+            BridgeError: the connection is down, or breaks; then nothing is taken.
+        """
+        topic = fields["topic"]
+        self.require_up()
+        with self._standing_lock:
+            before = self._topics.get(topic)
+            if before is None:
+                self._topics[topic] = _Subscription(fields, (take,))
+                try:
+                    self.stand(fields)
+                except BaseException:
+                    del self._topics[topic]
+                    raise
+                return fields
+            before.takes = (*before.takes, take)
+            return before.fields
+
+    def unsubscribe(self, topic: str, take: Callable[[Any], None]) -> None:
+        """Have them taken no more; the last one to do so ends the subscription."""
+        with self._standing_lock:
+            subscription = self._topics.get(topic)
+            if subscription is None:
+                return
+            subscription.takes = tuple(taking for taking in subscription.takes if taking != take)
+            if not subscription.takes:
+                del self._topics[topic]
+                fields = {"op": "unsubscribe", "topic": topic}
+                self.withdraw(subscription.fields["id"], fields)
+
     def on_status(self, identity: str, tell: Callable[[str], None]) -> None:
         """Have statuses of the level error that belong to an operation handed on."""
         with self._changed:
@@ -212,19 +293,23 @@ class ServerConnection:
                     self._lose(_cause_of(error))
                 else:
                     self._set(None, _cause_of(error))
+                    self._judge(_cause_of(error), final=_is_final(error))
+            left = self._disconnection.left(time.monotonic())
             with self._changed:
-                if self._changed.wait_for(lambda: self._is_closed, pause):
+                until = pause if left is None else min(pause, left)
+                if self._changed.wait_for(lambda: self._is_closed, until):
                     return
             pause = min(2 * pause, _RETRY_SECONDS[1])
 
     def _connect(self) -> ClientConnection:
-        options = self.options
+        options, left = self.options, self._disconnection.left(time.monotonic())
+        limit = _CONNECT_SECONDS if left is None else max(left, _QUICKEST_SECONDS)
         return connect(
             options.url,
             ssl=options.context,
             additional_headers=dict(options.headers),
             compression=None,
-            open_timeout=_CONNECT_SECONDS,
+            open_timeout=min(limit, _CONNECT_SECONDS),
             ping_interval=options.silence / 2,
             ping_timeout=options.silence / 2,
             close_timeout=_GOODBYE_SECONDS,
@@ -235,11 +320,14 @@ class ServerConnection:
     def _begin(self, socket: ClientConnection) -> None:
         if self.options.authentication is not None:
             socket.send(json.dumps(self.options.authentication()))
-        if self.breaks:
-            self._report(Health.OK, f"{self.options.url} answers again")
-        self._set(socket, "")
+        with self._standing_lock:
+            for fields in self._standing.values():
+                socket.send(json.dumps(fields, allow_nan=False))
+            self._set(socket, "")
         for watcher in self.watchers:
             watcher("")
+        if (health := self._disconnection.up()) is not None:
+            self._report(health, f"{self.options.url} answers again")
 
     def _read(self, socket: ClientConnection) -> str:
         """Take what comes until the connection ends; returns why it did."""
@@ -264,12 +352,14 @@ class ServerConnection:
             return
         op = fields.get("op")
         if op == "publish":
-            for take in self.topics.get(str(fields.get("topic")), ()):
+            subscription = self._topics.get(str(fields.get("topic")))
+            for take in () if subscription is None else subscription.takes:
                 take(fields.get("msg"))
         elif op in {"service_response", "action_result"}:
             self._answer(fields)
-        elif op == "call_service":
-            if (serve := self.services.get(str(fields.get("service")))) is not None:
+        elif op in _SERVED:
+            name = str(fields.get(_SERVED[op]))
+            if (serve := self.serving.get((_SERVED[op], name))) is not None:
                 serve(fields)
         elif op == "status" and fields.get("level") == "error":
             with self._changed:
@@ -304,16 +394,26 @@ class ServerConnection:
         if is_closed:
             return
         self.breaks += 1
-        # Channels are lost first: nothing takes them for such as go on while this is degraded.
+        self.patient_until = time.monotonic() + self.options.grace
         for watcher in self.watchers:
             watcher(cause)
-        self._report(Health.DEGRADED, f"{self.options.url}: {cause}")
+        self._judge(cause)
+
+    def _judge(self, cause: str, *, final: bool = False) -> None:
+        """Report that it is down where that is news; in the connection's thread alone."""
+        health = self._disconnection.down(time.monotonic(), final=final)
+        if health is not None and not self._is_closed:
+            self._report(health, f"{self.options.url}: {cause}")
+
+
+def _is_final(error: Exception) -> bool:
+    return isinstance(error, InvalidStatus) and error.response.status_code in _FINAL
 
 
 def _cause_of(error: Exception) -> str:
     if isinstance(error, InvalidStatus):
         status = error.response.status_code
-        hint = ": is the token right?" if status in {401, 403} else ""
+        hint = ": is the token right?" if status in _FINAL else ""
         return f"the server answered the handshake with {status}{hint}"
     if isinstance(error, InvalidHandshake):
         return f"no WebSocket server answers there: {error}"

@@ -36,6 +36,7 @@ _TEXT: Mapping[str, object] = {"type": "string", "minLength": 1}
 _SECONDS: Mapping[str, object] = {"type": "number", "minimum": 0, "maximum": 60}
 _COUNT: Mapping[str, object] = {"type": "integer", "minimum": 1}
 _PARAMETER = "parameter"
+_COMPRESSIONS = ("cbor", "cbor-raw", "none")
 _NAME = re.compile(r"/?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z0-9_]+)*")
 _PARAMETER_NAME = re.compile(r"[A-Za-z0-9_/~.:-]+")
 _TYPE = re.compile(r"[A-Za-z][A-Za-z0-9_]*(/(msg|srv|action))?/[A-Za-z][A-Za-z0-9_]*")
@@ -67,7 +68,7 @@ BRIDGE_OPTIONS: Schema = _closed(
             "dest",
         ),
         "compression": {
-            "enum": ["cbor", "none"],
+            "enum": [*_COMPRESSIONS],
             "description": "how messages come; default cbor",
         },
         "plain_secrets": {
@@ -80,6 +81,11 @@ BRIDGE_OPTIONS: Schema = _closed(
             "minimum": 0.05,
             "maximum": 3600,
             "description": "seconds between looks at who publishes; default 2",
+        },
+        "grace": {
+            **_SECONDS,
+            "description": "seconds that the connection may be away before what is open is lost; "
+            "default 5",
         },
         "silence": {
             "type": "number",
@@ -101,6 +107,7 @@ _PORT_OPTIONS: Schema = _closed(
         "throttle": {"type": "integer", "minimum": 0, "maximum": 3_600_000},
         "queue": {"type": "integer", "minimum": 1, "maximum": 100_000},
         "latch": {"type": "boolean"},
+        "compression": {"enum": [*_COMPRESSIONS]},
         "at_once": {"type": "integer", "minimum": 1, "maximum": 64},
     }
 )
@@ -129,6 +136,11 @@ class Address:
         """Whether its type is that of an action of ROS 2."""
         return "/action/" in self.type
 
+    @property
+    def is_actionlib(self) -> bool:
+        """Whether its type is that of an action of ROS 1, which is five topics."""
+        return self.type.count("/") == 1 and self.type.endswith("Action")
+
 
 @frozen
 class Port:
@@ -140,6 +152,7 @@ class Port:
         throttle: milliseconds between two messages at the least.
         queue: messages that may wait for one consumer.
         latch: whether the last message stands for who comes later.
+        compression: how messages of an output come; None: as the bridge says.
         at_once: requests to a function that is served that are handled at the same time.
     """
 
@@ -148,6 +161,7 @@ class Port:
     throttle: int = 0
     queue: int = 100
     latch: bool = False
+    compression: str | None = None
     at_once: int = 8
 
 
@@ -163,6 +177,7 @@ class ClientOptions:
         compression: how messages come.
         wait: seconds to wait for an answer of rosapi.
         check: seconds between looks at who publishes.
+        grace: seconds that the connection may be away before it is lost.
         silence: seconds without an answer to a ping until the server is lost.
         budget: of a message that comes.
     """
@@ -174,6 +189,7 @@ class ClientOptions:
     compression: str
     wait: float
     check: float
+    grace: float
     silence: float
     budget: Budget
 
@@ -206,6 +222,7 @@ def client_options(name: str, options: Options) -> ClientOptions:
         given.get("compression", "cbor"),
         given.get("wait", 3.0),
         given.get("check", 2.0),
+        given.get("grace", 5.0),
         given.get("silence", 10.0),
         Budget(
             octets=given.get("max_octets", 16_777_216), elements=given.get("max_values", 500_000)
@@ -302,7 +319,8 @@ def mistake(address: tuple[str, ...], options: Options) -> str:
 def topic_name(address: tuple[str, ...], options: Options) -> str:
     """Return the topic that an address names, or "" for an action, a service or a parameter."""
     read = _address(address)
-    is_else = read.is_parameter or "/srv/" in read.type or read.is_action or "at_once" in options
+    is_action = read.is_action or read.is_actionlib
+    is_else = read.is_parameter or "/srv/" in read.type or is_action or "at_once" in options
     return "" if is_else else f"/{read.name.lstrip('/')}"
 
 

@@ -22,14 +22,24 @@ from attrs import field, frozen
 from uoarm.errors import BridgeError, FailureReason, MessageError
 from uoarm.model import Message, MessageStructure
 
-__all__ = ["RosType", "read_types", "reader", "structure_of", "writer"]
+__all__ = [
+    "FORMATS",
+    "ArrayOf",
+    "Primitive",
+    "RosShape",
+    "RosType",
+    "read_types",
+    "reader",
+    "structure_of",
+    "writer",
+]
 
-_FORMATS = {
+FORMATS = {
     "int8": "b", "uint8": "B", "int16": "h", "uint16": "H", "int32": "i", "uint32": "I",
     "int64": "q", "uint64": "Q", "float32": "f", "float64": "d",
 }  # fmt: skip
 # As the Python of ROS 2 calls them, and names of old, of which each ROS has another idea.
-_OTHER_NAMES = {"boolean": "bool", "float": "float32", "double": "float64", "wstring": "string"}
+_OTHER_NAMES = {"boolean": "bool", "float": "float32", "double": "float64"}
 _NAMES_OF_ONE = {"byte": "int8", "char": "uint8"}
 _NAMES_OF_TWO = {"byte": "uint8", "octet": "uint8", "char": "uint8"}
 _FLOAT32_MAX = 340282346638528859811704183484516925440
@@ -40,9 +50,15 @@ _SHOWN = 60
 
 @frozen
 class Primitive:
-    """A truth value, a number or a text."""
+    """A truth value, a number or a text.
+
+    Attributes:
+        kind: of the value.
+        is_wide: whether a text is serialised in characters of 16 bits.
+    """
 
     kind: str
+    is_wide: bool = False
 
 
 @frozen
@@ -68,6 +84,11 @@ class RosType:
     fields: Mapping[str, RosShape]
     constants: Mapping[str, object] = field(factory=dict)
     is_real: bool = True
+
+    @property
+    def is_of_ros_1(self) -> bool:
+        """Whether it is serialised as ROS 1 does: only ROS 2 says which kind a type is."""
+        return self.is_real and not _has_kind(self.name)
 
 
 RosShape: TypeAlias = "Primitive | ArrayOf | RosType"
@@ -97,8 +118,7 @@ class _Definitions:
 
     def __init__(self, name: str, typedefs: object) -> None:
         self._name = name
-        # Only ROS 2 says which kind of interface a type is.
-        self._is_two = any(f"/{kind}/" in name for kind in ("msg", "srv", "action"))
+        self._is_two = _has_kind(name)
         if not isinstance(typedefs, list) or not 0 < len(typedefs) <= _MOST_TYPES:
             raise self._wrong("no list of definitions")
         self._all: dict[str, Mapping[str, Any]] = {}
@@ -140,8 +160,10 @@ class _Definitions:
         names = {**_OTHER_NAMES, **(_NAMES_OF_TWO if self._is_two else _NAMES_OF_ONE)}
         plain = names.get(plain, plain)
         shape: RosShape
-        if plain in _FORMATS or plain in {"bool", "string"}:
+        if plain in FORMATS or plain in {"bool", "string"}:
             shape = Primitive(plain)
+        elif plain == "wstring":
+            shape = Primitive("string", is_wide=True)
         elif not self._is_two and plain in _TIMES:
             shape = _TIMES[plain]
         else:
@@ -158,6 +180,11 @@ class _Definitions:
     def _wrong(self, why: str) -> BridgeError:
         text = f"rosapi describes {self._name} as nothing that can be used: {why}"
         return BridgeError(text, FailureReason.BAD_MESSAGE)
+
+
+def _has_kind(name: str) -> bool:
+    """Say whether a name is one of ROS 2, which alone says of what kind a type is."""
+    return any(f"/{kind}/" in name for kind in ("msg", "srv", "action"))
 
 
 def _constants(typedef: Mapping[str, Any]) -> dict[str, object]:
@@ -224,7 +251,7 @@ def _is_octets(shape: ArrayOf) -> bool:
 
 @lru_cache(maxsize=16)
 def _range(kind: str) -> tuple[int, int]:
-    bits = 8 * struct.calcsize(_FORMATS[kind])
+    bits = 8 * struct.calcsize(FORMATS[kind])
     is_signed = kind.startswith("int")
     return (-(2 ** (bits - 1)), 2 ** (bits - 1) - 1) if is_signed else (0, 2**bits - 1)
 
@@ -311,8 +338,8 @@ def _reading_array(shape: ArrayOf, path: str) -> _Read:
             return octets
 
         return read_octets
-    if isinstance(element, Primitive) and element.kind in _FORMATS:
-        kind, dtype = element.kind, np.dtype(f"<{_FORMATS[element.kind]}")
+    if isinstance(element, Primitive) and element.kind in FORMATS:
+        kind, dtype = element.kind, np.dtype(f"<{FORMATS[element.kind]}")
 
         def read_numbers(value: Any) -> Any:
             _require_size(path, size, value)
@@ -451,7 +478,7 @@ def _integer(kind: str, path: str, value: Any) -> int:
 def _writing_array(shape: ArrayOf, path: str) -> _Read:
     size, is_octets = shape.size, _is_octets(shape)
     write = _writing(shape.element, f"{path}[]")
-    wants_numbers = isinstance(shape.element, Primitive) and shape.element.kind in _FORMATS
+    wants_numbers = isinstance(shape.element, Primitive) and shape.element.kind in FORMATS
 
     def write_array(value: Any) -> Any:
         if is_octets and isinstance(value, bytes | bytearray | memoryview):

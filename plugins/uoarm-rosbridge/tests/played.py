@@ -1,0 +1,114 @@
+"""A rosbridge server that answers as it is written, for the bridge that is its client."""
+
+from __future__ import annotations
+
+import json
+import threading
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from typing import Any
+
+from websockets.sync.server import ServerConnection, serve
+
+from uoarm.bridge import Bridge, HealthEvent, Registry
+from uoarm.model import BridgeSpec, Endpoint, Role
+from uoarm.testing import patience
+
+__all__ = ["ANSWERS", "LISTEN", "STRING", "TALK", "Played", "asked", "bridge_to", "seen"]
+
+STRING = {
+    "type": "std_msgs/String", "fieldnames": ["data"], "fieldtypes": ["string"],
+    "fieldarraylen": [-1], "examples": [""], "constnames": [], "constvalues": [],
+}  # fmt: skip
+
+
+class Played:
+    """A server that answers rosapi as it is written here, and keeps what came.
+
+    Args:
+        answers: by service of rosapi; one that is a function is called with the arguments.
+    """
+
+    def __init__(self, answers: Mapping[str, object]) -> None:
+        self.answers = dict(answers)
+        self.came: list[Any] = []
+        self.sockets: list[ServerConnection] = []
+        self._port = 0
+        self.start()
+
+    @property
+    def url(self) -> str:
+        return f"ws://127.0.0.1:{self._port}"
+
+    def start(self) -> None:
+        """Be there, after a `stop` at the same place."""
+        self._server = serve(self._talk, "127.0.0.1", self._port)
+        self._port = self._server.socket.getsockname()[1]
+        self._thread = threading.Thread(target=self._server.serve_forever)
+        self._thread.start()
+
+    def stop(self) -> None:
+        """Be away: every connection ends, and nothing listens."""
+        self._server.shutdown()
+        self._thread.join(patience())
+        for socket in self.sockets:
+            socket.close()
+
+    def say(self, **fields: object) -> None:
+        """Send an operation to the client that connected last."""
+        self.sockets[-1].send(json.dumps(fields))
+
+    def _talk(self, socket: ServerConnection) -> None:
+        self.sockets.append(socket)
+        for text in socket:
+            fields = json.loads(text)
+            self.came.append(fields)
+            if fields["op"] == "call_service":
+                name = fields["service"].rpartition("/")[2]
+                is_known = name in self.answers
+                values = self.answers.get(name, f"there is no service {name}")
+                if callable(values):
+                    values = values(fields["args"])
+                answer = {
+                    "op": "service_response", "id": fields["id"], "values": values,
+                    "result": is_known,
+                }  # fmt: skip
+                socket.send(json.dumps(answer))
+            self.on(socket, fields)
+
+    def on(self, socket: ServerConnection, fields: Any) -> None:
+        """Say more to an operation; a test replaces it."""
+
+    def close(self) -> None:
+        self.stop()
+
+
+ANSWERS: dict[str, object] = {
+    "topic_type": {"type": "std_msgs/String"},
+    "message_details": {"typedefs": [STRING]},
+    "publishers": {"publishers": ["/talker"]},
+    "subscribers": {"subscribers": ["/listener"]},
+    "get_time": {"time": {"secs": 1, "nsecs": 2}},
+}
+TALK = Endpoint("far", "talker", Role.OUTPUT, ("/chatter",))
+LISTEN = Endpoint("far", "listener", Role.INPUT, ("/chatter",))
+
+
+@contextmanager
+def bridge_to(address: str, **options: object) -> Iterator[Bridge]:
+    given = {"url": address, "check": 0.1, "wait": min(patience(), 60), **options}
+    bridge = Registry().create(BridgeSpec("far", "rosbridge", given))
+    try:
+        yield bridge
+    finally:
+        bridge.close()
+
+
+def seen(bridge: Bridge) -> list[HealthEvent]:
+    events: list[HealthEvent] = []
+    bridge.watch(events.append)
+    return events
+
+
+def asked(played: Played, op: str) -> list[Any]:
+    return [fields for fields in played.came if fields["op"] == op]

@@ -1,0 +1,196 @@
+"""A connection that breaks: what stands is there again, nothing comes twice, a loss in time."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import pytest
+from played import LISTEN, STRING, TALK, Played, asked, bridge_to, seen
+from ros import eventually
+
+from uoarm.bridge import Bridge
+from uoarm.errors import BridgeError, FailureReason
+from uoarm.model import Endpoint, Health, MessageStructure, Role
+from uoarm.testing import Collector, patience
+
+LONG = min(patience(), 60)
+SET = Endpoint("far", "set", Role.SERVICE, ("/set", "std_srvs/SetBool"), is_offered=True)
+FLAG = {**STRING, "type": "std_srvs/SetBoolRequest", "fieldtypes": ["bool"]}
+SPEED = Endpoint("far", "speed", Role.OUTPUT, ("/speed", "parameter"))
+
+
+def structure(bridge: Bridge, endpoint: Endpoint = TALK) -> MessageStructure:
+    made = bridge.describe(endpoint).message
+    assert made is not None
+    return made
+
+
+def publish(played: Played, text: str) -> None:
+    played.say(op="publish", topic="/chatter", msg={"data": text})
+
+
+def test_what_stands_is_there_again_and_nothing_comes_twice(played: Played) -> None:
+    details = {"typedefs": [FLAG]}
+    played.answers |= {"service_request_details": details, "service_response_details": details}
+    collector = Collector()
+    with bridge_to(played.url, grace=LONG) as bridge:
+        events = seen(bridge)
+        source = bridge.open_source(TALK, structure(bridge), collector.deliver)
+        sink = bridge.open_sink(LISTEN, structure(bridge, LISTEN))
+        bridge.serve(SET, lambda request: request)
+        publish(played, "before")
+        collector.wait(1)
+        played.stop()
+        eventually(lambda: events, "the break is reported")
+        with pytest.raises(BridgeError, match="no connection to"):
+            sink.send({"data": "lost"})
+        played.start()
+        eventually(lambda: len(events) == 2, "its end is reported")
+        assert [event.health for event in events] == [Health.DEGRADED, Health.OK]
+        assert {event.channel for event in events} == {None}
+        for operation in ("subscribe", "advertise", "advertise_service"):
+            eventually(lambda: len(asked(played, operation)) > 1, f"{operation} again")  # noqa: B023 - now
+            first, second = asked(played, operation)
+            assert first == second
+        publish(played, "after")
+        assert collector.wait(2) == [{"data": "before"}, {"data": "after"}]
+        sink.send({"data": "x"})
+        eventually(lambda: len(asked(played, "publish")) == 1, "the sink sends again")
+        played.say(op="call_service", service="/set", id="1", args={"data": True})
+        eventually(lambda: asked(played, "service_response"), "the service is served again")
+        assert source.facts()["interruptions"] == 1
+
+
+def test_what_was_closed_meanwhile_is_not_there_again(played: Played) -> None:
+    with bridge_to(played.url, grace=LONG) as bridge:
+        events = seen(bridge)
+        source = bridge.open_source(TALK, structure(bridge), Collector().deliver)
+        played.stop()
+        eventually(lambda: events, "the break is reported")
+        source.close()
+        played.start()
+        eventually(lambda: len(events) == 2, "its end is reported")
+        assert len(asked(played, "subscribe")) == 1
+
+
+def test_a_message_that_stands_is_not_delivered_again(played: Played) -> None:
+    """A server sends what is latched with each subscription."""
+    latched, plain = Collector(), Collector()
+    keeping = Endpoint("far", "map", Role.OUTPUT, ("/chatter",), options={"latch": True})
+
+    def stand(socket: Any, fields: Any) -> None:
+        if fields["op"] == "subscribe":
+            message = {"op": "publish", "topic": "/chatter", "msg": {"data": "map"}}
+            socket.send(json.dumps(message))
+
+    played.on = stand  # type: ignore[method-assign]  # what a test replaces
+    with bridge_to(played.url, grace=LONG) as bridge:
+        events = seen(bridge)
+        made = structure(bridge)
+        bridge.open_source(keeping, made, latched.deliver)
+        assert latched.wait(1) == [{"data": "map"}]
+        bridge.open_source(TALK, made, plain.deliver)
+        played.stop()
+        played.start()
+        eventually(lambda: len(events) == 2, "the break, and its end")
+        assert plain.wait(1) == [{"data": "map"}]  # it does not say that it is latched
+        publish(played, "new")
+        publish(played, "new")
+        assert latched.wait(3) == [{"data": "map"}, {"data": "new"}, {"data": "new"}]
+
+
+def test_a_break_that_lasts_is_a_loss_once(played: Played) -> None:
+    with bridge_to(played.url, grace=0.2) as bridge:
+        events = seen(bridge)
+        bridge.open_source(TALK, structure(bridge), Collector().deliver)
+        played.stop()
+        eventually(lambda: len(events) == 2, "it is lost")
+        played.start()
+        eventually(lambda: len(events) == 3, "it is back")
+        assert [event.health for event in events] == [Health.DEGRADED, Health.LOST, Health.OK]
+        assert all(played.url in event.cause for event in events)
+
+
+def test_a_server_that_is_another_one_now_loses_what_has_another_type(played: Played) -> None:
+    with bridge_to(played.url, grace=LONG) as bridge:
+        events = seen(bridge)
+        source = bridge.open_source(TALK, structure(bridge), Collector().deliver)
+        other = {**STRING, "fieldtypes": ["int32"]}
+        played.answers["message_details"] = {"typedefs": [other]}
+        played.stop()
+        played.start()
+        eventually(lambda: any(event.channel is source for event in events), "it is lost")
+        event = next(event for event in events if event.channel is source)
+        assert event.health is Health.LOST
+        assert "another type" in event.cause
+
+
+def test_nodes_that_come_back_after_the_connection_are_waited_for(played: Played) -> None:
+    looks: list[object] = []
+
+    def value(arguments: object) -> object:
+        looks.append(arguments)
+        return {"value": "7"}
+
+    played.answers["get_param"] = value
+    with bridge_to(played.url, grace=LONG) as bridge:
+        events = seen(bridge)
+        bridge.open_source(SPEED, structure(bridge, SPEED), Collector().deliver)
+        bridge.open_source(TALK, structure(bridge), Collector().deliver)
+        played.answers["publishers"] = {"publishers": []}
+        played.sockets[-1].close()
+        eventually(lambda: len(events) == 2, "the break, and its end")
+        looks.clear()
+        eventually(lambda: len(looks) > 2, "it was looked twice")
+        assert [event.health for event in events] == [Health.DEGRADED, Health.OK]
+
+
+def test_nodes_that_do_not_come_back_are_lost(played: Played) -> None:
+    with bridge_to(played.url, grace=0.2) as bridge:
+        events = seen(bridge)
+        source = bridge.open_source(TALK, structure(bridge), Collector().deliver)
+        played.answers["publishers"] = {"publishers": []}
+        played.sockets[-1].close()
+        eventually(lambda: source in {event.channel for event in events}, "it is lost")
+        assert events[-1].cause == "no node publishes /chatter"
+
+
+def test_a_call_that_breaks_fails_at_once_and_is_not_sent_again(played: Played) -> None:
+    call = Endpoint("far", "set", Role.SERVICE, ("/set",))
+    details = {"typedefs": [FLAG]}
+    played.answers |= {
+        "service_type": {"type": "std_srvs/SetBool"}, "service_request_details": details,
+        "service_response_details": details,
+    }  # fmt: skip
+
+    def vanish(socket: Any, fields: Any) -> None:
+        if fields.get("service") == "/set":
+            socket.close()
+
+    played.on = vanish  # type: ignore[method-assign]  # what a test replaces
+    played.answers["set"] = {"data": True}
+    with bridge_to(played.url, grace=LONG) as bridge:
+        played.answers.pop("set")
+        with pytest.raises(BridgeError) as caught:
+            bridge.call(call, {"data": True}, timeout=patience())
+        assert caught.value.reason in {FailureReason.UNAVAILABLE, FailureReason.RAISED}
+        calls = [fields for fields in asked(played, "call_service") if fields["service"] == "/set"]
+        assert len(calls) == 1
+
+
+def test_a_parameter_that_is_gone_is_lost_alone_and_comes_back(played: Played) -> None:
+    played.answers["get_param"] = {"value": "7"}
+    with bridge_to(played.url) as bridge:
+        events, made = seen(bridge), structure(bridge, SPEED)
+        speed = bridge.open_source(SPEED, made, Collector().deliver)
+        bridge.open_source(TALK, structure(bridge), Collector().deliver)
+        played.answers["get_param"] = {"value": ""}
+        eventually(lambda: events, "the parameter is lost")
+        assert (events[0].channel, events[0].health) == (speed, Health.LOST)
+        played.answers["publishers"] = {"publishers": []}
+        eventually(lambda: len(events) == 2, "the topic is looked at as well")
+        speed.close()
+        played.answers["get_param"] = {"value": "8"}
+        eventually(lambda: len(events) == 3, "it is there again")
+        assert (events[2].component, events[2].health) == ("speed", Health.OK)
