@@ -9,7 +9,7 @@ from uoarm.bridge import Channel
 from uoarm.errors import BridgeError
 from uoarm_rtm._control import change
 from uoarm_rtm._peer import PeerComponent, state_of
-from uoarm_rtm._place import RemotePort
+from uoarm_rtm._options import RtmEndpointOptions
 
 __all__ = ["Activations"]
 
@@ -31,7 +31,9 @@ class Activations:
         self._ours: dict[str, PeerComponent] = {}
         self._users: dict[str, set[Channel]] = {}
 
-    def enter(self, channel: Channel, remote: RemotePort) -> None:
+    def enter(
+        self, channel: Channel, peer: PeerComponent, options: RtmEndpointOptions
+    ) -> None:
         """Have a component ACTIVE while a channel is open, where its endpoint asks for that.
 
         One that has failed (ERROR) is reset before, where the endpoint allows it.
@@ -39,12 +41,11 @@ class Activations:
         Raises:
             BridgeError: it cannot be activated.
         """
-        if not remote.options.activate:
+        if not options.activate:
             return
-        peer = remote.peer
         with self._lock:
             state = state_of(peer, self._seconds)
-            if state == "error" and remote.options.reset:
+            if state == "error" and options.reset:
                 change(peer, "reset", self._seconds, there_is_fine=True)
             if state != "active":
                 change(peer, "activate", self._seconds, there_is_fine=True)

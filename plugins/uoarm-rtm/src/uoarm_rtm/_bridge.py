@@ -54,7 +54,8 @@ from uoarm_rtm._service_port import ServicePortChannel, servant_of, unwrapped
 from uoarm_rtm._sink import InPortSink
 from uoarm_rtm._source import OutPortSource
 from uoarm_rtm._types import Types
-from uoarm_rtm._watch import DirectoryMonitor, Ticker
+from uoarm_rtm._monitor import DirectoryMonitor
+from uoarm_rtm._watch import Ticker
 
 __all__ = ["RtmBridge"]
 
@@ -329,7 +330,7 @@ class RtmBridge(Bridge):
     def _activate(self, channel: Channel, remote: RemotePort) -> None:
         """Activate a component for as long as channels ask for it, where that is asked."""
         try:
-            self._active.enter(channel, remote)
+            self._active.enter(channel, remote.peer, remote.options)
         except BridgeError:
             channel.close()
             raise

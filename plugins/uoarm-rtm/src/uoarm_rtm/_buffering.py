@@ -101,11 +101,11 @@ def policy_properties(options: Mapping[str, object]) -> dict[str, str]:
         for name, text in _buffer_texts(option, options.get(option, {})).items():
             properties.update({f"dataport.{side}.buffer.{name}": text for side in sides})
     if "push_policy" in options:
-        properties[_PUSH_POLICY] = _word("push_policy", _text(options["push_policy"]), _PUSH)
+        properties[_PUSH_POLICY] = _policy_word("push_policy", _policy_text(options["push_policy"]), _PUSH)
     if "skip_count" in options:
         if options.get("push_policy") != "skip":
             raise ValueError("skip_count means nothing without push_policy: skip")
-        skipped = _whole("skip_count", _text(options["skip_count"]), 0, _MOST_SKIPPED)
+        skipped = _policy_count("skip_count", _policy_text(options["skip_count"]), 0, _MOST_SKIPPED)
         properties[_SKIP_COUNT] = str(skipped)
     return properties
 
@@ -142,7 +142,7 @@ def push_policy(properties: Mapping[str, str]) -> PushPolicy:
     which = properties.get(_PUSH_POLICY, "").strip().lower() or _PUSH[0]
     skipped = properties.get(_SKIP_COUNT, "").strip() or "0"
     return PushPolicy(
-        _word(_PUSH_POLICY, which, _PUSH), _whole(_SKIP_COUNT, skipped, 0, _MOST_SKIPPED)
+        _policy_word(_PUSH_POLICY, which, _PUSH), _policy_count(_SKIP_COUNT, skipped, 0, _MOST_SKIPPED)
     )
 
 
@@ -157,7 +157,7 @@ def _buffer_texts(option: str, table: object) -> dict[str, str]:
     for timeout, policy in (("write_timeout", "full_policy"), ("read_timeout", "empty_policy")):
         if timeout in table and table.get(policy) != "block":
             raise ValueError(f"{option}.{timeout} means nothing without {policy}: block")
-    texts = {_MEMBERS[member]: _text(value) for member, value in table.items()}
+    texts = {_MEMBERS[member]: _policy_text(value) for member, value in table.items()}
     _policy({_MEMBERS[item]: (f"{option}.{item}", texts[_MEMBERS[item]]) for item in table})
     return texts
 
@@ -167,27 +167,27 @@ def _policy(said: Mapping[str, tuple[str, str]]) -> BufferPolicy:
     usual = BufferPolicy()
     length, full, wait, empty, read = (said.get(name) for name in _MEMBERS.values())
     return BufferPolicy(
-        _whole(*length, 1, _LONGEST) if length else usual.length,
-        _word(*full, _FULL) if full else usual.full,
-        _seconds(*wait) if wait else usual.write_seconds,
-        _word(*empty, _EMPTY) if empty else usual.empty,
-        _seconds(*read) if read else usual.read_seconds,
+        _policy_count(*length, 1, _LONGEST) if length else usual.length,
+        _policy_word(*full, _FULL) if full else usual.full,
+        _policy_seconds(*wait) if wait else usual.write_seconds,
+        _policy_word(*empty, _EMPTY) if empty else usual.empty,
+        _policy_seconds(*read) if read else usual.read_seconds,
     )
 
 
-def _text(value: object) -> str:
+def _policy_text(value: object) -> str:
     if isinstance(value, bool) or not isinstance(value, str | int | float):
         return repr(value)
     return str(value)
 
 
-def _word(name: str, text: str, words: tuple[str, ...]) -> str:
+def _policy_word(name: str, text: str, words: tuple[str, ...]) -> str:
     if text not in words:
         raise ValueError(f"{name} must be {' or '.join(words)}, got {text!r}")
     return text
 
 
-def _whole(name: str, text: str, least: int, most: int) -> int:
+def _policy_count(name: str, text: str, least: int, most: int) -> int:
     if not (text.isascii() and text.isdigit() and len(text) <= len(str(most))):
         number = -1
     else:
@@ -197,7 +197,7 @@ def _whole(name: str, text: str, least: int, most: int) -> int:
     return number
 
 
-def _seconds(name: str, text: str) -> float:
+def _policy_seconds(name: str, text: str) -> float:
     try:
         seconds = float(text)
     except ValueError:

@@ -40,7 +40,7 @@ def reader(shape: Shape, order: Order, encoding: str) -> Callable[[bytes], Messa
     """
     source = GeneratedFunction("def read(data):")
     source.line("at = 0; size = len(data)")
-    walk = _Walk(source, order, encoding)
+    walk = _ReaderSource(source, order, encoding)
     made = walk.value(shape)
     walk.flush()
     text = source.constant(_left_over)
@@ -53,7 +53,7 @@ def _left_over(at: int, size: int) -> None:
     raise IdlMismatch(f"expected {at} bytes in all, got {size}")
 
 
-class _Walk:
+class _ReaderSource:
     """Writes the text for a shape. `value` returns the expression of what was read.
 
     Names in `run` are assigned when the run is flushed; `late` are the checks that follow.

@@ -31,7 +31,7 @@ def writer(shape: Shape, order: Order, encoding: str) -> Callable[[Message], byt
     """
     source = GeneratedFunction("def write(message):")
     source.line("out = bytearray()")
-    walk = _Walk(source, order, encoding)
+    walk = _WriterSource(source, order, encoding)
     walk.value(shape, "message")
     walk.flush()
     # What comes last is often most of it, pixels say: it is copied once, into the result.
@@ -40,7 +40,7 @@ def writer(shape: Shape, order: Order, encoding: str) -> Callable[[Message], byt
     return source.function("write")
 
 
-class _Walk:
+class _WriterSource:
     """Writes the text for a shape; `run` holds scalars that wait to be packed together."""
 
     def __init__(self, source: GeneratedFunction, order: Order, encoding: str) -> None:
