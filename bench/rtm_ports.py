@@ -28,7 +28,7 @@ WHAT = {SMALL: "TimedLong", LARGE: "CameraImage, 1 MB"}
 def main() -> int:
     """Print the tables; 0 also when there is no omniORB to measure."""
     try:
-        from uoarm_rtm._nameserver import NameServer  # noqa: PLC0415
+        from uoarm_rtm.nameserver import NameServer  # noqa: PLC0415
     except ImportError as error:
         print(f"no port table: {error}", file=sys.stderr)
         return 0
@@ -59,11 +59,14 @@ def _bare(address: str, kind: str, message: Any, *, echo: bool) -> list[float]:
     """Measure what one would write by hand: stubs, omniORB's marshalling, one connector each."""
     import omniORB  # noqa: PLC0415
     from _uoarm_rtm_stubs import RTC, OpenRTM, OpenRTM__POA  # noqa: PLC0415
-    from uoarm_rtm._connector import Connections, connector_properties  # noqa: PLC0415
     from uoarm_rtm._naming import NamingService  # noqa: PLC0415
     from uoarm_rtm._options import RtmEndpointOptions  # noqa: PLC0415
     from uoarm_rtm._orb import Orb  # noqa: PLC0415
-    from uoarm_rtm._peer import peer_at  # noqa: PLC0415
+    from uoarm_rtm._peer import (  # noqa: PLC0415
+        Connections,
+        connector_properties,
+        peer_at,
+    )
 
     orb = Orb("127.0.0.1", 5.0)
     peer = peer_at("Echo0.rtc", NamingService(orb, address, 5.0).resolve("Echo0.rtc"), 5.0)

@@ -74,7 +74,7 @@ _CONSTANTS = {
     "uoarm_ros1._subscription": ("_CONNECT_SECONDS", "_LISTED_SECONDS"),
     "uoarm_rosbridge.client._connection": ("_STEP_SECONDS", "_CONNECT_SECONDS"),
     "uoarm_rtm._compiler": ("_LIMIT_SECONDS",),
-    "uoarm_rtm._nameserver": ("_START_SECONDS", "_STOP_SECONDS"),
+    "uoarm_rtm.nameserver": ("_START_SECONDS", "_STOP_SECONDS"),
     "uoarm_rtm._orb": ("_DRAIN_SECONDS", "_DESTROY_SECONDS", "_WORKERS_SECONDS"),
 }
 

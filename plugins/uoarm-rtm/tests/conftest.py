@@ -14,7 +14,7 @@ sys.path.insert(0, str(Path(__file__).parent))  # for the modules that the tests
 
 from endpoints import ANSWERS
 from peers import Peer
-from uoarm_rtm._nameserver import NameServer
+from uoarm_rtm.nameserver import NameServer
 
 from uoarm.bridge import Bridge, Registry
 from uoarm.model import BridgeSpec

@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import Any
 
 from hypothesis import strategies as st
-from uoarm_rtm._schema import SWITCH
 from uoarm_rtm._shape import (
     INTEGERS,
+    SWITCH,
     IdlEnum,
     IdlScalar,
     IdlSequence,

@@ -18,15 +18,14 @@ from _uoarm_rtm_stubs import RTC, OpenRTM, SDOPackage
 from endpoints import HANGS_AFTER
 from plain import plain
 from uoarm_rtm import _data_ports
+from uoarm_rtm._dataflow import PullBuffer
+from uoarm_rtm._descriptors import IdlInterface
 from uoarm_rtm._naming import NamingService
-from uoarm_rtm._operations import IdlInterface
 from uoarm_rtm._orb import Orb, narrowed
 from uoarm_rtm._peer import pairs, peer_at, properties_of
-from uoarm_rtm._port_servant import PortServant
-from uoarm_rtm._publisher import PullBuffer
-from uoarm_rtm._service_port import ServicePort, servant_of
+from uoarm_rtm._port_servant import ConnectorRefusal, PortServant
+from uoarm_rtm._services import ServicePort, servant_of
 from uoarm_rtm._types import Types
-from uoarm_rtm._wishes import ConnectorRefusal
 from uoarm_rtm.component import Callbacks, ComponentProfile, RtComponent
 from uoarm_rtm.errors import IdlError
 

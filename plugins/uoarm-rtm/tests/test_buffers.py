@@ -13,8 +13,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from peers import Peer
 from uoarm_rtm import _options
-from uoarm_rtm._buffer import Buffer
-from uoarm_rtm._buffering import BufferPolicy, buffer_policy, policy_properties, push_policy
+from uoarm_rtm._dataflow import Buffer
+from uoarm_rtm._options import BufferPolicy, buffer_policy, policy_properties, push_policy
 
 from uoarm.bridge import Bridge
 from uoarm.errors import BridgeError, FailureReason

@@ -19,11 +19,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from messages import messages
 from plain import plain
-from uoarm_rtm._codec import BIG, LITTLE, CdrCodec
-from uoarm_rtm._explain import ExplainCursor, read_slowly
+from uoarm_rtm._codec import BIG, LITTLE, CdrCodec, ExplainCursor, read_slowly
 from uoarm_rtm._orb import Orb
-from uoarm_rtm._scalars import Order
 from uoarm_rtm._types import Types
+from uoarm_rtm._values import Order
 
 from uoarm.errors import BridgeError, MessageError
 

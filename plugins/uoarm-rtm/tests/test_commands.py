@@ -16,7 +16,7 @@ from endpoints import endpoint, source
 from peers import Peer
 from test_leftovers import holding
 from uoarm_rtm.__main__ import main
-from uoarm_rtm._nameserver import NameServer
+from uoarm_rtm.nameserver import NameServer
 
 from uoarm.bridge import Bridge
 from uoarm.model import Role
@@ -161,14 +161,14 @@ def test_a_naming_service_that_is_ended_as_it_starts_leaves_nothing(
 ) -> None:
     program = f"""
 import signal, sys
-from uoarm_rtm import _nameserver
+from uoarm_rtm import nameserver
 from uoarm_rtm.__main__ import main
-started = _nameserver._serves_soon
+started = nameserver._serves_soon
 def interrupted(process, *where):
     print(process.pid)
     signal.raise_signal({int(number)})
     return started(process, *where)
-_nameserver._serves_soon = interrupted
+nameserver._serves_soon = interrupted
 sys.exit(main(["nameserver", "--port", "0"]))
 """
     done = subprocess.run(

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 from endpoints import endpoint
 from peers import Peer
-from uoarm_rtm._constraints import problem
+from uoarm_rtm._control import problem
 
 from uoarm.bridge import Bridge
 from uoarm.errors import BridgeError, FailureReason, MessageError

@@ -12,10 +12,10 @@ import pytest
 from endpoints import ANSWERS, Inbox, checked, endpoint
 from peers import Peer
 from uoarm_rtm import _orb
-from uoarm_rtm._nameserver import NameServer
 from uoarm_rtm._naming import NamingService, corbaloc
 from uoarm_rtm._orb import Orb
 from uoarm_rtm.component import ComponentProfile, RtComponent, Types
+from uoarm_rtm.nameserver import NameServer
 
 from uoarm.bridge import Bridge, BridgeType, Registry
 from uoarm.errors import BridgeError, ConfigurationError

@@ -14,10 +14,10 @@ from typing import Any
 import pytest
 from endpoints import ANSWERS, HANGS_AFTER, Inbox, checked, endpoint, sink, source, stamped
 from peers import Peer
-from uoarm_rtm import _connector, _nameserver
-from uoarm_rtm._leftovers import end_connector
-from uoarm_rtm._nameserver import NameServer
-from uoarm_rtm._source import OutPortSource
+from uoarm_rtm import _peer, nameserver
+from uoarm_rtm._channels import OutPortSource
+from uoarm_rtm._journal import end_connector
+from uoarm_rtm.nameserver import NameServer
 
 from uoarm.bridge import Bridge
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason
@@ -134,7 +134,7 @@ def test_a_connection_that_is_made_after_its_undoing_is_undone_too(
         overtook.set()
         return was_there
 
-    monkeypatch.setattr(_connector, "end_connector", ended)
+    monkeypatch.setattr(_peer, "end_connector", ended)
     component.hold_connections()
     with pytest.raises(BridgeTimeoutError):
         bridge.open_source(pulled, structure, Inbox())
@@ -228,7 +228,7 @@ def test_a_naming_service_takes_another_port_where_one_is_taken_meanwhile(
     with socket.create_server(("127.0.0.1", 0)) as taken:
         used, free = taken.getsockname()[1], free_port()
         ports: list[int] = [free, used, used]
-        monkeypatch.setattr(_nameserver, "_free_port", lambda _: ports.pop())
+        monkeypatch.setattr(nameserver, "_free_port", lambda _: ports.pop())
         with NameServer() as server:
             assert (server.port, ports) == (free, [])
         ports[:] = [free] + 5 * [used]

@@ -16,7 +16,7 @@ from peers import Peer
 from uoarm_rtm import _bridge
 from uoarm_rtm._own import OwnComponent
 from uoarm_rtm._peer import pairs
-from uoarm_rtm._service_call import OperationCaller
+from uoarm_rtm._services import OperationCaller
 from uoarm_rtm.errors import IdlError
 
 from uoarm.bridge import Bridge, ServiceStructures

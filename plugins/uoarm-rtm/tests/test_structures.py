@@ -17,12 +17,10 @@ from hypothesis import given
 from jsonschema import Draft202012Validator
 from messages import messages
 from plain import plain
-from uoarm_rtm._compiler import OUR_IDL
-from uoarm_rtm._derived import derive
+from uoarm_rtm._compiler import OUR_IDL, load_idl
 from uoarm_rtm._options import bridge_options
-from uoarm_rtm._schema import schema_of
-from uoarm_rtm._types import Types
-from uoarm_rtm._user_idl import load_idl
+from uoarm_rtm._shape import schema_of
+from uoarm_rtm._types import Types, derive
 
 from uoarm.bridge import Registry
 from uoarm.config import load

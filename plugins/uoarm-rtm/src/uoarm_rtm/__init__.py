@@ -42,7 +42,7 @@ def _create(name: str, options: Options) -> Bridge:
 
 def _doctor() -> dict[str, str]:
     try:
-        from uoarm_rtm._doctor import environment  # noqa: PLC0415 - imports the middleware
+        from uoarm_rtm._orb import environment  # noqa: PLC0415 - imports the middleware
     except ImportError as error:
         raise PluginError(f"{_advice(error)} ({error})") from error
     return environment()

@@ -170,7 +170,7 @@ def _set_lines(found: Any) -> Iterable[str]:
 
 
 def _nameserver(port: int, address: str, folder: Path | None) -> int:
-    from uoarm_rtm._nameserver import NameServer  # noqa: PLC0415 - imports the middleware
+    from uoarm_rtm.nameserver import NameServer  # noqa: PLC0415 - imports the middleware
 
     is_over, was_asked = threading.Event(), threading.Event()
 

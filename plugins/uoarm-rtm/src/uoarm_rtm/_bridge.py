@@ -25,15 +25,17 @@ from uoarm.bridge import (
 from uoarm.errors import BridgeError, FailureReason
 from uoarm.model import Endpoint, Message, MessageStructure, Options, Role
 from uoarm_rtm import _control
-from uoarm_rtm._activation import Activations
-from uoarm_rtm._configuration import configure
-from uoarm_rtm._connector import Connections
-from uoarm_rtm._derived import CALL
-from uoarm_rtm._directory import Directory
-from uoarm_rtm._discovery import discovered
+from uoarm_rtm._channels import (
+    InPortSink,
+    NativeConnector,
+    OutPortSource,
+    is_big_in_cpp,
+    required_port,
+)
+from uoarm_rtm._control import Activations, configure
+from uoarm_rtm._discovery import Directory, DirectoryMonitor, discovered
+from uoarm_rtm._health import Observers, RemotePort, Ticker
 from uoarm_rtm._naming import NamingService
-from uoarm_rtm._native import NativeConnector
-from uoarm_rtm._observers import Observers
 from uoarm_rtm._options import (
     CONFIGURATION,
     LIFECYCLE,
@@ -46,16 +48,16 @@ from uoarm_rtm._options import (
 )
 from uoarm_rtm._orb import Orb
 from uoarm_rtm._own import OwnComponent
-from uoarm_rtm._peer import PeerComponent, PeerPort, state_of
-from uoarm_rtm._place import RemotePort
-from uoarm_rtm._required_port import is_big_in_cpp, required_port
-from uoarm_rtm._service_call import OperationCaller, described, offered
-from uoarm_rtm._service_port import ServicePortChannel, servant_of, unwrapped
-from uoarm_rtm._sink import InPortSink
-from uoarm_rtm._source import OutPortSource
-from uoarm_rtm._types import Types
-from uoarm_rtm._monitor import DirectoryMonitor
-from uoarm_rtm._watch import Ticker
+from uoarm_rtm._peer import Connections, PeerComponent, PeerPort, state_of
+from uoarm_rtm._services import (
+    OperationCaller,
+    ServicePortChannel,
+    described,
+    offered,
+    servant_of,
+    unwrapped,
+)
+from uoarm_rtm._types import CALL, Types
 
 __all__ = ["RtmBridge"]
 

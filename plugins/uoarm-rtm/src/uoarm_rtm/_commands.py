@@ -9,14 +9,11 @@ from contextlib import contextmanager
 from typing import Any
 
 from uoarm.errors import BridgeError, UsageError
-from uoarm_rtm._configuration import configure
-from uoarm_rtm._control import change
-from uoarm_rtm._directory import Directory
-from uoarm_rtm._faults import corba_errors
-from uoarm_rtm._journal import journal, process_of
-from uoarm_rtm._leftovers import NAME, PROCESS, Leftovers, end_connector
+from uoarm_rtm._control import change, configure
+from uoarm_rtm._discovery import Directory
+from uoarm_rtm._journal import NAME, PROCESS, Leftovers, end_connector, journal, process_of
 from uoarm_rtm._naming import NamingService
-from uoarm_rtm._orb import Orb, limit
+from uoarm_rtm._orb import Orb, corba_errors, limit
 from uoarm_rtm._peer import PeerComponent, PeerPort, properties_of, state_of
 
 __all__ = ["CommandSession", "session"]

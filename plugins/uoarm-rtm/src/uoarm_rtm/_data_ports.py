@@ -14,25 +14,21 @@ from omniORB import CORBA
 from uoarm.bridge import foreign
 from uoarm.errors import BridgeError, MessageError
 from uoarm.model import Message
-from uoarm_rtm._buffering import says_what_empty_means
-from uoarm_rtm._calls import calls
 from uoarm_rtm._codec import CdrCodec
-from uoarm_rtm._derived import IDL, idl_of, is_derived
-from uoarm_rtm._orb import Orb, limit, narrowed
+from uoarm_rtm._dataflow import PullBuffer, Puller, Pusher, SizeLimit, ThreadedPusher
+from uoarm_rtm._options import says_what_empty_means
+from uoarm_rtm._orb import Orb, calls, limit, narrowed
 from uoarm_rtm._peer import properties_of
-from uoarm_rtm._port_servant import PortServant
-from uoarm_rtm._publisher import PullBuffer, Pusher, ThreadedPusher
-from uoarm_rtm._puller import Puller
-from uoarm_rtm._scalars import Order
-from uoarm_rtm._shape import IdlStruct
-from uoarm_rtm._sizes import SizeLimit
-from uoarm_rtm._types import plain_name
-from uoarm_rtm._wishes import (
+from uoarm_rtm._port_servant import (
     ConnectorOptions,
     ConnectorRefusal,
+    PortServant,
     read_connector_options,
     read_policies,
 )
+from uoarm_rtm._shape import IdlStruct
+from uoarm_rtm._types import IDL, idl_of, is_derived, plain_name
+from uoarm_rtm._values import Order
 
 __all__ = ["INPORT_IOR", "OUTPORT_IOR", "InPort", "OutPort"]
 

@@ -1,22 +1,167 @@
-"""Everything that is visible now, as components with endpoints and structures."""
+# ruff: noqa: SLF001 - CORBA begins the names of its own operations with an underscore
+"""The components in all naming services of a bridge: by path, alive or not, with their structures.
+
+`Directory` finds components, `DirectoryMonitor` reports which came and left, and `discovered`
+lists what is visible now with endpoints and structures.
+"""
 
 from __future__ import annotations
 
 import contextlib
+import difflib
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+from attrs import frozen
+from omniORB import CORBA
 
 from uoarm.bridge import Description, Discovered
-from uoarm.errors import BridgeError
-from uoarm.model import Endpoint, Role
+from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason
+from uoarm.model import Endpoint, Health, Role
 from uoarm_rtm import _control
-from uoarm_rtm._configuration import limits
-from uoarm_rtm._directory import Directory
-from uoarm_rtm._faults import corba_errors
+from uoarm_rtm._control import limits
+from uoarm_rtm._naming import Name, NamingService
 from uoarm_rtm._options import CONFIGURATION, LIFECYCLE
-from uoarm_rtm._peer import PeerComponent, PeerPort, contexts_of, state_of
-from uoarm_rtm._service_call import described
+from uoarm_rtm._orb import calls, corba_errors, limit
+from uoarm_rtm._peer import PeerComponent, PeerPort, contexts_of, peer_at, state_of
+from uoarm_rtm._services import described
 from uoarm_rtm._types import Types
 
-__all__ = ["discovered"]
+__all__ = ["Directory", "DirectoryEntry", "DirectoryMonitor", "discovered"]
+
+
+_AT_ONCE = 8
+_SUFFIX = ".rtc"
+
+
+@frozen
+class DirectoryEntry:
+    """A component's name and what stands behind it: `alive`, `dead` or `hung`."""
+
+    path: str
+    reference: Any
+    condition: str
+
+
+class Directory:
+    """Finds components. Used from any thread.
+
+    Args:
+        services: naming services, asked in this order.
+        seconds: limit of one call.
+    """
+
+    def __init__(self, services: Sequence[NamingService], seconds: float) -> None:
+        self._services = services
+        self._seconds = seconds
+
+    def peer(self, path: str) -> PeerComponent:
+        """Return the component at a path, or the only one whose path ends so.
+
+        Raises:
+            BridgeError: NOT_FOUND, also for two that are alive; UNAVAILABLE when it is dead or
+                no naming service answers.
+            BridgeTimeoutError: it hangs.
+        """
+        failures = []
+        for service in self._services:
+            try:
+                reference = service.resolve(path)
+            except BridgeError as error:
+                if error.reason is FailureReason.BAD_ENDPOINT:
+                    return self._below(path, error)  # a plain way of writing one, perhaps
+                failures.append(error)
+                continue
+            if reference is not None:
+                return peer_at(path, reference, self._seconds)
+        if len(failures) == len(self._services):
+            raise failures[0]
+        return self._below(path)
+
+    def entries(self) -> tuple[DirectoryEntry, ...]:
+        """Return every component's name, with its condition; silent services are left out.
+
+        Raises:
+            BridgeError: no naming service answers.
+        """
+        names: dict[str, Name] = {}
+        failures = []
+        for service in self._services:
+            try:
+                for name in service.names():
+                    if name.path.endswith(_SUFFIX):
+                        names.setdefault(name.path, name)
+            except BridgeError as error:
+                failures.append(error)
+        if len(failures) == len(self._services):
+            raise failures[0]
+        if not names:
+            return ()
+        try:
+            with ThreadPoolExecutor(_AT_ONCE, "uoarm-rtm-look") as pool:
+                return tuple(pool.map(self._look, names.values()))
+        except RuntimeError as error:  # no thread can begin any more
+            raise BridgeError("this process is ending", FailureReason.CLOSED) from error
+
+    def peers(self) -> tuple[tuple[PeerComponent, ...], tuple[tuple[str, str], ...]]:
+        """Return the components that answer, and (path, what is wrong) of those that do not."""
+        found: list[PeerComponent] = []
+        silent = []
+        for entry in self.entries():
+            if entry.condition != "alive":
+                silent.append((entry.path, entry.condition))
+                continue
+            try:
+                found.append(peer_at(entry.path, entry.reference, self._seconds))
+            except BridgeError as error:
+                silent.append((entry.path, str(error)))
+        return tuple(found), tuple(silent)
+
+    def _look(self, name: Name) -> DirectoryEntry:
+        try:
+            with calls:
+                gone = limit(name.reference, self._seconds)._non_existent()
+        except CORBA.TIMEOUT:
+            return DirectoryEntry(name.path, name.reference, "hung")
+        except CORBA.Exception:
+            gone = True
+        return DirectoryEntry(name.path, name.reference, "dead" if gone else "alive")
+
+    def _below(self, path: str, unreadable: BridgeError | None = None) -> PeerComponent:
+        """Return the component of this name in any context, or at this path written plainly.
+
+        CORBA writes a dot within a step with a backslash before it; people write `x.y.host_cxt`.
+        """
+        plain = path.replace("\\", "")
+        every = self.entries()
+        seen = [
+            entry
+            for entry in every
+            if entry.path.split("/")[-1] == path or entry.path.replace("\\", "") == plain
+        ]
+        alive = [entry for entry in seen if entry.condition == "alive"]
+        if len(alive) == 1:
+            return peer_at(alive[0].path, alive[0].reference, self._seconds)
+        where = ", ".join(service.address for service in self._services)
+        if alive:
+            paths = ", ".join(entry.path for entry in alive)
+            text = f"component {path!r} is there several times: {paths}; give one whole path"
+            raise BridgeError(text, FailureReason.NOT_FOUND)
+        for entry in seen:
+            if entry.condition == "hung":
+                raise BridgeTimeoutError(f"component {entry.path!r} does not answer")
+        if seen:
+            text = f"component {seen[0].path!r} is dead: only its name is left"
+            raise BridgeError(text, FailureReason.UNAVAILABLE)
+        if unreadable is not None:
+            raise unreadable
+        text = f"there is no component {path!r} in {where}"
+        close = difflib.get_close_matches(path, [entry.path for entry in every], n=1)
+        if close:
+            text = f"{text}; did you mean {close[0]!r}?"
+        raise BridgeError(text, FailureReason.NOT_FOUND)
+
 
 _ROLES = {"DataOutPort": Role.OUTPUT, "DataInPort": Role.INPUT}
 
@@ -93,3 +238,55 @@ def _state(peer: PeerComponent, seconds: float) -> tuple[str, float | None]:
     with contextlib.suppress(BridgeError), corba_errors(f"component {peer.path!r}: its rate"):
         rate = float(contexts[0].get_rate()) if contexts else None
     return text + "s"[: len(contexts) != 1], rate or None  # 0: when something happens
+
+
+class DirectoryMonitor:
+    """Which components are there, compared with the last check.
+
+    Args:
+        directory: names and what stands behind them.
+        report: that of the bridge.
+        own: path to leave out: the bridge's own component.
+    """
+
+    def __init__(self, directory: Directory, report: Callable[..., None], own: str) -> None:
+        self._directory = directory
+        self._report = report
+        self._own = own
+        self._conditions: dict[str, str] | None = None
+        self._is_unreachable = False
+
+    def tick(self) -> None:
+        """Report what came, left, died, hung or woke up; the first check reports nothing."""
+        try:
+            entries = self._directory.entries()
+        except BridgeError as error:
+            if error.reason is FailureReason.CLOSED:
+                return
+            # A naming service that is gone says nothing of the components.
+            if not self._is_unreachable:
+                self._is_unreachable = True
+                self._report(Health.DEGRADED, str(error))
+            return
+        if self._is_unreachable:
+            self._is_unreachable = False
+            self._report(Health.OK, "a naming service answers again")
+        now = {entry.path: entry.condition for entry in entries if entry.path != self._own}
+        before, self._conditions = self._conditions, now
+        if before is None:
+            return
+        for path in sorted(before.keys() | now.keys()):
+            was, is_now = before.get(path), now.get(path)
+            if was != is_now:
+                self._report_change(path, was, is_now)
+
+    def _report_change(self, path: str, was: str | None, is_now: str | None) -> None:
+        if is_now == "alive":
+            word = "answers again" if was == "hung" else "appeared"
+            self._report(Health.OK, f"component {path} {word}", component=path)
+        elif is_now == "hung":
+            text = f"component {path} does not answer: it hangs"
+            self._report(Health.LOST, text, component=path)
+        elif was in {"alive", "hung"}:
+            end = "left" if is_now is None else "died: only its name is left"
+            self._report(Health.LOST, f"component {path} {end}", component=path)

@@ -17,8 +17,7 @@ from attrs import frozen
 from omniORB import CORBA, URI
 
 from uoarm.errors import BridgeError, FailureReason
-from uoarm_rtm._faults import corba_errors
-from uoarm_rtm._orb import Orb, limit, narrowed
+from uoarm_rtm._orb import Orb, corba_errors, limit, narrowed
 
 __all__ = ["Name", "NamingService", "corbaloc", "path_of"]
 

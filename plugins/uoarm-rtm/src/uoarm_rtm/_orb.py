@@ -1,14 +1,22 @@
 # ruff: noqa: SLF001 - CORBA begins the names of its own operations with an underscore
-"""The process's one ORB: shared by all bridges, begun with the first and destroyed with the last.
+"""The process's one ORB, the calls through it, and the border at which its exceptions become ours.
 
-An ORB that the application itself has begun is used as it is and left alone.
+The ORB is shared by all bridges, begun with the first and destroyed with the last. One that the
+application itself has begun is used as it is and left alone. It never ends under a call: omniORB
+aborts the process when it is destroyed while a call is under way after a shutdown (`giopRope.cc`,
+observed with 4.3.3), and when a thread comes back from a call while the interpreter ends.
 """
 
 from __future__ import annotations
 
 import logging
+import os
+import shutil
 import threading
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from types import TracebackType
 from typing import Any
 
 import omniORB
@@ -16,11 +24,103 @@ from attrs import frozen
 from omniORB import CORBA
 
 from uoarm.bridge import at_exit
-from uoarm.errors import BridgeError, FailureReason
-from uoarm_rtm._calls import calls
-from uoarm_rtm._faults import corba_errors
+from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason
+from uoarm_rtm._compiler import omniorb_programs
 
-__all__ = ["Orb", "limit", "narrowed"]
+__all__ = [
+    "CallGuard",
+    "Orb",
+    "calls",
+    "corba_errors",
+    "corba_text",
+    "environment",
+    "limit",
+    "narrowed",
+]
+
+
+class CallGuard:
+    """A context manager around calls; entered from any thread, also nested."""
+
+    def __init__(self) -> None:
+        # Taken twice for each message, and as it is: a condition would double what that costs.
+        self._lock = threading.Lock()
+        self._changed = threading.Condition(self._lock)
+        self._count = 0
+        self._ended = False
+
+    def __enter__(self) -> None:
+        """Begin a call; raises CORBA.BAD_INV_ORDER when no call may begin any more."""
+        with self._lock:
+            if self._ended:
+                raise CORBA.BAD_INV_ORDER(0, CORBA.COMPLETED_NO)
+            self._count += 1
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """End a call."""
+        with self._lock:
+            self._count -= 1
+            if self._ended and not self._count:
+                self._changed.notify_all()
+
+    def end(self, seconds: float) -> bool:
+        """Let no call begin any more, and wait for those under way.
+
+        Returns:
+            whether all have come back in time.
+        """
+        with self._changed:
+            self._ended = True
+            return self._changed.wait_for(lambda: not self._count, seconds)
+
+    def begin(self) -> None:
+        """Let calls begin, with a new ORB."""
+        with self._changed:
+            self._ended = False
+
+
+calls = CallGuard()
+"""Of this process, as the ORB is: every call is among them."""
+
+
+_GONE = (CORBA.COMM_FAILURE, CORBA.TRANSIENT, CORBA.OBJECT_NOT_EXIST, CORBA.INV_OBJREF)
+
+
+@contextmanager
+def corba_errors(what: str) -> Iterator[None]:
+    """Turn CORBA's exceptions into a BridgeError that begins with what was being done.
+
+    TIMEOUT becomes BridgeTimeoutError, a peer that is gone UNAVAILABLE, an answer or request
+    that its stub does not understand REFUSED, anything else RAISED.
+    """
+    try:
+        with calls:
+            yield
+    except CORBA.TIMEOUT as error:
+        raise BridgeTimeoutError(f"{what}: no answer within the time limit") from error
+    except _GONE as error:
+        text = f"{what}: the other side is gone ({corba_text(error)})"
+        raise BridgeError(text, FailureReason.UNAVAILABLE) from error
+    except (CORBA.MARSHAL, CORBA.BAD_PARAM, CORBA.BAD_OPERATION) as error:
+        text = f"{what}: the two sides do not understand each other ({corba_text(error)})"
+        raise BridgeError(text, FailureReason.REFUSED) from error
+    except CORBA.Exception as error:
+        raise BridgeError(f"{what}: {corba_text(error)}", FailureReason.RAISED) from error
+
+
+def corba_text(error: CORBA.Exception) -> str:
+    """Return the name of a CORBA exception, with its minor code where that has a name."""
+    text = type(error).__name__
+    if isinstance(error, CORBA.SystemException):
+        name = str(getattr(error, "_NP_RepositoryId", text)).split("/")[-1].split(":")[0]
+        return f"{name}, {error.minor}" if error.minor else name
+    return text
+
 
 _MOST_OCTETS = 1 << 26
 _DRAIN_SECONDS = 4.0
@@ -269,3 +369,17 @@ def _destroy_poa(poa: Any) -> None:
             poa.destroy(True, False)  # etherealise, do not wait
     except CORBA.Exception:
         return
+
+
+def environment() -> dict[str, str]:
+    """Return the version of omniORB, where its programs are, and variables of the environment."""
+    programs = omniorb_programs()
+    naming = (programs / "omniNames") if programs is not None else shutil.which("omniNames")
+    facts = {
+        "omniORBpy": str(omniORB.coreVersion()),
+        "omniNames": str(naming or "missing"),
+    }
+    for name in ("OMNIORB_CONFIG", "ORBendPoint"):
+        if name in os.environ:
+            facts[name] = os.environ[name]
+    return facts

@@ -8,12 +8,12 @@ from collections.abc import Callable, Mapping, Sequence
 from uoarm.bridge import Channel, Sink, Source
 from uoarm.errors import BridgeError, FailureReason
 from uoarm.model import Deliver, Endpoint, Health, Message
+from uoarm_rtm._descriptors import IdlInterface
 from uoarm_rtm._naming import NamingService
-from uoarm_rtm._operations import IdlInterface
 from uoarm_rtm._options import options_of
 from uoarm_rtm._orb import Orb
 from uoarm_rtm._port_servant import PortServant
-from uoarm_rtm._service_port import ServicePort, servant_of
+from uoarm_rtm._services import ServicePort, servant_of
 from uoarm_rtm._types import Types
 from uoarm_rtm.component import ComponentProfile, RtComponent
 

@@ -1,7 +1,19 @@
-"""A component of another program: its profile, its ports and its state, read in one go."""
+"""Components of other programs: profile, ports and state, and connections to their ports.
+
+Only the remote port stands in the profile of a connector; what we serve goes along as a
+stringified reference, since components in Python refuse object references (observed at
+OpenRTM-aist-Python).
+
+What we connect is ours to end: each connector names its maker in its properties, and stands in
+the journal for as long as it may exist, so that the next process ends what this one could not.
+"""
 
 from __future__ import annotations
 
+import contextlib
+import threading
+import time
+import uuid
 from collections.abc import Mapping
 from typing import Any
 
@@ -10,14 +22,18 @@ from attrs import field, frozen
 from omniORB import CORBA
 from omniORB import any as corba_any
 
-from uoarm.errors import BridgeError, FailureReason
-from uoarm_rtm._faults import corba_errors
-from uoarm_rtm._orb import limit, narrowed
+from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason
+from uoarm_rtm._journal import NAME, PROCESS, JournalEntry, Leftovers, end_connector, journal
+from uoarm_rtm._options import RtmEndpointOptions
+from uoarm_rtm._orb import Orb, calls, corba_errors, limit, narrowed
 
 __all__ = [
+    "Connections",
+    "Connector",
     "PeerComponent",
     "PeerPort",
     "PortInterface",
+    "connector_properties",
     "contexts_of",
     "pairs",
     "peer_at",
@@ -165,3 +181,208 @@ def state_of(peer: PeerComponent, seconds: float) -> str:
     with corba_errors(f"component {peer.path!r}: reading its state"):
         state = contexts[0].get_component_state(peer.reference)
     return str(state).removesuffix("_STATE").lower()
+
+
+_UNDO_SECONDS = 60.0
+_UNDO_AGAIN_SECONDS = 0.05, 1.0
+
+_MEANINGS = {
+    "RTC_ERROR": "it failed, or does not know what was asked",
+    "BAD_PARAMETER": "something asked is unknown to it",
+    "UNSUPPORTED": "it cannot do what was asked",
+    "OUT_OF_RESOURCES": "it has no resources left",
+    "PRECONDITION_NOT_MET": "it refuses in its present state, or is connected so already",
+}
+
+
+def connector_properties(options: RtmEndpointOptions, data_type: str) -> dict[str, str]:
+    """Return the connector properties that an endpoint's options ask for."""
+    order = "big,little" if options.endian == "big" else "little,big"
+    return {
+        "dataport.interface_type": "corba_cdr",
+        "dataport.dataflow_type": options.flow,
+        "dataport.subscription_type": options.subscription,
+        "dataport.publisher.push_rate": f"{options.rate:g}",
+        "dataport.push_rate": f"{options.rate:g}",
+        "dataport.data_type": data_type,
+        "dataport.serializer.cdr.endian": order,
+        **options.properties,
+    }
+
+
+class Connections:
+    """Makes the connectors of one bridge; the first one waits until what the dead left is ended.
+
+    Args:
+        orb: the ORB to call through.
+        name: of the bridge, which connectors carry.
+        seconds: limit of each call.
+    """
+
+    def __init__(self, orb: Orb, name: str, seconds: float) -> None:
+        self._orb = orb
+        self._seconds = seconds
+        self._properties = {NAME: name, PROCESS: journal().process}
+        # Held while leftovers are ended: no connection is made before, from any thread.
+        self._clearing = threading.Lock()
+        self._cleared = False
+        self._closed = threading.Event()
+
+    def close(self) -> None:
+        """Leave to the next process what could not be ended yet."""
+        self._closed.set()
+
+    def connect(
+        self, where: str, properties: Mapping[str, str], port: PeerPort, *others: PeerPort
+    ) -> Connector:
+        """Connect ports.
+
+        Args:
+            where: the component's path and the port, for errors.
+            properties: what the profile asks.
+            port: the one that is asked.
+            others: further ports of the connection.
+
+        Raises:
+            BridgeError: REFUSED with the port's answer; UNAVAILABLE when it is gone. Nothing
+                stays connected.
+            BridgeTimeoutError: no answer; a connection that comes about within a minute is ended.
+        """
+        with self._clearing:
+            if not self._cleared:
+                self._cleared = True
+                Leftovers(self._orb, self._seconds).end()
+        references = [limit(item.reference, self._seconds) for item in (port, *others)]
+        iors = tuple(self._orb.text(reference) for reference in references)
+        undoing = UndoLimits(self._seconds, self._closed)
+        return Connector(where, {**properties, **self._properties}, references, iors, undoing)
+
+
+@frozen
+class UndoLimits:
+    """For how long an abandoned connection is ended.
+
+    Attributes:
+        seconds: that a component may take to make a connection, from when on it answers.
+        closed: is set when nothing is ended any more.
+    """
+
+    seconds: float
+    closed: threading.Event
+
+
+class Connector:
+    """One connection; made by connecting, ended by `disconnect`. `Connections` makes them.
+
+    Args:
+        where: the component's path and the port, for errors.
+        properties: what the profile asks.
+        ports: of the connection, the one that is asked first; calls have their limits.
+        iors: of the ports, for the journal.
+        undoing: how it is ended where it may be made later.
+    """
+
+    def __init__(
+        self,
+        where: str,
+        properties: Mapping[str, str],
+        ports: list[Any],
+        iors: tuple[str, ...],
+        undoing: UndoLimits,
+    ) -> None:
+        self.id = f"uoarm-{uuid.uuid4()}"
+        self._ports = ports
+        self._where = where
+        profile = RTC.ConnectorProfile(self.id, self.id, ports, pairs(properties))
+        journal().write(JournalEntry(self.id, iors, where))
+        try:
+            with corba_errors(f"connecting to {where}"):
+                code, profile = ports[0].connect(profile)
+        except BridgeTimeoutError:
+            # Whether it will be connected is unknown: it is disconnected when it wakes up.
+            undo = threading.Thread(
+                target=self._undo, args=(undoing,), name="uoarm-rtm-undo", daemon=True
+            )
+            undo.start()
+            raise
+        except BridgeError:
+            self._discard()
+            raise
+        if code != RTC.RTC_OK:
+            self._discard()
+            meaning = _MEANINGS.get(str(code), "an answer that the specification does not have")
+            text = f"{where} refuses to connect: {code} ({meaning}); asked was {dict(properties)}"
+            raise BridgeError(text, FailureReason.REFUSED)
+        self.properties = properties_of(profile.properties)
+
+    def published(self, *keys: str) -> str:
+        """Return the first of these properties that a port has published.
+
+        Raises:
+            BridgeError: REFUSED when there is none; the connection is ended.
+        """
+        for key in keys:
+            if self.properties.get(key):
+                return self.properties[key]
+        self._discard()
+        text = f"{self._where} connected, but published none of {', '.join(keys)}"
+        raise BridgeError(text, FailureReason.REFUSED)
+
+    def alive(self, end: int = 0) -> bool:
+        """Whether a port still has this connection; `end` counts ports from the one asked.
+
+        Raises:
+            BridgeError: the component is gone.
+            BridgeTimeoutError: it hangs.
+        """
+        with corba_errors(f"looking at the connection to {self._where}"):
+            profile = self._ports[end].get_connector_profile(self.id)
+            return bool(profile.connector_id == self.id)
+
+    def disconnect(self) -> None:
+        """End the connection at every port; one that the other side has ended is fine.
+
+        Raises:
+            BridgeTimeoutError: a port did not answer; the next process tries again.
+        """
+        try:
+            with corba_errors(f"disconnecting from {self._where}"):
+                end_connector(self.id, self._ports)
+        except BridgeTimeoutError:
+            raise
+        except BridgeError:
+            return  # the ORB has ended before
+        journal().erase(self.id)
+
+    def _undo(self, undoing: UndoLimits) -> None:
+        """End a connection that may be made only later.
+
+        The request to end it may overtake the one that makes it, as they come through different
+        connections of TCP. So it is repeated, until there was one to end, or the component has
+        answered for as long as it may take to make one.
+        """
+        until = time.monotonic() + _UNDO_SECONDS
+        pause, longest = _UNDO_AGAIN_SECONDS
+        answers = False
+        while True:
+            try:
+                with calls:
+                    is_over = end_connector(self.id, self._ports)
+            except CORBA.TIMEOUT:
+                is_over = False
+            except CORBA.Exception:
+                return  # the ORB has ended; the journal has it for the next process
+            else:
+                if not answers:
+                    answers, until = True, min(until, time.monotonic() + undoing.seconds)
+            if is_over or (answers and time.monotonic() >= until):
+                break
+            if time.monotonic() >= until or undoing.closed.wait(pause):
+                return
+            pause = min(2 * pause, longest)
+        journal().erase(self.id)
+
+    def _discard(self) -> None:
+        with contextlib.suppress(CORBA.Exception), calls:
+            end_connector(self.id, self._ports)
+            journal().erase(self.id)

@@ -18,14 +18,11 @@ from _uoarm_rtm_stubs import RTC, OpenRTM__POA, SDOPackage
 from attrs import field, frozen
 
 from uoarm.model import Message
-from uoarm_rtm._configuration_servant import ConfigurationServant
-from uoarm_rtm._context_servant import ContextServant
 from uoarm_rtm._data_ports import InPort, OutPort
-from uoarm_rtm._faults import corba_errors
-from uoarm_rtm._lifecycle import Callbacks, ComponentLifecycle
 from uoarm_rtm._naming import NamingService
-from uoarm_rtm._orb import Orb
+from uoarm_rtm._orb import Orb, corba_errors
 from uoarm_rtm._port_servant import PortServant
+from uoarm_rtm._servants import Callbacks, ComponentLifecycle, ConfigurationServant, ContextServant
 from uoarm_rtm._types import Types
 
 __all__ = ["Callbacks", "ComponentProfile", "NamingService", "Orb", "RtComponent", "Types"]

@@ -1,6 +1,6 @@
 """A naming service for programs and tests: omniNames, without any other installation.
 
-Importing this module imports no middleware.
+It listens on loopback and ends with its starter. Importing this module imports no middleware.
 
 with NameServer() as names:
     print(names.address)
@@ -8,6 +8,159 @@ with NameServer() as names:
 
 from __future__ import annotations
 
-from uoarm_rtm._nameserver import NameServer, nameserver_command
+import os
+import shutil
+import socket
+import struct
+import subprocess
+import tempfile
+import time
+from contextlib import ExitStack, suppress
+from pathlib import Path
+from types import TracebackType
+
+from typing_extensions import Self
+
+from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason
+from uoarm_rtm._compiler import omniorb_programs
 
 __all__ = ["NameServer", "nameserver_command"]
+
+_START_SECONDS = 10.0
+_STOP_SECONDS = 3.0
+_TRIES = 5
+
+
+def nameserver_command(
+    port: int, address: str, folder: Path, log: str = "/dev/null"
+) -> tuple[str, ...]:
+    """Return the command line of omniNames, for a caller that starts the process itself.
+
+    Args:
+        port: TCP port.
+        address: interface to listen on.
+        folder: existing folder where it keeps its names between runs.
+        log: file that takes its errors.
+    """
+    programs = omniorb_programs()
+    program = str(programs / "omniNames") if programs is not None else "omniNames"
+    kept = ("-start", str(port), "-always", "-datadir", str(folder), "-errlog", log)
+    return (program, *kept, "-ORBendPoint", f"giop:tcp:{address}:{port}")
+
+
+class NameServer:
+    """A running omniNames; a context manager that ends it.
+
+    Args:
+        port: TCP port; 0 for any that is free, in up to five tries.
+        address: interface to listen on.
+        folder: where it keeps its names between runs; None: nowhere.
+
+    Raises:
+        BridgeError: UNAVAILABLE when omniNames is not there or ends at once.
+        BridgeTimeoutError: it does not listen within 10 s.
+    """
+
+    def __init__(
+        self, port: int = 0, address: str = "127.0.0.1", folder: Path | None = None
+    ) -> None:
+        self._maker = os.getpid()
+        kept = folder if folder is not None else Path(tempfile.mkdtemp(prefix="uoarm-names-"))
+        self._own = None if folder is not None else kept
+        tries = 1 if port else _TRIES
+        with ExitStack() as failing:
+            failing.callback(self._forget)
+            for left in reversed(range(tries)):
+                self.port = port or _free_port(address)
+                self.process = _start(nameserver_command(self.port, address, kept))
+                if _serves_soon(self.process, address, self.port):
+                    break
+                if not left:  # else another program took the port meanwhile: try the next
+                    ended = f"omniNames ended with {self.process.returncode}"
+                    text = f"{ended}: is port {self.port} in use, the folder writable?"
+                    raise BridgeError(text, FailureReason.UNAVAILABLE)
+            failing.pop_all()
+        self.address = f"corbaloc:iiop:{address}:{self.port}/NameService"
+
+    def close(self) -> None:
+        """End it; names that were kept nowhere are forgotten. Nothing in a forked child."""
+        if os.getpid() != self._maker:
+            return
+        _end(self.process)
+        self._forget()
+
+    def _forget(self) -> None:
+        if self._own is not None:
+            shutil.rmtree(self._own, ignore_errors=True)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+
+def _start(command: tuple[str, ...]) -> subprocess.Popen[bytes]:
+    try:
+        return subprocess.Popen(  # noqa: S603 - a program of our dependency
+            command,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+        )
+    except OSError as error:
+        text = f"omniNames cannot be started: {error}"
+        raise BridgeError(text, FailureReason.UNAVAILABLE) from error
+
+
+def _end(process: subprocess.Popen[bytes]) -> None:
+    process.terminate()
+    try:
+        process.wait(_STOP_SECONDS)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        process.wait()
+
+
+def _serves_soon(process: subprocess.Popen[bytes], address: str, port: int) -> bool:
+    """Wait until it serves; False: it has ended. Ends it on any error."""
+    deadline = time.monotonic() + _START_SECONDS
+    with ExitStack() as failing:
+        failing.callback(_end, process)
+        while process.poll() is None:
+            with suppress(OSError):  # it does not listen yet
+                if _serves(address, port):
+                    failing.pop_all()
+                    return process.poll() is None
+            if time.monotonic() > deadline:
+                text = f"omniNames did not serve on {address}:{port} within 10 s"
+                raise BridgeTimeoutError(text)
+            time.sleep(0.01)
+    return False
+
+
+def _serves(address: str, port: int) -> bool:
+    """Ask whether the root context is there, with a GIOP 1.0 LocateRequest of our own.
+
+    It listens a moment before it serves; and the waiting process may have no ORB yet.
+    """
+    key = b"NameService"
+    body = struct.pack("<II", 1, len(key)) + key
+    with socket.create_connection((address, port), 1.0) as asking:
+        asking.settimeout(1.0)
+        asking.sendall(b"GIOP\x01\x00\x01\x03" + struct.pack("<I", len(body)) + body)
+        reply = asking.recv(20, socket.MSG_WAITALL)
+    # The status of a LocateReply: 0 unknown, 1 here, 2 elsewhere; its low byte is 1 or 2.
+    return len(reply) == 20 and reply[7] == 4 and any(reply[16:20])  # noqa: PLR2004 - of GIOP
+
+
+def _free_port(address: str) -> int:
+    with socket.socket() as probe:
+        probe.bind((address, 0))
+        port: int = probe.getsockname()[1]
+        return port

@@ -1,0 +1,466 @@
+"""Channels to the data ports of components: sources, sinks, and native links between two ports.
+
+`required_port` finds the port that an endpoint means, or why it cannot be had, before anything is
+connected. OutPorts push to us, or we ask them; to InPorts we push, at once or from a buffer, or
+they ask us. Over a native link the components move the data, and we only check it.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from _uoarm_rtm_stubs import OpenRTM, OpenRTM__POA
+from attrs import evolve
+from omniORB import CORBA
+
+from uoarm.bridge import Channel, Delivery, Sink, Source
+from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, MessageError
+from uoarm.model import Health, Message, Role
+from uoarm_rtm._codec import BIG, LITTLE
+from uoarm_rtm._data_ports import INPORT_IOR, OUTPORT_IOR
+from uoarm_rtm._dataflow import PullBuffer, Puller, SizeLimit, ThreadedPusher
+from uoarm_rtm._health import ConnectorHealth, PortFault, RemotePort
+from uoarm_rtm._options import (
+    PortAddress,
+    RtmEndpointOptions,
+    buffer_policy,
+    push_policy,
+    says_what_empty_means,
+)
+from uoarm_rtm._orb import CallGuard, calls, corba_text, limit, narrowed
+from uoarm_rtm._peer import PeerComponent, PeerPort, connector_properties
+from uoarm_rtm._types import Types
+
+__all__ = ["InPortSink", "NativeConnector", "OutPortSource", "is_big_in_cpp", "required_port"]
+
+_KINDS = {Role.OUTPUT: "DataOutPort", Role.INPUT: "DataInPort"}
+_MISREAD = (Role.OUTPUT, "push"), (Role.INPUT, "pull")
+
+
+def required_port(
+    peer: PeerComponent,
+    role: Role,
+    address: PortAddress,
+    options: RtmEndpointOptions,
+    types: Types,
+) -> PeerPort:
+    """Return the port of an address, with the data type that goes over it.
+
+    Raises:
+        BridgeError: NOT_FOUND, where there is none; BAD_ENDPOINT or REFUSED, where it is another
+            one than the configuration says; UNSUPPORTED, where we do not speak as it does.
+    """
+    port = peer.port(address.port)
+    where = f"port {port.name!r} of component {peer.path!r}"
+    if port.kind != _KINDS[role]:
+        kind = port.kind or "nameless kind"
+        text = f"{where} is a {kind}, but an {role.value} needs a {_KINDS[role]}"
+        raise BridgeError(text, FailureReason.BAD_ENDPOINT)
+    if port.interface_types and "corba_cdr" not in port.interface_types:
+        text = (
+            f"{where} offers the interface types {', '.join(port.interface_types)}, and we speak "
+            "corba_cdr: let the component offer it, too (in its rtc.conf: `provider_types` and "
+            "`consumer_types` of the port)"
+        )
+        raise BridgeError(text, FailureReason.UNSUPPORTED)
+    if port.takes_events:
+        port = _event(port, where, address, options)
+    elif options.event:
+        text = f"{where} takes {port.data_type}, and no events: leave the option `event` out"
+        raise BridgeError(text, FailureReason.BAD_ENDPOINT)
+    if address.type and not types.same(address.type, port.data_type):
+        text = (
+            f"{where} carries {port.data_type}, the configuration says {address.type}: "
+            "correct the endpoint"
+        )
+        raise BridgeError(text, FailureReason.REFUSED)
+    if is_big_in_cpp(peer, options) and (role, options.flow) in _MISREAD:
+        text = (
+            f"{where}: components in C++ take no notice of `endian` where they push or ask: "
+            "leave it out"
+        )
+        raise BridgeError(text, FailureReason.REFUSED)
+    return port
+
+
+def is_big_in_cpp(peer: PeerComponent, options: RtmEndpointOptions) -> bool:
+    """Whether big-endian data is asked of a component that may not notice."""
+    return options.endian == "big" and peer.language == "C++"
+
+
+def _event(
+    port: PeerPort, where: str, address: PortAddress, options: RtmEndpointOptions
+) -> PeerPort:
+    """Return the port of a state machine as that of one event, which has a data type."""
+    if not address.type or not options.event:
+        text = (
+            f"{where} takes the events of a state machine (type any): name the event in the "
+            "option `event`, and its data type as third part of the endpoint"
+        )
+        raise BridgeError(text, FailureReason.BAD_ENDPOINT)
+    return evolve(port, data_type=address.type)
+
+
+_log = logging.getLogger("uoarm.rtm")
+
+
+class _Inlet(OpenRTM__POA.InPortCdr):  # type: ignore[misc]  # generated, without annotations
+    """What the component's OutPort pushes to."""
+
+    def __init__(self, source: OutPortSource) -> None:
+        self._source = source
+
+    def put(self, data: bytes) -> Any:
+        """Take one message (CORBA operation)."""
+        return self._source.receive(data)
+
+
+class OutPortSource(Source):
+    """One connector from an OutPort.
+
+    Messages are delivered in a thread of the ORB (push), or in one of the channel's own (pull).
+
+    Args:
+        remote: the port.
+        deliver: takes the messages.
+
+    Raises:
+        BridgeError: the port refuses or is gone; nothing stays connected.
+    """
+
+    def __init__(self, remote: RemotePort, deliver: Delivery) -> None:
+        super().__init__(remote.endpoint)
+        self._remote = remote
+        self._deliver = deliver
+        self._order = BIG if remote.options.endian == "big" else LITTLE
+        self._puller: Puller | None = None
+        self._longest = remote.seconds
+        self.health = ConnectorHealth(self, remote, remote.options.stale_after)
+        self._inlet = remote.orb.serve(_Inlet(self)) if remote.options.flow == "push" else None
+        properties = connector_properties(remote.options, remote.codec.name)
+        if self._inlet is not None:
+            properties[INPORT_IOR] = remote.orb.text(self._inlet)
+        try:
+            self._connector = remote.connections.connect(remote.where, properties, remote.port)
+            if self._inlet is None:
+                self._begin_pulling()
+        except BridgeError:
+            self._withdraw()
+            raise
+
+    def receive(self, data: bytes) -> Any:
+        """Decode and deliver one message; returns the status to answer."""
+        if self.closed:
+            return OpenRTM.PORT_ERROR
+        try:
+            message = self._remote.codec.decode(data, self._order)
+        except MessageError as error:
+            self._deliver.unreadable(f"{self._remote.where}: {error}")
+            return OpenRTM.PORT_ERROR
+        self.health.note_message()
+        self._deliver(message)
+        return OpenRTM.PORT_OK
+
+    def tick(self) -> None:
+        """Check the connection; called about once a second by the bridge's ticker."""
+        self.health.check(self._connector)
+
+    def facts(self) -> Mapping[str, object]:
+        """Return counters and the port."""
+        return self.health.facts()
+
+    def _close(self) -> None:
+        if self._puller is not None:
+            self._puller.end(self._longest)
+        self._withdraw()
+        try:
+            self._connector.disconnect()
+        finally:
+            self._remote.ended()
+
+    def _withdraw(self) -> None:
+        if self._inlet is not None:
+            self._remote.orb.withdraw(self._inlet)
+
+    def _begin_pulling(self) -> None:
+        remote = self._remote
+        ior = self._connector.published(OUTPORT_IOR)
+        what = f"{remote.where}: its OutPortCdr"
+        try:
+            target = narrowed(remote.orb.reference(ior), OpenRTM.OutPortCdr, remote.seconds, what)
+            self._longest += buffer_policy(remote.options.properties, "outport").longest_read
+            limit(target, self._longest)
+        except BridgeError:
+            self._connector.disconnect()
+            raise
+        self._puller = Puller(
+            target,
+            remote.options.rate,
+            repeats=says_what_empty_means(remote.options.properties),
+            take=self.receive,
+            lost=self._lost,
+            missed=self._missed,
+        )
+
+    def _missed(self, error: CORBA.Exception) -> None:
+        text = (
+            f"an answer of {self._remote.where} does not arrive ({corba_text(error)}): it may be "
+            f"larger than our limit of {self._remote.orb.most_octets} octets (`max_message`), or "
+            "than the component's own (-ORBgiopMaxMsgSize there)"
+        )
+        self._deliver.unreadable(text)
+
+    def _lost(self, error: CORBA.Exception) -> None:
+        self.health.lose(f"{self._remote.where} is gone ({corba_text(error)})")
+
+
+_REASONS = {
+    "BUFFER_FULL": "its buffer is full",
+    "BUFFER_TIMEOUT": "its buffer stayed full",
+    "PORT_ERROR": "it could not take the data",
+    "UNKNOWN_ERROR": "it could not take the data",
+}
+
+
+class InPortSink(Sink):
+    """One connector to an InPort.
+
+    `send` waits for the component's answer where we push with `flush`; otherwise it puts the
+    message into our buffer, whose policy may be to wait for room.
+
+    Args:
+        remote: the port.
+
+    Raises:
+        BridgeError: the port refuses or is gone; nothing stays connected.
+    """
+
+    def __init__(self, remote: RemotePort) -> None:
+        super().__init__(remote.endpoint)
+        self._remote = remote
+        self._order = BIG if remote.options.endian == "big" else LITTLE
+        self.health = ConnectorHealth(self, remote)
+        self._policy = buffer_policy(remote.options.properties, "outport")
+        self._buffer: PullBuffer | ThreadedPusher | None = None
+        self._outlet: Any = None
+        self._target: Any = None
+        self._gone = ""
+        self._putting = CallGuard()
+        self._sizes = SizeLimit(remote.where, remote.orb.most_octets)
+        waits = buffer_policy(remote.options.properties, "inport").longest_write
+        self._is_released = False
+        self._refused = 0
+        self._longest = remote.options.timeout or remote.seconds + waits
+        properties = connector_properties(remote.options, remote.codec.name)
+        pulls = remote.options.flow == "pull"
+        if pulls:
+            self._buffer = PullBuffer(self._policy)
+            self._outlet = remote.orb.serve(self._buffer)
+            properties[OUTPORT_IOR] = remote.orb.text(self._outlet)
+        try:
+            self._connector = remote.connections.connect(remote.where, properties, remote.port)
+            if not pulls:
+                self._target = self._reach()
+        except BridgeError:
+            self._withdraw()
+            raise
+        if not pulls and remote.options.subscription != "flush":
+            push, period = push_policy(remote.options.properties), remote.options.period
+            self._buffer = ThreadedPusher(self._push, self._policy, push, period)
+        self.blocking = self._buffer is None or self._policy.full == "block"
+
+    def _send(self, message: Message) -> None:
+        """Hand one message to the port.
+
+        Raises:
+            MessageError: it does not fit the data type; the text names the field.
+            BridgeError: the component is gone or refuses the data, the message is larger than an
+                ORB takes, our buffer is full, or the channel was closed meanwhile.
+            BridgeTimeoutError: the component does not answer in time.
+        """
+        self._require_open()
+        data = self._remote.codec.encode(message, self._order)
+        if self._buffer is None:
+            self._put(data)
+            self.health.note_message()
+        else:
+            self._keep(data)
+
+    def drain(self, timeout: float) -> bool:
+        """Wait until what is in our buffer has been taken, `timeout` seconds at most."""
+        return self._buffer is None or self._buffer.drain(timeout)
+
+    def tick(self) -> None:
+        """Check the connection; called about once a second by the bridge's ticker."""
+        self.health.check(self._connector)
+
+    def facts(self) -> Mapping[str, object]:
+        """Return counters and the port."""
+        dropped = {} if self._buffer is None else {"dropped": self._buffer.dropped}
+        return {**self.health.facts(), "refused": self._refused, **dropped}
+
+    def _require_open(self) -> None:
+        if self._is_released:  # later than `closed`: what moves is stopped before it is released
+            text = f"bridge {self.endpoint.bridge!r}: {self.endpoint} is closed"
+            raise BridgeError(text, FailureReason.CLOSED)
+        if self._gone:
+            raise BridgeError(self._gone, FailureReason.UNAVAILABLE)
+
+    def _keep(self, data: bytes) -> None:
+        """Have a message wait in our buffer."""
+        assert self._buffer is not None
+        if self._buffer.write(data):
+            if self._outlet is not None:  # what we push counts when it has been put
+                self.health.note_message()
+            return
+        self._require_open()
+        policy = self._policy
+        stayed = f" and stayed so for {policy.write_seconds:g} s" if policy.full == "block" else ""
+        text = f"{self._remote.where}: our buffer of {policy.length} for it is full{stayed}"
+        raise BridgeError(text, FailureReason.REFUSED)
+
+    def _push(self, data: bytes) -> None:
+        """Put one message from the buffer's thread, which has no caller to take an error."""
+        try:
+            self._put(data)
+        except BridgeTimeoutError:
+            return  # it is reported; the component may be back for the next
+        except BridgeError as error:
+            if error.reason is FailureReason.UNAVAILABLE:
+                self._gone = str(error)
+            self.health.degrade(str(error))
+        else:
+            self.health.note_message()
+
+    def _put(self, data: bytes) -> None:
+        too_large = self._sizes.refusal(len(data))
+        if too_large:
+            self._refused += 1
+            raise BridgeError(too_large, FailureReason.REFUSED)
+        try:
+            with calls, self._putting:
+                status = self._target.put(data)
+        except CORBA.TIMEOUT as error:
+            text = f"{self._remote.where} did not take a message within its time limit"
+            self.health.degrade(text)
+            raise BridgeTimeoutError(text) from error
+        except CORBA.Exception as error:
+            self._require_open()
+            too_large = self._sizes.explain(error, self._target, len(data))
+            if too_large:
+                self._refused += 1
+                raise BridgeError(too_large, FailureReason.REFUSED) from error
+            text = f"{self._remote.where} is gone ({corba_text(error)})"
+            self.health.lose(text)
+            raise BridgeError(text, FailureReason.UNAVAILABLE) from error
+        self._sizes.passed(len(data))
+        if status != OpenRTM.PORT_OK:
+            self._refused += 1
+            reason = _REASONS.get(str(status), "it said so")
+            text = f"{self._remote.where} refused a message: {status} ({reason})"
+            raise BridgeError(text, FailureReason.REFUSED)
+
+    def _reach(self) -> Any:
+        remote = self._remote
+        ior = self._connector.published(INPORT_IOR)
+        try:
+            what = f"{remote.where}: its InPortCdr"
+            target = narrowed(remote.orb.reference(ior), OpenRTM.InPortCdr, remote.seconds, what)
+            return limit(target, self._longest)
+        except BridgeError:
+            self._connector.disconnect()
+            raise
+
+    def _close(self) -> None:
+        self._is_released = True
+        self._withdraw()
+        # A component in C++ may abort when it is disconnected while it takes a message.
+        self._putting.end(self._longest)
+        try:
+            self._connector.disconnect()
+        finally:
+            self._remote.ended()
+
+    def _withdraw(self) -> None:
+        if self._buffer is not None:
+            self._buffer.close()
+        if self._outlet is not None:
+            self._remote.orb.withdraw(self._outlet)
+
+
+class NativeConnector(Channel):
+    """A connector from one component's OutPort to another's InPort.
+
+    Args:
+        source: the OutPort.
+        sink: the InPort.
+        options: what the options of both ends ask together.
+        report: that of the bridge.
+
+    Raises:
+        BridgeError: a port refuses; nothing stays connected.
+    """
+
+    def __init__(
+        self,
+        source: RemotePort,
+        sink: RemotePort,
+        options: RtmEndpointOptions,
+        report: Callable[..., None],
+    ) -> None:
+        super().__init__(source.endpoint)
+        self._ends = source, sink
+        self._where = f"{source.where} to {sink.where}"
+        self._report = report
+        self._lost = False
+        self._idle = dict.fromkeys(range(2), "")
+        self._states = ["", ""]
+        properties = connector_properties(options, source.port.data_type)
+        self._connector = source.connections.connect(
+            self._where, properties, source.port, sink.port
+        )
+
+    def facts(self) -> Mapping[str, object]:
+        """Return which ports are connected, and the states of both components."""
+        return {"native": self._where, "states": tuple(self._states)}
+
+    def tick(self) -> None:
+        """Check both ends, about once a second; the one with the surest sign is blamed.
+
+        When an end dies the other drops the connection: what is gone is the cause of what ended.
+        """
+        if self._lost or self.closed:
+            return
+        statuses = [remote.check(self._connector, end) for end, remote in enumerate(self._ends)]
+        self._states = [status.state for status in statuses]
+        worst = max(range(2), key=lambda end: statuses[end].fault)
+        if statuses[worst].fault > PortFault.INACTIVE:
+            self._lost = True
+            text = f"{statuses[worst].cause}; it was connected from {self._where}"
+            if all(status.fault is PortFault.ENDED for status in statuses):
+                text = f"{self._where}: the components have ended the connection"
+            self._report_of(worst, Health.LOST, text)
+            return
+        for end, cause in enumerate(status.cause for status in statuses):
+            if cause != self._idle[end]:
+                self._idle[end] = cause
+                text = f"{self._ends[end].where} works again"
+                self._report_of(end, Health.DEGRADED if cause else Health.OK, cause or text)
+
+    def _report_of(self, end: int, health: Health, cause: str) -> None:
+        """Report of one component: of the source as this channel, which has its endpoint."""
+        if self.closed:
+            return
+        if end == 0:
+            self._report(health, cause, channel=self)
+        else:
+            self._report(health, cause, component=self._ends[end].endpoint.component)
+
+    def _close(self) -> None:
+        try:
+            self._connector.disconnect()
+        finally:
+            for remote in self._ends:
+                remote.ended()

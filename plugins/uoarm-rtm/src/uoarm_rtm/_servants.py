@@ -1,0 +1,319 @@
+# ruff: noqa: SLF001 - CORBA begins the names of its own operations with an underscore
+"""What our own component consists of: its lifecycle, execution context and configuration.
+
+    INACTIVE --activate--> ACTIVE --deactivate--> INACTIVE
+    ACTIVE --a callback fails--> ERROR --reset--> INACTIVE
+
+The lifecycle is that of one component in one execution context, as the RTC specification has it.
+A component that takes part in no context is CREATED.
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from _uoarm_rtm_stubs import RTC, RTC__POA, SDOPackage, SDOPackage__POA
+from attrs import frozen
+
+from uoarm.bridge import foreign
+from uoarm_rtm._orb import Orb
+from uoarm_rtm._peer import pairs, properties_of
+
+__all__ = ["Callbacks", "ComponentLifecycle", "ConfigurationServant", "ContextServant"]
+
+_log = logging.getLogger("uoarm.rtm")
+
+
+def _nothing() -> None:
+    """Do nothing."""
+
+
+@frozen
+class Callbacks:
+    """What a component does at each change; raising sends it to ERROR.
+
+    `executed` is called at the context's rate while ACTIVE; None for a component that works only
+    when data arrives.
+    """
+
+    activated: Callable[[], None] = _nothing
+    deactivated: Callable[[], None] = _nothing
+    aborting: Callable[[], None] = _nothing
+    reset: Callable[[], None] = _nothing
+    executed: Callable[[], None] | None = None
+
+
+class ComponentLifecycle:
+    """The state, and the calls that change it. Callbacks run in the caller's thread."""
+
+    def __init__(self, callbacks: Callbacks) -> None:
+        self._callbacks = callbacks
+        self._lock = threading.RLock()
+        self.state: Any = RTC.INACTIVE_STATE
+        self.changed = threading.Condition()
+
+    def activate(self) -> Any:
+        """INACTIVE to ACTIVE."""
+        return self._move(RTC.INACTIVE_STATE, RTC.ACTIVE_STATE, self._callbacks.activated)
+
+    def deactivate(self) -> Any:
+        """ACTIVE to INACTIVE."""
+        return self._move(RTC.ACTIVE_STATE, RTC.INACTIVE_STATE, self._callbacks.deactivated)
+
+    def reset(self) -> Any:
+        """ERROR to INACTIVE; the component stays in ERROR when its callback fails."""
+        return self._move(RTC.ERROR_STATE, RTC.INACTIVE_STATE, self._callbacks.reset)
+
+    def execute(self) -> None:
+        """Run one step, when ACTIVE."""
+        with self._lock:
+            if self.state == RTC.ACTIVE_STATE and self._callbacks.executed is not None:
+                self._guarded(self._callbacks.executed)
+
+    def fail(self) -> None:
+        """ACTIVE to ERROR, as when a callback fails."""
+        with self._lock:
+            if self.state == RTC.ACTIVE_STATE:
+                self._abort()
+
+    def _move(self, before: Any, after: Any, callback: Callable[[], None]) -> Any:
+        with self._lock:
+            if self.state != before:
+                return RTC.PRECONDITION_NOT_MET
+            if not self._guarded(callback):
+                return RTC.RTC_ERROR
+            self._enter(after)
+            return RTC.RTC_OK
+
+    def _guarded(self, callback: Callable[[], None]) -> bool:
+        try:
+            foreign(callback)
+        except Exception:  # noqa: BLE001 - whatever it raises is a failed transition
+            _log.exception("a component's callback failed")
+            self._abort()
+            return False
+        return True
+
+    def _abort(self) -> None:
+        self._enter(RTC.ERROR_STATE)
+        try:
+            foreign(self._callbacks.aborting)
+        except Exception:  # noqa: BLE001 - as above, and it is in ERROR already
+            _log.exception("a component's callback failed while it was aborting")
+
+    def _enter(self, state: Any) -> None:
+        with self.changed:
+            self.state = state
+            self.changed.notify_all()
+
+
+class ContextServant(RTC__POA.ExecutionContextService):  # type: ignore[misc]  # generated
+    """A context with one component, running from the start.
+
+    Args:
+        orb: where it is served.
+        lifecycle: the component's.
+        rate: steps a second; 0 for an event-driven context without a thread.
+    """
+
+    def __init__(self, orb: Orb, lifecycle: ComponentLifecycle, rate: float) -> None:
+        self._orb = orb
+        self._lifecycle = lifecycle
+        self._rate = rate
+        self._changed = threading.Condition()
+        self._running = True
+        self._closed = False
+        self.component: Any = None
+        self.reference = orb.serve(self)
+        if rate:
+            threading.Thread(target=self._run, name="uoarm-rtm-context", daemon=True).start()
+
+    def close(self) -> None:
+        """End the thread and stop serving."""
+        with self._changed:
+            self._closed = True
+            self._changed.notify_all()
+        self._orb.withdraw(self.reference)
+
+    def is_running(self) -> bool:
+        """Whether it runs (CORBA operation)."""
+        return self._running
+
+    def start(self) -> Any:
+        """Run (CORBA operation)."""
+        return self._switch(on=True)
+
+    def stop(self) -> Any:
+        """Rest (CORBA operation)."""
+        return self._switch(on=False)
+
+    def get_rate(self) -> float:
+        """Return the steps a second (CORBA operation)."""
+        return self._rate
+
+    def set_rate(self, rate: float) -> Any:
+        """Set the steps a second (CORBA operation)."""
+        if not rate > 0:
+            return RTC.BAD_PARAMETER
+        if not self._rate:
+            return RTC.UNSUPPORTED
+        self._rate = rate
+        return RTC.RTC_OK
+
+    def add_component(self, component: Any) -> Any:
+        """Refuse: this context has its component (CORBA operation)."""
+        return RTC.PRECONDITION_NOT_MET if self._is_mine(component) else RTC.UNSUPPORTED
+
+    def remove_component(self, component: Any) -> Any:
+        """Refuse: this context keeps its component (CORBA operation)."""
+        return RTC.UNSUPPORTED if self._is_mine(component) else RTC.BAD_PARAMETER
+
+    def activate_component(self, component: Any) -> Any:
+        """Activate the component (CORBA operation)."""
+        if not self._is_mine(component):
+            return RTC.BAD_PARAMETER
+        return self._lifecycle.activate() if self._running else RTC.RTC_ERROR
+
+    def deactivate_component(self, component: Any) -> Any:
+        """Deactivate the component (CORBA operation)."""
+        if not self._is_mine(component):
+            return RTC.BAD_PARAMETER
+        return self._lifecycle.deactivate() if self._running else RTC.RTC_ERROR
+
+    def reset_component(self, component: Any) -> Any:
+        """Bring the component out of ERROR (CORBA operation)."""
+        if not self._is_mine(component):
+            return RTC.BAD_PARAMETER
+        return self._lifecycle.reset() if self._running else RTC.RTC_ERROR
+
+    def get_component_state(self, component: Any) -> Any:
+        """Return the component's state, CREATED for a stranger (CORBA operation)."""
+        return self._lifecycle.state if self._is_mine(component) else RTC.CREATED_STATE
+
+    def get_kind(self) -> Any:
+        """Return whether it is periodic (CORBA operation)."""
+        return RTC.PERIODIC if self._rate else RTC.EVENT_DRIVEN
+
+    def get_profile(self) -> Any:
+        """Return the context's profile (CORBA operation)."""
+        kind = self.get_kind()
+        return RTC.ExecutionContextProfile(kind, self._rate, self.component, [], [])
+
+    def _is_mine(self, component: Any) -> bool:
+        return component is not None and bool(self.component._is_equivalent(component))
+
+    def _switch(self, *, on: bool) -> Any:
+        with self._changed:
+            if self._running is on:
+                return RTC.PRECONDITION_NOT_MET
+            self._running = on
+            self._changed.notify_all()
+        return RTC.RTC_OK
+
+    def _run(self) -> None:
+        while not self._closed:
+            if self._running:
+                self._lifecycle.execute()
+            with self._changed:
+                self._changed.wait_for(lambda: self._closed, 1.0 / self._rate)
+
+
+_MOST_SETS = 100
+
+
+class ConfigurationServant(SDOPackage__POA.Configuration):  # type: ignore[misc]  # generated
+    """Device profiles, service profiles and organisations are refused: we have none.
+
+    Args:
+        orb: where it is served.
+        sets: values by name of the set.
+        changed: called with the values in force whenever they change, in a thread of the ORB.
+    """
+
+    def __init__(
+        self,
+        orb: Orb,
+        sets: Mapping[str, Mapping[str, str]],
+        changed: Callable[[Mapping[str, str]], None],
+    ) -> None:
+        self._orb = orb
+        self._changed = changed
+        # Guards the sets and which is active: operations come in threads of the ORB.
+        self._lock = threading.Lock()
+        self._sets = {name: dict(values) for name, values in sets.items()}
+        self._sets.setdefault("default", {})
+        self._active = "default"
+        self.reference = orb.serve(self)
+
+    def close(self) -> None:
+        """Stop serving."""
+        self._orb.withdraw(self.reference)
+
+    def get_configuration_sets(self) -> list[Any]:
+        """Return every set (CORBA operation)."""
+        return [self._set(name) for name in list(self._sets)]
+
+    def get_configuration_set(self, config_id: str) -> Any:
+        """Return one set (CORBA operation)."""
+        if config_id not in self._sets:
+            raise SDOPackage.InternalError(f"there is no configuration set {config_id!r}")
+        return self._set(config_id)
+
+    def get_active_configuration_set(self) -> Any:
+        """Return the set in force (CORBA operation)."""
+        return self._set(self._active)
+
+    def activate_configuration_set(self, config_id: str) -> bool:
+        """Put a set in force (CORBA operation)."""
+        with self._lock:
+            if config_id not in self._sets:
+                raise SDOPackage.InvalidParameter(f"there is no configuration set {config_id!r}")
+            self._active = config_id
+        self._notify()
+        return True
+
+    def set_configuration_set_values(self, configuration_set: Any) -> bool:
+        """Replace values of a set (CORBA operation)."""
+        with self._lock:
+            if configuration_set.id not in self._sets:
+                text = f"there is no configuration set {configuration_set.id!r}"
+                raise SDOPackage.InvalidParameter(text)
+            values = properties_of(configuration_set.configuration_data)
+            self._sets[configuration_set.id].update(values)
+            in_force = configuration_set.id == self._active
+        if in_force:
+            self._notify()
+        return True
+
+    def add_configuration_set(self, configuration_set: Any) -> bool:
+        """Add a set (CORBA operation)."""
+        with self._lock:
+            if configuration_set.id in self._sets or len(self._sets) >= _MOST_SETS:
+                raise SDOPackage.InvalidParameter("it is there already, or there are too many")
+            values = properties_of(configuration_set.configuration_data)
+            self._sets[configuration_set.id] = values
+        return True
+
+    def remove_configuration_set(self, config_id: str) -> bool:
+        """Remove a set that is not in force (CORBA operation)."""
+        with self._lock:
+            if config_id == self._active or self._sets.pop(config_id, None) is None:
+                raise SDOPackage.InvalidParameter("it is in force, or not there")
+        return True
+
+    def get_configuration_parameters(self) -> list[Any]:
+        """Return nothing: types of parameters are not declared (CORBA operation)."""
+        return []
+
+    def get_configuration_parameter_values(self) -> list[Any]:
+        """Return the values in force (CORBA operation)."""
+        return pairs(self._sets[self._active])
+
+    def _set(self, name: str) -> Any:
+        return SDOPackage.ConfigurationSet(name, "", pairs(self._sets[name]))
+
+    def _notify(self) -> None:
+        self._changed(dict(self._sets[self._active]))
