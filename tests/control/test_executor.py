@@ -39,7 +39,7 @@ def stage() -> Iterator[Stage]:
     made.robot.close()
 
 
-def test_who_listens_to_nothing_pays_for_no_thread_and_hears_what_comes_later() -> None:
+def test_who_listens_to_nothing_pays_for_no_thread_and_receives_what_comes_later() -> None:
     def threads() -> int:
         return sum(thread.name == "uoarm-events" for thread in threading.enumerate())
 

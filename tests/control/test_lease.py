@@ -25,10 +25,10 @@ class Model:
     def __init__(self) -> None:
         self.lease = Lease(POLICY)
         self.now = 0.0
-        self.told: tuple[LeaseHolder, float] | None = None
+        self.holding: tuple[LeaseHolder, float] | None = None
 
     def holder(self) -> LeaseHolder | None:
-        return self.told[0] if self.told and self.now < self.told[1] else None
+        return self.holding[0] if self.holding and self.now < self.holding[1] else None
 
     def ask(self, sender: LeaseHolder, *, take_over: bool) -> None:
         holder = self.holder()
@@ -42,7 +42,7 @@ class Model:
         refused = self.lease.ask(sender, self.now, take_over=take_over)
         assert bool(refused) is not has
         if has:
-            self.told = sender, self.now + DURATION
+            self.holding = sender, self.now + DURATION
         else:
             assert str(holder) in refused, "who is refused is told who has it"
 
@@ -50,7 +50,7 @@ class Model:
         held = self.holder() == sender
         assert self.lease.give_back(sender, self.now) is held
         if held:
-            self.told = None
+            self.holding = None
 
     def check(self) -> None:
         assert self.lease.holder(self.now) == self.holder()
@@ -98,7 +98,7 @@ def test_every_order_of_four_steps_has_the_holder_that_it_should() -> None:
                 raise AssertionError(f"after {step!r} of {order}") from error
 
 
-def test_of_two_that_ask_at_once_one_has_it_and_the_other_is_told_who() -> None:
+def test_of_two_that_ask_at_once_one_has_it_and_the_other_learns_who() -> None:
     reports: list[str] = []
     lease = InputLease(POLICY, "base.default", reports.append, clock=lambda: 0.0)
     at_once, refused = threading.Barrier(8), []

@@ -33,7 +33,7 @@ CHANGED = {
 }
 SEEN = {name: Plans(discovered(PLANS[name].text)) for name in ("face", "name")}
 POLICIES: dict[str, Callable[[str], object]] = {
-    "enabled": lambda told: told == "true",
+    "enabled": lambda text: text == "true",
     "wait": float,
     "return_after": float,
     "limit": int,
@@ -55,18 +55,18 @@ class Player(World):
     def __init__(self, robot: str, policy: FailoverPolicy) -> None:
         super().__init__(PLANS[robot], policy)
         self.robot = robot
-        self.told: list[str] = []
+        self.actions_seen: list[str] = []
 
     def play(self, move: str) -> list[str]:
         """Make one move and return what the control plane did."""
-        self.told = []
+        self.actions_seen = []
         kind, _, rest = move.partition(" ")
         getattr(self, f"play_{kind}")(*(rest.split() if kind not in WHOLE else (rest,)))
-        return self.told
+        return self.actions_seen
 
     def _keep(self, action: act.Action) -> None:
         super()._keep(action)
-        self.told.append(f"  {describe(action)}")
+        self.actions_seen.append(f"  {describe(action)}")
 
     def play_request(self, identity: str, wanted: str, *options: str) -> None:
         """Options: callback, known (the plan is), a way to validate."""
@@ -138,9 +138,9 @@ class Player(World):
     def play_do(self, lane: str) -> None:
         self.do(self._lane(lane))
 
-    def play_fail(self, told: str) -> None:
+    def play_fail(self, argument: str) -> None:
         """What a lane does first; of an opening, `at` and the number of the part that fails."""
-        lane, _, at = told.partition(" at ")
+        lane, _, at = argument.partition(" at ")
         self.do(self._lane(lane), fails_at=int(at or 0))
 
     def play_open(self, lane: str) -> None:
@@ -190,9 +190,13 @@ class Player(World):
     def play_time(self, seconds: str) -> None:
         self.pass_time(float(seconds))
 
-    def _lane(self, told: str) -> str:
+    def _lane(self, beginning: str) -> str:
         """Return the one lane of this name, or of which it is the beginning."""
-        (found,) = [told] if told in self.lanes else [x for x in self.lanes if x.startswith(told)]
+        (found,) = (
+            [beginning]
+            if beginning in self.lanes
+            else [x for x in self.lanes if x.startswith(beginning)]
+        )
         return found
 
 

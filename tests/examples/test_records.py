@@ -94,9 +94,9 @@ def record(service: Service, tmp_path: Path) -> Iterator[PatientRecord]:
 
 
 def test_a_measurement_becomes_an_observation_with_its_codes() -> None:
-    pulse, pressure = observation(PULSE), observation(PRESSURE)
-    assert pulse["code"]["coding"][0]["code"] == "8867-4"
-    assert pulse["valueQuantity"]["value"] == 71
+    heart_rate, pressure = observation(PULSE), observation(PRESSURE)
+    assert heart_rate["code"]["coding"][0]["code"] == "8867-4"
+    assert heart_rate["valueQuantity"]["value"] == 71
     parts = {item["code"]["coding"][0]["code"]: item for item in pressure["component"]}
     assert parts["8480-6"]["valueQuantity"]["value"] == 121
     assert parts["8462-4"]["valueQuantity"]["code"] == "mm[Hg]"

@@ -37,7 +37,7 @@ def test_the_adapter_is_applied() -> None:
     assert seen == [42]
 
 
-def test_a_consumer_that_raises_is_counted_and_named_and_hurts_nobody() -> None:
+def test_a_consumer_that_raises_is_counted_and_named_and_harms_no_other() -> None:
     def refuse(message: Message) -> None:
         raise RuntimeError(f"cannot take {message}")
 

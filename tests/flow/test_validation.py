@@ -69,7 +69,7 @@ def test_a_mismatch_names_port_and_field(message: Message, path: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("message", "told"),
+    ("message", "text"),
     [
         ({"width": -(10**5000), "data": b""}, "width: expected at least 0, got a whole number of "),
         ({"width": "w" * 10**7, "data": b""}, 'width: expected a whole number, got "wwww'),
@@ -81,8 +81,8 @@ def test_a_mismatch_names_port_and_field(message: Message, path: str) -> None:
         ({"width": 1, "daat": b"", "data": b""}, 'daat: unknown field (did you mean "data"?)'),
     ],
 )
-def test_what_was_expected_and_what_came_is_told_in_few_words(message: Message, told: str) -> None:
-    with pytest.raises(MessageError, match=re.escape(told)) as caught:
+def test_what_was_expected_and_what_came_is_said_in_few_words(message: Message, text: str) -> None:
+    with pytest.raises(MessageError, match=re.escape(text)) as caught:
         check(message)
     assert len(str(caught.value)) < 150
 
@@ -95,7 +95,7 @@ def test_every_missing_field_is_named() -> None:
 
 
 @pytest.mark.parametrize(
-    ("message", "told"),
+    ("message", "mistakes"),
     [
         (
             {"width": -1, "dta": b""},
@@ -116,11 +116,11 @@ def test_every_missing_field_is_named() -> None:
         ({"width": 1, "data": [-1] * 1000}, ["data.0: expected at least 0, got -1"]),
     ],
 )
-def test_all_mistakes_are_said_at_once(message: Message, told: list[str]) -> None:
+def test_all_mistakes_are_said_at_once(message: Message, mistakes: list[str]) -> None:
     with pytest.raises(MessageError) as caught:
         check(message)
     said = str(caught.value).removeprefix("camera.default: ").split("; ")
-    assert sorted(said) == sorted(told)
+    assert sorted(said) == sorted(mistakes)
 
 
 def test_where_a_field_is_missing_those_that_nothing_says_anything_of_are_named() -> None:

@@ -189,22 +189,22 @@ def test_callbacks_and_listeners_are_called_in_the_loop(
 ) -> None:
     async def play() -> None:
         twin, loop = AsyncRobotManager(robot), threading.current_thread()
-        told: asyncio.Queue[tuple[threading.Thread, object]] = asyncio.Queue()
+        received: asyncio.Queue[tuple[threading.Thread, object]] = asyncio.Queue()
 
-        def hear(what: Message | StatusEvent) -> None:
-            told.put_nowait((threading.current_thread(), what))
+        def receive(what: Message | StatusEvent) -> None:
+            received.put_nowait((threading.current_thread(), what))
 
-        async with await twin.request("camera", on_message=hear) as connection:
+        async with await twin.request("camera", on_message=receive) as connection:
             camera.emit(1)
-            assert await told.get() == (loop, 1)
+            assert await received.get() == (loop, 1)
             end = connection.subscribe(lambda _: end())  # may end itself
             camera.emit(2)
-            assert await told.get() == (loop, 2)
-            end_listening = twin.listen(hear)
+            assert await received.get() == (loop, 2)
+            end_listening = twin.listen(receive)
             bridge.report(Health.DEGRADED, "hot")
-            thread, event = await told.get()
+            thread, event = await received.get()
             while isinstance(event, StatusEvent) and event.subject != "bridge one":
-                thread, event = await told.get()  # of the request
+                thread, event = await received.get()  # of the request
             assert thread is loop
             assert isinstance(event, StatusEvent)
             end_listening()

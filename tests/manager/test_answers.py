@@ -85,8 +85,8 @@ def test_a_silence_names_what_was_refused_last(
 ) -> None:
     seen = robot.request("seen")
     giver.emit(message)
-    told = rf"giver\.default -> eye\.default was refused: .*{why}"
-    with pytest.raises(TimeoutError, match=told):
+    refusal = rf"giver\.default -> eye\.default was refused: .*{why}"
+    with pytest.raises(TimeoutError, match=refusal):
         seen.get(0.001)
     [route] = robot.status().routes[:1]
     assert why in route.refusal

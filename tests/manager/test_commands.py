@@ -86,7 +86,7 @@ def test_no_native_link_goes_past_the_watchdog(memory: MemoryBridge) -> None:
 
 
 @pytest.mark.parametrize(
-    ("settings", "told"),
+    ("settings", "text"),
     [
         ("stop: {message: {w: 0.0}}", "the stop message of its input 'default': .*'v' is missing"),
         ("stop: {message: {v: nothing}}", "the stop message of its input 'default': v: "),
@@ -95,15 +95,15 @@ def test_no_native_link_goes_past_the_watchdog(memory: MemoryBridge) -> None:
     ],
 )
 def test_what_cannot_stop_or_be_limited_is_no_candidate(
-    memory: MemoryBridge, settings: str, told: str
+    memory: MemoryBridge, settings: str, text: str
 ) -> None:
     memory.taker("base", SPEED)
-    with robot(memory, settings) as manager, pytest.raises(ResolutionError, match=told):
+    with robot(memory, settings) as manager, pytest.raises(ResolutionError, match=text):
         manager.request("drive")
 
 
 @pytest.mark.parametrize(
-    ("unit", "more", "told"),
+    ("unit", "more", "text"),
     [
         ({}, "", None),
         ({}, ", meaning: stated", "rests on shape alone: v"),
@@ -111,18 +111,18 @@ def test_what_cannot_stop_or_be_limited_is_no_candidate(
     ],
 )
 def test_what_moves_is_fed_only_what_says_what_it_means(
-    memory: MemoryBridge, unit: dict[str, str], more: str, told: str | None
+    memory: MemoryBridge, unit: dict[str, str], more: str, text: str | None
 ) -> None:
     fields = {"v": {"type": "number", **unit}, "note": {"type": "string"}}
     memory.emitter("planner", {**SPEED, "properties": fields})
     memory.taker("base", SPEED)
     settings = f"from: plan, lifetime: 0.1, stop: {{message: {{v: 0.0}}}}{more}"
     with robot(memory, settings) as manager:
-        if told is None:
+        if text is None:
             with pytest.raises(ResolutionError, match="v: not both sides say what it means"):
                 manager.resolve("drive")
         else:
-            assert told in str(manager.resolve("drive"))
+            assert text in str(manager.resolve("drive"))
 
 
 def test_a_lifetime_shorter_than_the_senders_period_is_warned_of_with_both(

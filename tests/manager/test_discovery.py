@@ -43,7 +43,7 @@ def find(robot: Robot, lab: MemoryBridge) -> tuple[BridgeFindings, ...]:
         return manager.discover()
 
 
-def test_what_a_bridge_sees_is_told_with_who_uses_it() -> None:
+def test_what_a_bridge_sees_is_reported_with_who_uses_it() -> None:
     seen, gone = find(loads(ROBOT), make_lab())
     detector, head = seen.components
     assert [port.used_by for port in head.ports] == [("head",)]
@@ -201,7 +201,7 @@ def slow() -> Iterator[Slow]:
     bridge.may_answer.set()
 
 
-def test_a_slow_bridge_delays_nobody_and_is_in_a_later_look(slow: Slow) -> None:
+def test_a_slow_bridge_delays_no_other_and_is_in_a_later_look(slow: Slow) -> None:
     robot = loads(
         "version: 1\nbridges: {slow: {plugin: memory}, lab: {plugin: memory}}\nfunctions: {}\n"
     )
@@ -251,7 +251,7 @@ def test_a_bridge_that_starts_slowly_is_started_once_and_holds_up_who_waits_for_
         lab.close()
 
 
-def test_a_bridge_that_fails_is_told_as_it_answered_last_for_some_answers() -> None:
+def test_a_bridge_that_fails_is_reported_as_it_answered_last_for_some_answers() -> None:
     lab = make_lab()
     robot = loads("version: 1\nbridges: {lab: {plugin: memory}}\nfunctions: {}\n")
     looks = discovery.Discovery(lambda _: lab, kept=2)

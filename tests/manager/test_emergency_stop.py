@@ -136,7 +136,7 @@ def test_the_status_shows_what_moves_and_for_how_long(robot: RobotManager) -> No
     assert channel["limits"] == [{"path": ".", "minimum": 0.0, "maximum": 8.0, "rate": None}]
 
 
-def test_who_does_not_stop_is_named_with_the_cause_and_keeps_nobody_waiting(
+def test_who_does_not_stop_is_named_with_the_cause_and_keeps_no_other_waiting(
     robot: RobotManager, motors: Motors
 ) -> None:
     left = robot.request("left")

@@ -273,7 +273,7 @@ def test_a_component_that_is_wanted_again_while_its_plan_runs_out_is_not_opened_
     assert all(gap.counted for gap in connection.gaps)
 
 
-def test_what_nobody_wants_again_is_closed_when_its_plan_has_run_out(
+def test_what_no_request_wants_again_is_closed_when_its_plan_has_run_out(
     stage: Stage, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     connection = stage.robot.request("face")

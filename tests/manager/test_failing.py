@@ -100,7 +100,7 @@ class Scene:
 
 
 @pytest.fixture(autouse=True)
-def _nobody_raises() -> Iterator[None]:
+def _no_callback_raises() -> Iterator[None]:
     throwing.raises.clear()
     throwing.wrong.clear()
     yield
@@ -223,7 +223,7 @@ def test_a_service_that_raises_is_shown_and_then_another_one_is_called(scene: Sc
     assert scene.component("best").health is Health.OK
 
 
-def test_a_callback_that_raises_is_told_to_who_has_it_and_ends_nothing(scene: Scene) -> None:
+def test_a_callback_that_raises_is_reported_to_its_owner_and_ends_nothing(scene: Scene) -> None:
     def fail(message: object) -> None:
         raise OSError(f"no room for {message}")
 

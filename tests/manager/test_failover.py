@@ -132,7 +132,7 @@ def test_what_died_is_closed_and_what_goes_on_is_in_the_status(make: Make) -> No
     assert stage.robot.status().components == ()
 
 
-def test_the_change_is_told_before_what_died_has_closed(
+def test_the_change_is_reported_before_what_died_has_closed(
     make: Make, caplog: pytest.LogCaptureFixture
 ) -> None:
     stage = make()
@@ -272,7 +272,7 @@ def test_a_candidate_whose_messages_are_others_is_passed_over(make: Make) -> Non
     assert connection.gaps[0].after == ("last",)
 
 
-def test_when_no_candidate_fits_the_difference_is_told(make: Make) -> None:
+def test_when_no_candidate_fits_the_difference_is_reported(make: Make) -> None:
     stage = make(next=TEXT)
     connection = stage.robot.request("camera")
     stage.two.die("last")
@@ -306,7 +306,7 @@ def _revive(bridge: MemoryBridge, name: str) -> Emitter:
     return bridge.emitter(name, NUMBER)
 
 
-def test_it_waits_for_the_dead_to_come_back_where_it_is_told_to(make: Make) -> None:
+def test_it_waits_for_the_dead_to_come_back_where_it_is_configured_to(make: Make) -> None:
     stage = make(FailoverPolicy(wait=20.0))
     for name in ("next", "last"):
         stage.two.die(name)
@@ -386,7 +386,7 @@ def test_what_died_lately_is_the_last_to_be_chosen_again(make: Make) -> None:
     assert [gap.after for gap in connection.gaps] == [("next",), ("last",), ("best",)]
 
 
-def test_it_returns_to_the_better_candidate_and_hears_no_message_twice(make: Make) -> None:
+def test_it_returns_to_the_better_candidate_and_receives_no_message_twice(make: Make) -> None:
     stage = make(FailoverPolicy(return_after=0.2))
     connection = stage.robot.request("camera")
     stage.one.die("best")

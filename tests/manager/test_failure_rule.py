@@ -58,7 +58,7 @@ def test_it_is_well_after_as_many_messages_and_seconds_without_a_failure() -> No
     assert _play(rule, "x" + "." * 9 + "x" + "." * 10, 0.05)[-1] is Health.DEGRADED
 
 
-def test_what_is_told_in_batches_is_judged_like_single_messages() -> None:
+def test_what_is_reported_in_batches_is_judged_like_single_messages() -> None:
     rule = FailureRule(FailureLimits())
     rule.note(0, 30, 0.0)
     assert rule.note(0, 5, 0.6)

@@ -205,7 +205,7 @@ def test_a_request_that_is_given_up_and_interrupted_anywhere_leaves_nothing(
     assert at > 100, "the whole of a request was interrupted"
 
 
-def test_a_death_that_is_told_in_the_main_thread_and_interrupted_can_be_told_again(
+def test_a_death_reported_in_the_main_thread_and_interrupted_can_be_reported_again(
     robot: RobotManager, number: signal.Signals
 ) -> None:
     lost = HealthEvent("one", Health.LOST, "the cable is out", component="eye")

@@ -63,7 +63,7 @@ def test_only_when_it_is_asked_and_with_the_comments_of_the_file(
     assert file.read_text(encoding="utf-8") == ROBOT
 
 
-def test_what_somebody_else_wrote_is_never_lost(robot: RobotManager, file: Path) -> None:
+def test_what_another_program_wrote_is_never_lost(robot: RobotManager, file: Path) -> None:
     theirs = ROBOT.replace("name: best", "name: other")
     file.write_text(theirs, encoding="utf-8")
     with pytest.raises(UsageError, match="was changed since it was read: reload it"):
@@ -75,7 +75,7 @@ def test_what_somebody_else_wrote_is_never_lost(robot: RobotManager, file: Path)
     assert file.read_text(encoding="utf-8") == theirs + MORE
 
 
-def test_what_somebody_writes_while_it_changes_stands(
+def test_what_another_program_writes_while_it_changes_stands(
     robot: RobotManager, file: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     adopt = robot._revisions.adopt
@@ -114,7 +114,7 @@ def test_who_reads_the_file_reads_the_whole_of_one_or_the_other(
         assert half + reader.read() == ROBOT
 
 
-def test_nobody_else_reads_it_before_it_is_in_its_place(
+def test_no_other_program_reads_it_before_it_is_in_its_place(
     robot: RobotManager, file: Path, meanwhile: Callable[[Callable[[], object]], None]
 ) -> None:
     file.chmod(0o600)
@@ -172,7 +172,7 @@ def test_with_a_full_disk_nothing_changes_and_no_new_bridge_is_left(file: Path) 
         assert robot.apply(other, keep=True).is_kept
 
 
-def test_what_cannot_be_put_in_its_place_is_told(
+def test_what_cannot_be_put_in_its_place_is_reported(
     robot: RobotManager, file: Path, meanwhile: Callable[[Callable[[], object]], None]
 ) -> None:
     meanwhile(file.with_name(f".{file.name}.{os.getpid()}").unlink)

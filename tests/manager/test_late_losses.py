@@ -144,7 +144,7 @@ def test_a_route_that_ended_is_looked_at_until_eight_others_have_ended() -> None
     assert dict(ended.dropped)["closed"] == 102 + 6 * 2 + 2 + 1
 
 
-def test_what_a_component_emits_while_nobody_takes_it_is_in_the_status() -> None:
+def test_what_a_component_emits_while_no_consumer_takes_it_is_in_the_status() -> None:
     memory = MemoryBridge("one", {})
     memory.loop("finder", {"type": "integer"})
     with RobotManager(loads(ROBOT), bridges={"one": memory}) as robot:

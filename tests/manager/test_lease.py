@@ -55,7 +55,7 @@ def refused(act: Callable[[], object]) -> str:
     return str(caught.value)
 
 
-def test_who_sends_first_commands_and_any_other_is_told_who_does(memory: MemoryBridge) -> None:
+def test_who_sends_first_commands_and_any_other_learns_who_does(memory: MemoryBridge) -> None:
     base = memory.taker("base", {"type": "number"})
     events: list[StatusEvent] = []
     with open_robot(memory) as manager:
@@ -96,7 +96,7 @@ def test_who_leaves_gives_it_back_and_what_it_moved_is_stopped(memory: MemoryBri
         wait(lambda: base.taken.messages == [1, 0, 2, 0, 3, 0])
 
 
-def test_a_stop_by_who_was_taken_over_from_stops_nobody_else(memory: MemoryBridge) -> None:
+def test_a_stop_by_who_was_taken_over_from_stops_no_other(memory: MemoryBridge) -> None:
     base = memory.taker("base", {"type": "number"})
     with open_robot(memory) as manager:
         first, second = manager.request("drive"), manager.request("drive")
@@ -107,7 +107,7 @@ def test_a_stop_by_who_was_taken_over_from_stops_nobody_else(memory: MemoryBridg
         assert lease(manager).holder == LeaseHolder(f"connection {second.id}")
 
 
-def test_a_stop_that_cannot_be_is_told(memory: MemoryBridge) -> None:
+def test_a_stop_that_cannot_be_is_reported(memory: MemoryBridge) -> None:
     memory.taker("base", {"type": "number"})
     text = "no stop message in the configuration"
     with open_robot(memory) as manager, pytest.raises(UsageError, match=text):

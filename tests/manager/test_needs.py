@@ -81,7 +81,7 @@ def candidates_of(manager: RobotManager, function: str) -> list[str]:
     return [component.name for component in manager.config.functions[function].components]
 
 
-def test_what_is_seen_and_fits_provides_a_function_that_names_nobody(lab: Lab) -> None:
+def test_what_is_seen_and_fits_provides_a_function_that_names_no_provider(lab: Lab) -> None:
     head = lab.lab.emitter("head", NUMBER)
     lab.lab.emitter("sign", TEXT)
     with lab.manager(CAMERA) as manager:
@@ -118,7 +118,7 @@ def test_where_nothing_of_the_kind_is_seen_that_is_said(lab: Lab) -> None:
     assert "no bridge sees a component of that kind, role and name" in str(refused.value)
 
 
-def test_what_is_seen_is_told_as_if_it_were_no_candidate(lab: Lab) -> None:
+def test_what_is_seen_is_reported_as_if_it_were_no_candidate(lab: Lab) -> None:
     lab.lab.emitter("head", NUMBER)
     with lab.manager(CAMERA) as manager:
         manager.resolve("camera")
@@ -297,7 +297,7 @@ def test_what_has_no_output_is_not_asked_what_it_could_feed_others_with(lab: Lab
         assert "lamp" not in lab.lab.described
 
 
-def test_what_takes_long_to_tell_its_structure_takes_proofs_no_time(lab: Lab) -> None:
+def test_what_takes_long_to_give_its_structure_takes_proofs_no_time(lab: Lab) -> None:
     """A vehicle that could be fed was passed over where a device far from it was not there."""
     lab.lab.emitter("head", SMALL)
     lab.far.loop("finder", NUMBER)

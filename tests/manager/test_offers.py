@@ -62,7 +62,7 @@ class Stage:
         self.rolled = self.one.emitter("rolled", STATUS)
         self.raised = self.one.emitter("raised", STATUS)
         self.wanted = self.net.emitter("wanted", NUMBER)
-        self.told = self.net.taker("told", STATUS)
+        self.reports = self.net.taker("told", STATUS)
         self.one.service("doubler", NUMBER, {"type": "integer"}, lambda asked: 2 * asked)
         self.seen = self.net.taker("seen", NUMBER)
         self.wish = self.net.emitter("wish", {**NUMBER, "maximum": 10})
@@ -168,7 +168,7 @@ def test_a_service_is_called_from_a_framework(stage: Callable[[str], Stage]) -> 
     assert (status.calls, status.failed) == (1, 1)
 
 
-def test_goals_of_a_provider_that_dies_and_goals_that_are_refused_are_told_so(
+def test_goals_of_a_provider_that_dies_and_goals_that_are_refused_are_reported_so(
     stage: Callable[[str], Stage],
 ) -> None:
     there = stage(ACTION)
@@ -182,15 +182,15 @@ def test_goals_of_a_provider_that_dies_and_goals_that_are_refused_are_told_so(
     there.one.die("cart")
     lost = {"goal_id": "first", "status": "lost"}
     rejected = {"goal_id": "", "status": "rejected"}
-    assert there.told.taken.wait(3) == [accepted, lost, rejected]
+    assert there.reports.taken.wait(3) == [accepted, lost, rejected]
 
     wait(there.lift.channels, "the next provider was never opened")
     there.robot.stop_all()
     there.wanted.emit(3)
-    assert there.told.taken.wait(4)[-1] == rejected
+    assert there.reports.taken.wait(4)[-1] == rejected
 
 
-def test_a_service_stays_while_nobody_answers(stage: Callable[[str], Stage]) -> None:
+def test_a_service_stays_while_no_component_answers(stage: Callable[[str], Stage]) -> None:
     there = stage(DOUBLE)
     there.offer()
     there.one.die("doubler")
@@ -267,7 +267,7 @@ def test_closing_leaves_nothing(stage: Callable[[str], Stage]) -> None:
     assert there.robot.status().offers[0].state is OfferState.CLOSED
 
 
-def test_a_source_that_has_finished_is_told_and_not_played_again(
+def test_a_source_that_has_finished_is_reported_and_not_played_again(
     stage: Callable[[str], Stage],
 ) -> None:
     there = stage(f"{CAMERA[:-2]}, arm: {{input: {{endpoint: [wish]}}}}}}}}")
@@ -350,7 +350,7 @@ def test_what_is_ended_while_it_opens_is_closed() -> None:
 
 
 @pytest.mark.parametrize(
-    ("offers", "told"),
+    ("offers", "text"),
     [
         ("offer: {nte: {camera: {output: {endpoint: [a]}}}}", 'there is no bridge "nte'),
         ("offer: {net: {camra: {output: {endpoint: [a]}}}}", 'there is no function "camra'),
@@ -362,8 +362,8 @@ def test_what_is_ended_while_it_opens_is_closed() -> None:
         ("offer: {net: {arm: {input: {endpoint: []}}}}", "endpoint"),
     ],
 )
-def test_mistakes_in_the_file_are_told(offers: str, told: str) -> None:
-    with pytest.raises(ConfigurationError, match=told):
+def test_mistakes_in_the_file_are_reported(offers: str, text: str) -> None:
+    with pytest.raises(ConfigurationError, match=text):
         loads(ROBOT.format(offers))
 
 

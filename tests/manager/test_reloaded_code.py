@@ -75,7 +75,7 @@ def test_the_new_code_takes_over_behind_the_handle_when_that_is_asked(
 
 
 @pytest.mark.parametrize(
-    ("code", "told"),
+    ("code", "text"),
     [
         ("FACTOR = 3 +\n", r"component 'times'.*invalid syntax"),
         ("raise OSError('no stove')\n", "component 'times'.*no stove"),
@@ -83,11 +83,11 @@ def test_the_new_code_takes_over_behind_the_handle_when_that_is_asked(
     ],
 )
 def test_new_code_with_a_mistake_leaves_the_old_running_and_says_so(
-    robot: RobotManager, folder: Path, code: str, told: str
+    robot: RobotManager, folder: Path, code: str, text: str
 ) -> None:
     connection = robot.request("times")
     (folder / "spices.py").write_text(code)
-    with pytest.raises(ConfigurationError, match=f"the code that runs goes on(.|\n)*{told}"):
+    with pytest.raises(ConfigurationError, match=f"the code that runs goes on(.|\n)*{text}"):
         robot.reload(reload_code=True)
     connection.send(5)
     assert connection.get(patience()) == 10

@@ -216,7 +216,7 @@ def test_the_status_can_be_asked_for_before_anything_of_a_connection_is_open(
         assert connection.flush(0)
 
 
-def test_a_component_that_hangs_in_send_stalls_nobody_else(make_robot: Make) -> None:
+def test_a_component_that_hangs_in_send_stalls_no_other(make_robot: Make) -> None:
     queue = ", queue: {policy: latest}"
     robot = make_robot(HEAD + source() + step("wanted", "stuck", "narrow", queue))
     with robot.request("narrow") as direct, robot.request("wanted"):
@@ -250,7 +250,7 @@ def test_a_shared_edge_is_checked_as_the_strictest_of_its_users_wishes(make_robo
         assert careless.get(patience()) == {"value": 256}
 
 
-def test_the_application_feeds_an_input_and_is_told_of_a_mismatch(make_robot: Make) -> None:
+def test_the_application_feeds_an_input_and_learns_of_a_mismatch(make_robot: Make) -> None:
     robot = make_robot(HEAD + step("wanted", "take_broad", None))
     with robot.request("wanted", validate="sampled") as connection:
         connection.send({"value": -5})
@@ -346,7 +346,7 @@ class Mute(MemoryBridge):
         ("service: {endpoint: [ask]}", "request", "request"),
     ],
 )
-def test_a_structure_that_nobody_states_is_asked_for_by_its_key(
+def test_a_structure_that_no_component_states_is_asked_for_by_its_key(
     port: str, name: str, key: str
 ) -> None:
     lab = Mute("lab", {})

@@ -39,11 +39,11 @@ class Stage:
         self.next: Emitter = self.bridge.emitter("next", NUMBER)
         self.robot = RobotManager(loads(ROBOT), bridges={"memory": self.bridge}, clock=self.clock)
         self.robot._staleness.close()
-        self.told: list[HealthEvent] = []
+        self.events: list[HealthEvent] = []
         self.watch = StalenessWatch(
             self.robot._executor.components,
             self.robot._executor.edges,
-            self.told.append,
+            self.events.append,
             self.clock,
         )
 
@@ -72,7 +72,7 @@ def test_one_that_keeps_its_rate_is_left_alone(stage: Stage) -> None:
     stage.robot.request("camera")
     stage.watch.look()
     stage.play(100, 10.0)
-    assert stage.told == []
+    assert stage.events == []
 
 
 def test_one_that_falls_silent_is_lost_when_its_patience_is_over(stage: Stage) -> None:
@@ -81,9 +81,9 @@ def test_one_that_falls_silent_is_lost_when_its_patience_is_over(stage: Stage) -
     for _ in range(45):
         stage.clock.advance(0.1)
         stage.watch.look()
-        if stage.told:
+        if stage.events:
             break
-    (event,) = stage.told
+    (event,) = stage.events
     assert event.health is Health.LOST
     assert event.component == "best"
     assert "messages a second over 2 s, 10 are expected" in event.cause
@@ -94,18 +94,18 @@ def test_one_that_is_half_as_fast_passes_and_a_slower_one_does_not(stage: Stage)
     stage.robot.request("camera")
     stage.watch.look()
     stage.play(30, 5.0)
-    assert stage.told == []
+    assert stage.events == []
     stage.play(30, 10.0)
-    assert stage.told
+    assert stage.events
 
 
-def test_one_that_nobody_uses_is_not_judged(stage: Stage) -> None:
+def test_one_that_no_connection_uses_is_not_judged(stage: Stage) -> None:
     connection = stage.robot.request("camera")
     stage.watch.look()
     connection.kill()
     stage.clock.advance(60)
     stage.watch.look()
-    assert stage.told == []
+    assert stage.events == []
 
 
 def test_a_consumer_that_comes_late_starts_the_count_anew(stage: Stage) -> None:
@@ -114,7 +114,7 @@ def test_a_consumer_that_comes_late_starts_the_count_anew(stage: Stage) -> None:
     stage.watch.look()
     stage.clock.advance(1.9)
     stage.watch.look()
-    assert stage.told == []
+    assert stage.events == []
 
 
 def test_the_next_candidate_takes_over_from_a_stale_one() -> None:
@@ -170,14 +170,14 @@ class Chain:
         robot = loads(CHAIN.replace("EXPECT", expect))
         self.robot = RobotManager(robot, bridges={"memory": self.bridge}, clock=self.clock)
         self.robot._staleness.close()
-        self.told: list[HealthEvent] = []
+        self.events: list[HealthEvent] = []
         report = self.robot._staleness._report
 
-        def tell(event: HealthEvent) -> None:
-            self.told.append(event)
+        def report_event(event: HealthEvent) -> None:
+            self.events.append(event)
             report(event)
 
-        self.robot._staleness._report = tell
+        self.robot._staleness._report = report_event
         self.handled = Collector()
         self.robot.listen(self.handled.deliver)
         self.face = self.robot.request("face")
@@ -192,9 +192,12 @@ class Chain:
     def pass_by(self, seconds: float) -> None:
         """Let time pass, and have what is stale then replaced before going on."""
         self.clock.advance(seconds)
-        before, report = self.face.gaps, len(self.told)  # it may be replaced as soon as it is told
+        before, report = (
+            self.face.gaps,
+            len(self.events),
+        )  # it may be replaced as soon as it is reported
         self.robot._staleness.look()
-        if len(self.told) > report:
+        if len(self.events) > report:
             wait(lambda: self.face.gaps != before)
 
     def fall_silent(self) -> None:
@@ -257,8 +260,8 @@ def test_that_one_took_nothing_of_what_fed_it_is_said_with_why(
         chain.clock.advance(0.1)
     wait(lambda: any(route.refusal for route in chain.robot.status().routes))
     chain.pass_by(0.1)
-    told = "the last message of best.default -> detector.default was refused: it has no room"
-    assert told in chain.face.gaps[0].cause
+    refusal = "the last message of best.default -> detector.default was refused: it has no room"
+    assert refusal in chain.face.gaps[0].cause
 
 
 def test_a_detector_is_not_blamed_for_what_cannot_be_read(chain: Chain) -> None:
@@ -269,7 +272,7 @@ def test_a_detector_is_not_blamed_for_what_cannot_be_read(chain: Chain) -> None:
                 chain.best.emit(number)
                 chain.clock.advance(0.1)
         chain.play(chain.best, 10, 0.1)
-    assert chain.told == []
+    assert chain.events == []
 
 
 def test_a_new_request_does_not_go_to_what_was_stale_either(chain: Chain) -> None:

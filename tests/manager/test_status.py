@@ -35,7 +35,7 @@ def test_the_facts_of_every_open_channel_are_shown(
     }
 
 
-def test_a_channel_that_cannot_tell_its_facts_harms_no_status(
+def test_a_channel_that_cannot_give_its_facts_harms_no_status(
     make_robot: Make, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def broken(channel: Channel) -> Mapping[str, object]:

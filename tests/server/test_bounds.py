@@ -157,7 +157,7 @@ def test_one_client_cannot_touch_what_another_holds(talk: Connect) -> None:
     assert owner.data(connection, 1) == [{"value": 7}]
 
 
-def test_killing_for_everyone_tells_everyone(talk: Connect) -> None:
+def test_killing_for_everyone_notifies_everyone(talk: Connect) -> None:
     owner, operator = talk(), talk()
     connection = owner.open("numbers")
     operator.ask("Kill", connection, {"everyone": True})
@@ -166,7 +166,7 @@ def test_killing_for_everyone_tells_everyone(talk: Connect) -> None:
     who = f"killed by session {operator.hello['session']} (local)"
     assert received["cause"] == who
     past = owner.ask("Status", "watch")["past"]
-    assert [one["cause"] for one in past if one["change"] == "closed"] == [who]
+    assert [event["cause"] for event in past if event["change"] == "closed"] == [who]
     assert operator.refused("Kill", connection, {"everyone": True})["code"] == "unknown"
 
 
@@ -244,7 +244,7 @@ def test_a_client_that_sends_too_fast_is_read_more_slowly_and_loses_nothing(serv
     server = serve(Limits(messages_per_second=200))
     with Talk(url(server)) as client:
         sent = [client.send("Kill", "c9") for _ in range(300)]
-        assert all(client.answer(one)["op"] == "Error" for one in sent)
+        assert all(client.answer(question)["op"] == "Error" for question in sent)
 
 
 def test_many_clients_come_and_go_and_leave_no_threads(server: Server, robot: RobotManager) -> None:
@@ -256,10 +256,10 @@ def test_many_clients_come_and_go_and_leave_no_threads(server: Server, robot: Ro
     visit()
     before = threading.active_count()
     visitors = [threading.Thread(target=visit) for _ in range(12)]
-    for one in visitors:
-        one.start()
-    for one in visitors:
-        one.join(patience())
+    for visitor in visitors:
+        visitor.start()
+    for visitor in visitors:
+        visitor.join(patience())
     eventually(lambda: not robot.status().connections, "all is closed")
     assert threading.active_count() <= before + Limits().workers
 

@@ -63,8 +63,8 @@ def browser(chromium: Browser, serve: Serve) -> Iterator[Browser]:
     yield chromium
     chromium.go("about:blank")
     assert chromium.complaints == []
-    strange = [one for one in chromium.requests if "//127.0.0.1:" not in one]
-    assert [one for one in strange if not one.startswith(("data:", "about:"))] == []
+    strange = [url for url in chromium.requests if "//127.0.0.1:" not in url]
+    assert [url for url in strange if not url.startswith(("data:", "about:"))] == []
 
 
 def manage(configuration: str) -> RobotManager:
@@ -212,7 +212,7 @@ def test_a_message_is_sent_and_comes_back(browser: Browser, visit: Open) -> None
     browser.until(says(".panel", "9007199254740993"))
 
 
-def test_a_connection_of_someone_else_is_killed(
+def test_a_connection_of_another_client_is_killed(
     browser: Browser, visit: Open, talk: Connect
 ) -> None:
     client = talk()

@@ -51,7 +51,7 @@ def test_functions_are_listed_with_what_they_use(talk: Connect) -> None:
     assert functions["numbers"]["components"][0]["uses"] == []
 
 
-def test_what_cannot_be_resolved_tells_its_candidates_as_data(talk: Connect) -> None:
+def test_what_cannot_be_resolved_gives_its_candidates_as_data(talk: Connect) -> None:
     rejected = talk().refused("Resolve", "missing")["rejected"]
     assert [item["component"] for item in rejected] == ["missing"]
     assert "nothing" in rejected[0]["reasons"][0]["sentence"]

@@ -208,7 +208,7 @@ def test_a_port_that_is_taken_is_reported_in_one_line(start: Start) -> None:
     assert "Traceback" not in err
 
 
-def test_tls_auto_tells_the_fingerprint(start: Start, tmp_path: Path) -> None:
+def test_tls_auto_shows_the_fingerprint(start: Start, tmp_path: Path) -> None:
     process, _ = start("--tls", "auto")
     assert process.stdout is not None
     text = process.stdout.readline()

@@ -34,10 +34,10 @@ def test_what_is_latched_is_bounded_in_octets_and_goes_with_its_publisher(serve:
                 topic = {"op": "publish", "topic": f"/t{number}", "latch": True}
                 hoarder.send(**topic, msg={"data": text})
             refused = [hoarder.receive()["msg"] for _ in range(26)]
-            assert all(one.startswith("limit: ") for one in refused)
+            assert all(cause.startswith("limit: ") for cause in refused)
             # The last that was refused counts as arriving until its answer has been written.
             eventually(lambda: 1_600_000 < server.held_octets < 2_000_000, "only latched ones stay")
-            [line] = [one for one in figures(server).splitlines() if '{kind="latched"}' in one]
+            [line] = [row for row in figures(server).splitlines() if '{kind="latched"}' in row]
             assert 1_600_000 < float(line.split()[1]) < 2_000_000
             other.send(op="subscribe", topic="/t1")
             assert other.messages(1) == [{"data": text}]
@@ -107,7 +107,7 @@ def test_a_provider_that_does_not_read_is_not_cut_off_by_those_who_ask_it(serve:
         for number in range(40):
             asker.send(**call, id=f"s{number}")
         refused = [asker.receive()["values"] for _ in range(20)]
-        assert any("leaves too much unread" in one for one in refused), refused
+        assert any("leaves too much unread" in cause for cause in refused), refused
         assert "/s" in other.call("/rosapi/services", {})["services"]
 
 

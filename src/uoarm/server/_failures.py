@@ -47,11 +47,11 @@ _CODES: _Kinds = {
 }
 
 _REFUSALS = frozenset({"held", "leased"})
-"""Reasons for which a command is refused that clients tell apart."""
+"""Reasons for which a command is refused that clients distinguish."""
 
 
 def code_of(error: BaseException) -> str:
-    """Return the code of an error; `internal` for one that nobody foresaw."""
+    """Return the code of an error; `internal` for an unforeseen one."""
     if isinstance(error, errors.CommandRefusedError) and error.reason in _REFUSALS:
         return error.reason
     return next((code for kind, code in _CODES.items() if isinstance(error, kind)), "internal")
@@ -68,7 +68,7 @@ def without_frames(error: Exception) -> Exception:
 
 
 def error_text(error: BaseException) -> str:
-    """Return an error's text; of one that nobody foresaw, log it and say no more than that."""
+    """Return an error's text; of an unforeseen one, log it and say no more than that."""
     if isinstance(error, errors.UoarmError):
         return str(error)
     _log.error("the server failed", exc_info=error)

@@ -130,7 +130,7 @@ class Server:
     @property
     def unread_octets(self) -> int:
         """Octets that arrived and that no session has read."""
-        return sum(one.unread_octets for one in self._sockets)
+        return sum(socket.unread_octets for socket in self._sockets)
 
     async def start(self) -> None:
         """Listen.
@@ -172,7 +172,8 @@ class Server:
         limit = self._limits.stop_seconds / 4
         await _all_within(limit, [client.outbox.emptied() for client in self._clients])
         await _all_within(
-            limit, [one.close(CloseCode.GOING_AWAY, "the server stops") for one in self._sockets]
+            limit,
+            [socket.close(CloseCode.GOING_AWAY, "the server stops") for socket in self._sockets],
         )
         for socket in self._sockets:
             socket.transport.abort()
@@ -189,14 +190,14 @@ class Server:
             self._audit.leased(event.cause)
 
     def _start_front_ends(self, registry: FeedRegistry) -> None:
-        for one in self._front_ends.usable:
+        for front_end in self._front_ends.usable:
             try:
-                self._make_session[one.name] = foreign(one.start, registry)
+                self._make_session[front_end.name] = foreign(front_end.start, registry)
             except Exception as error:
-                if one.name in self._settings.front_end_ports:
-                    raise ConfigurationError(f"{one}: {error}") from error
-                _log.exception("%s did not start, and is left out", one)
-                self._front_ends.drop(one.name, "it did not start")
+                if front_end.name in self._settings.front_end_ports:
+                    raise ConfigurationError(f"{front_end}: {error}") from error
+                _log.exception("%s did not start, and is left out", front_end)
+                self._front_ends.drop(front_end.name, "it did not start")
 
     async def _listen(
         self,
@@ -230,10 +231,10 @@ class Server:
                 number, f"cannot listen on {self._settings.place(port)}: {reason}"
             ) from error
         self._ports.append(sockets[0].getsockname()[1])
-        for one in sockets:
+        for listener in sockets:
             listening = serve(
                 handle,
-                sock=one,
+                sock=listener,
                 backlog=BACKLOG,
                 ssl=self._tls,
                 process_request=handshakes.process_request,

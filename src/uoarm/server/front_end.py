@@ -211,7 +211,7 @@ class Backend(Protocol):
         Args:
             wanted: the feed.
             on_absent: with it, what cannot be had yet, such as a topic without a publisher, is
-                tried again until it can be; it is told why, at once and again when the reason is
+                tried again until it can be; it gets the cause, at once and again when the reason is
                 another one. Without it that is an error.
 
         Raises:
@@ -235,7 +235,7 @@ class Backend(Protocol):
             connection: of a feed that is open.
             account: charged for what is on its way.
             read: makes a message's logical value by the input's structure, in a worker.
-            holder: as whom it commands inputs that have a lease; None: as nobody else.
+            holder: as whom it commands inputs that have a lease; None: as itself.
         """
 
     async def call(self, name: str, message: Message, read: Read, timeout: float) -> Message:

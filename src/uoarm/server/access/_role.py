@@ -100,7 +100,7 @@ class AccessRole:
 
     def _denied(self, operation: Operation, what: str) -> DeniedError:
         hint = (
-            f": without an access file nobody may. Give a role `{operation.value}: all` "
+            f": without an access file no client may. Give a role `{operation.value}: all` "
             "in one, let `uoarm token NAME --role ROLE` make a token and its line there, and "
             "serve with `uoarm serve --access FILE`"
         )

@@ -1,6 +1,6 @@
 """What a role sees of a robot: its functions, and no name of anything else, in any text or value.
 
-A text of the manager may name whatever had a part in what it tells: the component that feeds
+A text of the manager may name whatever had a part in what it reports: the component that feeds
 another one, a candidate that was passed over, a name that is nearly the one asked for. Who writes
 such a text does not know who will read it. So what goes to a client passes here.
 """

@@ -48,7 +48,7 @@ _KNOWN = {"rosbridge": "uoarm-rosbridge"}
 class FrontEnds:
     """Front ends that can be served, by name.
 
-    One that fails to load is listed in `problems` and hurts nobody else.
+    One that fails to load is listed in `problems` and harms no other.
 
     Args:
         reserved: paths that the server has itself.

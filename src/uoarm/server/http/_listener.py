@@ -52,7 +52,7 @@ class ListeningSocket(socket.socket):
     """A listening socket whose `accept` fails once in a while, not as often as it is called.
 
     After a few connections it takes no more until the loop asks again: asyncio would take all that
-    wait in one turn of its loop, in which nobody else is served.
+    wait in one turn of its loop, in which no other client is served.
 
     Args:
         clock: monotonic seconds.
@@ -83,7 +83,7 @@ class ListeningSocket(socket.socket):
 
         Raises:
             NoRoomError: there is no room for one; asyncio tries again after a second.
-            BlockingIOError: nobody connects, it is others' turn, or there was no room a moment ago.
+            BlockingIOError: no client connects, it is others' turn, or there was no room.
         """
         if self._clock() < self._paused_till:
             raise BlockingIOError(errno.EAGAIN, "there was no room a moment ago")
@@ -140,8 +140,8 @@ async def listen(host: str, port: int) -> list[ListeningSocket]:
             else:
                 port = bound[-1].getsockname()[1]
     except BaseException:
-        for one in bound:
-            one.close()
+        for listener in bound:
+            listener.close()
         raise
     if not bound:
         raise absent or OSError(errno.EADDRNOTAVAIL, f"{host!r} has no address here")

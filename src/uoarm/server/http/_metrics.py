@@ -224,7 +224,7 @@ def _channels(status: StatusMap) -> Iterator[Metric]:
         "uoarm_channel_lost", "messages that will never arrive", labels=labels
     )
     facts = GaugeMetricFamily(
-        "uoarm_channel_fact", "what its framework tells", labels=[*labels, "fact"]
+        "uoarm_channel_fact", "what its framework reports", labels=[*labels, "fact"]
     )
     for component in status.components:
         for channel in component.channels:

@@ -202,7 +202,7 @@ class TurnConnection(ServerConnection):
     def charge_to(self, account: Account | None) -> None:
         """Charge what arrives to an account from now on, and nothing more to the one before.
 
-        With None nobody takes what came of a connection that has ended: it is let go.
+        With None no reader takes what came of a connection that has ended: it is let go.
         """
         if self._account is not None:
             self._account.arrived.resize(0)
@@ -279,12 +279,12 @@ class TurnConnection(ServerConnection):
             super().send_data()
             return
         small: list[bytes] = []
-        for one in self.protocol.data_to_send():
-            if len(one) < _LARGE:
-                small.append(one)
+        for chunk in self.protocol.data_to_send():
+            if len(chunk) < _LARGE:
+                small.append(chunk)
             else:  # joining it to others would copy it
                 self.transport.write(b"".join(small))
-                self.transport.write(one)
+                self.transport.write(chunk)
                 small.clear()
         if small:
             self.transport.write(b"".join(small))
@@ -366,7 +366,7 @@ class TurnConnection(ServerConnection):
         self._sockets.turns.ask(self._turn)
 
     def _limit_unsent(self, octets: int) -> None:
-        """Have the kernel keep no more than this unsent, where it can be told.
+        """Have the kernel keep no more than this unsent, where it can be set.
 
         Its own limit grows to megabytes, seconds of small messages for a client that reads slowly;
         what waits here instead can be dropped when it is old. Large messages need it: in small
@@ -405,7 +405,7 @@ class TurnConnection(ServerConnection):
         self._sockets.turns.ask(self._turn)
 
     def _wake(self) -> None:
-        """Have whoever waits for a message look again, where there is one or none will come."""
+        """Have a waiting reader look again, where there is a message or none will come."""
         if (
             self._taker is not None
             and not self._taker.done()
@@ -422,7 +422,7 @@ class TurnConnection(ServerConnection):
             return None
 
     def _count(self) -> None:
-        """Charge what is held to the client, which is refused where nobody has room for it."""
+        """Charge what is held to the client, which is refused where no share has room for it."""
         if self._account is None:
             return
         held = self.unread_octets + self._in_hand

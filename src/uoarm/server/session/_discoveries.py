@@ -1,4 +1,4 @@
-"""What bridges see now, as Discover tells it, and the configuration with one of it."""
+"""What bridges see now, as Discover lists it, and the configuration with one of it."""
 
 from __future__ import annotations
 
@@ -34,8 +34,8 @@ class Discoveries:
     async def look(self) -> list[dict[str, Any]]:
         """Return each bridge with what it sees, and each plugin that no bridge is of.
 
-        Of one bridge a thousand components are told, of each of them fifty ports, and how many
-        more there are. A bridge that has not answered within a second is told as it did before.
+        Of one bridge a thousand components are listed, of each of them fifty ports, and how many
+        more there are. A bridge that has not answered within a second is listed as before.
 
         Raises:
             UoarmError: the manager is closed, or BusyError.
@@ -55,7 +55,7 @@ class Discoveries:
         robot = self._robot
         findings = robot.discover(timeout=_ASK_SECONDS, grace=_GRACE_SECONDS)
         used = {finding.plugin for finding in findings}
-        if not used <= self._facts.keys():  # those of others would load what nobody uses
+        if not used <= self._facts.keys():  # those of others would load what is not used
             self._facts = bridge_facts(robot.registry, used)
         for finding in findings:
             yield {

@@ -41,8 +41,8 @@ _PORTION = 2**16
 """Octets unpacked in one go: a tenth of a millisecond."""
 _SMALLEST_PILE, _LARGE_PILE = 2**12, 2**20
 _ALL_SECONDS = 0.001
-# The processor's time: whoever was being served when the machine did something else has had nothing
-# of that. Where it is told in steps of 16 ms, as on Windows, the time of day has to do.
+# The processor's time: a client is not charged for what else the machine did while it was served.
+# Where it counts in steps of 16 ms, as on Windows, the time of day has to do.
 _FINE_SECONDS = 0.0001
 _now = (
     time.thread_time
@@ -72,7 +72,7 @@ class _PackedFrame(Frame):
 class _Unpacking(PerMessageDeflate):
     """The extension, but for what it does to a frame that comes, which `IncomingFrames` does.
 
-    The library unpacks while it parses: 15 KB became 16 MB in one go, in which nobody was served.
+    The library unpacks while it parses: 15 KB became 16 MB in one go, and no client was served.
     """
 
     _is_packed = False
@@ -128,18 +128,18 @@ class Turn:
 class ParsingTurns:
     """Shares the loop's time between connections that have something to parse or to unpack.
 
-    All together have a millisecond of each of the loop's turns. Whoever will have had least goes
-    first (fair queueing by virtual finish): one small message waits for nobody's flood, however
-    many flood, and who was idle for long has saved up nothing.
+    All together have a millisecond of each of the loop's turns. The client that will
+    have had least goes first (fair queueing by virtual finish): one small message waits for no
+    other's flood, however many flood, and a client that was idle for long has saved up nothing.
 
-    A handshake counts as a millisecond, of its connection and of its address: whoever is connected
-    goes before a burst of those who come, and of these each address has its part.
+    A handshake counts as a millisecond, of its connection and of its address: a client that is
+    connected goes before a burst of new ones, and of these each address has its part.
     """
 
     def __init__(self) -> None:
         self._waiting: list[tuple[float, int, float, Turn]] = []
         self._numbers = itertools.count()
-        self._used = 0.0  # virtual seconds, of whoever was served last when it began
+        self._used = 0.0  # virtual seconds, of the client that was served last when it began
         self._spent = 0.0  # of this turn of the loop
         self._is_scheduled = False
         self._hosts: dict[str, float] = {}  # when handshakes of an address are due, virtual seconds

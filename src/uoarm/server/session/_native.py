@@ -233,7 +233,7 @@ class NativeSession:
                 for step in plan.steps
                 if self._view.has_component(step.component.name)
             ],
-            "inputs": [one.name for one in plan.provider.component.inputs if one.source is None],
+            "inputs": [port.name for port in plan.provider.component.inputs if port.source is None],
             "warnings": self._view.data(plan.warnings, plan.function),
             "lifetimes": dict(stream.connection.lifetimes()),
         }
@@ -483,7 +483,7 @@ class NativeSession:
 
 
 def _shown_changes(changes: Iterable[ConfigurationChange]) -> list[Message]:
-    return [{**to_json(evolve(one, robot=None)), "text": str(one)} for one in changes]
+    return [{**to_json(evolve(change, robot=None)), "text": str(change)} for change in changes]
 
 
 def _reply_around(form: Form, asked: ControlMessage, written: bytes) -> bytes:

@@ -62,7 +62,7 @@ class SessionStore:
 
     Args:
         limits: how long, how many, and how much memory they may hold.
-        end: called for a session that nobody takes up in time.
+        end: called for a session that is not taken up in time.
     """
 
     def __init__(self, limits: Limits, end: Callable[[ConnectedClient, Session], None]) -> None:

@@ -55,7 +55,7 @@ class ListQuestion:
 
 
 class FunctionLists:
-    """Lists of functions as List tells them, written once for each revision, role and form.
+    """Lists of functions as List shows them, written once for each revision, role and form.
 
     Args:
         robot: returns the configuration in force.
@@ -81,7 +81,7 @@ class FunctionLists:
 
 
 def list_functions(robot: Robot, view: RoleView) -> list[dict[str, Any]]:
-    """Return the functions that a role sees, as List tells them."""
+    """Return the functions that a role sees, as List shows them."""
     return [
         _describe(function, view)
         for function in robot.functions.values()
@@ -120,7 +120,7 @@ def _uses(component: Component) -> list[str]:
 
 
 def show_plan(plan: Plan, form: Form, view: RoleView) -> dict[str, Any]:
-    """Return a plan as Resolve tells it: data, with structures as the form carries them; text.
+    """Return a plan as Resolve shows it: data, with structures as the form carries them; text.
 
     Steps of functions that the role does not see are left out, with the edges to them.
     """
@@ -250,7 +250,7 @@ _KEYS: Mapping[str, Callable[[Any], Any]] = {
     "connections": lambda connection: connection.id,
     "routes": lambda route: [route.producer, route.consumer],
 }
-"""What the entries of the large parts are known by; the other parts are told as a whole."""
+"""What the entries of the large parts are known by; the other parts are sent as a whole."""
 
 
 @frozen
@@ -308,7 +308,7 @@ class StatusViews:
 
     def make(self, questions: Collection[StatusQuestion]) -> dict[StatusQuestion, StatusAnswer]:
         """Return the answers."""
-        # What changes after this is told to who watches; the map may have it already.
+        # What changes after this is sent to who watches; the map may have it already.
         past = self._past()
         number = past[-1][1].number if past else 0
         status, now = self._status(), self._clock()

@@ -98,7 +98,7 @@ class Stream:
         self._outbox.miss(self.lane)
 
     def refuse(self, envelope: Envelope, error: MessageError) -> None:
-        """Count a message that has no form, and tell why."""
+        """Count a message that has no form, and report why."""
         del envelope
         if self.lane.refuse(error):
             self._on_refused(error)
@@ -180,7 +180,7 @@ class ClientStreams:
         Args:
             wanted: the function.
             options: of the Request.
-            on_absent: told why the function cannot be had yet, where the options say to wait.
+            on_absent: gets the reason why it cannot be had yet, where the options say to wait.
 
         Raises:
             LimitError: the client holds as many as it may.
@@ -227,7 +227,7 @@ class ClientStreams:
         """Return the client's stream of a connection.
 
         Raises:
-            UnknownError: it has none of this id; others' are not told apart from none at all.
+            UnknownError: it has none of this id; those of others are refused in the same words.
         """
         stream = self._streams.get(identity)
         if stream is None:
@@ -280,8 +280,8 @@ class ClientStreams:
         def end() -> None:
             self._remove(identity, f"killed by {self._holder}, who used it last")
             self._outbox.discard(stream.lane)
-            for told in self._killing.pop(identity):
-                told()
+            for report in self._killing.pop(identity):
+                report()
 
         self._killing[identity] = [done]
         sending = self._sendings.get(identity)
@@ -344,8 +344,8 @@ class ClientStreams:
         cause = cause or ("killed by the program that serves it" if state == "closed" else "")
         stream = self._remove(identity)
         if stream is not None:
-            told = {"connection": identity, "state": state, "cause": self._shown(cause)}
-            frame = self._form.write({"op": "Status", "type": "connection", "jsonMessage": told})
+            fields = {"connection": identity, "state": state, "cause": self._shown(cause)}
+            frame = self._form.write({"op": "Status", "type": "connection", "jsonMessage": fields})
             self._outbox.finish(stream.lane, frame)
             self._ends.append((stream.lane, frame))
 

@@ -30,7 +30,7 @@ _PATIENCE_SECONDS = 1.0
 
 
 class FeedBacklog:
-    """Tells a backlog that stands from one that is being worked off.
+    """Distinguishes a backlog that stands from one that is being worked off.
 
     A loop that can just keep up never works off what came in its one longest delay, and everything
     after it is as late. So where what is looked at has been late, more than 0.1 s old, for as long
@@ -168,7 +168,7 @@ class Envelope:
         return self.message_octets + sum(map(len, frames))
 
     def forget_written(self) -> None:
-        """Let its written forms go; they are made again for whoever comes."""
+        """Let its written forms go; they are made again for the next client."""
         self._written.clear()
         self._writing.clear()
 
@@ -218,7 +218,7 @@ class _Place:
 class Feed:
     """The messages of one open connection, fanned out in the loop's thread.
 
-    In order: while a long message is being written for somebody, those behind it wait for it.
+    In order: while a long message is being written for a client, those behind it wait for it.
     What `Backend.join` returns is open. Only the server calls `take` and `finish`.
 
     When the loop gets to its messages too late for longer than a second, late ones go only to those
@@ -325,7 +325,7 @@ class Feed:
                 so that what is new is there sooner; None: the listener gets all.
         """
         if not self._listeners:
-            self._listened_since = self._clock()  # nobody was late for what waited for the first
+            self._listened_since = self._clock()  # no client was late for what waited for the first
         self._listeners[listener] = _Place(prepare, missed, self._handed + 1)
         for number, message in reversed(_of_those(tuple(self._known), self._standing())):
             if number <= self._handed:  # others are on their way to all

@@ -77,8 +77,8 @@ class ChangeNotice:
         key = role, form.name
         if key not in self._written:
             shown = shown_event(self.event, self._views.of(role))
-            told = {"op": "Status", "type": "change", "jsonMessage": shown}
-            self._written[key] = None if shown is None else form.write(told)
+            change = {"op": "Status", "type": "change", "jsonMessage": shown}
+            self._written[key] = None if shown is None else form.write(change)
         return self._written[key]
 
 
@@ -86,8 +86,8 @@ def shown_event(event: StatusEvent, view: RoleView) -> dict[str, Any] | None:
     """Return a change as data for a role; None: it does not see what has changed."""
     if not view.has_event(event):
         return None
-    told: dict[str, Any] = to_json(evolve(event, cause=view.text(event.cause)))
-    return told
+    fields: dict[str, Any] = to_json(evolve(event, cause=view.text(event.cause)))
+    return fields
 
 
 class FeedRegistry:
@@ -163,7 +163,7 @@ class FeedRegistry:
         Args:
             wanted: the feed.
             on_absent: with it, what cannot be had yet is waited for until this is cancelled; it is
-                told why, at once and again when the reason is another one.
+                called with the reason why, at once and again when the reason is another one.
 
         Raises:
             UoarmError: as `RobotManager.request`; BusyError while earlier connections to the
@@ -212,7 +212,7 @@ class FeedRegistry:
             del self._claims[feed]
             self._forget(feed)
             if feed.connection is not None and not feed.connection.ended:
-                self.kill(feed.connection, cause or "nobody uses it any more")
+                self.kill(feed.connection, cause or "no client uses it any more")
 
     def sender(
         self,
@@ -257,7 +257,7 @@ class FeedRegistry:
         feed = self._by_id.get(identity)
         if feed is not None:
             return feed.connection
-        return next((one for one in self.robot.connections() if one.id == identity), None)
+        return next((item for item in self.robot.connections() if item.id == identity), None)
 
     async def call(self, name: str, message: Message, read: Read, timeout: float) -> Message:
         """Call a service in a worker; see `call_and`."""
@@ -318,8 +318,8 @@ class FeedRegistry:
             UoarmError: as `RobotManager.apply`, and BusyError.
         """
         robot = self.robot
-        told = ("dry_run", "force", "revision", "keep")
-        how = {name: options[name] for name in told if name in options}
+        names = ("dry_run", "force", "revision", "keep")
+        how = {name: options[name] for name in names if name in options}
 
         def apply() -> ConfigurationChange:
             if "rollback" in options:
@@ -353,7 +353,7 @@ class FeedRegistry:
         """Let commands through again.
 
         Raises:
-            BridgeError: some inputs could not be told.
+            BridgeError: some inputs could not be reached.
             BusyError: earlier stops and releases last still; what stops is never refused.
         """
         if self._releasing is None or self._releasing.done():
@@ -410,7 +410,7 @@ class FeedRegistry:
 
         def request() -> Connection:
             if feed not in self._claims:
-                raise ConnectionClosedError("nobody waits for it any more")
+                raise ConnectionClosedError("no client waits for it any more")
             return _request(self.robot, wanted, take, self.limits.request_seconds)
 
         try:
@@ -422,7 +422,7 @@ class FeedRegistry:
             self._openings.pop(feed, None)
         feed.connection = connection
         if feed not in self._claims:  # everyone who asked has gone meanwhile
-            self.kill(connection, "whoever asked for it has gone")
+            self.kill(connection, "the client that asked for it has gone")
             return
         self._by_id[connection.id] = feed
         if connection.ended:

@@ -54,7 +54,7 @@ class InputSender:
         workers: where they are handed over, many in one go.
         account: of the client, charged until a message is handed over.
         limit: messages that may wait, and stops.
-        holder: as whom it commands inputs that have a lease; None: as nobody else.
+        holder: as whom it commands inputs that have a lease; None: as itself.
     """
 
     def __init__(

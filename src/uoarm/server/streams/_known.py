@@ -36,8 +36,9 @@ class _Entry:
 class KnownStructures:
     """Structures by function and port, in the loop's thread.
 
-    What was found out is told at once for two seconds, and after that as well, while it is asked
-    for again: who asks a second time has it. A function that cannot be had has no structures.
+    What was found out is answered at once for two seconds, and after that as well, while it is
+    looked up again: the second question has the new answer. A function that cannot be had has
+    no structures.
 
     Args:
         resolve: finds the plan of a function; may wait, so it is called in a worker.

@@ -40,7 +40,7 @@ class _Search:
     Attributes:
         cause: why it cannot be had.
         changed: set when the next attempt may go otherwise than the last.
-        waiting: what has the outcome for each who waits, and what tells them the cause.
+        waiting: what has the outcome for each who waits, and what reports the cause to them.
         task: makes the attempts.
     """
 
@@ -62,7 +62,7 @@ class PendingFeeds:
 
     However many wait for a feed, it is tried once at a time: after a quarter of a second, then
     after twice as long each time, five seconds at most, and after a quarter of a second again when
-    `poke` tells of a change.
+    `poke` reports a change.
 
     Args:
         join: joins a feed, or fails.
@@ -85,7 +85,7 @@ class PendingFeeds:
         self._searches: dict[FeedKey, _Search] = {}
 
     def cause(self, wanted: FeedKey) -> str | None:
-        """Return why a feed cannot be had that somebody waits for; None: nobody does."""
+        """Return why a feed cannot be had that a client waits for; None: none does."""
         search = self._searches.get(wanted)
         return None if search is None else search.cause
 
@@ -99,8 +99,8 @@ class PendingFeeds:
 
         Args:
             wanted: the feed.
-            cause: why it cannot be had; `on_absent` is told.
-            on_absent: what else it is told is why later attempts failed.
+            cause: why it cannot be had; `on_absent` gets it.
+            on_absent: what else it gets is why later attempts failed.
 
         Raises:
             UoarmError: it cannot be had for a reason that no waiting mends.
@@ -137,7 +137,7 @@ class PendingFeeds:
             try:
                 async with self._turns:
                     feed = await self._join(wanted)
-            except Exception as error:  # noqa: BLE001 - it is passing, or told to those who wait
+            except Exception as error:  # noqa: BLE001 - it is passing, or reported to those who wait
                 if not is_absent(error):
                     self._end(wanted, search)
                     for waiter in search.waiting:
@@ -155,6 +155,6 @@ class PendingFeeds:
         self._leave(feed)
 
     def _end(self, wanted: FeedKey, search: _Search) -> None:
-        """Let whoever comes now begin anew."""
+        """Let the next client begin anew."""
         if self._searches.get(wanted) is search:
             del self._searches[wanted]

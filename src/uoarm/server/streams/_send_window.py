@@ -22,15 +22,15 @@ class SendWindow:
     """Bounds what is under way by the time that it takes, from answers to pings behind it.
 
     What the kernels of both ends and the network hold, seconds of small messages, can be dropped by
-    nobody however old it is; what waits for a window can. A ping is answered when the client has
-    read all before it, so answers tell how fast it reads. The window is what it reads in 0.4 s and
+    no client however old it is; what waits for a window can. A ping is answered when the client has
+    read all before it, so answers show how fast it reads. The window is what it reads in 0.4 s and
     the quickest round trip, 64 KiB at least, and without a bound where the client keeps up; then
     pings go four times a second at most, and each that has no answer for as long closes it. The
-    first ping of a connection, before anything waits, tells how quick a round trip can be.
+    first ping of a connection, before anything waits, shows how quick a round trip can be.
 
     A round trip may become slower for good, which looks like a client that does. Where answers were
     slow for five seconds, and twice a minute, nothing goes until all is read, and a ping behind
-    nothing tells how quick a round trip can be now.
+    nothing shows how quick a round trip can be now.
 
     It knows no socket and no clock: all times are seconds of one clock, sizes are octets.
     """

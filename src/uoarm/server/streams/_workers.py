@@ -29,7 +29,7 @@ class OpeningTurns:
     side by side. Those that compute are no sooner done for it: their threads take the interpreter's
     lock from one another and from the loop, and the more there are, the more of the processor goes
     into that. Which of both it is shows in time: one that has been under way for 20 ms waits,
-    provided that the loop itself came to look in time. Where it did not, nobody got the
+    provided that the loop itself came to look in time. Where it did not, no thread got the
     processor, and the ages say nothing.
 
     Args:
@@ -60,7 +60,7 @@ class OpeningTurns:
         self._waiting.discard(opening)
 
     def look(self, due: float, now: float) -> None:
-        """Tell those that wait from those that compute; `due` is when this was to be called."""
+        """Find out which of them wait instead of computing; `due` is when this was to be called."""
         if now - due > _LATE_SECONDS:
             return
         old = [name for name, begun in self._young.items() if now - begun >= _YOUNG_SECONDS]
@@ -93,7 +93,7 @@ class LoopMailbox:
             self._woken = True
             try:
                 self._loop.call_soon_threadsafe(self._run)
-            except RuntimeError:  # the loop is closed: nobody is left to notify
+            except RuntimeError:  # the loop is closed: no client is left to notify
                 self._actions.clear()
                 self._woken = False
 
@@ -285,7 +285,7 @@ def _closing() -> BusyError:
 
 
 def _finish(future: asyncio.Future[T], result: T, error: BaseException | None) -> None:
-    if future.done():  # nobody waits for it any more
+    if future.done():  # no client waits for it any more
         return
     if error is None:
         future.set_result(result)
