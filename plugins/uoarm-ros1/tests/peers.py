@@ -65,8 +65,9 @@ class Master:
         assert self._process is not None
         self._process.send_signal(number)
 
-    def peer(self, name: str) -> Peer:
-        self._peers.append(Peer(self, [ROS_PYTHON, str(HERE / "debian" / "peer_node.py"), name]))
+    def peer(self, name: str, *remaps: str) -> Peer:
+        words = [ROS_PYTHON, str(HERE / "debian" / "peer_node.py"), name, *remaps]
+        self._peers.append(Peer(self, words))
         return self._peers[-1]
 
     def program(self, *words: str) -> Peer:

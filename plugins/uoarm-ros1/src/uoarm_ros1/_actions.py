@@ -311,7 +311,7 @@ class ServedAction(Channel):
         try:
             for part, record in (("result", kinds.result), ("feedback", kinds.feedback)):
                 self._publications.append(node.advertise(f"{name}/{part}", record))
-            self._publications.append(node.advertise(f"{name}/status", status, latching=True))
+            self._publications.append(node.advertise(f"{name}/status", status, latch=1))
             for part, kind, take in (
                 ("goal", kinds.goal, self._take_goal),
                 ("cancel", goal_id, self._take_cancel),

@@ -232,7 +232,7 @@ class _Publishing:
         self._refusal = ""
         port, node = place.port, place.node
         limits = (port.queue, 4 * node.settings.budget.octets)
-        self.publication = node.advertise(place.topic, record, latching=port.latch, limits=limits)
+        self.publication = node.advertise(place.topic, record, latch=int(port.latch), limits=limits)
         self._before = self.publication.lost
         self.publication.watchers = (*self.publication.watchers, self._watch)
         try:

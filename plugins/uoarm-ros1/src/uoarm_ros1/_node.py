@@ -107,7 +107,7 @@ class Node:
                 if made.record.md5 != record.md5:
                     text = f"topic {topic} is published here as {made.record.name} already"
                     raise BridgeError(text, FailureReason.REFUSED)
-                made.latching = made.latching or bool(more.get("latching"))
+                made.latch = max(made.latch, more.get("latch", 0))
                 self._publications[topic] = (made, users + 1)
                 return made
         try:

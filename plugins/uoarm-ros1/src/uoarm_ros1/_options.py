@@ -108,7 +108,7 @@ _PORT_OPTIONS: Schema = {
         "wait": {**_SECONDS, "maximum": 86400},
         "stale_after": {"type": "number", "exclusiveMinimum": 0, "maximum": 86400},
         "node": {"type": "string", "pattern": f"^{_GRAPH_NAME}$"},
-        "latch": {"type": "boolean"},
+        "latch": {"type": ["boolean", "integer"], "minimum": 1, "maximum": 1000},
         "queue": {"type": "integer", "minimum": 1, "maximum": 100_000},
         "nodelay": {"type": "boolean"},
         "definition": dict(_TEXT),
@@ -150,7 +150,7 @@ class Port:
         wait: seconds to wait for the other end; None: as the bridge says.
         stale_after: seconds without a message after which the channel is lost; None: never.
         node: the one node that is meant; empty: all of the topic.
-        latch: whether the last message is given to each subscriber that comes.
+        latch: how many of the last messages are given to each subscriber that comes.
         queue: messages that may wait for one subscriber.
         nodelay: whether small messages are sent at once.
         definition: the text of the type, where no peer says it.
@@ -161,7 +161,7 @@ class Port:
     wait: float | None = None
     stale_after: float | None = None
     node: str = ""
-    latch: bool = False
+    latch: int = 0
     queue: int = 100
     nodelay: bool = True
     definition: str = ""

@@ -153,7 +153,7 @@ class Publication:
         caller: the node's own name.
         topic: its full name.
         record: of its messages.
-        latching: whether the last message is given to each subscriber that comes.
+        latch: how many of the last messages are given to each subscriber that comes.
         limits: messages, and octets, that may wait for one subscriber.
 
     Attributes:
@@ -168,16 +168,16 @@ class Publication:
         topic: str,
         record: Record,
         *,
-        latching: bool = False,
+        latch: int = 0,
         limits: tuple[int, int] = (100, 1 << 26),
     ) -> None:
-        self.topic, self.record, self.latching = topic, record, latching
+        self.topic, self.record, self.latch = topic, record, latch
         self._loop, self._caller, self._limits = loop, caller, limits
         # Guards who is subscribed and what is latched: one who comes gets what was latched before,
         # or what is sent from then on, never neither.
         self._changed = threading.Condition()
         self._subscribers: tuple[_Subscriber, ...] = ()
-        self._latched: bytes | bytearray | None = None
+        self._latched: deque[bytes | bytearray] = deque()
         self._lost = 0
         self.sent = 0
         self.watchers: tuple[Callable[[str, bool], None], ...] = ()
@@ -209,9 +209,13 @@ class Publication:
 
     def send(self, frame: bytes | bytearray) -> None:
         """Send a frame to all who are subscribed; returns at once."""
-        if self.latching:
+        if self.latch:
             with self._changed:
-                self._latched = frame
+                self._latched.append(frame)
+                while len(self._latched) > self.latch or (
+                    len(self._latched) > 1 and sum(map(len, self._latched)) > self._limits[1]
+                ):
+                    self._latched.popleft()
                 subscribers = self._subscribers
         else:
             subscribers = self._subscribers
@@ -222,7 +226,7 @@ class Publication:
     def send_run(self, run: bytes | bytearray) -> int:
         """Send frames that came together; returns how many they are."""
         frames = list(frames_of(memoryview(run)))
-        if self.latching:
+        if self.latch:
             for frame in frames:
                 self.send(bytes(frame))
             return len(frames)
@@ -253,14 +257,14 @@ class Publication:
             record.name,
             record.md5,
             record.definition,
-            latching=self.latching,
+            latching=bool(self.latch),
         )
         connection.setblocking(False)
         self._loop.add(subscriber)
         with self._changed:
             subscriber.send(encode_header(answer))
-            if self._latched is not None:
-                subscriber.send(self._latched)
+            for frame in self._latched:
+                subscriber.send(frame)
             self._subscribers = (*self._subscribers, subscriber)
             self._changed.notify_all()
         self._say(f"{caller} is connected")

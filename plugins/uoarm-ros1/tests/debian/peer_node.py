@@ -13,6 +13,7 @@ import importlib
 import json
 import os
 import random
+import socket
 import sys
 import threading
 import time
@@ -123,6 +124,27 @@ def subscribe(topic, type):
     )
 
 
+def subscribe_any(topic):
+    """Take whatever is published, as tools do: of any type and sum, with what its header says."""
+    CAME[topic] = []
+
+    def take(message):
+        header = message._connection_header
+        made = genpy.dynamic.generate_dynamic(header["type"], header["message_definition"])
+        value = made[header["type"]]().deserialize(message._buff)
+        CAME[topic].append([header["type"], header["md5sum"], plain(value)])
+
+    KEPT.append(rospy.Subscriber(topic, rospy.AnyMsg, take))
+
+
+def nodelays(topic):
+    """Return of each connection of a publisher whether small messages are sent at once."""
+    connections = PUBLISHERS[topic].impl.connections
+    return [
+        bool(one.socket.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)) for one in connections
+    ]
+
+
 def writers(topic):
     """Return how many connections the subscription to a topic has: what a base can look at."""
     return sum(
@@ -173,6 +195,49 @@ def call(service, type, values):
         return plain(proxy(filled(service_class(type)._request_class(), values)))
     except rospy.ServiceException as error:
         return {"error": str(error)}
+
+
+def call_persistently(service, type, requests):
+    """Wait for a service, which asks it for its type alone, and call it over one connection."""
+    rospy.wait_for_service(service, timeout=30)
+    proxy = rospy.ServiceProxy(service, service_class(type), persistent=True)
+    kind = service_class(type)._request_class
+    replies = [plain(proxy(filled(kind(), values))) for values in requests]
+    proxy.close()
+    return replies
+
+
+def act_by_hand(action, type, how):
+    """Serve an action whose goals are refused, or end as recalled."""
+    import actionlib
+
+    package, own = type.split("/")
+    kind = getattr(importlib.import_module(package + ".msg"), own)
+
+    def take(goal):
+        if how == "reject":
+            goal.set_rejected(text="not today")
+        elif how == "recall":
+            goal.set_cancel_requested()
+            goal.set_canceled(text="called back")
+
+    server = actionlib.ActionServer(action, kind, take, lambda goal: None, auto_start=False)
+    server.start()
+    KEPT.append(server)
+
+
+def look_up(frames, seconds):
+    """Return which frames tf2 finds from `world` on, in time."""
+    import tf2_ros
+
+    buffer = tf2_ros.Buffer()
+    KEPT.append(tf2_ros.TransformListener(buffer))
+    until = time.monotonic() + seconds
+    found = []
+    while time.monotonic() < until and len(found) < len(frames):
+        found = [name for name in frames if buffer.can_transform("world", name, rospy.Time(0))]
+        time.sleep(0.02)
+    return found
 
 
 def act(action, type, how="ok"):

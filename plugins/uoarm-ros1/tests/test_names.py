@@ -1,0 +1,181 @@
+"""Names, and who connects: namespaces, remaps, private names, headers as real nodes send them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+from endpoints import Reports, bridge_to, input_, output, service
+from peers import Master, Peer, running
+from uoarm_ros1._options import settings_of
+
+from uoarm import RobotManager
+from uoarm.config import loads
+from uoarm.errors import BridgeError
+from uoarm.model import Health, MessageStructure, OfferState
+from uoarm.testing import Collector, patience, wait
+
+INT = "std_msgs/Int64"
+SET = "std_srvs/SetBool"
+ADD = "actionlib/TwoIntsAction"
+ANY = MessageStructure(True)
+
+
+def test_relative_private_and_remapped_names_are_those_of_the_robot(
+    master: Master, lasting: Peer
+) -> None:
+    lasting.do("advertise", topic="/lab/numbers", type=INT, latch=True)
+    lasting.do("publish", topic="/lab/numbers", type=INT, values={"data": 1})
+    lasting.do("advertise", topic="/robot7/camera", type=INT, latch=True)
+    lasting.do("publish", topic="/robot7/camera", type=INT, values={"data": 2})
+    lasting.do("serve", service="/lab/set", type=SET)
+    lasting.do("set_param", name="/lab/cart/speed", value=3)
+    lasting.do("subscribe", topic="/lab/cart/state", type=INT)
+    remap = {"camera": "/robot7/camera", "/other/place": "numbers"}
+    with bridge_to(master, namespace="/lab", node="cart", remap=remap) as bridge:
+        for address, value in (("numbers", 1), ("camera", 2), ("/other/place", 1)):
+            collector = Collector()
+            bridge.open_source(output(address), ANY, collector.deliver, timeout=patience())
+            assert collector.wait(1, patience()) == [{"data": value}], address
+        reply = bridge.call(service("set"), {"data": True}, timeout=patience())
+        assert reply["success"]
+        parameter = Collector()
+        bridge.open_source(output("~speed", "parameter"), ANY, parameter.deliver)
+        assert parameter.wait(1, patience()) == [3]
+        sink = bridge.open_sink(input_("~state", INT), ANY, timeout=patience())
+        sink.send({"data": 4})
+        lasting.wait_for("came", lambda came: {"data": 4} in came, topic="/lab/cart/state")
+        bridge.serve(service("~lamp", SET), lambda ask: {"success": ask["data"], "message": "on"})
+        bridge.serve(service("sum", ADD), lambda goal: {"sum": goal["a"] + goal["b"]})
+        ask = {"service": "/lab/cart/lamp", "type": SET, "values": {"data": True}}
+        assert lasting.do("call", **ask)["message"] == "on"
+        goal = {"action": "/lab/sum", "type": ADD, "values": {"a": 1, "b": 2}}
+        assert lasting.do("send_goal", **goal, timeout=patience())["result"] == {"sum": 3}
+        found = {component.name for component in bridge.discover()}
+        assert "/lasting" in found
+        assert "/lab/cart" not in found  # it is this bridge's own
+
+
+def test_the_name_of_a_host_goes_before_its_address() -> None:
+    environment = {"ROS_IP": "10.0.0.5", "ROS_HOSTNAME": "cart.local"}
+    assert settings_of("b", {}, environment).host == "cart.local"
+    assert settings_of("b", {"host": "10.0.0.9"}, environment).host == "10.0.0.9"
+
+
+def test_tools_that_take_any_type_are_given_type_sum_and_definition(
+    master: Master, lasting: Peer
+) -> None:
+    with bridge_to(master) as bridge:
+        at = input_("/any", "geometry_msgs/PointStamped", peer="optional", wait=0)
+        sink = bridge.open_sink(at, ANY)
+        lasting.do("subscribe_any", topic="/any")
+        header = {"seq": 0, "stamp": {"secs": 1, "nsecs": 2}, "frame_id": "map"}
+        message = {"header": header, "point": {"x": 1.0, "y": 2.0, "z": 3.0}}
+
+        def has_come() -> bool:
+            sink.send(message)
+            return bool(lasting.do("count", topic="/any"))
+
+        wait(has_come, "nothing comes", patience())
+        kind, md5, value = lasting.do("came", topic="/any")[0]
+        assert (kind, md5) == ("geometry_msgs/PointStamped", "c63aecb41bfdfd6b7e1fac37c7cbe7bf")
+        assert value["point"] == message["point"]
+
+
+@pytest.mark.parametrize("nodelay", [True, False])
+def test_small_messages_are_sent_as_the_endpoint_asks(
+    master: Master, lasting: Peer, nodelay: bool
+) -> None:
+    topic = f"/delays{int(nodelay)}"
+    lasting.do("advertise", topic=topic, type=INT)
+    with bridge_to(master) as bridge:
+        at = output(topic, nodelay=nodelay)
+        bridge.open_source(at, ANY, Collector().deliver, timeout=patience())
+        lasting.wait_for("nodelays", lambda found: found == [nodelay], topic=topic)
+
+
+def test_a_client_that_keeps_its_connection_calls_over_it(master: Master, lasting: Peer) -> None:
+    """And one that asks for the type alone, as `rosservice` and `wait_for_service` do."""
+    with bridge_to(master) as bridge:
+        served = bridge.serve(
+            service("/kept", SET), lambda ask: {"success": ask["data"], "message": "Kia ora"}
+        )
+        asked = [{"data": number % 2 == 0} for number in range(20)]
+        replies = lasting.do("call_persistently", service="/kept", type=SET, requests=asked)
+        assert [reply["success"] for reply in replies] == [ask["data"] for ask in asked]
+        wait(lambda: served.facts()["clients"] == 0, "a connection is left", patience())
+
+
+@pytest.mark.parametrize(
+    ("how", "words"), [("reject", "rejected: not today"), ("recall", "recalled: called back")]
+)
+def test_a_goal_that_is_refused_or_called_back_says_so(
+    master: Master, lasting: Peer, how: str, words: str
+) -> None:
+    lasting.do("act_by_hand", action=f"/{how}", type=ADD, how=how)
+    with bridge_to(master) as bridge, pytest.raises(BridgeError, match=f"the goal was {words}"):
+        bridge.call(service(f"/{how}", ADD), {"a": 1, "b": 2}, timeout=patience())
+
+
+def test_a_server_that_cannot_be_resolved_or_reached_is_named_with_what_to_set(
+    master: Master, lasting: Peer
+) -> None:
+    lasting.do("serve", service="/far/set", type=SET)
+    with bridge_to(master) as bridge:
+        node: Any = bridge._node  # type: ignore[attr-defined]  # of this bridge
+        for host, port, words in (
+            ("no-such-host.invalid", 41213, "no-such-host.invalid:41213"),
+            (master.host, 1, f"{master.host}:1"),
+        ):
+            node.master.service_address = lambda _, to=(host, port): to
+            with pytest.raises(BridgeError) as caught:
+                bridge.describe(service("/far/set"), timeout=patience())
+            assert words in str(caught.value)
+            assert "ROS_HOSTNAME" in str(caught.value) or "ROS_IP" in str(caught.value)
+
+
+def test_a_parameter_is_watched_over_the_death_of_its_master(tmp_path: Any) -> None:
+    with running(tmp_path / "master") as world:
+        peer = world.peer("setting")
+        peer.do("set_param", name="/speed", value=1)
+        with bridge_to(world) as bridge:
+            reports, collector = Reports(bridge), Collector()
+            bridge.open_source(output("/speed", "parameter"), ANY, collector.deliver)
+            assert collector.wait(1, patience()) == [1]
+            known: Any = bridge
+            wait(lambda: known._master_health.is_up, "the master was not asked", patience())
+            world.kill()
+            reports.wait(Health.DEGRADED, world.host)
+            world.start()
+            reports.wait(Health.OK, "answers again")
+            peer.do("set_param", name="/speed", value=2)
+            assert collector.wait(2, patience()) == [1, 2]
+
+
+def test_frames_that_stand_still_are_offered_back_to_who_comes_later(master: Master) -> None:
+    """Of several publishers each keeps its own; the one here keeps what all of them have said."""
+    peers = [master.peer(f"still{number}", "/tf_static:=/far/tf_static") for number in range(2)]
+    for number, peer in enumerate(peers):
+        peer.do("static_transforms", frames=[f"a{number}", f"b{number}"])
+    text = f"""
+version: 1
+bridges: {{ros: {{plugin: ros1, options: {{master: "{master.uri}", wait: 60}}}}}}
+functions:
+  frames:
+    components: [{{name: frames, bridge: ros, output: {{endpoint: [/far/tf_static]}}}}]
+offer:
+  ros:
+    frames:
+      output: {{endpoint: [/near/tf_static, tf2_msgs/TFMessage], options: {{latch: 100}}}}
+"""
+    remap = "/tf_static:=/near/tf_static"
+    frames = ["a0", "a1", "b0", "b1"]
+    with RobotManager(loads(text)) as manager:
+        manager.offer()
+        wait(lambda: {offer.state for offer in manager.status().offers} == {OfferState.OPEN})
+        for name in ("early", "late"):
+            listener = master.peer(f"{name}_listener", remap)
+            assert listener.do("look_up", frames=frames, seconds=patience()) == frames
+            listener.kill()
+    for peer in peers:
+        peer.kill()
