@@ -126,7 +126,10 @@ def test_who_joins_later_gets_what_every_publisher_has_latched(master: Master) -
         peer.do("static_transforms", frames=[f"a{number}", f"b{number}"])
 
     def frames(messages: list[Any]) -> list[list[str]]:
-        return sorted([one["child_frame_id"] for one in each["transforms"]] for each in messages)
+        return sorted(
+            [transform["child_frame_id"] for transform in message["transforms"]]
+            for message in messages
+        )
 
     text = f"""
 version: 1

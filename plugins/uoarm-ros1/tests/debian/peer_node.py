@@ -141,7 +141,8 @@ def nodelays(topic):
     """Return of each connection of a publisher whether small messages are sent at once."""
     connections = PUBLISHERS[topic].impl.connections
     return [
-        bool(one.socket.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)) for one in connections
+        bool(connection.socket.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY))
+        for connection in connections
     ]
 
 
