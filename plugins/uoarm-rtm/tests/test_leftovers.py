@@ -207,7 +207,7 @@ sys.stdin.read()
     assert list(ours.left()) == [(token, [JournalEntry("two", ("IOR:2",), "here")])]
     (tmp_path / token / "garbage.json").write_text('{"ports": 1')
     assert list(ours.left()) == [(token, [JournalEntry("two", ("IOR:2",), "here")])]
-    ours.forget(token, "two")
+    ours.erase("two", token)
     assert list(ours.left()) == [(token, [])]
     assert list(ours.left()) == []
     assert not (tmp_path / token).exists()

@@ -24,7 +24,6 @@ from uoarm.bridge import (
 )
 from uoarm.errors import BridgeError, FailureReason
 from uoarm.model import Endpoint, Message, MessageStructure, Options, Role
-from uoarm_rtm import _control
 from uoarm_rtm._channels import (
     InPortSink,
     NativeConnector,
@@ -32,7 +31,7 @@ from uoarm_rtm._channels import (
     is_big_in_cpp,
     required_port,
 )
-from uoarm_rtm._control import Activations, configure
+from uoarm_rtm._control import DESCRIPTIONS, Activations, configure, drive
 from uoarm_rtm._discovery import Directory, DirectoryMonitor, discovered
 from uoarm_rtm._health import Observers, RemotePort, Ticker
 from uoarm_rtm._naming import NamingService
@@ -94,7 +93,10 @@ class RtmBridge(Bridge):
             raise
         self._directory = Directory(self._services, seconds)
         self._connections = Connections(self._orb, self._options.component, seconds)
+        # Guards the callers, our own component and the checks: calls, openings, closings and the
+        # ticker's rounds are in different threads. Never held while a component is called.
         self._guard = threading.Lock()
+        # Held while our own component is made, which calls naming services: `close` waits for it.
         self._making = threading.Lock()
         self._own: OwnComponent | None = None
         self._callers: dict[tuple[str, ...], OperationCaller] = {}
@@ -123,12 +125,8 @@ class RtmBridge(Bridge):
             known = described(*self._types.interface(address.type)) if address.type else None
             return known or Description()
         peer = self._directory.peer(address.component)
-        if address.port == LIFECYCLE:
-            return Description(request=_control.LIFECYCLE_REQUEST, reply=_control.LIFECYCLE_REPLY)
-        if address.port == CONFIGURATION:
-            return Description(
-                request=_control.CONFIGURATION_REQUEST, reply=_control.CONFIGURATION_REPLY
-            )
+        if address.port in DESCRIPTIONS:
+            return DESCRIPTIONS[address.port]
         port = peer.port(address.port)
         self._require_no_error(peer)
         return described(*self._types.interface(address.type or _only_type(peer, port)))
@@ -168,7 +166,7 @@ class RtmBridge(Bridge):
         elif self._options.operation_seconds is not None:
             limit = min(limit, (self._options.operation_seconds, "`call_timeout` of the bridge"))
         if address.port == LIFECYCLE:
-            return _control.drive(self._directory.peer(address.component), message, seconds)
+            return drive(self._directory.peer(address.component), message, seconds)
         if address.port == CONFIGURATION:
             return configure(self._directory.peer(address.component), message, seconds)
         key = (address.component, address.port, address.type)
@@ -322,20 +320,16 @@ class RtmBridge(Bridge):
     def _supervise(self, channel: Channel, tick: Callable[[], None], *remotes: RemotePort) -> None:
         """Have a channel watched, and its components activated when that is asked."""
         for remote in remotes:
-            self._activate(channel, remote)
+            try:
+                self._active.enter(channel, remote.peer, remote.options)
+            except BridgeError:
+                channel.close()
+                raise
         with self._guard:
             self._ticking[channel] = tick
         if self._options.observe and self._options.watch_seconds:
             for remote in remotes:
                 self._observers.enter(channel, tick, remote.peer)
-
-    def _activate(self, channel: Channel, remote: RemotePort) -> None:
-        """Activate a component for as long as channels ask for it, where that is asked."""
-        try:
-            self._active.enter(channel, remote.peer, remote.options)
-        except BridgeError:
-            channel.close()
-            raise
 
     def _require_open(self) -> None:
         if self.closed:
@@ -360,7 +354,7 @@ class RtmBridge(Bridge):
 
     def _ticks(self) -> list[Callable[[], None]]:
         with self._guard:
-            for channel in [item for item in self._ticking if item.closed]:
+            for channel in [channel for channel in self._ticking if channel.closed]:
                 del self._ticking[channel]
             ticks = [*self._ticking.values()]
         ticks += [self._active.tick, self._observers.tick, self._monitor.tick]

@@ -6,7 +6,8 @@ Where a message or a buffer does not fit, it is walked once more, slowly, to nam
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from functools import lru_cache
 from struct import Struct
 from typing import Any
@@ -19,7 +20,6 @@ from uoarm_rtm._codegen import reader, writer
 from uoarm_rtm._shape import (
     SWITCH,
     IdlEnum,
-    IdlMember,
     IdlScalar,
     IdlSequence,
     IdlString,
@@ -48,7 +48,7 @@ __all__ = ["BIG", "LITTLE", "CdrCodec", "ExplainCursor", "codec_of", "fit", "rea
 
 
 def fit(shape: Shape, value: Message, encoding: str, path: str = "$") -> None:
-    """Raise Misfit that begins with the path of the first field that does not fit."""
+    """Raise IdlMismatch that begins with the path of the first field that does not fit."""
     try:
         if isinstance(shape, IdlStruct):
             fields = {field.name: field.shape for field in shape.fields}
@@ -57,8 +57,8 @@ def fit(shape: Shape, value: Message, encoding: str, path: str = "$") -> None:
             fields = _variant(shape, value, encoding)
         elif isinstance(shape, IdlSequence) and not is_block(shape):
             counted(shape)(value)
-            for index, item in enumerate(value):
-                fit(shape.element, item, encoding, f"{path}[{index}]")
+            for index, element in enumerate(value):
+                fit(shape.element, element, encoding, f"{path}[{index}]")
             return
         else:
             _leaf(shape, value, encoding)
@@ -90,7 +90,9 @@ def _variant(choice: IdlUnion, value: Message, encoding: str) -> dict[str, Shape
     label = value[SWITCH]
     fit(choice.by, label, encoding, SWITCH)
     ordered = sorted(choice.variants, key=lambda variant: not variant.labels)
-    chosen = next((item for item in ordered if not item.labels or label in item.labels), None)
+    chosen = next(
+        (variant for variant in ordered if not variant.labels or label in variant.labels), None
+    )
     fields: dict[str, Shape] = {SWITCH: choice.by}
     if chosen is not None:
         fields[chosen.name] = chosen.shape
@@ -136,7 +138,7 @@ class ExplainCursor:
 
 
 def read_slowly(shape: Shape, cursor: ExplainCursor, path: str = "$") -> Message:
-    """Return the value at the cursor; raises Misfit that begins with a path."""
+    """Return the value at the cursor; raises IdlMismatch that begins with a path."""
     if isinstance(shape, IdlStruct):
         return {
             field.name: read_slowly(field.shape, cursor, f"{path}.{field.name}")
@@ -153,9 +155,11 @@ def read_slowly(shape: Shape, cursor: ExplainCursor, path: str = "$") -> Message
         return shape.labels[number]
     if isinstance(shape, IdlString):
         data = cursor.take(cursor.number("I", path), path)
-        return _placed(path, lambda: text_of(data, shape, cursor.encoding))
+        with _placed(path):
+            return text_of(data, shape, cursor.encoding)
     if shape.name == "wchar":
-        return _placed(path, lambda: wchar_of(cursor.take(3, path)))
+        with _placed(path):
+            return wchar_of(cursor.take(3, path))
     number = cursor.number(CODES[shape.name], path)
     if shape.name == "boolean" and number > 1:
         raise IdlMismatch(f"{path}: expected a boolean, 0 or 1, got {number}")
@@ -181,17 +185,17 @@ def _read_list(listing: IdlSequence, cursor: ExplainCursor, path: str) -> Messag
 def _read_choice(choice: IdlUnion, cursor: ExplainCursor, path: str) -> Message:
     label = read_slowly(choice.by, cursor, f"{path}.{SWITCH}")
     ordered = sorted(choice.variants, key=lambda variant: not variant.labels)
-    for item in ordered:
-        if not item.labels or label in item.labels:
-            member = IdlMember(item.name, item.shape)
-            inner = read_slowly(member.shape, cursor, f"{path}.{member.name}")
-            return {SWITCH: label, item.name: inner}
+    for variant in ordered:
+        if not variant.labels or label in variant.labels:
+            inner = read_slowly(variant.shape, cursor, f"{path}.{variant.name}")
+            return {SWITCH: label, variant.name: inner}
     return {SWITCH: label}
 
 
-def _placed(path: str, make: Any) -> Message:
+@contextmanager
+def _placed(path: str) -> Iterator[None]:
     try:
-        return make()
+        yield
     except IdlMismatch as error:
         raise IdlMismatch(f"{path}: {error}") from None
 
@@ -253,8 +257,8 @@ class CdrCodec:
     def _unfit(self, message: Message, error: Exception) -> MessageError:
         try:
             fit(self.shape, message, self._encoding)
-        except IdlMismatch as misfit:
-            return MessageError(f"message of type {self.name}: {misfit}")
+        except IdlMismatch as mismatch:
+            return MessageError(f"message of type {self.name}: {mismatch}")
         return MessageError(f"message of type {self.name} does not fit: {error!r}")
 
     def _unreadable(self, data: bytes, order: Order, error: Exception) -> MessageError:
@@ -263,8 +267,8 @@ class CdrCodec:
         cursor = ExplainCursor(data, order, self._encoding)
         try:
             read_slowly(self.shape, cursor)
-        except IdlMismatch as misfit:
-            return MessageError(f"{what}: {misfit}")
+        except IdlMismatch as mismatch:
+            return MessageError(f"{what}: {mismatch}")
         if cursor.at != len(data):
             return MessageError(f"{what}: the message ends after {cursor.at} bytes")
         return MessageError(f"{what}: {error}")

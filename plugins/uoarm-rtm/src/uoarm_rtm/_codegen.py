@@ -111,7 +111,7 @@ class GeneratedFunction:
 def reader(shape: Shape, order: Order, encoding: str) -> Callable[[bytes], Message]:
     """Return the function that makes a message of CDR.
 
-    It raises Misfit for what the bytes hold and `struct.error` where they end too early.
+    It raises IdlMismatch for what the bytes hold and `struct.error` where they end too early.
     """
     source = GeneratedFunction("def read(data):")
     source.line("at = 0; size = len(data)")
@@ -345,8 +345,8 @@ _ZEROS = tuple(bytes(count) for count in range(8))
 def writer(shape: Shape, order: Order, encoding: str) -> Callable[[Message], bytes]:
     """Return the function that makes the CDR of a message.
 
-    It raises Misfit, KeyError, TypeError or another ordinary exception of the step that failed;
-    `_explain.misfit_of` says which field that was. Padding is zero.
+    It raises IdlMismatch, KeyError, TypeError or another ordinary exception of the step that
+    failed; `_codec.fit` says at which field. Padding is zero.
     """
     source = GeneratedFunction("def write(message):")
     source.line("out = bytearray()")

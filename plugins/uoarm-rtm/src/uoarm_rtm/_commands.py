@@ -11,7 +11,7 @@ from typing import Any
 from uoarm.errors import BridgeError, UsageError
 from uoarm_rtm._control import change, configure
 from uoarm_rtm._discovery import Directory
-from uoarm_rtm._journal import NAME, PROCESS, Leftovers, end_connector, journal, process_of
+from uoarm_rtm._journal import NAME, PROCESS, end_connector, end_leftovers, journal, process_of
 from uoarm_rtm._naming import NamingService
 from uoarm_rtm._orb import Orb, corba_errors, limit
 from uoarm_rtm._peer import PeerComponent, PeerPort, properties_of, state_of
@@ -52,7 +52,9 @@ class CommandSession:
         row = self._component(peer)
         for shown, port in zip(row["ports"], peer.ports, strict=True):
             shown["properties"] = dict(port.properties)
-            shown["connections"] = [self._connection(peer, port, item) for item in self._all(port)]
+            shown["connections"] = [
+                self._connection(peer, port, profile) for profile in self._all(port)
+            ]
         return {**row, "configuration": configure(peer, {}, self._seconds)}
 
     def connections(self, *, mine: bool, remove: bool) -> list[Row]:
@@ -74,15 +76,17 @@ class CommandSession:
                     here = f"{peer.path}:{port.name}"
                     if here not in row["ports"]:
                         row["ports"].append(here)
-                    ends[profile.connector_id] = [limit(p, self._seconds) for p in profile.ports]
+                    ends[profile.connector_id] = [
+                        limit(end, self._seconds) for end in profile.ports
+                    ]
         found = [row for row in rows.values() if not mine or row["runs"] != "elsewhere"]
         if not remove:
             return found
         left = [row for row in found if row["runs"] == "no"]
         for row in left:
             with corba_errors(f"ending connector {row['id']}"):
-                end_connector(row["id"], [item for item in ends[row["id"]] if item is not None])
-        Leftovers(self._orb, self._seconds).end()  # of components that have no name any more
+                end_connector(row["id"], [port for port in ends[row["id"]] if port is not None])
+        end_leftovers(self._orb, self._seconds)  # of components that have no name any more
         return left
 
     def change(self, paths: Sequence[str], action: str) -> list[Row]:

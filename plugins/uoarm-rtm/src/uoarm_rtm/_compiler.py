@@ -102,6 +102,8 @@ def compile_idl(
 _MAIN, _NAMES = "main.idl", "names.json"
 _INCLUDE = re.compile(rb'^\s*#\s*include\s*["<]([^">]+)[">]', re.MULTILINE)
 _MOST_BYTES = 4 << 20
+# Guards `_loaded`; held while IDL is compiled and imported, so that bridges that begin at once do
+# that once.
 _loading = threading.Lock()
 _loaded: dict[str, Stubs] = {}
 
@@ -151,11 +153,11 @@ def _read(path: Path) -> bytes:
     try:
         text = path.read_bytes()
     except OSError as error:
-        text_ = f"IDL file {str(path)!r} cannot be read: {error}"
-        raise BridgeError(text_, FailureReason.BAD_ENDPOINT) from error
+        reason = f"IDL file {str(path)!r} cannot be read: {error}"
+        raise BridgeError(reason, FailureReason.BAD_ENDPOINT) from error
     if len(text) > _MOST_BYTES:
-        text_ = f"IDL file {str(path)!r} has more than {_MOST_BYTES} bytes"
-        raise BridgeError(text_, FailureReason.BAD_ENDPOINT)
+        reason = f"IDL file {str(path)!r} has more than {_MOST_BYTES} bytes"
+        raise BridgeError(reason, FailureReason.BAD_ENDPOINT)
     return text
 
 
@@ -187,8 +189,8 @@ def _compile(text: bytes, directory: Path, package: str, folder: Path, shown: st
         folder.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
         work = Path(tempfile.mkdtemp(prefix="compiling-", dir=folder.parent))
     except OSError as error:
-        text_ = f"the cache of compiled IDL cannot be written: {error}"
-        raise BridgeError(text_, FailureReason.UNAVAILABLE) from error
+        reason = f"the cache of compiled IDL cannot be written: {error}"
+        raise BridgeError(reason, FailureReason.UNAVAILABLE) from error
     try:
         (work / _MAIN).write_bytes(text)
         (work / package).mkdir()
@@ -204,8 +206,8 @@ def _compile(text: bytes, directory: Path, package: str, folder: Path, shown: st
     except BridgeError as error:
         raise BridgeError(str(error).replace(str(work / _MAIN), shown), error.reason) from None
     except OSError as error:
-        text_ = f"the cache of compiled IDL cannot be written: {error}"
-        raise BridgeError(text_, FailureReason.UNAVAILABLE) from error
+        reason = f"the cache of compiled IDL cannot be written: {error}"
+        raise BridgeError(reason, FailureReason.UNAVAILABLE) from error
     finally:
         shutil.rmtree(work, ignore_errors=True)
 

@@ -20,19 +20,16 @@ from typing import Any
 from _uoarm_rtm_stubs import RTC, SDOPackage
 from attrs import frozen
 
-from uoarm.bridge import Channel
+from uoarm.bridge import Channel, Description
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, MessageError
 from uoarm.model import Message, MessageStructure
-from uoarm_rtm._options import RtmEndpointOptions
+from uoarm_rtm._options import CONFIGURATION, LIFECYCLE, RtmEndpointOptions
 from uoarm_rtm._orb import corba_errors, narrowed
 from uoarm_rtm._peer import PeerComponent, contexts_of, pairs, properties_of, state_of
 
 __all__ = [
-    "CONFIGURATION_REPLY",
-    "CONFIGURATION_REQUEST",
     "CONSTRAINTS",
-    "LIFECYCLE_REPLY",
-    "LIFECYCLE_REQUEST",
+    "DESCRIPTIONS",
     "TYPES",
     "WIDGETS",
     "Activations",
@@ -61,9 +58,9 @@ def _closed(properties: dict[str, Any], *required: str) -> MessageStructure:
     )
 
 
-LIFECYCLE_REQUEST = _closed({"action": {"enum": [*_GOALS, "state"]}}, "action")
-LIFECYCLE_REPLY = _closed({"state": {"enum": _STATES}}, "state")
-CONFIGURATION_REQUEST = _closed(
+_LIFECYCLE_REQUEST = _closed({"action": {"enum": [*_GOALS, "state"]}}, "action")
+_LIFECYCLE_REPLY = _closed({"state": {"enum": _STATES}}, "state")
+_CONFIGURATION_REQUEST = _closed(
     {
         "set": {"type": "string"},
         "values": _TEXTS,
@@ -71,7 +68,7 @@ CONFIGURATION_REQUEST = _closed(
         "create": {"type": "boolean"},
     }
 )
-CONFIGURATION_REPLY = _closed(
+_CONFIGURATION_REPLY = _closed(
     {
         "active": {"type": "string"},
         "sets": {"type": "object", "additionalProperties": _TEXTS},
@@ -82,6 +79,11 @@ CONFIGURATION_REPLY = _closed(
     },
     *("active", "sets"),
 )
+DESCRIPTIONS = {
+    LIFECYCLE: Description(request=_LIFECYCLE_REQUEST, reply=_LIFECYCLE_REPLY),
+    CONFIGURATION: Description(request=_CONFIGURATION_REQUEST, reply=_CONFIGURATION_REPLY),
+}
+"""Of the services that each component has, by the port name in an endpoint's address."""
 
 
 def drive(peer: PeerComponent, message: Message, seconds: float) -> Message:
@@ -206,7 +208,7 @@ def doubt(value: str, before: Iterable[str]) -> str:
 
     Args:
         value: as it was written.
-        before: what the parameter was, in each set that has it.
+        before: the parameter's values until then, in each set that has it.
     """
     if _is_numeric(value) or not all(map(_is_numeric, before)):
         return ""
@@ -318,7 +320,7 @@ class _ConfigurationSets:
 
 def _read(target: Any) -> _ConfigurationSets:
     listing = target.get_configuration_sets()
-    sets = {str(item.id): properties_of(item.configuration_data) for item in listing}
+    sets = {str(entry.id): properties_of(entry.configuration_data) for entry in listing}
     try:
         active = str(target.get_active_configuration_set().id)
     except SDOPackage.NotAvailable:
@@ -409,6 +411,8 @@ class Activations:
 
     def __init__(self, seconds: float) -> None:
         self._seconds = seconds
+        # Guards both tables, from channels that open in any thread. Held while components change:
+        # one that is about to be deactivated must not count as active for a channel that opens.
         self._lock = threading.Lock()
         self._ours: dict[str, PeerComponent] = {}
         self._users: dict[str, set[Channel]] = {}

@@ -223,6 +223,8 @@ class OutPort(_DataPort):
     def __init__(self, orb: Orb, name: str, codec: CdrCodec, seconds: float) -> None:
         super().__init__(orb, name, "DataOutPort", codec, seconds)
         self._outlets: dict[str, _Outlet] = {}
+        # Held while a message goes to all connectors: they get the messages of several threads in
+        # one order.
         self._writing = threading.Lock()
         self._dropped_before = 0
 

@@ -90,7 +90,7 @@ class Buffer:
     """A queue with a policy for being full and for being empty. Used from any thread.
 
     Attributes:
-        policy: what it goes by.
+        policy: what a writer does when it is full, a reader when it is empty.
         dropped: messages that gave way to newer ones, or were not taken.
     """
 
@@ -100,7 +100,8 @@ class Buffer:
         self._waiting: deque[bytes] = deque()
         self._last: bytes | None = None
         self._closed = False
-        self._busy = False
+        self._busy = False  # the consumer is not done with what it took: `drain` waits for it
+        # Guards all fields: the writers, the consumer and `close` are different threads.
         self._changed = threading.Condition()
 
     def write(self, data: bytes) -> bool:
@@ -223,12 +224,14 @@ class Pusher:
         self._putting.end(seconds)
 
 
-class ThreadedPusher:
-    """Sends from a thread of its own, out of a buffer: `new` and `periodic`.
+class ThreadedPusher(Buffer):
+    """A buffer that a thread of its own sends from: `new` and `periodic`.
+
+    Messages that the push policy leaves out are not counted in `dropped`.
 
     Args:
         put: sends one message; called in that thread, must not raise.
-        buffer: policy of what waits.
+        policy: of the buffer.
         push: which of the messages that wait are sent.
         period: seconds from one round to the next; 0 for as soon as something waits.
     """
@@ -236,39 +239,26 @@ class ThreadedPusher:
     def __init__(
         self,
         put: Callable[[bytes], object],
-        buffer: BufferPolicy,
+        policy: BufferPolicy,
         push: PushPolicy,
         period: float = 0.0,
     ) -> None:
+        super().__init__(policy)
         self._put = put
         self._push = push
         self._period = period
         self._passed = 0
-        self._buffer = Buffer(buffer)
         self._ended = threading.Event()
         threading.Thread(target=self._run, name="uoarm-rtm-push", daemon=True).start()
-
-    @property
-    def dropped(self) -> int:
-        """Messages that gave way or were not taken; those left out by policy are not counted."""
-        return self._buffer.dropped
-
-    def write(self, data: bytes) -> bool:
-        """Have a message wait to be sent; returns whether the buffer took it."""
-        return self._buffer.write(data)
-
-    def drain(self, seconds: float) -> bool:
-        """Wait until nothing waits any more; returns whether that came."""
-        return self._buffer.drain(seconds)
 
     def close(self) -> None:
         """End the thread; what waits is not sent."""
         self._ended.set()
-        self._buffer.close()
+        super().close()
 
     def _run(self) -> None:
         most = 1 if self._push.which == "fifo" else None
-        while waiting := self._buffer.take(most):
+        while waiting := self.take(most):
             for data in self._chosen(waiting):
                 if self._ended.is_set():
                     return
@@ -285,40 +275,16 @@ class ThreadedPusher:
                 yield data
 
 
-class PullBuffer(OpenRTM__POA.OutPortCdr):  # type: ignore[misc]  # generated, without annotations
-    """Keeps messages in a buffer until the other side asks for them.
-
-    Args:
-        policy: of the buffer.
-    """
-
-    def __init__(self, policy: BufferPolicy) -> None:
-        self._buffer = Buffer(policy)
-
-    @property
-    def dropped(self) -> int:
-        """Messages that gave way or were not taken."""
-        return self._buffer.dropped
+class PullBuffer(Buffer, OpenRTM__POA.OutPortCdr):  # type: ignore[misc]  # generated
+    """A buffer that the other side asks for its messages; `close` ends calls that wait in `get`."""
 
     def get(self) -> tuple[Any, bytes]:
         """Return the next message, or what the buffer's policy gives (CORBA operation)."""
-        data = self._buffer.read()
+        data = self.read()
         if data is not None:
             return OpenRTM.PORT_OK, data
-        waited = self._buffer.policy.empty == "block"
+        waited = self.policy.empty == "block"
         return OpenRTM.BUFFER_TIMEOUT if waited else OpenRTM.BUFFER_EMPTY, b""
-
-    def write(self, data: bytes) -> bool:
-        """Have a message wait; returns whether the buffer took it."""
-        return self._buffer.write(data)
-
-    def drain(self, seconds: float) -> bool:
-        """Wait until nothing waits any more; returns whether that came."""
-        return self._buffer.drain(seconds)
-
-    def close(self) -> None:
-        """End; calls that wait in `get` or `write` return."""
-        self._buffer.close()
 
 
 class Puller:

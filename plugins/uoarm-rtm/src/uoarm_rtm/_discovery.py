@@ -19,10 +19,8 @@ from omniORB import CORBA
 from uoarm.bridge import Description, Discovered
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason
 from uoarm.model import Endpoint, Health, Role
-from uoarm_rtm import _control
-from uoarm_rtm._control import limits
+from uoarm_rtm._control import DESCRIPTIONS, limits
 from uoarm_rtm._naming import Name, NamingService
-from uoarm_rtm._options import CONFIGURATION, LIFECYCLE
 from uoarm_rtm._orb import calls, corba_errors, limit
 from uoarm_rtm._peer import PeerComponent, PeerPort, contexts_of, peer_at, state_of
 from uoarm_rtm._services import described
@@ -174,7 +172,7 @@ def discovered(
     found = [_component(bridge, peer, types, seconds) for peer in peers]
     for path, condition in silent:
         found.append(Discovered(path, (), condition))
-    return tuple(sorted(found, key=lambda item: item.name))
+    return tuple(sorted(found, key=lambda component: component.name))
 
 
 def _component(bridge: str, peer: PeerComponent, types: Types, seconds: float) -> Discovered:
@@ -200,14 +198,11 @@ def _component(bridge: str, peer: PeerComponent, types: Types, seconds: float) -
     with contextlib.suppress(BridgeError):  # it has none, or the state says why
         parameters = limits(peer, seconds)
         remarks += [f"parameters {parameters}"] if parameters else []
-    for name, request, reply in (
-        (LIFECYCLE, _control.LIFECYCLE_REQUEST, _control.LIFECYCLE_REPLY),
-        (CONFIGURATION, _control.CONFIGURATION_REQUEST, _control.CONFIGURATION_REPLY),
-    ):
+    for name, description in DESCRIPTIONS.items():
         endpoint = Endpoint(bridge, peer.path, Role.SERVICE, (peer.path, name), port=name)
-        endpoints.append((endpoint, Description(request=request, reply=reply)))
-    given = [item.name for item in peer.ports if _ROLES.get(item.kind) is Role.OUTPUT]
-    rates = {} if rate is None else dict.fromkeys(given, rate)
+        endpoints.append((endpoint, description))
+    outputs = [port.name for port in peer.ports if _ROLES.get(port.kind) is Role.OUTPUT]
+    rates = {} if rate is None else dict.fromkeys(outputs, rate)
     return Discovered(peer.path, tuple(endpoints), "; ".join(remarks), rates)
 
 

@@ -228,6 +228,7 @@ class Ticker:
     def __init__(self, ticks: Callable[[], list[Tick]], seconds: float) -> None:
         self._ticks = ticks
         self._seconds = seconds
+        # Guards the two fields below: components request checks in threads of the ORB.
         self._changed = threading.Condition(threading.Lock())
         self._ended = False
         self._urgent: dict[Tick, None] = {}

@@ -40,8 +40,8 @@ __all__ = [
     "PROCESS",
     "Journal",
     "JournalEntry",
-    "Leftovers",
     "end_connector",
+    "end_leftovers",
     "end_observer",
     "journal",
     "process_of",
@@ -60,7 +60,7 @@ class JournalEntry:
 
     Attributes:
         references: stringified, of the ports, or of the configuration that has the observer.
-        where: the ports or the component, for people.
+        where: the ports or the component, for the log.
     """
 
     id: str
@@ -85,7 +85,8 @@ class Journal:
         self._broken = False
         # Guards the making of our folder and files, and `_broken`: any thread may connect.
         self._guard = threading.Lock()
-        # A record lock keeps no thread of its own process out, and any close gives it up.
+        # Held while the lock of another process's folder is tried, from other threads of this one:
+        # a record lock keeps no thread of its own process out, and any close gives it up.
         self._looking = threading.Lock()
 
     @property
@@ -110,10 +111,15 @@ class Journal:
                 text = "connections cannot be noted in %s (%s): a kill would leave them behind"
                 _log.warning(text, self._base, error)
 
-    def erase(self, identifier: str) -> None:
-        """Remove an entry, whose connector has ended; also one that is not there."""
+    def erase(self, identifier: str, token: str = "") -> None:
+        """Remove an entry, whose connector has ended; also one that is not there.
+
+        Args:
+            identifier: of the connector or observer.
+            token: of the process that wrote it, where that is gone; empty for this one.
+        """
         with contextlib.suppress(OSError):
-            (self._base / self.token / f"{identifier}.json").unlink()
+            (self._base / (token or self.token) / f"{identifier}.json").unlink()
 
     def runs(self, token: str) -> bool | None:
         """Whether a process runs; None for one that has no files here."""
@@ -127,7 +133,7 @@ class Journal:
     def left(self) -> Iterator[tuple[str, list[JournalEntry]]]:
         """Yield the token and the entries of each process that is gone, one at a time.
 
-        No other process is given them meanwhile. `forget` removes an entry; what stays is yielded
+        No other process is given them meanwhile. `erase` removes an entry; what stays is yielded
         again another time.
         """
         try:
@@ -143,11 +149,6 @@ class Journal:
                 yield token, self._entries(token)
                 if not any((self._base / token).glob("*.json")):
                     shutil.rmtree(self._base / token, ignore_errors=True)
-
-    def forget(self, token: str, identifier: str) -> None:
-        """Remove an entry of a process that is gone."""
-        with contextlib.suppress(OSError):
-            (self._base / token / f"{identifier}.json").unlink()
 
     def close(self) -> None:
         """Remove our folder where nothing is left in it; the process is about to end."""
@@ -198,18 +199,18 @@ class Journal:
                 entries.append(JournalEntry(file.stem, texts, str(found["where"]), is_observer))
             except (OSError, ValueError, KeyError, TypeError):
                 _log.warning("%s is no entry of a connection: removed", file)
-                self.forget(token, file.stem)
+                self.erase(file.stem, token)
         return entries
 
 
 class _Process:
-    """The journal of this process; a child that is forked begins one of its own."""
-
     def __init__(self) -> None:
+        # Guards the journal, which the first thread that connects makes for all others.
         self._guard = threading.Lock()
         self._journal: Journal | None = None
 
     def journal(self) -> Journal:
+        """Return the journal of this process; a child that is forked begins one of its own."""
         with self._guard:
             if self._journal is None:
                 base = os.environ.get("XDG_STATE_HOME") or "~/.local/state"
@@ -223,11 +224,7 @@ class _Process:
 
 _process = _Process()
 os.register_at_fork(after_in_child=_process.forget)
-
-
-def journal() -> Journal:
-    """Return the journal of this process."""
-    return _process.journal()
+journal = _process.journal
 
 
 def process_of(text: str) -> tuple[str, int, str] | None:
@@ -286,59 +283,52 @@ def end_observer(identifier: str, configuration: Any) -> None:
         _log.debug("observer %s: %r", identifier, error)
 
 
-class Leftovers:
-    """What the journals of processes that are gone hold.
+def end_leftovers(orb: Orb, seconds: float) -> int:
+    """End what the journals of processes that are gone hold, several at once; returns how many.
+
+    Those whose component hangs are left in the journal, for the next process. Blocks for the
+    limits of two calls at most, however many there are.
 
     Args:
         orb: the ORB to call through.
         seconds: limit of each call.
     """
+    ended = 0
+    deadline = time.monotonic() + seconds
 
-    def __init__(self, orb: Orb, seconds: float) -> None:
-        self._orb = orb
-        self._seconds = seconds
+    def end(entry: JournalEntry) -> bool:
+        return time.monotonic() < deadline and _end_entry(orb, entry, seconds)
 
-    def end(self) -> int:
-        """End them, several at once; returns how many.
+    for token, entries in journal().left():
+        if not entries:
+            continue
+        with ThreadPoolExecutor(_AT_ONCE, "uoarm-rtm-clear") as pool:
+            for entry, is_ended in zip(entries, pool.map(end, entries), strict=True):
+                if is_ended:
+                    journal().erase(entry.id, token)
+                    ended += 1
+    if ended:
+        _log.info("ended %d connections that killed processes of ours had left", ended)
+    return ended
 
-        Those whose component hangs are left in the journal, for the next process. Blocks for the
-        limits of two calls at most, however many there are.
-        """
-        ended = 0
-        deadline = time.monotonic() + self._seconds
 
-        def end(entry: JournalEntry) -> bool:
-            return time.monotonic() < deadline and self._end(entry)
-
-        for token, entries in journal().left():
-            if not entries:
-                continue
-            with ThreadPoolExecutor(_AT_ONCE, "uoarm-rtm-clear") as pool:
-                for entry, done in zip(entries, pool.map(end, entries), strict=True):
-                    if done:
-                        journal().forget(token, entry.id)
-                        ended += 1
-        if ended:
-            _log.info("ended %d connections that killed processes of ours had left", ended)
-        return ended
-
-    def _end(self, entry: JournalEntry) -> bool:
-        """End one; returns whether it is certain that it does not exist any more."""
-        kind = SDOPackage.Configuration if entry.is_observer else RTC.PortService
-        references = []
-        for ior in entry.references:
-            try:
-                reference = self._orb.reference(ior)._unchecked_narrow(kind)
-                references.append(limit(reference, self._seconds))
-            except (BridgeError, AttributeError):  # what cannot be read was never connected
-                _log.warning("%s: the journal has no reference of it", entry.where)
+def _end_entry(orb: Orb, entry: JournalEntry, seconds: float) -> bool:
+    """End one; returns whether it is certain that it does not exist any more."""
+    kind = SDOPackage.Configuration if entry.is_observer else RTC.PortService
+    references = []
+    for ior in entry.references:
         try:
-            with calls:
-                if not entry.is_observer:
-                    end_connector(entry.id, references)
-                for item in references if entry.is_observer else ():
-                    end_observer(entry.id, item)
-        except CORBA.Exception as error:
-            _log.warning("%s at %s is left: %r", entry.id, entry.where, error)
-            return False
-        return True
+            references.append(limit(orb.reference(ior)._unchecked_narrow(kind), seconds))
+        except (BridgeError, AttributeError):  # what cannot be read was never connected
+            _log.warning("%s: the journal has no reference of it", entry.where)
+    try:
+        with calls:
+            if entry.is_observer:
+                for configuration in references:
+                    end_observer(entry.id, configuration)
+            else:
+                end_connector(entry.id, references)
+    except CORBA.Exception as error:
+        _log.warning("%s at %s is left: %r", entry.id, entry.where, error)
+        return False
+    return True

@@ -181,7 +181,7 @@ class NamingService:
     def _walk(
         self, context: Any, path: tuple[Any, ...], found: list[Name], seen: list[Any]
     ) -> None:
-        if len(path) >= _DEEPEST or any(item._is_equivalent(context) for item in seen):
+        if len(path) >= _DEEPEST or any(known._is_equivalent(context) for known in seen):
             return
         seen.append(context)
         for binding in self._bindings(context):

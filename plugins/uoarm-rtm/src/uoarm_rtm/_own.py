@@ -12,7 +12,6 @@ from uoarm_rtm._descriptors import IdlInterface
 from uoarm_rtm._naming import NamingService
 from uoarm_rtm._options import options_of
 from uoarm_rtm._orb import Orb
-from uoarm_rtm._port_servant import PortServant
 from uoarm_rtm._services import ServicePort, servant_of
 from uoarm_rtm._types import Types
 from uoarm_rtm.component import ComponentProfile, RtComponent
@@ -42,7 +41,7 @@ class _OwnSource(Source):
         self._deliver(message)
 
     def _close(self) -> None:
-        self._own.remove(self._port)
+        self._own.component.remove_port(self._port)
 
 
 class _OwnSink(Sink):
@@ -68,7 +67,7 @@ class _OwnSink(Sink):
         }
 
     def _close(self) -> None:
-        self._own.remove(self._port)
+        self._own.component.remove_port(self._port)
 
 
 class _OwnService(Channel):
@@ -81,7 +80,7 @@ class _OwnService(Channel):
         own.component.add_port(port)
 
     def _close(self) -> None:
-        self._own.remove(self._port)
+        self._own.component.remove_port(self._port)
 
 
 class OwnComponent:
@@ -146,21 +145,17 @@ class OwnComponent:
         self._free(name)
         servant = servant_of(interface, operation, handler)
         full = f"{self.component.profile.name}.{name}"
-        said = options_of(endpoint)
+        options = options_of(endpoint)
         port = ServicePort(
             self._orb,
             full,
             interface,
             servant,
-            instance=said.instance,
-            kind=said.interface,
+            instance=options.instance,
+            kind=options.interface,
             idl=idl,
         )
         return _OwnService(self, endpoint, port)
-
-    def remove(self, port: PortServant) -> None:
-        """Disconnect and remove a port."""
-        self.component.remove_port(port)
 
     def tick(self) -> None:
         """Bind the name again where a naming service has forgotten it; nothing once closed."""

@@ -23,7 +23,7 @@ from omniORB import CORBA
 from omniORB import any as corba_any
 
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason
-from uoarm_rtm._journal import NAME, PROCESS, JournalEntry, Leftovers, end_connector, journal
+from uoarm_rtm._journal import NAME, PROCESS, JournalEntry, end_connector, end_leftovers, journal
 from uoarm_rtm._options import RtmEndpointOptions
 from uoarm_rtm._orb import Orb, calls, corba_errors, limit, narrowed
 
@@ -100,10 +100,10 @@ class PeerComponent:
         Raises:
             BridgeError: NOT_FOUND, with the ports that there are.
         """
-        for item in self.ports:
-            if name in {item.name, f"{self.instance}.{item.name}"}:
-                return item
-        names = ", ".join(item.name for item in self.ports) or "none"
+        for port in self.ports:
+            if name in {port.name, f"{self.instance}.{port.name}"}:
+                return port
+        names = ", ".join(port.name for port in self.ports) or "none"
         text = f"component {self.path!r} has no port {name!r}; it has {names}"
         raise BridgeError(text, FailureReason.NOT_FOUND)
 
@@ -170,7 +170,7 @@ def contexts_of(peer: PeerComponent, seconds: float) -> list[Any]:
     with corba_errors(what):
         owned = peer.reference.get_owned_contexts()
         found = owned or peer.reference.get_participating_contexts()
-    return [narrowed(item, RTC.ExecutionContext, seconds, what) for item in found]
+    return [narrowed(context, RTC.ExecutionContext, seconds, what) for context in found]
 
 
 def state_of(peer: PeerComponent, seconds: float) -> str:
@@ -211,7 +211,7 @@ def connector_properties(options: RtmEndpointOptions, data_type: str) -> dict[st
 
 
 class Connections:
-    """Makes the connectors of one bridge; the first one waits until what the dead left is ended.
+    """Makes the connectors of one bridge; the first waits until what killed processes left ends.
 
     Args:
         orb: the ORB to call through.
@@ -251,8 +251,8 @@ class Connections:
         with self._clearing:
             if not self._cleared:
                 self._cleared = True
-                Leftovers(self._orb, self._seconds).end()
-        references = [limit(item.reference, self._seconds) for item in (port, *others)]
+                end_leftovers(self._orb, self._seconds)
+        references = [limit(end.reference, self._seconds) for end in (port, *others)]
         iors = tuple(self._orb.text(reference) for reference in references)
         undoing = UndoLimits(self._seconds, self._closed)
         return Connector(where, {**properties, **self._properties}, references, iors, undoing)

@@ -155,7 +155,8 @@ class PortServant(RTC__POA.PortService):  # type: ignore[misc]  # generated, wit
         self.interfaces: list[Any] = []
         self.owner: Any = None
         self._seconds = seconds
-        # Guards both tables below: two requests for one connector may come at once.
+        # Guards both tables below: two requests for one connector may come at once, in threads of
+        # the ORB. Not held while another port is called: that port may call this one back.
         self._lock = threading.Lock()
         self._profiles: dict[str, Any] = {}
         # Not shown before they are made: components of 1.2 take them for a second connection.
@@ -219,7 +220,7 @@ class PortServant(RTC__POA.PortService):  # type: ignore[misc]  # generated, wit
             _log.warning("port %s refuses connector %s: %s", self.name, profile.name, refusal)
             code = refusal.code
         if code != RTC.RTC_OK:
-            self._forget(identifier)
+            self.drop(identifier)
             return code, profile
         with self._lock:
             # One that was disconnected meanwhile stays so.
@@ -250,7 +251,7 @@ class PortServant(RTC__POA.PortService):  # type: ignore[misc]  # generated, wit
     def notify_disconnect(self, connector_id: str) -> Any:
         """Take part in the end of a connection (CORBA operation)."""
         self._quiesce(connector_id)
-        profile = self._forget(connector_id)
+        profile = self.drop(connector_id)
         if profile is None:
             return RTC.BAD_PARAMETER
         following = self._following(profile)
@@ -262,16 +263,20 @@ class PortServant(RTC__POA.PortService):  # type: ignore[misc]  # generated, wit
         except CORBA.Exception:
             return RTC.RTC_OK  # it is gone, and its end of the connection with it
 
-    def drop(self, connector_id: str) -> None:
-        """Forget a connector whose other side is gone."""
-        self._forget(connector_id)
+    def drop(self, connector_id: str) -> Any:
+        """Forget a connector, notifying no other port; returns its profile, None for none."""
+        with self._lock:
+            making = self._making.pop(connector_id, None)
+            profile = self._profiles.pop(connector_id, making)
+        self._release(connector_id)
+        return profile
 
     def _publish(self, profile: Any) -> None:
-        """Add what this port offers to the profile, or raise Refusal."""
+        """Add what this port offers to the profile, or raise ConnectorRefusal."""
         raise NotImplementedError
 
     def _subscribe(self, profile: Any) -> None:
-        """Take what the others offer and begin, or raise Refusal."""
+        """Take what the others offer and begin, or raise ConnectorRefusal."""
         raise NotImplementedError
 
     def _quiesce(self, connector_id: str) -> None:
@@ -285,7 +290,7 @@ class PortServant(RTC__POA.PortService):  # type: ignore[misc]  # generated, wit
         raise NotImplementedError
 
     def _offer(self, profile: Any, properties: Mapping[str, str]) -> None:
-        kept = [property_ for property_ in profile.properties if property_.name not in properties]
+        kept = [pair for pair in profile.properties if pair.name not in properties]
         profile.properties = [*kept, *pairs(properties)]
 
     def _next_connect(self, profile: Any) -> tuple[Any, Any]:
@@ -311,13 +316,6 @@ class PortServant(RTC__POA.PortService):  # type: ignore[misc]  # generated, wit
         if not mine or mine[0] + 1 >= len(profile.ports):
             return None
         return profile.ports[mine[0] + 1]
-
-    def _forget(self, connector_id: str) -> Any:
-        with self._lock:
-            making = self._making.pop(connector_id, None)
-            profile = self._profiles.pop(connector_id, making)
-        self._release(connector_id)
-        return profile
 
     def _undo(self, profile: Any) -> None:
         for port in profile.ports:

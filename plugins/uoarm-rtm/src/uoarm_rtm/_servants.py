@@ -51,8 +51,11 @@ class ComponentLifecycle:
 
     def __init__(self, callbacks: Callbacks) -> None:
         self._callbacks = callbacks
+        # Held while callbacks run: transitions come in threads of the ORB, steps in the context's,
+        # and never overlap. Re-entrant, since a callback may call `fail`.
         self._lock = threading.RLock()
         self.state: Any = RTC.INACTIVE_STATE
+        # The state is written under it, so that no change passes between a look and a wait.
         self.changed = threading.Condition()
 
     def activate(self) -> Any:
@@ -123,6 +126,7 @@ class ContextServant(RTC__POA.ExecutionContextService):  # type: ignore[misc]  #
         self._orb = orb
         self._lifecycle = lifecycle
         self._rate = rate
+        # Guards both fields below, which operations in threads of the ORB change under our thread.
         self._changed = threading.Condition()
         self._running = True
         self._closed = False
@@ -190,7 +194,7 @@ class ContextServant(RTC__POA.ExecutionContextService):  # type: ignore[misc]  #
         return self._lifecycle.reset() if self._running else RTC.RTC_ERROR
 
     def get_component_state(self, component: Any) -> Any:
-        """Return the component's state, CREATED for a stranger (CORBA operation)."""
+        """Return the component's state, CREATED for any other (CORBA operation)."""
         return self._lifecycle.state if self._is_mine(component) else RTC.CREATED_STATE
 
     def get_kind(self) -> Any:

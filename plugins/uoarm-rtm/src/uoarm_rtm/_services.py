@@ -54,9 +54,9 @@ def described(interface: IdlInterface, operation: str) -> Description:
         return Description(request=request, reply=reply)
     several = []
     replies = []
-    for item in interface.operations.values():
-        request, reply = item.structures
-        properties = {"operation": {"const": item.name}, "arguments": request.schema}
+    for declared in interface.operations.values():
+        request, reply = declared.structures
+        properties = {"operation": {"const": declared.name}, "arguments": request.schema}
         several.append(
             {
                 "type": "object",
@@ -111,8 +111,8 @@ def offered(peer: PeerComponent, port: PeerPort, wanted: str, *, provided: bool)
 class OperationCaller:
     """A connection to one provided interface, made with the first call and ended with a loss.
 
-    Used from any thread. A provider answers only while its component is ACTIVE. Once it has ended
-    it connects no more, so that no connection is left behind that no caller knows of.
+    Used from any thread. A provider answers only while its component is ACTIVE. Once it has ended,
+    as `ended` says, it connects no more, so that no connection is left behind without a caller.
 
     Args:
         orb: the ORB to call through.
@@ -149,7 +149,7 @@ class OperationCaller:
         self._lock = threading.Lock()
         self._connector: Connector | None = None
         self._object: Any = None
-        self._ended = False
+        self.ended = False
 
     def call(self, message: Message, seconds: float, whose: str) -> Message:
         """Call the operation and return its reply, in so many seconds; `whose` names their limit.
@@ -189,22 +189,17 @@ class OperationCaller:
             raise
         return chosen.reply(result)
 
-    @property
-    def ended(self) -> bool:
-        """Whether it connects no more."""
-        return self._ended
-
     def end(self) -> None:
         """Disconnect for good: a call that has not begun yet fails, and connects no more."""
         with self._lock:
-            self._ended = True
+            self.ended = True
             connector, self._connector, self._object = self._connector, None, None
         if connector is not None:
             connector.disconnect()
 
     def _reach(self) -> Any:
         with self._lock:
-            if self._ended:
+            if self.ended:
                 text = f"{self._where}: the connection has ended, or the bridge was closed"
                 raise BridgeError(text, FailureReason.CLOSED)
             if self._object is None:
@@ -248,11 +243,11 @@ def servant_of(interface: IdlInterface, operation: str, handler: Handler) -> Any
         handler: called in threads of the ORB, several at a time.
     """
     methods = {}
-    for item in interface.operations.values():
+    for name, declared in interface.operations.items():
         if not operation:
-            methods[item.name] = _method(item, _named(item.name, handler))
-        elif item.name == operation:
-            methods[item.name] = _method(item, handler)
+            methods[name] = _method(declared, _named(name, handler))
+        elif name == operation:
+            methods[name] = _method(declared, handler)
     return type("Served", (interface.skeleton,), methods)()
 
 

@@ -107,7 +107,7 @@ class IdlUnionMember:
 
 @frozen
 class IdlUnion:
-    """A union. `by` is the discriminator: a Scalar or an Enumeration (labels as strings)."""
+    """A union. `by` is the discriminator: an IdlScalar or an IdlEnum (labels as strings)."""
 
     name: str
     by: IdlScalar | IdlEnum

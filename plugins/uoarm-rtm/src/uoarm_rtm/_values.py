@@ -27,8 +27,8 @@ __all__ = [
     "blocks",
     "checker",
     "counted",
+    "indexed",
     "is_block",
-    "item",
     "shown",
     "text_of",
     "wchar_of",
@@ -58,7 +58,7 @@ SIZES = {"B": 1, "h": 2, "H": 2, "i": 4, "I": 4, "q": 8, "Q": 8, "f": 4, "d": 8}
 """Bytes of each code, which are its alignment in CDR too."""
 
 
-class IdlMismatch(Exception):  # noqa: N818 - a sentence for `_explain`, which adds the path
+class IdlMismatch(Exception):  # noqa: N818 - a sentence for `_codec.fit`, which adds the path
     """A value does not fit; the text says what was expected and what came."""
 
 
@@ -73,7 +73,7 @@ def shown(value: object) -> str:
 def checker(name: str) -> Callable[[Message], Any]:
     """Return the function that turns a value into what `struct` packs for a scalar.
 
-    It raises Misfit. `wchar` has none: it is written as text.
+    It raises IdlMismatch. `wchar` has none: it is written as text.
     """
     if name == "boolean":
         return _boolean
@@ -133,7 +133,7 @@ def is_block(listing: IdlSequence) -> bool:
 
 
 def counted(listing: IdlSequence) -> Callable[[Message], int]:
-    """Return the function that counts an array's elements, or raises Misfit."""
+    """Return the function that counts an array's elements, or raises IdlMismatch."""
     size, fixed = listing.size, listing.fixed
 
     def count(value: Message) -> int:
@@ -148,8 +148,8 @@ def counted(listing: IdlSequence) -> Callable[[Message], int]:
 
 
 @contextmanager
-def item(index: int) -> Iterator[None]:
-    """Put the index before what a Misfit says."""
+def indexed(index: int) -> Iterator[None]:
+    """Put the index before what a IdlMismatch says."""
     try:
         yield
     except IdlMismatch as error:
@@ -157,7 +157,7 @@ def item(index: int) -> Iterator[None]:
 
 
 def blocks(listing: IdlSequence, order: Order) -> Callable[[Message], tuple[int, Any]]:
-    """Return the function that makes (number of elements, their bytes); it raises Misfit."""
+    """Return the function that makes (number of elements, their bytes); it raises IdlMismatch."""
     assert isinstance(listing.element, IdlScalar)
     name = listing.element.name
     count = counted(IdlSequence(listing.element, listing.size, fixed=listing.fixed))
@@ -184,7 +184,7 @@ def _checked(value: Message, name: str) -> list[Any]:
     check = checker(name)
     checked = []
     for index, element in enumerate(value):
-        with item(index):
+        with indexed(index):
             checked.append(check(element))
     return checked
 
@@ -208,7 +208,7 @@ def _array(value: Message, name: str, native: np.dtype[Any]) -> np.ndarray[Any, 
 
 
 def _fitted(given: np.ndarray[Any, Any], name: str, native: np.dtype[Any]) -> np.ndarray[Any, Any]:
-    """Return the numbers as an array of the native type, or raise Misfit."""
+    """Return the numbers as an array of the native type, or raise IdlMismatch."""
     if given.ndim != 1:
         raise IdlMismatch(f"expected an array of one dimension, got {given.ndim}")
     if given.dtype.newbyteorder("=") == native:
@@ -221,7 +221,7 @@ def _fitted(given: np.ndarray[Any, Any], name: str, native: np.dtype[Any]) -> np
         finite = given[np.isfinite(given)] if given.dtype.kind == "f" else given
         for index in () if not finite.size else (finite.argmin(), finite.argmax()):
             number = finite[index].item()
-            with item(int(np.flatnonzero(given == number)[0])):
+            with indexed(int(np.flatnonzero(given == number)[0])):
                 check(number)
     return given.astype(native)
 
@@ -231,7 +231,7 @@ _BIG_MARK, _LITTLE_MARK = b"\xfe\xff", b"\xff\xfe"
 
 
 def write_text(text: IdlString, order: str, encoding: str) -> Callable[[Message], bytes]:
-    """Return the function that makes the bytes of a string, length included; it raises Misfit."""
+    """Return the function that makes a string's bytes, length included; it raises IdlMismatch."""
     length = Struct(f"{order}I").pack
     bound, wide = text.bound, text.wide
 
@@ -256,7 +256,7 @@ def write_text(text: IdlString, order: str, encoding: str) -> Callable[[Message]
 
 
 def text_of(data: bytes, text: IdlString, encoding: str) -> str:
-    """Return the string in the bytes after the length; raises Misfit."""
+    """Return the string in the bytes after the length; raises IdlMismatch."""
     try:
         if text.wide:
             value = _wide(data)
@@ -278,7 +278,7 @@ def _wide(data: bytes) -> str:
 
 
 def write_wchar(value: Message) -> bytes:
-    """Return the three bytes of a wide character; raises Misfit."""
+    """Return the three bytes of a wide character; raises IdlMismatch."""
     if not isinstance(value, str) or len(value) != 1 or ord(value) > _LAST_OF_PLANE:
         raise IdlMismatch(f"expected one character of the basic plane, got {shown(value)}")
     try:
@@ -288,7 +288,7 @@ def write_wchar(value: Message) -> bytes:
 
 
 def wchar_of(data: bytes) -> str:
-    """Return the wide character in three bytes; raises Misfit."""
+    """Return the wide character in three bytes; raises IdlMismatch."""
     if data[0] != 2:  # noqa: PLR2004 - the length of one unit of UTF-16
         raise IdlMismatch(f"expected a wide character of 2 octets, got {data[0]}")
     try:

@@ -239,7 +239,7 @@ class RtComponent(OpenRTM__POA.DataFlowComponent):  # type: ignore[misc]  # gene
         return []
 
     def get_context_handle(self, context: Any) -> int:
-        """Return the handle of a context, -1 for a stranger (CORBA operation)."""
+        """Return the handle of a context, -1 for any other (CORBA operation)."""
         return _CONTEXT if self._is_mine(context) else -1
 
     def get_sdo_id(self) -> str:
