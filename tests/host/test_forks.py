@@ -147,7 +147,7 @@ SOURCES = Path(uoarm.__file__).parents[2]
 AT_EXIT = re.compile(
     r"^import atexit|\bweakref\.finalize\b|def __del__|\bTemporaryDirectory\(", re.MULTILINE
 )
-NO_PYTHON_RUNS_BESIDE = {"environments/_make.py", "_interfaces/_build.py"}
+NO_PYTHON_RUNS_BESIDE = {"environments/_make.py", "uoarm_ros2/_interface_wheels.py"}
 """Commands that make a temporary folder while only programs of others run."""
 
 

@@ -66,7 +66,7 @@ class RosWorld(World):
         return at(Role.OUTPUT, "/nowhere", "std_msgs/msg/Int64")
 
     def await_receivers(self, kind: str, count: int) -> None:
-        """DDS tells a writer of its readers, and a reader nothing of what its writers know."""
+        """DDS reports readers to a writer, and to a reader nothing of what its writers know."""
         if kind == "echoed":
             reports = self._lasting.do("subscriptions", topic="/echoed", expected=count)
             assert reports["count"] == count
@@ -120,7 +120,7 @@ def at(role: Role, name: str, native: str, **options: object) -> Endpoint:
 
 
 def there(role: Role, name: str, native: str) -> Endpoint:
-    """One that another process has, as soon as discovery tells of it."""
+    """One that another process has, as soon as discovery has it."""
     return at(role, name, native, wait=patience())
 
 

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 from hypothesis import strategies as st
-from uoarm_ros2._read import reader
+from uoarm_ros2._conversion import reader
 from uoarm_ros2._schema import integer_range
-from uoarm_ros2._shape import Listing, Record, Scalar, Shape, Text, shape_of
+from uoarm_ros2._types import ArrayType, RecordType, ScalarType, Shape, StringType, shape_of
 
 MESSAGE_TYPES = [
     f"test_msgs/msg/{name}"
@@ -38,7 +38,7 @@ def default_of(native: type) -> Any:
 
 
 @st.composite
-def messages_of(draw: st.DrawFn, record: Record) -> Any:
+def messages_of(draw: st.DrawFn, record: RecordType) -> Any:
     """Messages of a type, with the boundaries of every scalar among them.
 
     Within one message all elements of one nested type are equal: types nested in types nested in
@@ -47,29 +47,29 @@ def messages_of(draw: st.DrawFn, record: Record) -> Any:
     drawn: dict[str, Any] = {}
 
     def value(shape: Shape) -> Any:
-        if isinstance(shape, Record):
+        if isinstance(shape, RecordType):
             if shape.name not in drawn:
                 drawn[shape.name] = {field.name: value(field.shape) for field in shape.fields}
             return drawn[shape.name]
-        if not isinstance(shape, Listing):
+        if not isinstance(shape, ArrayType):
             return draw(_plain(shape))
         least = shape.size if shape.fixed and shape.size is not None else 0
         most = least if shape.fixed else min(shape.size or 3, 3)
-        if isinstance(shape.element, Record):
+        if isinstance(shape.element, RecordType):
             return [value(shape.element)] * draw(st.integers(least, most))
         return draw(st.lists(_plain(shape.element), min_size=least, max_size=most))
 
     return value(record)
 
 
-def _plain(shape: Scalar | Text) -> st.SearchStrategy[Any]:
-    if isinstance(shape, Scalar):
+def _plain(shape: ScalarType | StringType) -> st.SearchStrategy[Any]:
+    if isinstance(shape, ScalarType):
         return _scalars(shape)
     bound = 20 if shape.bound is None else shape.bound // (2 if shape.wide else 4)
     return st.text(_CHARACTERS, max_size=bound)
 
 
-def _scalars(scalar: Scalar) -> st.SearchStrategy[Any]:
+def _scalars(scalar: ScalarType) -> st.SearchStrategy[Any]:
     if scalar.name == "bool":
         return st.booleans()
     limits = integer_range(scalar.name)

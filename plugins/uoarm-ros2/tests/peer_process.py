@@ -1,4 +1,4 @@
-"""The other end of the tests: plain rclpy, told what to do in lines of JSON, knowing no uoarm."""
+"""The other end of the tests: plain rclpy, driven by lines of JSON, knowing no uoarm."""
 
 from __future__ import annotations
 
@@ -144,7 +144,7 @@ class Doer:
         if not unmatched and topic not in self.latched:
             deadline = time.monotonic() + PATIENCE
             while not publisher.get_subscription_count():
-                assert time.monotonic() < deadline, f"nobody subscribes to {topic}"
+                assert time.monotonic() < deadline, f"no node subscribes to {topic}"
                 time.sleep(0.001)
         payload = bytes(size)
         for number in range(first, first + count):
@@ -241,7 +241,7 @@ class Doer:
         return {}
 
     def echo(self, come: str, go: str) -> dict[str, Any]:
-        """Publish what comes; what comes before anybody listens waits for the first who does.
+        """Publish what comes; what comes before the first listener waits for it.
 
         A reader may know of this writer, and have sent a message by way of it, before this writer
         knows of the reader: the discovery of DDS goes both ways on its own.
@@ -280,7 +280,7 @@ class Doer:
         return {}
 
     def trigger(self, transition: str) -> dict[str, Any]:
-        """Change the state of the lifecycle node, as somebody else than the tested bridge does."""
+        """Change the state of the lifecycle node, as another client than the tested bridge does."""
         self.within(getattr(self.managed, f"trigger_{transition}"))
         return {}
 
@@ -353,11 +353,11 @@ class Doer:
         """Send a goal, as an ordinary action client does, and wait for its answer."""
         client, steps = self.clients[name], list[list[int]]()
 
-        def hear(message: Any) -> None:
+        def take(message: Any) -> None:
             steps.append(list(message.feedback.sequence))
 
         goal = Fibonacci.Goal(order=order)
-        handle = done(self.within(lambda: client.send_goal_async(goal, hear)))
+        handle = done(self.within(lambda: client.send_goal_async(goal, take)))
         self.goals.append(handle)
         self.steps.append(steps)
         return {"goal": len(self.goals) - 1, "accepted": handle.accepted}
@@ -453,7 +453,7 @@ def obey(doer: Doer) -> None:
         operation = getattr(doer, order.pop("op"))
         try:
             say(operation(**order))
-        except Exception as error:  # noqa: BLE001 - told to the test
+        except Exception as error:  # noqa: BLE001 - reported to the test
             say({"failed": repr(error)})
     rclpy.try_shutdown()
 

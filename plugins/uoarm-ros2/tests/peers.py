@@ -68,7 +68,7 @@ class Peer:
         return self._process.pid
 
     def start(self, op: str, **arguments: object) -> None:
-        """Tell the peer to do something, without waiting for its answer."""
+        """Send the peer a command, without waiting for its answer."""
         assert self._process.stdin is not None
         self._process.stdin.write(json.dumps({"op": op, **arguments}) + "\n")
         self._process.stdin.flush()
@@ -78,7 +78,7 @@ class Peer:
         return self._answer()
 
     def do(self, op: str, **arguments: object) -> dict[str, Any]:
-        """Tell the peer to do something and wait until it says that it has."""
+        """Send the peer a command and wait for its answer."""
         self.start(op, **arguments)
         return self._answer()
 

@@ -7,7 +7,7 @@ from typing import Any
 
 __all__ = ["redefine", "redefine_goal_reply", "redefine_reply"]
 
-# rosidl_message_type_support_t: identifier, data, two functions; then what tells the hash.
+# rosidl_message_type_support_t: identifier, data, two functions; then that of the hash.
 _POINTERS = 6
 _HASH_FUNCTION = 3
 # rosidl_service_type_support_t: identifier, data, a function, the types of request and reply ...
@@ -23,7 +23,7 @@ class _Hash(ctypes.Structure):
     _fields_ = (("version", ctypes.c_uint8), ("value", ctypes.c_uint8 * 32))
 
 
-_Tell = ctypes.CFUNCTYPE(ctypes.c_void_p, ctypes.c_void_p)
+_Getter = ctypes.CFUNCTYPE(ctypes.c_void_p, ctypes.c_void_p)
 
 
 def redefine(native: Any) -> None:
@@ -50,7 +50,7 @@ def redefine_goal_reply(native: Any) -> None:
 
 def _redefined(address: Any) -> Any:
     other = _Hash(1, (ctypes.c_uint8 * 32)(*range(32)))
-    report = _Tell(lambda _: ctypes.addressof(other))
+    report = _Getter(lambda _: ctypes.addressof(other))
     table = _copied(address, _POINTERS)
     table[_HASH_FUNCTION] = ctypes.cast(report, ctypes.c_void_p).value
     _kept.extend((table, other, report))

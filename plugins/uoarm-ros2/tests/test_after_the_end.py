@@ -10,11 +10,10 @@ from typing import Any
 import pytest
 from peers import DOMAIN
 from uoarm_ros2._actions import Action
-from uoarm_ros2._discovery import discovered
-from uoarm_ros2._graph import Graph
-from uoarm_ros2._middleware import GoalRequest, Participant, Station
+from uoarm_ros2._discovery import Ros2Graph, discovered
+from uoarm_ros2._middleware import GoalRequest, NodeRunner, Participant
 from uoarm_ros2._qos import Policies
-from uoarm_ros2._services import Caller
+from uoarm_ros2._services import ServiceClient
 from uoarm_ros2._types import import_type
 
 from uoarm.errors import BridgeError, FailureReason
@@ -34,12 +33,12 @@ def participant() -> Iterator[Participant]:
 
 
 @pytest.fixture
-def station(participant: Participant) -> Station:
-    return participant.station("ending")
+def runner(participant: Participant) -> NodeRunner:
+    return participant.start_node("ending")
 
 
-def server(station: Station, ask: Callable[[GoalRequest], None]) -> Any:
-    return station.goal_server(
+def server(runner: NodeRunner, ask: Callable[[GoalRequest], None]) -> Any:
+    return runner.goal_server(
         ACTION, "/slow", ask, may_cancel=lambda _: True, cancel=lambda _: None
     )
 
@@ -66,18 +65,18 @@ def failed(act: Callable[[], object]) -> Callable[[], BridgeError]:
 
 
 @pytest.mark.parametrize("how", ["closed", "ended by others"])
-def test_the_graph_of_a_station_that_has_ended_is_no_exception_of_rclpy(
-    participant: Participant, station: Station, how: str
+def test_the_graph_of_a_node_that_has_ended_is_no_exception_of_rclpy(
+    participant: Participant, runner: NodeRunner, how: str
 ) -> None:
     if how == "closed":
         participant.close(patience())
     else:
         participant._context.shutdown()  # as rclpy's signal handlers do
-    for ask in (station.publishers, station.subscriptions, station.servers, station.has_server):
+    for ask in (runner.publishers, runner.subscriptions, runner.servers, runner.has_server):
         with pytest.raises(BridgeError) as caught:
             ask("/anything")
         assert (caught.value.reason is FailureReason.CLOSED) is (how == "closed")
-    for listing in (station.services, station.actions):
+    for listing in (runner.services, runner.actions):
         with pytest.raises(BridgeError):
             listing()
 
@@ -85,27 +84,27 @@ def test_the_graph_of_a_station_that_has_ended_is_no_exception_of_rclpy(
 @pytest.mark.parametrize(
     "ask",
     [
-        lambda station: station.topic_name("relative"),
-        lambda station: station.service_name("relative"),
-        lambda station: station.topics(),
-        lambda station: station.own_definition("/anything", SET_BOOL, object),
-        lambda station: station.subscribe(TEXT, "/late", Policies(), print, events={}),
-        lambda station: station.advertise(TEXT, "/late", Policies(), events={}),
-        lambda station: station.client(import_type(SET_BOOL), "/late"),
-        lambda station: station.server(import_type(SET_BOOL), "/late", print),
-        lambda station: station.action_client(ACTION, "/late"),
-        lambda station: server(station, print),
-        lambda station: discovered("ros", station.node, frozenset(), no_structure),
+        lambda runner: runner.topic_name("relative"),
+        lambda runner: runner.service_name("relative"),
+        lambda runner: runner.topics(),
+        lambda runner: runner.own_definition("/anything", SET_BOOL, object),
+        lambda runner: runner.subscribe(TEXT, "/late", Policies(), print, events={}),
+        lambda runner: runner.advertise(TEXT, "/late", Policies(), events={}),
+        lambda runner: runner.client(import_type(SET_BOOL), "/late"),
+        lambda runner: runner.server(import_type(SET_BOOL), "/late", print),
+        lambda runner: runner.action_client(ACTION, "/late"),
+        lambda runner: server(runner, print),
+        lambda runner: discovered("ros", runner.node, frozenset(), no_structure),
     ],
 )
-def test_what_is_asked_of_a_station_that_was_closed_says_so(
-    participant: Participant, station: Station, ask: Callable[[Station], object]
+def test_a_request_to_a_closed_node_says_so(
+    participant: Participant, runner: NodeRunner, ask: Callable[[NodeRunner], object]
 ) -> None:
-    assert station.topic_name("relative") == station.service_name("relative") == "/relative"
+    assert runner.topic_name("relative") == runner.service_name("relative") == "/relative"
     participant.close(patience())
-    assert station.stop(patience())  # its thread has put everything away
+    assert runner.stop(patience())  # its thread has put everything away
     with pytest.raises(BridgeError, match="the bridge was closed") as caught:
-        ask(station)
+        ask(runner)
     assert caught.value.reason is FailureReason.CLOSED
 
 
@@ -113,26 +112,26 @@ def no_structure(kind: str, topic: str) -> Any:
     raise AssertionError((kind, topic))
 
 
-def test_a_participant_that_was_closed_starts_no_station(participant: Participant) -> None:
+def test_a_closed_participant_starts_no_node(participant: Participant) -> None:
     participant.close(patience())
     with pytest.raises(BridgeError) as caught:
-        participant.station("late")
+        participant.start_node("late")
     assert caught.value.reason is FailureReason.CLOSED
 
 
-def test_a_station_that_starts_while_the_participant_closes_is_ended(
+def test_a_node_that_starts_while_the_participant_closes_is_ended(
     participant: Participant, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    made: list[Station] = []
+    made: list[NodeRunner] = []
 
-    def meanwhile(*given: Any) -> Station:
-        made.append(Station(*given))
+    def meanwhile(*given: Any) -> NodeRunner:
+        made.append(NodeRunner(*given))
         participant.close(patience())
         return made[0]
 
-    monkeypatch.setattr("uoarm_ros2._middleware._participant.Station", meanwhile)
+    monkeypatch.setattr("uoarm_ros2._middleware._participant.NodeRunner", meanwhile)
     with pytest.raises(BridgeError, match="closed"):
-        participant.station("late")
+        participant.start_node("late")
     assert made[0].stop(patience())
 
 
@@ -141,9 +140,9 @@ def test_the_client_of_an_action_does_not_keep_the_node_on_the_graph(
 ) -> None:
     other = Participant(DOMAIN, "")
     try:
-        station = other.station("leaving")
-        client = station.action_client(ACTION, "/slow")
-        names = participant.station("watching").node.get_fully_qualified_node_names
+        runner = other.start_node("leaving")
+        client = runner.action_client(ACTION, "/slow")
+        names = participant.start_node("watching").node.get_fully_qualified_node_names
         wait(lambda: "/leaving" in names())
     finally:
         other.close(patience())
@@ -152,7 +151,7 @@ def test_the_client_of_an_action_does_not_keep_the_node_on_the_graph(
 
 
 def test_a_goal_whose_bridge_closes_in_mid_call_fails(
-    participant: Participant, station: Station
+    participant: Participant, runner: NodeRunner
 ) -> None:
     asked, reports = threading.Event(), []
 
@@ -166,21 +165,21 @@ def test_a_goal_whose_bridge_closes_in_mid_call_fails(
         taken.append(goals.accept(request))
         asked.set()
 
-    goals = server(station, accept)
-    action = Action(station, Graph(station, 0.0), "/slow", FIBONACCI)
+    goals = server(runner, accept)
+    action = Action(runner, Ros2Graph(runner, 0.0), "/slow", FIBONACCI)
     call = failed(lambda: action.call({"order": 3}, patience(), patience(), cancelling))
     wait(lambda: asked.is_set() and reports != [])
     participant.close(patience())
     assert call().reason is FailureReason.CLOSED
-    assert reports[0]() is False  # nobody can be told any more
+    assert reports[0]() is False  # no server can be reached any more
 
 
 def test_a_call_whose_bridge_closes_in_mid_call_fails(
-    participant: Participant, station: Station
+    participant: Participant, runner: NodeRunner
 ) -> None:
     asked = threading.Event()
-    station.server(import_type(SET_BOOL), "/slow", lambda *_: asked.set())
-    caller = Caller(station, Graph(station, 0.0), "/slow", SET_BOOL)
+    runner.server(import_type(SET_BOOL), "/slow", lambda *_: asked.set())
+    caller = ServiceClient(runner, Ros2Graph(runner, 0.0), "/slow", SET_BOOL)
     call = failed(lambda: caller.call({"data": True}, patience(), patience()))
     assert asked.wait(patience())
     participant.close(patience())
@@ -188,8 +187,8 @@ def test_a_call_whose_bridge_closes_in_mid_call_fails(
 
 
 @pytest.mark.parametrize("how", ["closed", "ended by others"])
-def test_a_goal_that_ends_after_its_server_has_is_told_to_nobody(
-    participant: Participant, station: Station, how: str
+def test_a_goal_that_ends_after_its_server_is_reported_to_no_client(
+    participant: Participant, runner: NodeRunner, how: str
 ) -> None:
     accepted: list[GoalRequest] = []
 
@@ -197,8 +196,8 @@ def test_a_goal_that_ends_after_its_server_has_is_told_to_nobody(
         goals.accept(request)
         accepted.append(request)
 
-    goals = server(station, accept)
-    client = station.action_client(ACTION, "/slow")
+    goals = server(runner, accept)
+    client = runner.action_client(ACTION, "/slow")
     wait(client.server_is_ready)
     client.send_goal_async(ACTION.Goal(order=3))
     wait(lambda: accepted != [])

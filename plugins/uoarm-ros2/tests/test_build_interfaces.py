@@ -13,8 +13,8 @@ from pathlib import Path
 import pytest
 from endpoints import Inbox, endpoint, source
 from uoarm_ros2.__main__ import main
-from uoarm_ros2._interfaces._packages import in_build_order, packages_in
-from uoarm_ros2._interfaces._wheel import write_wheel
+from uoarm_ros2._interface_sources import in_build_order, packages_in
+from uoarm_ros2._interface_wheels import write_wheel
 
 from uoarm.bridge import Bridge
 from uoarm.errors import ConfigurationError

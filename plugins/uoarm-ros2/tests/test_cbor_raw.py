@@ -14,11 +14,9 @@ from messages import MESSAGE_TYPES, messages_of, same
 from peers import DOMAIN, Peer
 from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import Image
-from uoarm_ros2._read import reader
+from uoarm_ros2._conversion import reader, writer
 from uoarm_ros2._schema import structure_of
-from uoarm_ros2._shape import shape_of
-from uoarm_ros2._types import import_type
-from uoarm_ros2._write import writer
+from uoarm_ros2._types import import_type, shape_of
 from uoarm_rosbridge._cdr import serialiser
 from websockets.sync.client import connect
 

@@ -10,12 +10,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from messages import MESSAGE_TYPES, messages_of, plain, same
 from rclpy.serialization import deserialize_message, serialize_message
-from uoarm_ros2._cdr_read import cdr_reader
-from uoarm_ros2._cdr_write import cdr_writer
-from uoarm_ros2._read import reader
-from uoarm_ros2._shape import Record, shape_of
-from uoarm_ros2._types import import_type
-from uoarm_ros2._write import writer
+from uoarm_ros2._cdr import cdr_reader, cdr_writer
+from uoarm_ros2._conversion import reader, writer
+from uoarm_ros2._types import RecordType, import_type, shape_of
 
 from uoarm.errors import MessageError
 
@@ -27,7 +24,7 @@ TYPES = [
 ]
 
 
-def record(name: str) -> Record:
+def record(name: str) -> RecordType:
     return shape_of(import_type(name), name)
 
 

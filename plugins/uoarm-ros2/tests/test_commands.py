@@ -26,9 +26,9 @@ def run(capsys: pytest.CaptureFixture[str]) -> Run:
             status = main(list(words))
         except SystemExit as ended:  # as argparse does
             status = int(ended.code or 0)
-        told = capsys.readouterr()
+        printed = capsys.readouterr()
         is_json = "--json" in words and not status
-        return status, json.loads(told.out) if is_json else told.out, told.err
+        return status, json.loads(printed.out) if is_json else printed.out, printed.err
 
     return run_it
 

@@ -13,12 +13,10 @@ import pytest
 from endpoints import Inbox, endpoint, known, sink, source
 from messages import same
 from peers import Peer
-from uoarm_ros2._defined import DefinedTypes
 from uoarm_ros2._schema import structure_of
-from uoarm_ros2._shape import shape_of
-from uoarm_ros2._type_hash import type_hash
-from uoarm_ros2._types import import_type
-from uoarm_ros2.definitions import Reading
+from uoarm_ros2._type_finder import DefinedTypes
+from uoarm_ros2._types import import_type, shape_of, type_hash
+from uoarm_ros2.definitions import DefinitionReader
 
 from uoarm.bridge import Bridge, Registry
 from uoarm.errors import BridgeError, ConfigurationError, MessageError
@@ -39,7 +37,7 @@ def share() -> Path:
 
 @pytest.fixture
 def uninstall(monkeypatch: pytest.MonkeyPatch) -> Callable[[str], None]:
-    """Makes a package as if nobody had installed it here; peers have it."""
+    """Makes a package as if it were not installed here; peers have it."""
 
     def uninstall(package: str) -> None:
         for name in [module for module in sys.modules if module.split(".")[0] == package]:
@@ -51,7 +49,7 @@ def uninstall(monkeypatch: pytest.MonkeyPatch) -> Callable[[str], None]:
 
 @pytest.fixture
 def own(share: Path, tmp_path: Path) -> Path:
-    """A folder with the definitions of test_msgs, as somebody's own."""
+    """A folder with the definitions of test_msgs, as a lab's own."""
     shutil.copytree(share / "test_msgs" / "msg", tmp_path / "own" / "test_msgs" / "msg")
     return tmp_path / "own"
 
@@ -77,7 +75,7 @@ def hashes(share: Path) -> dict[str, str]:
 def test_every_installed_type_has_the_hash_that_rosidl_wrote(share: Path) -> None:
     wanted = hashes(share)
     assert {"test_msgs/msg/Empty", "test_msgs/msg/WStrings", "nav_msgs/msg/Path"} < wanted.keys()
-    reading = Reading()
+    reading = DefinitionReader()
     reading.take(share)
     assert {name: type_hash(reading.record(name)) for name in wanted} == wanted
     assert {name: type_hash(shape_of(import_type(name), name)) for name in wanted} == wanted
@@ -129,7 +127,7 @@ def test_a_type_that_no_node_describes_is_talked_both_ways(
     assert same(inbox.wait_for(1)[0], message)
     with pytest.raises(MessageError, match="alignment_check"):
         out.send({**message, "alignment_check": "seven"})
-    ends = bridge._station.ends("/come")  # type: ignore[attr-defined]  # what DDS tells of both
+    ends = bridge._runner.ends("/come")  # type: ignore[attr-defined]  # both, as DDS has them
     assert len({item.definition for item in ends}) == 1 < len(ends)
     (found,) = [component for component in bridge.discover() if component.name == "/there"]
     assert {item.port for item, report in found.endpoints if report.message} >= {"come", "go"}

@@ -8,11 +8,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from uoarm_ros2 import _action_types, _services
-from uoarm_ros2._schema import structure_of
-from uoarm_ros2._shape import shape_of
-from uoarm_ros2._types import import_type
-from uoarm_ros2.definitions import Definitions, read_definitions
+from uoarm_ros2._schema import describe_action, describe_service, structure_of
+from uoarm_ros2._types import import_type, shape_of
+from uoarm_ros2.definitions import RosDefinitions, read_definitions
 
 from uoarm.errors import ConfigurationError
 from uoarm.model import MessageStructure
@@ -37,7 +35,7 @@ def share() -> Path:
 
 
 @pytest.fixture(scope="module")
-def found(share: Path) -> Definitions:
+def found(share: Path) -> RosDefinitions:
     return read_definitions(share)
 
 
@@ -49,12 +47,12 @@ def described(name: str) -> MessageStructure | None:
     if "/action/" in name:
         native: Any = import_type(whole)
         return structure_of(shape_of(getattr(native, part), name))
-    description = _services.described(whole)
+    description = describe_service(whole)
     return description.request if part == "Request" else description.reply
 
 
 def test_every_installed_type_has_the_structure_that_the_bridge_describes(
-    found: Definitions,
+    found: RosDefinitions,
 ) -> None:
     assert not found.problems
     assert {"test_msgs/msg/WStrings", "sensor_msgs/msg/Imu"} < found.structures.keys()
@@ -64,15 +62,15 @@ def test_every_installed_type_has_the_structure_that_the_bridge_describes(
 
 
 def test_goals_and_results_of_an_action_are_those_that_the_bridge_describes(
-    found: Definitions,
+    found: RosDefinitions,
 ) -> None:
-    description = _action_types.described("test_msgs/action/Fibonacci")
+    description = describe_action("test_msgs/action/Fibonacci")
     assert found.structures["test_msgs/action/Fibonacci_Goal"] == description.request
     assert found.structures["test_msgs/action/Fibonacci_Result"] == description.reply
 
 
 def test_idl_alone_says_the_same_but_for_defaults(
-    share: Path, found: Definitions, tmp_path: Path
+    share: Path, found: RosDefinitions, tmp_path: Path
 ) -> None:
     names = {f"test_msgs/msg/{name}" for name in IDL}
     for name in names:
@@ -162,7 +160,7 @@ IDL_TEXT = """module p {{ module msg {{
 }}; }};"""
 
 
-def idl(folder: Path, constants: str, fields: str = "long a;") -> Definitions:
+def idl(folder: Path, constants: str, fields: str = "long a;") -> RosDefinitions:
     path = folder / "p" / "msg" / "A.idl"
     path.parent.mkdir(parents=True)
     path.write_text(IDL_TEXT.format(constants=constants, fields=fields), encoding="utf-8")

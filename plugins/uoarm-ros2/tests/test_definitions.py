@@ -110,12 +110,12 @@ def test_another_service_under_the_name_is_an_event_and_so_is_its_end(
     stranger.do("serve_flag", name="/mixed")
     known(bridge, "/stranger")
 
-    def told(health: Health, words: str) -> bool:
+    def reports(health: Health, words: str) -> bool:
         call(bridge, "/mixed")
         found = [message for message in events.messages if words in message.cause]
         return [(item.health, item.component) for item in found] == [(health, "thing")]
 
     words = "service /mixed is not the same everywhere: /stranger has std_srvs/srv/SetBool_Re"
-    wait(lambda: told(Health.DEGRADED, words))
+    wait(lambda: reports(Health.DEGRADED, words))
     stranger.end()
-    wait(lambda: told(Health.OK, "all who serve it mean the same"))
+    wait(lambda: reports(Health.OK, "every server of it has our definition"))

@@ -11,10 +11,9 @@ from endpoints import Inbox, endpoint, known, sink, source
 from messages import same
 from peers import Peer
 from uoarm_ros2 import _type_finder
-from uoarm_ros2._defined import DefinedTypes
-from uoarm_ros2._described import described_type
 from uoarm_ros2._middleware import Peer as End_
 from uoarm_ros2._qos import Policies
+from uoarm_ros2._type_finder import DefinedTypes, described_type
 
 from uoarm.bridge import Bridge
 from uoarm.errors import BridgeError, FailureReason, MessageError
@@ -25,14 +24,14 @@ SEQUENCES = "test_msgs/msg/UnboundedSequences"
 
 @pytest.fixture
 def uninstalled(monkeypatch: pytest.MonkeyPatch) -> None:
-    """As if nobody had installed test_msgs here; peers have it."""
+    """As if test_msgs were not installed here; peers have it."""
     for name in [module for module in sys.modules if module.split(".")[0] == "test_msgs"]:
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, "test_msgs", None)
 
 
 @pytest.mark.usefixtures("uninstalled")
-def test_a_type_that_nobody_installed_is_talked_both_ways(
+def test_a_type_that_is_not_installed_is_used_both_ways(
     bridge: Bridge, peer: Callable[..., Peer]
 ) -> None:
     there = peer("there", "threads")
@@ -69,7 +68,7 @@ def _basic(schema: Any) -> dict[str, object]:
 
 
 @pytest.mark.usefixtures("uninstalled")
-def test_a_type_that_nobody_describes_says_what_to_install(
+def test_a_type_that_no_node_describes_says_what_to_install(
     bridge: Bridge, peer: Callable[..., Peer]
 ) -> None:
     there = peer("there", "silent")

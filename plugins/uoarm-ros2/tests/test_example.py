@@ -1,4 +1,4 @@
-"""The example's page tells the truth: every command on it runs, in real processes, as it stands."""
+"""The example's page is true: every command on it runs, in real processes, as it stands."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def interrupted(process: subprocess.Popen[str]) -> int:
     return process.wait(patience())
 
 
-def test_a_talker_started_by_hand_is_heard(run: Run) -> None:
+def test_messages_of_a_talker_started_by_hand_arrive(run: Run) -> None:
     talker, request = commands(0)
     in_background(run, talker)
     received = run(request)

@@ -1,4 +1,4 @@
-"""Look-ups between frames: a component with a service that hears /tf and /tf_static."""
+"""Look-ups between frames: a component with a service from /tf and /tf_static."""
 
 from __future__ import annotations
 
@@ -10,12 +10,11 @@ from typing import Any
 
 import pytest
 from endpoints import endpoint, sink
-from uoarm_ros2 import _frame_lookups
-from uoarm_ros2._frame_lookups import tf_message
-from uoarm_ros2._settings import TF_MESSAGE
-from uoarm_ros2._shape import shape_of
-from uoarm_ros2._transform_buffer import TransformBuffer, TransformError
-from uoarm_ros2._type_hash import type_hash
+from uoarm_ros2 import _transforms
+from uoarm_ros2._options import TF_MESSAGE
+from uoarm_ros2._transforms import TransformBuffer, TransformError
+from uoarm_ros2._type_finder import tf_message
+from uoarm_ros2._types import shape_of, type_hash
 
 from uoarm.bridge import Bridge
 from uoarm.errors import BridgeError, MessageError
@@ -26,7 +25,7 @@ MakeBridge = Callable[..., Bridge]
 FRAMES = endpoint(Role.SERVICE, "/tf", TF_MESSAGE, "lookup", peer="optional")
 
 
-def transforms(*told: tuple[str, str, int, float]) -> dict[str, Any]:
+def transforms(*edges: tuple[str, str, int, float]) -> dict[str, Any]:
     """Return a message of frames that are so many metres ahead of their parents."""
     return {
         "transforms": [
@@ -38,7 +37,7 @@ def transforms(*told: tuple[str, str, int, float]) -> dict[str, Any]:
                     "rotation": {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0},
                 },
             }
-            for parent, child, sec, ahead in told
+            for parent, child, sec, ahead in edges
         ]
     }
 
@@ -51,7 +50,7 @@ def look_up(bridge: Bridge, target: str, source: str, **more: Any) -> Any:
 @pytest.fixture
 def world(make_bridge: MakeBridge) -> tuple[Bridge, Any, Any]:
     """A bridge that looks up, and another's ends of /tf and /tf_static."""
-    bridge, other = make_bridge("asking"), make_bridge("telling")
+    bridge, other = make_bridge("asking"), make_bridge("publishing")
     latched = {"durability": "transient_local"}
     static = sink(
         other, endpoint(Role.INPUT, "/tf_static", TF_MESSAGE, peer="optional", qos=latched, wait=0)
@@ -69,7 +68,7 @@ def test_the_definition_of_the_message_is_that_of_tf2_msgs() -> None:
 
 def test_a_frame_is_looked_up_in_another(world: tuple[Bridge, Any, Any]) -> None:
     bridge, _, moving = world
-    wait(lambda: not raises(bridge, "base", "camera"))  # now both topics are heard
+    wait(lambda: not raises(bridge, "base", "camera"))  # now both topics are subscribed to
     wait(lambda: moving.facts()["matched"] == 1)
     moving.send(transforms(("map", "base", 10, 1.0), ("map", "base", 12, 3.0)))
     wait(lambda: not raises(bridge, "map", "camera"))
@@ -92,11 +91,11 @@ def test_a_frame_is_looked_up_in_another(world: tuple[Bridge, Any, Any]) -> None
 def test_a_look_up_that_waits_goes_on_with_the_first_frame_that_answers_it(
     world: tuple[Bridge, Any, Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """It may wait for longer than the test does: only what is told can wake it."""
+    """It may wait for longer than the test does: only a message can wake it."""
     bridge, _, moving = world
-    wait(lambda: not raises(bridge, "base", "camera"))  # now both topics are heard
+    wait(lambda: not raises(bridge, "base", "camera"))  # now both topics are subscribed to
     wait(lambda: moving.facts()["matched"] == 1)
-    monkeypatch.setattr(_frame_lookups, "_MOST_SECONDS", math.inf)
+    monkeypatch.setattr(_transforms, "_MOST_SECONDS", math.inf)
     looks, answers = list[str](), queue.SimpleQueue[Any]()
     look = TransformBuffer.lookup
 
@@ -106,7 +105,7 @@ def test_a_look_up_that_waits_goes_on_with_the_first_frame_that_answers_it(
         except TransformError as error:
             looks.append(
                 str(error)
-            )  # under the lock that who waits gives back, and who tells takes
+            )  # under the lock that a waiting look-up gives back, and a message takes
             raise
 
     monkeypatch.setattr(TransformBuffer, "lookup", noted)
@@ -135,32 +134,32 @@ def raises(bridge: Bridge, target: str, source: str) -> bool:
 
 
 def test_a_broadcaster_that_does_not_latch_is_named(make_bridge: MakeBridge) -> None:
-    bridge, other = make_bridge("asking"), make_bridge("telling")
+    bridge, other = make_bridge("asking"), make_bridge("publishing")
     volatile = {"durability": "volatile"}
     sink(
         other, endpoint(Role.INPUT, "/tf_static", TF_MESSAGE, peer="optional", qos=volatile, wait=0)
     )
 
-    def told() -> str:
+    def refusal() -> str:
         with pytest.raises(BridgeError) as raised:
             look_up(bridge, "map", "base", timeout=0)
         return str(raised.value)
 
-    assert "frame 'map' is not known; none is" in told()
-    wait(lambda: "/uoarm_telling is not heard on /tf_static: durability (offered" in told())
+    assert "frame 'map' is not known; none is" in refusal()
+    wait(lambda: "publishing is not received on /tf_static: durability (offered" in refusal())
 
 
-def test_what_nobody_asks_for_is_heard_no_more(
+def test_a_topic_without_look_ups_is_unsubscribed(
     world: tuple[Bridge, Any, Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     bridge, _, moving = world
     raises(bridge, "base", "camera")
     wait(lambda: moving.facts()["matched"] == 1)
-    monkeypatch.setattr(_frame_lookups, "_IDLE_SECONDS", 0.0)
+    monkeypatch.setattr(_transforms, "_IDLE_SECONDS", 0.0)
     wait(lambda: moving.facts()["matched"] == 0)
 
 
-def test_without_anybody_who_tells_there_are_no_look_ups(bridge: Bridge) -> None:
+def test_without_a_publisher_there_are_no_look_ups(bridge: Bridge) -> None:
     needed = endpoint(Role.SERVICE, "/tf", TF_MESSAGE, "lookup", wait=0)
     with pytest.raises(BridgeError, match="no publisher of /tf or /tf_static on the graph"):
         bridge.describe(needed, timeout=patience())

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from peers import DOMAIN
 from uoarm_ros2 import uoarm_bridge_types
-from uoarm_ros2._installation import Wheel, absent_middleware, installation, wheels
+from uoarm_ros2._installed import Wheel, absent_middleware, installation, wheels
 
 from uoarm.bridge import install_command
 from uoarm.config import assign
@@ -97,7 +97,7 @@ def test_an_environment_that_would_end_the_process_is_an_error(
     assert output(code, **{variable: value}).startswith(words)
 
 
-def test_a_middleware_that_is_not_there_is_told_with_those_that_are() -> None:
+def test_an_absent_middleware_is_reported_with_those_present() -> None:
     code = (
         "from uoarm_ros2 import uoarm_bridge_types\n"
         "try: uoarm_bridge_types()[0].doctor()\n"
@@ -109,7 +109,7 @@ def test_a_middleware_that_is_not_there_is_told_with_those_that_are() -> None:
     assert output(code, RMW_IMPLEMENTATION="rmw_fastrtps_cpp") == ""
 
 
-def test_where_libraries_are_nobody_knows_no_middleware_is_missing(tmp_path: Path) -> None:
+def test_without_known_libraries_no_middleware_is_missing(tmp_path: Path) -> None:
     environment = {"RMW_IMPLEMENTATION": "rmw_none_cpp", "LD_LIBRARY_PATH": f"{tmp_path}"}
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(sys, "prefix", str(tmp_path))

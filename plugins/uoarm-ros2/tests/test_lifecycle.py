@@ -65,7 +65,7 @@ def test_a_node_is_active_while_wanted_and_then_as_it_was_found(
             assert node.state == "inactive"
 
 
-def test_what_somebody_else_changes_is_let_be_and_is_not_undone() -> None:
+def test_a_change_by_another_client_is_not_undone() -> None:
     node, lifecycle = Node("inactive"), Lifecycle()
     lifecycle.want(keep=False, afterwards="deactivate")
     node.obey(lifecycle)
@@ -93,7 +93,7 @@ def test_what_is_kept_active_is_activated_again_unless_it_failed() -> None:
     assert (node.state, lifecycle.health()) == ("unconfigured", Health.LOST)
 
 
-def test_what_failed_is_asked_again_only_for_somebody_new() -> None:
+def test_a_failed_transition_is_repeated_only_for_a_new_component() -> None:
     lifecycle = Lifecycle()
     lifecycle.want(keep=True, afterwards="cleanup")
     lifecycle.saw("inactive")
@@ -109,7 +109,7 @@ def test_what_failed_is_asked_again_only_for_somebody_new() -> None:
 
 
 @given(st.lists(st.sampled_from([*STATES, "activating", "errorprocessing", "finalized", "else"])))
-def test_nothing_is_asked_that_does_not_fit_the_state_just_told(states: list[str]) -> None:
+def test_no_request_misfits_the_last_reported_state(states: list[str]) -> None:
     lifecycle = Lifecycle()
     lifecycle.want(keep=True, afterwards="cleanup")
     for state in states:

@@ -41,13 +41,13 @@ def test_the_same_definitions_fit(tmp_path: Path) -> None:
     assert done.exit_code == 0, done.output
 
 
-def test_a_field_renamed_is_told(tmp_path: Path) -> None:
+def test_a_renamed_field_is_reported(tmp_path: Path) -> None:
     done = check(tmp_path, write(tmp_path / "after", width="opening"))
     assert done.exit_code == 1, done.output
     assert "grip: output.default: breaks: the field 'width' is required" in done.output
 
 
-def test_a_field_renamed_in_a_type_within_is_told(tmp_path: Path) -> None:
+def test_a_renamed_field_of_a_nested_type_is_reported(tmp_path: Path) -> None:
     done = check(tmp_path, write(tmp_path / "after", force="float64 pounds\n"))
     assert done.exit_code == 1, done.output
     assert "grip: output.default: breaks: force: the field 'newtons' is required" in done.output

@@ -12,7 +12,7 @@ from attrs import evolve
 from endpoints import INT64, Inbox, endpoint
 from peers import DOMAIN, MORTAL, Peer
 from uoarm_ros2._lifecycle import Transition
-from uoarm_ros2._managed_node import ManagedNode, NodeAccess, Wish
+from uoarm_ros2._managed_nodes import ManagedNode, NodeAccess, NodeRequirement
 
 from uoarm import RobotManager
 from uoarm.bridge import Bridge
@@ -95,7 +95,7 @@ def test_closing_the_bridge_leaves_a_node_as_it_was_found(
     assert asked == ["configure", "activate", "deactivate", "cleanup"]
 
 
-def test_a_node_is_left_before_whoever_waits_for_that_goes_on() -> None:
+def test_a_node_is_left_before_a_waiting_caller_continues() -> None:
     asked: list[object] = []
     leaving, go = threading.Event(), threading.Event()
 
@@ -110,7 +110,7 @@ def test_a_node_is_left_before_whoever_waits_for_that_goes_on() -> None:
 
     access = NodeAccess(ask, lambda _: True, lambda *_: lambda: asked.append("deaf"), print)
     node = ManagedNode("/camera", access)
-    node.hold("thing", Wish("/camera", activate=True))
+    node.acquire("thing", NodeRequirement("/camera", activate=True))
     node.begin_closing()
     assert leaving.wait(patience())
     go.set()
@@ -118,7 +118,7 @@ def test_a_node_is_left_before_whoever_waits_for_that_goes_on() -> None:
     assert asked == [Transition.ACTIVATE, Transition.DEACTIVATE, "deaf"]
 
 
-def test_a_node_that_does_not_answer_is_left_as_it_is_and_told(
+def test_a_node_that_does_not_answer_is_left_as_it_is_and_reported(
     make_bridge: Make,
     camera: Peer,
     monkeypatch: pytest.MonkeyPatch,
@@ -214,7 +214,7 @@ def test_only_what_has_another_value_is_written_to_a_plain_node_too(
     assert camera.do("transitions", expected=2)["writes"] == 2
 
 
-def test_what_cannot_be_said_of_a_node_is_told(bridge: Bridge, peer: Start) -> None:
+def test_options_that_do_not_fit_a_node_are_reported(bridge: Bridge, peer: Start) -> None:
     peer("plain").do("advertise", topic="/numbers")
     with pytest.raises(BridgeError, match="no node /plain with a service get_state") as error:
         bridge.describe(numbers(node="/plain"), timeout=patience())

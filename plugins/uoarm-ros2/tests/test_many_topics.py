@@ -10,9 +10,9 @@ from typing import Any
 import pytest
 from endpoints import INT64, Inbox, endpoint, source
 from peers import Peer
-from uoarm_ros2 import _cdr_read
-from uoarm_ros2._middleware import Peer as End
-from uoarm_ros2._middleware import Station
+from uoarm_ros2 import _cdr
+from uoarm_ros2._middleware import NodeRunner
+from uoarm_ros2._middleware import Peer as TopicEndpoint
 from uoarm_ros2._qos import Policies
 
 from uoarm.bridge import Bridge
@@ -28,8 +28,8 @@ def test_one_more_topic_of_a_type_takes_few_looks_and_compiles_nothing(
 ) -> None:
     looks: Counter[str] = Counter()
 
-    def counted(look: Callable[[Station, str], Any]) -> Callable[[Station, str], Any]:
-        def wrapper(self: Station, topic: str) -> Any:
+    def counted(look: Callable[[NodeRunner, str], Any]) -> Callable[[NodeRunner, str], Any]:
+        def wrapper(self: NodeRunner, topic: str) -> Any:
             if not threading.current_thread().name.startswith("ros2 "):  # not what it looks after
                 looks[topic] += 1
             return look(self, topic)
@@ -43,37 +43,37 @@ def test_one_more_topic_of_a_type_takes_few_looks_and_compiles_nothing(
     second = endpoint(Role.OUTPUT, "/second", INT64)
     bridge.describe(second, timeout=patience())  # it is on the graph from now on
     for side in ("publishers", "subscriptions"):
-        monkeypatch.setattr(Station, side, counted(getattr(Station, side)))
-    compiled = _cdr_read._part.cache_info().misses
+        monkeypatch.setattr(NodeRunner, side, counted(getattr(NodeRunner, side)))
+    compiled = _cdr._record_reader.cache_info().misses
     structure = bridge.describe(second, timeout=patience()).message
     described = looks["/second"]
     assert structure is not None
     bridge.open_source(second, structure, print, timeout=patience())
     assert described <= _MOST_LOOKS
     assert looks["/second"] - described <= _MOST_LOOKS
-    assert _cdr_read._part.cache_info().misses == compiled
+    assert _cdr._record_reader.cache_info().misses == compiled
     assert bridge.describe(second, timeout=patience()).message is structure
 
 
 def test_the_hash_of_our_definition_is_kept_once_the_graph_has_it_for_sure(
     make_bridge: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    station: Station = make_bridge()._station
+    runner: NodeRunner = make_bridge()._runner
 
-    def told(*definitions: str) -> str:
+    def common(*definitions: str) -> str:
         ends = [
-            End(station.full_name, INT64, Policies(), definition=definition)
+            TopicEndpoint(runner.full_name, INT64, Policies(), definition=definition)
             for definition in definitions
         ]
         others = [
-            End("/other", INT64, Policies(), definition="other"),
-            End(station.full_name, "std_msgs/msg/String", Policies(), definition="text"),
+            TopicEndpoint("/other", INT64, Policies(), definition="other"),
+            TopicEndpoint(runner.full_name, "std_msgs/msg/String", Policies(), definition="text"),
         ]
-        monkeypatch.setattr(station, "ends", lambda _: (*others, *ends))
-        return station.own_definition("/any", INT64, object)
+        monkeypatch.setattr(runner, "ends", lambda _: (*others, *ends))
+        return runner.own_definition("/any", INT64, object)
 
-    assert told() == ""
-    assert told("") == ""
-    assert told("one", "two") == "one"
-    assert told("two") == "two"
-    assert told("one") == "two"
+    assert common() == ""
+    assert common("") == ""
+    assert common("one", "two") == "one"
+    assert common("two") == "two"
+    assert common("one") == "two"

@@ -9,8 +9,8 @@ from typing import Any
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
-from uoarm_ros2._message_file import Parsed, parse_file
-from uoarm_ros2._shape import Scalar, Text
+from uoarm_ros2._message_file import ParsedMessage, parse_file
+from uoarm_ros2._types import ScalarType, StringType
 
 MESSAGE = ["p/msg/M"]
 PARTS = {
@@ -214,14 +214,14 @@ def _name(kind: Any) -> str:
     return "uint8" if kind.type == "char" else str(kind.type)
 
 
-def plain(parsed: Parsed) -> object:
+def plain(parsed: ParsedMessage) -> object:
     fields = []
     for member in parsed.members:
         kind, element = member.kind, member.kind.element
-        bound = element.bound if isinstance(element, Text) else None
-        if isinstance(element, Text):
+        bound = element.bound if isinstance(element, StringType) else None
+        if isinstance(element, StringType):
             name = "wstring" if element.wide else "string"
         else:
-            name = element.name if isinstance(element, Scalar) else element
+            name = element.name if isinstance(element, ScalarType) else element
         fields.append((member.name, name, bound, kind.many, kind.size, kind.fixed, member.default))
     return fields, list(parsed.constants.items())

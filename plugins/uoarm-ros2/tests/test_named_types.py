@@ -11,7 +11,7 @@ import pytest
 from click.testing import CliRunner
 from endpoints import endpoint
 from peers import DOMAIN
-from uoarm_ros2._named_types import structure_of_type
+from uoarm_ros2._installed import structure_of_type
 from websockets.sync.client import connect
 
 from uoarm import RobotManager
@@ -115,7 +115,7 @@ def test_nothing_but_packages_of_messages_is_imported_and_rclpy_is_not(tmp_path:
     (tmp_path / "alone.py").write_text("print('imported')")
     program = """
 import sys
-from uoarm_ros2._named_types import structure_of_type
+from uoarm_ros2._installed import structure_of_type
 for name in ("plain/msg/A", "partly/A", "alone/msg/A", "antigravity/msg/A"):
     assert structure_of_type(name, {}) is None
 assert structure_of_type("std_msgs/String", {}) is not None

@@ -118,7 +118,7 @@ class Counter:
 def meet(ros: Any, client: Peer, name: str) -> None:
     """Have a client meet a server, and the server the client: else its first answers are lost."""
     assert client.do("meet", name=name)["met"]
-    node = ros._station.node
+    node = ros._runner.node
     for service in ("send_goal", "cancel_goal", "get_result"):
         topic = f"rr{name}/_action/{service}Reply"
         wait(partial(node.get_subscriptions_info_by_topic, topic, no_mangle=True))
@@ -230,7 +230,7 @@ def test_goals_of_a_provider_that_dies_are_aborted_and_the_next_one_takes_others
     assert there.outcome(goal) == (SUCCEEDED, [1])
 
 
-def test_goals_are_aborted_when_nobody_provides_them_any_more(stage: Callable[..., Stage]) -> None:
+def test_goals_are_aborted_when_their_provider_is_gone(stage: Callable[..., Stage]) -> None:
     there = stage()
     there.next.die()
     goal = there.pursue(there.best, "goal")

@@ -26,7 +26,7 @@ FLAG = {
     "required": ["data"],
     "additionalProperties": False,
 }
-TOLD = {
+OUTCOME = {
     "type": "object",
     "properties": {"success": {"type": "boolean"}, "message": {"type": "string"}},
     "required": ["success", "message"],
@@ -47,13 +47,15 @@ offer:
 """
 
 
-def test_nodes_use_what_is_offered_and_nobody_has_to_be_there_first(
+def test_nodes_use_what_is_offered_in_any_order_of_start(
     make_bridge: Callable[..., Bridge], peer: Start
 ) -> None:
     memory = MemoryBridge("one")
     counter: Any = memory.emitter("counter", NUMBER)
     arm = memory.taker("arm", NUMBER)
-    memory.service("switch", FLAG, TOLD, lambda item: {"success": item["data"], "message": "done"})
+    memory.service(
+        "switch", FLAG, OUTCOME, lambda item: {"success": item["data"], "message": "done"}
+    )
     bridge = make_bridge()
     with RobotManager(loads(ROBOT), bridges={"ros": bridge, "one": memory}) as robot:
         robot.offer()
@@ -65,14 +67,14 @@ def test_nodes_use_what_is_offered_and_nobody_has_to_be_there_first(
         }
         node.do("subscribe", topic="/offered/count")
 
-        def heard() -> list[int]:
+        def received() -> list[int]:
             counter.emit({"data": 7})
             seen: list[int] = node.do("report", topic="/offered/count", expected=1, timeout=0.1)[
                 "seen"
             ]
             return seen
 
-        wait(heard)
+        wait(received)
         node.do("advertise", topic="/offered/goal")
         node.do("subscriptions", topic="/offered/goal", expected=1)
         node.do("publish", topic="/offered/goal", count=3)

@@ -30,7 +30,9 @@ def test_names_are_joined_and_lists_stay_whole() -> None:
 
 
 @pytest.mark.parametrize("value", [None, [1, "a"], [[1]], 2**63, [None], "a\0b", {"x": None}])
-def test_what_no_parameter_holds_is_told_before_any_node_is_asked(value: object) -> None:
+def test_a_value_that_no_parameter_holds_is_reported_before_a_call(
+    value: object,
+) -> None:
     assert list(mistakes({"good": 1, "bad": value})) == ["bad"]
 
 

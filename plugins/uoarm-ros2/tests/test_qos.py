@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from uoarm_ros2._qos import Policies, QosWish, clashes, for_reading, for_writing, wish_from
+from uoarm_ros2._qos import Policies, QosOptions, clashes, for_reading, for_writing, qos_options
 
 TIMES = st.none() | st.floats(0.001, 100.0)
 POLICIES = st.builds(
@@ -20,19 +20,19 @@ POLICIES = st.builds(
 
 @given(st.lists(POLICIES, max_size=4))
 def test_auto_reads_from_every_publisher(offers: list[Policies]) -> None:
-    asked = for_reading(QosWish(), offers)
+    asked = for_reading(QosOptions(), offers)
     assert not any(clashes(offer, asked) for offer in offers)
 
 
 @given(st.lists(POLICIES, max_size=4))
 def test_auto_serves_every_subscription(requests: list[Policies]) -> None:
-    offered = for_writing(QosWish(), requests)
+    offered = for_writing(QosOptions(), requests)
     assert not any(clashes(offered, request) for request in requests)
 
 
 @given(st.lists(POLICIES, min_size=1, max_size=4))
 def test_auto_asks_for_the_most_that_all_offer(offers: list[Policies]) -> None:
-    asked = for_reading(QosWish(), offers)
+    asked = for_reading(QosOptions(), offers)
     assert (asked.reliability == "reliable") == all(o.reliability == "reliable" for o in offers)
     assert (asked.durability == "transient_local") == all(
         o.durability == "transient_local" for o in offers
@@ -41,14 +41,14 @@ def test_auto_asks_for_the_most_that_all_offer(offers: list[Policies]) -> None:
 
 @given(POLICIES, st.lists(POLICIES, max_size=3))
 def test_what_is_stated_is_kept(stated: Policies, peers: list[Policies]) -> None:
-    wish = QosWish(
+    settings = QosOptions(
         reliability=stated.reliability,
         durability=stated.durability,
         deadline=stated.deadline,
         liveliness=stated.liveliness,
         lease_duration=stated.lease_duration,
     )
-    for settled in (for_reading(wish, peers), for_writing(wish, peers)):
+    for settled in (for_reading(settings, peers), for_writing(settings, peers)):
         assert (settled.reliability, settled.durability) == (stated.reliability, stated.durability)
         assert (settled.deadline, settled.liveliness) == (stated.deadline, stated.liveliness)
         assert settled.lease_duration == stated.lease_duration
@@ -73,9 +73,9 @@ def test_each_clash_is_named(
     assert not clashes(Policies(**requested), Policies(**requested))  # type: ignore[arg-type]  # a table
 
 
-@pytest.mark.parametrize("options", [None, "auto", {}])
-def test_nothing_said_is_auto(options: object) -> None:
-    assert wish_from(options) == QosWish()
+@pytest.mark.parametrize("settings", [None, "auto", {}])
+def test_nothing_said_is_auto(settings: object) -> None:
+    assert qos_options(settings) == QosOptions()
 
 
 def test_policies_are_shown_in_words() -> None:

@@ -8,11 +8,10 @@ from typing import Any
 import pytest
 from endpoints import Inbox
 from peers import DOMAIN, Peer
-from uoarm_ros2._cdr_read import cdr_reader
-from uoarm_ros2._middleware import Participant, Station, _loop
+from uoarm_ros2._cdr import cdr_reader
+from uoarm_ros2._middleware import NodeRunner, Participant, _loop
 from uoarm_ros2._qos import Policies
-from uoarm_ros2._shape import shape_of
-from uoarm_ros2._types import import_type
+from uoarm_ros2._types import import_type, shape_of
 
 from uoarm.testing import wait
 
@@ -21,27 +20,27 @@ TOPICS = [f"/quiet_{number}" for number in range(4)]
 
 
 @pytest.fixture
-def station() -> Iterator[Station]:
+def runner() -> Iterator[NodeRunner]:
     participant = Participant(DOMAIN, "")
-    yield participant.station("ears")
+    yield participant.start_node("ears")
     participant.close(2.0)
 
 
 class Ear:
     """One subscription with what came, and how many publishers it has."""
 
-    def __init__(self, station: Station, topic: str) -> None:
+    def __init__(self, runner: NodeRunner, topic: str) -> None:
         self.inbox = Inbox()
         self.matched = 0
         read = cdr_reader(shape_of(INT64, "std_msgs/msg/Int64"))
-        self.native = station.subscribe(
+        self.native = runner.subscribe(
             INT64,
             topic,
             Policies(),
             lambda octets: self.inbox(read(octets)),
             events={"matched": self._match},
         )
-        (self.entity, *self.events) = station._entities[self.native]
+        (self.entity, *self.events) = runner._entities[self.native]
 
     def _match(self, info: Any) -> None:
         self.matched = info.current_count
@@ -51,13 +50,13 @@ class Ear:
         return self.entity.is_quiet and all(event.is_quiet for event in self.events)
 
 
-def test_what_is_quiet_is_heard_and_is_quiet_again(
-    station: Station, peer: Callable[..., Peer], monkeypatch: pytest.MonkeyPatch
+def test_a_quiet_subscription_receives_and_is_quiet_again(
+    runner: NodeRunner, peer: Callable[..., Peer], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(_loop, "_FEW", 2)
     monkeypatch.setattr(_loop, "_QUIET_SECONDS", 0.0)
     monkeypatch.setattr(_loop, "_SWEEP_SECONDS", 0.0)
-    ears = {topic: Ear(station, topic) for topic in TOPICS}
+    ears = {topic: Ear(runner, topic) for topic in TOPICS}
     wait(lambda: all(ear.is_quiet for ear in ears.values()))
     talker = peer("talker")
     for topic in TOPICS:
@@ -71,25 +70,25 @@ def test_what_is_quiet_is_heard_and_is_quiet_again(
         assert ear.inbox.numbers() == list(range(1, 31))
     wait(lambda: sum(ear.is_quiet for ear in ears.values()) >= 2)
     gone, *kept = ears.values()
-    station.discard(gone.native)
+    runner.discard(gone.native)
     for topic in TOPICS:
         talker.do("unadvertise", topic=topic)
     wait(lambda: all(ear.matched == 0 for ear in kept))
 
 
 def test_few_subscriptions_are_waited_for_together(
-    station: Station, monkeypatch: pytest.MonkeyPatch
+    runner: NodeRunner, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(_loop, "_QUIET_SECONDS", 0.0)
     monkeypatch.setattr(_loop, "_SWEEP_SECONDS", 0.0)
-    ears = [Ear(station, topic) for topic in TOPICS]
+    ears = [Ear(runner, topic) for topic in TOPICS]
     swept: list[float] = []
-    sweep = station._loop._sweep
+    sweep = runner._loop._sweep
 
     def noted(now: float) -> None:
         sweep(now)
         swept.append(now)
 
-    monkeypatch.setattr(station._loop, "_sweep", noted)
+    monkeypatch.setattr(runner._loop, "_sweep", noted)
     wait(lambda: len(swept) > 2)
     assert not any(ear.is_quiet for ear in ears)

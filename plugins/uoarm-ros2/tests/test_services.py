@@ -13,10 +13,9 @@ from endpoints import INT64, Inbox, endpoint, known, sink, source
 from messages import default_of
 from peers import DOMAIN, MORTAL, Peer
 from uoarm_ros2._actions import Action
-from uoarm_ros2._agreement import Disagreement
-from uoarm_ros2._graph import Graph
+from uoarm_ros2._discovery import Ros2Graph
 from uoarm_ros2._middleware import GoalRequest, Participant
-from uoarm_ros2._services import _named
+from uoarm_ros2._services import Disagreement, _with_disagreement
 from uoarm_ros2._types import import_type
 
 from uoarm import RobotManager
@@ -78,7 +77,7 @@ def test_calls_overlap(bridge: Bridge, peer: Start) -> None:
     assert sorted(answers.messages) == [1, 2, 3, 4]
 
 
-def test_a_late_answer_is_a_time_out_and_hurts_nobody(bridge: Bridge, peer: Start) -> None:
+def test_a_late_answer_is_a_time_out_and_harms_no_other_call(bridge: Bridge, peer: Start) -> None:
     server = peer("server")
     server.do("serve", name="/slow", delay=0.5)
     with pytest.raises(BridgeTimeoutError):
@@ -224,17 +223,17 @@ def test_an_action_that_is_given_up_is_cancelled(bridge: Bridge, peer: Start) ->
 def test_a_goal_that_is_accepted_after_its_call_was_given_up_is_cancelled() -> None:
     participant = Participant(DOMAIN, "")
     try:
-        station = participant.station("late")
+        runner = participant.start_node("late")
         asked: list[GoalRequest] = []
         cancelled: list[bytes] = []
-        goals = station.goal_server(
+        goals = runner.goal_server(
             import_type(FIBONACCI),
             "/late",
             asked.append,
             may_cancel=lambda _: True,
             cancel=cancelled.append,
         )
-        action = Action(station, Graph(station, 0.0), "/late", FIBONACCI)
+        action = Action(runner, Ros2Graph(runner, 0.0), "/late", FIBONACCI)
         action.wait(patience())
         with pytest.raises(BridgeTimeoutError, match="did not answer in time"):
             action.call({"order": 3}, 0.1, 0.1, lambda _: nullcontext())
@@ -247,13 +246,13 @@ def test_a_goal_that_is_accepted_after_its_call_was_given_up_is_cancelled() -> N
 
 def reaching(*, is_hosted: bool) -> str:
     """Return a robot whose arm moves by an action."""
-    settings = f"endpoint: [/fibonacci, {FIBONACCI}], lifetime: 3600"
+    options = f"endpoint: [/fibonacci, {FIBONACCI}], lifetime: 3600"
     host = f", host: {{silence: {patience()}, start: {patience()}}}" if is_hosted else ""
     return f"""
 version: 1
 bridges: {{ros: {{plugin: ros2, options: {{domain_id: {DOMAIN}}}{host}}}}}
 functions:
-  reach: {{components: [{{name: arm, bridge: ros, service: {{{settings}}}}}]}}
+  reach: {{components: [{{name: arm, bridge: ros, service: {{{options}}}}}]}}
 """
 
 
@@ -316,16 +315,16 @@ def test_an_emergency_stop_cancels_a_goal_as_soon_as_it_is_accepted(
 def test_a_goal_that_is_cancelled_before_it_is_sent_is_never_sent() -> None:
     participant = Participant(DOMAIN, "")
     try:
-        station = participant.station("early")
+        runner = participant.start_node("early")
         asked: list[GoalRequest] = []
-        station.goal_server(
+        runner.goal_server(
             import_type(FIBONACCI),
             "/early",
             asked.append,
             may_cancel=lambda _: True,
             cancel=lambda _: None,
         )
-        action = Action(station, Graph(station, 0.0), "/early", FIBONACCI)
+        action = Action(runner, Ros2Graph(runner, 0.0), "/early", FIBONACCI)
 
         def cancelling(cancel: Callable[[], object]) -> Any:
             assert cancel() is True  # as for a call that was cancelled before
@@ -421,7 +420,7 @@ def test_goals_of_a_server_that_another_one_replaces_are_lost(
     wait(lambda: server.do("goals_begun")["count"] == 2)
     wait(lambda: looked - {"ros2 uoarm_ros"})
     successor.do("act", name="/fibonacci")
-    graph = bridge._graph  # type: ignore[attr-defined]  # what DDS tells
+    graph = bridge._graph  # type: ignore[attr-defined]  # of DDS
     wait(lambda: len(graph.servers("/fibonacci/_action/send_goal")) == 2)
     server.kill()
     assert statuses.wait_until(lambda item: item["status"] == "lost")
@@ -466,7 +465,7 @@ def test_a_call_whose_server_another_one_replaces_ends(
     assert server.do("request_begun")["begun"]
     wait(lambda: looked - {"ros2 uoarm_ros"})
     successor.do("serve", name="/slow")
-    graph = bridge._graph  # type: ignore[attr-defined]  # what DDS tells
+    graph = bridge._graph  # type: ignore[attr-defined]  # of DDS
     wait(lambda: len(graph.servers("/slow")) == 2)
     server.kill()
     calling.join(patience())
@@ -501,17 +500,17 @@ class EarlyAnswers:
 def test_an_answer_that_comes_while_its_goal_is_sent_is_not_thrown_away() -> None:
     participant = Participant(DOMAIN, "")
     try:
-        station, replies = participant.station("serving"), participant.station("asking")
+        runner, replies = participant.start_node("serving"), participant.start_node("asking")
         native: Any = import_type(FIBONACCI)
 
         def accept(asked: GoalRequest) -> None:
             server.accept(asked)
             server.end(asked.id, "succeeded", native.Result(sequence=[7]))
 
-        server = station.goal_server(
+        server = runner.goal_server(
             native, "/early", accept, may_cancel=lambda _: True, cancel=lambda _: None
         )
-        action = Action(replies, Graph(replies, 0.0), "/early", FIBONACCI)
+        action = Action(replies, Ros2Graph(replies, 0.0), "/early", FIBONACCI)
         client: Any = action._client
         wait(action.ready)
         client._client_handle = EarlyAnswers(client._client_handle)
@@ -555,4 +554,4 @@ def test_nodes_that_come_and_go_are_events(bridge: Bridge, peer: Start) -> None:
 def test_who_did_not_answer_may_mean_something_else(otherwise: str) -> None:
     late = BridgeTimeoutError("service /x did not answer in time")
     agreement: Any = SimpleNamespace(look=lambda: Disagreement(otherwise))
-    assert str(_named(late, agreement)) == f"{late}{otherwise and '; '}{otherwise}"
+    assert str(_with_disagreement(late, agreement)) == f"{late}{otherwise and '; '}{otherwise}"

@@ -11,10 +11,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from jsonschema import Draft202012Validator
 from messages import MESSAGE_TYPES, messages_of
-from uoarm_ros2 import _action_types, _services
-from uoarm_ros2._schema import structure_of
-from uoarm_ros2._shape import shape_of
-from uoarm_ros2._types import import_type
+from uoarm_ros2._schema import describe_action, describe_service, part_structure, structure_of
+from uoarm_ros2._types import import_type, shape_of
 
 from uoarm.errors import BridgeError, FailureReason
 from uoarm.model import MessageStructure
@@ -109,7 +107,7 @@ def test_texts_have_their_bounds() -> None:
     )
 
 
-def test_defaults_and_constants_are_told() -> None:
+def test_structures_have_defaults_and_constants() -> None:
     defaults = schema("test_msgs/msg/Defaults")["properties"]
     assert (defaults["int8_value"]["default"], defaults["byte_value"]["default"]) == (-50, 50)
     assert defaults["bool_value"]["default"] is True
@@ -117,7 +115,7 @@ def test_defaults_and_constants_are_told() -> None:
     assert (constants["INT64_CONST"], constants["BYTE_CONST"]) == (-40000000, 50)
 
 
-def test_units_are_told_where_they_are_known() -> None:
+def test_structures_have_units_where_they_are_known() -> None:
     twist = schema("geometry_msgs/msg/Twist")["properties"]
     assert twist["linear"]["properties"]["x"]["x-unit"] == "m/s"
     assert twist["angular"]["properties"]["z"]["x-unit"] == "rad/s"
@@ -128,15 +126,15 @@ def test_units_are_told_where_they_are_known() -> None:
 
 
 def test_services_and_actions_have_structures_too() -> None:
-    service = _services.described("test_msgs/srv/Arrays")
+    service = describe_service("test_msgs/srv/Arrays")
     assert service.request is not None
     assert service.reply is not None
     assert service.request.native_type == "test_msgs/srv/Arrays_Request"
-    action = _action_types.described("test_msgs/action/NestedMessage")
+    action = describe_action("test_msgs/action/NestedMessage")
     assert action.request is not None
     assert action.reply is not None
     for part in ("goal", "cancel", "feedback", "result", "status"):
-        found = _action_types.part_structure("test_msgs/action/Fibonacci", part)
+        found = part_structure("test_msgs/action/Fibonacci", part)
         assert isinstance(found.schema, Mapping)
         Draft202012Validator.check_schema(found.schema)
 

@@ -15,7 +15,7 @@ import pytest
 from attrs import evolve
 from endpoints import INT64, Inbox, endpoint, known, matched, sink, source
 from peers import DOMAIN, MORTAL, Peer
-from uoarm_ros2._middleware import Station, _released
+from uoarm_ros2._middleware import NodeRunner, _native
 
 from uoarm.bridge import Bridge
 from uoarm.errors import BridgeError, FailureReason, MessageError
@@ -119,7 +119,7 @@ def test_others_go_on_while_a_sender_waits_for_room(
     sleep = ctypes.CDLL(None).nanosleep
     sleep.argtypes = (ctypes.c_void_p, ctypes.c_void_p, ctypes.c_void_p)
     functions = (lambda pointer: pointer, sleep, print, print)
-    monkeypatch.setattr(_released, "_functions", lambda: functions)
+    monkeypatch.setattr(_native, "_functions", lambda: functions)
     keep = {"history": "keep_all"}
     out = sink(bridge, endpoint(Role.INPUT, "/full", INT64, qos=keep, peer="optional"))
     out._end.native, native = Slow(), out._end.native
@@ -215,8 +215,8 @@ def test_what_is_open_still_sends_after_its_context_ended_until_it_is_closed(
     out.send({"data": 7})
     assert listener.do("report", topic="/late", expected=1)["seen"] == [7]
     bridge.close()
-    stations = [thread for thread in threading.enumerate() if thread.name.startswith("ros2 ")]
-    for thread in stations:
+    runners = [thread for thread in threading.enumerate() if thread.name.startswith("ros2 ")]
+    for thread in runners:
         thread.join(patience())
         assert not thread.is_alive()
 
@@ -266,7 +266,7 @@ def test_who_comes_while_the_type_is_looked_for_is_fitted(
     def find_late(*wanted: Any) -> Any:
         talker.do("advertise", topic=topic, durability="transient_local", depth=1)
         talker.do("publish", topic=topic, count=1)
-        wait(lambda: bridge._station.publishers(topic))
+        wait(lambda: bridge._runner.publishers(topic))
         return find(*wanted)
 
     monkeypatch.setattr(bridge._types, "find", find_late)
@@ -391,16 +391,16 @@ def test_a_peer_is_counted_once_although_its_node_is_named_later(
     make_bridge: Make, peer: Start, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     looks: list[str] = []
-    publishers = Station.publishers
+    publishers = NodeRunner.publishers
 
-    def named_late(station: Station, topic: str) -> tuple[Any, ...]:
-        found = publishers(station, topic)
+    def named_late(runner: NodeRunner, topic: str) -> tuple[Any, ...]:
+        found = publishers(runner, topic)
         looks.extend(item.node for item in found if item.node == "/bad")
         if len(looks) > 4:
             return found
         return tuple(evolve(item, node=UNKNOWN) if item.node == "/bad" else item for item in found)
 
-    monkeypatch.setattr(Station, "publishers", named_late)
+    monkeypatch.setattr(NodeRunner, "publishers", named_late)
     bridge = make_bridge()
     events = Inbox()
     bridge.watch(events)
@@ -495,7 +495,7 @@ def test_a_missed_deadline_is_an_event(bridge: Bridge, peer: Start) -> None:
     events.event(Health.DEGRADED, "the deadline passed")
 
 
-def test_messages_that_the_middleware_lost_are_counted_and_told(
+def test_messages_that_the_middleware_lost_are_counted_and_reported(
     bridge: Bridge, peer: Start
 ) -> None:
     events, inbox = Inbox(), Inbox()
@@ -542,7 +542,7 @@ def test_a_type_that_joins_later_is_an_event(bridge: Bridge, peer: Start) -> Non
     events.event(Health.OK, "carries std_msgs/msg/Int64 only")
 
 
-def test_what_was_latched_beside_one_who_does_not_latch_is_told_and_can_be_had(
+def test_latched_messages_beside_a_volatile_publisher_are_reported_and_reachable(
     bridge: Bridge, peer: Start
 ) -> None:
     events, inbox = Inbox(), Inbox()

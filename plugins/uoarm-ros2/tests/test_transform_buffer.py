@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as some
-from uoarm_ros2 import _transform_buffer
-from uoarm_ros2._transform_buffer import (
+from uoarm_ros2 import _transforms
+from uoarm_ros2._transforms import (
     Transformation,
     TransformBuffer,
     TransformError,
@@ -24,9 +24,9 @@ def turn(angle: float) -> tuple[float, float, float, float]:
     return 0.0, 0.0, math.sin(angle / 2), math.cos(angle / 2)
 
 
-def put(buffer: TransformBuffer, parent: str, child: str, stamp: int = 0, **told: Any) -> None:
-    is_static = told.pop("is_static", False)
-    buffer.take(parent, child, stamp, Transformation(**told), is_static=is_static)
+def put(buffer: TransformBuffer, parent: str, child: str, stamp: int = 0, **parts: Any) -> None:
+    is_static = parts.pop("is_static", False)
+    buffer.take(parent, child, stamp, Transformation(**parts), is_static=is_static)
 
 
 def close(got: Transformation, x: float, y: float, z: float, *, angle: float = 0.0) -> None:
@@ -36,16 +36,16 @@ def close(got: Transformation, x: float, y: float, z: float, *, angle: float = 0
     )
 
 
-def matrix(told: Transformation) -> Any:
+def matrix(transformation: Transformation) -> Any:
     """Return the 4 x 4 matrix of a transformation, by the textbook's formula."""
-    x, y, z, w = told.rotation
+    x, y, z, w = transformation.rotation
     found = np.eye(4)
     found[:3, :3] = [
         [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
         [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
         [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
     ]
-    found[:3, 3] = told.translation
+    found[:3, 3] = transformation.translation
     return found
 
 
@@ -125,16 +125,16 @@ def test_what_is_not_there_says_why(
         robot.lookup(target, source, time)
 
 
-def test_a_ring_is_told_and_does_not_hang(robot: TransformBuffer) -> None:
+def test_a_ring_is_reported_and_does_not_hang(robot: TransformBuffer) -> None:
     put(robot, "arm", "map", 12 * S)
     with pytest.raises(TransformError, match="go round in a ring: base in map in arm in base"):
         robot.lookup("base", "camera")
 
 
 @pytest.mark.parametrize(
-    ("parent", "child", "told", "why"),
+    ("parent", "child", "parts", "why"),
     [
-        ("map", "map", {}, "frame 'map' is told in itself"),
+        ("map", "map", {}, "frame 'map' is its own parent"),
         ("", "base", {}, "are none"),
         ("map", "b" * 256, {}, "are none"),
         ("map", "base", {"translation": (math.nan, 0, 0)}, "'base' in 'map' is not finite"),
@@ -142,9 +142,9 @@ def test_a_ring_is_told_and_does_not_hang(robot: TransformBuffer) -> None:
     ],
 )
 def test_what_is_no_transform_is_counted_and_changes_nothing(
-    robot: TransformBuffer, parent: str, child: str, told: dict[str, Any], why: str
+    robot: TransformBuffer, parent: str, child: str, parts: dict[str, Any], why: str
 ) -> None:
-    put(robot, parent, child, 13 * S, **told)
+    put(robot, parent, child, 13 * S, **parts)
     assert robot.refused == 1
     assert why in robot.why
     assert robot.lookup("map", "base")[0] == 12 * S
@@ -173,8 +173,8 @@ def test_a_simulation_that_starts_again_begins_anew(robot: TransformBuffer) -> N
 
 
 def test_frames_and_samples_have_a_budget(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(_transform_buffer, "_MOST_FRAMES", 2)
-    monkeypatch.setattr(_transform_buffer, "_MOST_SAMPLES", 10)
+    monkeypatch.setattr(_transforms, "_MOST_FRAMES", 2)
+    monkeypatch.setattr(_transforms, "_MOST_SAMPLES", 10)
     buffer = TransformBuffer()
     put(buffer, "map", "slow", 1)
     for stamp in range(1, 30):

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 from endpoints import Inbox
 from peers import DOMAIN, Peer
-from uoarm_ros2._middleware import Participant, Station, _goal_server, _loop
+from uoarm_ros2._middleware import NodeRunner, Participant, _actions, _loop
 from uoarm_ros2._middleware._wait_set import TurnCounter
 from uoarm_ros2._qos import Policies
 from uoarm_ros2._types import import_type
@@ -30,11 +30,11 @@ FEW = 3
 
 
 @pytest.fixture
-def station(monkeypatch: pytest.MonkeyPatch) -> Iterator[Station]:
+def runner(monkeypatch: pytest.MonkeyPatch) -> Iterator[NodeRunner]:
     """A station that looks at events by the clock only once in the test's life."""
     monkeypatch.setattr(_loop, "_EVENT_SECONDS", 10 * patience())
     participant = Participant(DOMAIN, "")
-    yield participant.station("loop")
+    yield participant.start_node("loop")
     participant.close(2.0)
 
 
@@ -43,7 +43,7 @@ class Ear:
 
     def __init__(
         self,
-        station: Station,
+        runner: NodeRunner,
         talker: Peer,
         policies: Policies | None = None,
         *,
@@ -55,18 +55,18 @@ class Ear:
         self.inbox = Inbox()
         self.topic = f"/loop_{next(_numbers)}"  # ends of other tests may not be gone yet
         names = ("matched", "message_lost", "incompatible_qos", "liveliness", "deadline")
-        station.subscribe(
+        runner.subscribe(
             native,
             self.topic,
             policies or Policies(depth=100),
             self.inbox,
             events={name: self._notify(name) for name in names},
         )
-        self._station, self._talker = station, talker
+        self._runner, self._talker = runner, talker
         talker.do("advertise", topic=self.topic, **advertised)
         wait(lambda: self.publishers == 1)
         self.wait_for_messages()
-        self.empty = station.turns.empty
+        self.empty = runner.turns.empty
 
     def _notify(self, name: str) -> Callable[[Any], None]:
         def notify(info: Any) -> None:
@@ -83,13 +83,13 @@ class Ear:
         self.inbox.wait_for(before + 2)
 
     def turned_for_nothing(self) -> int:
-        return self._station.turns.empty - self.empty
+        return self._runner.turns.empty - self.empty
 
 
 def test_an_event_that_nothing_waits_for_costs_one_turn(
-    station: Station, peer: Callable[..., Peer]
+    runner: NodeRunner, peer: Callable[..., Peer]
 ) -> None:
-    ear = Ear(station, peer("talker"))
+    ear = Ear(runner, peer("talker"))
     other = peer("other")
     other.do("advertise", topic=ear.topic)
     wait(lambda: ear.publishers == 2)
@@ -100,27 +100,27 @@ def test_an_event_that_nothing_waits_for_costs_one_turn(
 
 
 def test_a_publisher_with_another_quality_of_service_costs_one_turn(
-    station: Station, peer: Callable[..., Peer]
+    runner: NodeRunner, peer: Callable[..., Peer]
 ) -> None:
-    ear = Ear(station, peer("talker"))
+    ear = Ear(runner, peer("talker"))
     peer("other").do("advertise", topic=ear.topic, reliability="best_effort")
     wait(lambda: ear.events["incompatible_qos"] == 1)
     assert ear.turned_for_nothing() <= FEW * sum(ear.events.values())
 
 
 def test_a_deadline_that_is_missed_costs_one_turn_each(
-    station: Station, peer: Callable[..., Peer]
+    runner: NodeRunner, peer: Callable[..., Peer]
 ) -> None:
-    ear = Ear(station, peer("talker"), Policies(depth=100, deadline=0.2), deadline=0.2)
+    ear = Ear(runner, peer("talker"), Policies(depth=100, deadline=0.2), deadline=0.2)
     wait(lambda: ear.events["deadline"] >= 2)
     assert ear.turned_for_nothing() <= FEW * sum(ear.events.values())
 
 
 def test_a_publisher_whose_lease_ends_costs_one_turn(
-    station: Station, peer: Callable[..., Peer]
+    runner: NodeRunner, peer: Callable[..., Peer]
 ) -> None:
     policies = Policies(depth=100, liveliness="manual_by_topic", lease_duration=0.2)
-    ear = Ear(station, peer("talker"), policies, lease=0.2)
+    ear = Ear(runner, peer("talker"), policies, lease=0.2)
     before = ear.events["liveliness"]
     ear.wait_for_messages()
     wait(lambda: ear.events["liveliness"] > before)
@@ -128,13 +128,13 @@ def test_a_publisher_whose_lease_ends_costs_one_turn(
 
 
 def test_messages_that_are_lost_cost_one_turn_each(
-    station: Station, peer: Callable[..., Peer]
+    runner: NodeRunner, peer: Callable[..., Peer]
 ) -> None:
     """Large ones in fragments, faster than sockets take them, with nothing sent again."""
     talker = peer("talker", FASTDDS_BUILTIN_TRANSPORTS="UDPv4")
     policies = Policies(reliability="best_effort", depth=5)
     ear = Ear(
-        station, talker, policies, native=IMAGE, kind="Image", reliability="best_effort", depth=5
+        runner, talker, policies, native=IMAGE, kind="Image", reliability="best_effort", depth=5
     )
 
     def lost() -> bool:
@@ -145,50 +145,50 @@ def test_messages_that_are_lost_cost_one_turn_each(
     assert ear.turned_for_nothing() <= FEW * sum(ear.events.values())
 
 
-def test_messages_in_fragments_cost_no_turn(station: Station, peer: Callable[..., Peer]) -> None:
+def test_messages_in_fragments_cost_no_turn(runner: NodeRunner, peer: Callable[..., Peer]) -> None:
     talker = peer("talker", FASTDDS_BUILTIN_TRANSPORTS="UDPv4")
-    ear = Ear(station, talker, native=IMAGE, kind="Image")
+    ear = Ear(runner, talker, native=IMAGE, kind="Image")
     talker.do("publish", topic=ear.topic, first=1, count=20, size=2**20)
     ear.inbox.wait_for(22)
     assert ear.turned_for_nothing() <= FEW + FEW * sum(ear.events.values())
 
 
-def test_the_guard_costs_no_turn_for_nothing(station: Station) -> None:
-    wait(lambda: station.turns.all > 1)
-    before = station.turns.empty
+def test_the_guard_costs_no_turn_for_nothing(runner: NodeRunner) -> None:
+    wait(lambda: runner.turns.all > 1)
+    before = runner.turns.empty
     for _ in range(100):
         done = threading.Event()
-        station.call_soon(done.set)
+        runner.call_soon(done.set)
         assert done.wait(patience())
-    assert station.turns.empty - before <= FEW
+    assert runner.turns.empty - before <= FEW
 
 
-def test_a_service_and_its_client_cost_no_turn_for_nothing(station: Station) -> None:
-    server = station.server(CALL, "/loop_call", lambda _, reply: reply(CALL.Response()))
-    client = station.client(CALL, "/loop_call")
+def test_a_service_and_its_client_cost_no_turn_for_nothing(runner: NodeRunner) -> None:
+    server = runner.server(CALL, "/loop_call", lambda _, reply: reply(CALL.Response()))
+    client = runner.client(CALL, "/loop_call")
     wait(client.service_is_ready)
-    before = station.turns.empty
+    before = runner.turns.empty
     for _ in range(100):
         done = threading.Event()
         client.call_async(CALL.Request()).add_done_callback(lambda _, done=done: done.set())
         assert done.wait(patience())
-    assert station.turns.empty - before <= FEW
-    station.discard(client)
-    station.discard(server)
+    assert runner.turns.empty - before <= FEW
+    runner.discard(client)
+    runner.discard(server)
 
 
 def test_an_action_and_its_timer_cost_no_turn_for_nothing(
-    station: Station, monkeypatch: pytest.MonkeyPatch
+    runner: NodeRunner, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The server's timer says when the result of a goal need not be kept any more."""
-    monkeypatch.setattr(_goal_server, "_KEPT_SECONDS", 1)
+    monkeypatch.setattr(_actions, "_KEPT_SECONDS", 1)
     goals: list[Any] = []
-    server = station.goal_server(
+    server = runner.goal_server(
         FIBONACCI, "/loop_action", goals.append, may_cancel=lambda _: True, cancel=goals.remove
     )
-    client = station.action_client(FIBONACCI, "/loop_action")
+    client = runner.action_client(FIBONACCI, "/loop_action")
     wait(client.server_is_ready)
-    before = station.turns.empty
+    before = runner.turns.empty
     accepted = client.send_goal_async(FIBONACCI.Goal(order=1))
     wait(lambda: goals)
     server.accept(goals[0])
@@ -197,21 +197,21 @@ def test_an_action_and_its_timer_cost_no_turn_for_nothing(
     server.end(goals[0].id, "succeeded")
     wait(ended.done)
     wait(lambda: not server._goals)
-    assert station.turns.empty - before <= FEW
-    station.discard(client)
-    station.discard(server)
+    assert runner.turns.empty - before <= FEW
+    runner.discard(client)
+    runner.discard(server)
 
 
 def test_what_ends_every_wait_and_is_never_taken_makes_the_loop_rest(
-    station: Station, peer: Callable[..., Peer]
+    runner: NodeRunner, peer: Callable[..., Peer]
 ) -> None:
-    ear = Ear(station, peer("talker"))
-    entity = next(iter(station._entities.values()))[0]
+    ear = Ear(runner, peer("talker"))
+    entity = next(iter(runner._entities.values()))[0]
     entity.take = lambda: False  # type: ignore[method-assign]
     ear._talker.do("publish", topic=ear.topic, first=1, count=1)
-    turns, began = station.turns.empty, time.monotonic()
-    wait(lambda: station.turns.empty > turns + 20)
-    in_a_row, seconds = station.turns.empty - turns, time.monotonic() - began
+    turns, began = runner.turns.empty, time.monotonic()
+    wait(lambda: runner.turns.empty > turns + 20)
+    in_a_row, seconds = runner.turns.empty - turns, time.monotonic() - began
     assert in_a_row <= 10 + seconds / 0.02
 
 

@@ -13,10 +13,9 @@ from typing import Any
 from uoarm.bridge import Bridge, BridgeType, hookimpl, install_command
 from uoarm.errors import PluginError
 from uoarm.model import Options
-from uoarm_ros2._installation import absent_middleware
-from uoarm_ros2._named_types import doubts, structure_of_type
+from uoarm_ros2._installed import absent_middleware, doubts, structure_of_type
+from uoarm_ros2._options import BRIDGE_OPTIONS, mistake, topic_name
 from uoarm_ros2._parameters import mistakes
-from uoarm_ros2._settings import BRIDGE_OPTIONS, mistake, topic_name
 
 __all__ = ["uoarm_bridge_types"]
 

@@ -5,15 +5,18 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from uoarm.bridge import Bridge, Description, Registry
 from uoarm.errors import ConfigurationError, UoarmError
+from uoarm.model import BridgeSpec, Endpoint, Options, Role
 from uoarm.plugins import Command, hookimpl
-from uoarm_ros2 import import_with_middleware
-from uoarm_ros2._settings import HIGHEST_DOMAIN
-from uoarm_ros2._types import type_mistake
+from uoarm_ros2._installed import installed
+from uoarm_ros2._options import HIGHEST_DOMAIN
+from uoarm_ros2._types import import_type, kind_of, type_mistake
 
 __all__ = ["main", "uoarm_commands"]
 
@@ -53,7 +56,7 @@ def _parser() -> argparse.ArgumentParser:
     asking = argparse.ArgumentParser(add_help=False, parents=[printing])
     asking.add_argument("--domain", type=_domain, help="default: ROS_DOMAIN_ID, else 0")
     commands.add_parser("list", parents=[asking], help="list nodes with what they offer and take")
-    commands.add_parser("types", parents=[asking], help="list the types that nodes talk")
+    commands.add_parser("types", parents=[asking], help="list the types that nodes use")
     commands.add_parser("interfaces", parents=[printing], help="list the types that are installed")
     echo = commands.add_parser(
         "echo-structure",
@@ -80,27 +83,26 @@ def _domain(text: str) -> int:
 
 
 def _build(given: argparse.Namespace) -> int:
-    from uoarm_ros2._interfaces import build_wheels  # noqa: PLC0415 - other commands do not need it
+    from uoarm_ros2._interface_wheels import build_wheels  # noqa: PLC0415 - of one command
 
-    def tell(step: str) -> None:
+    def report(step: str) -> None:
         sys.stderr.write(f"{step}\n")
         sys.stderr.flush()
 
-    built = build_wheels(given.folder, given.output, tell)
-    return _print(given, [str(path) for path in built], lambda paths: paths)
+    built = build_wheels(given.folder, given.output, report)
+    return _print(given, [str(path) for path in built], list)
 
 
 def _show(given: argparse.Namespace) -> int:
-    commands = import_with_middleware("uoarm_ros2._commands")
     if given.command == "interfaces":
-        return _print(given, commands.installed(), lambda names: names)
+        return _print(given, installed(), list)
     options = {} if given.domain is None else {"domain_id": given.domain}
-    with commands.seen(options) as bridge:
+    with _bridge(options) as bridge:
         if given.command == "list":
-            return _print(given, commands.graph(bridge), _node_lines)
+            return _print(given, _node_rows(bridge), _node_lines)
         if given.command == "types":
-            return _print(given, commands.types(bridge), _type_lines)
-        found = commands.structure(bridge, given.name, given.type)
+            return _print(given, _type_rows(bridge), _type_lines)
+        found = _structure_rows(bridge, given.name, given.type)
         return _print(given, found, lambda item: [json.dumps(item, indent=2)])
 
 
@@ -131,6 +133,92 @@ def _type_lines(rows: list[Any]) -> Iterable[str]:
 def _fail(text: str, status: int) -> int:
     sys.stderr.write(f"{text}\n")
     return status
+
+
+Row = dict[str, Any]
+
+
+@contextmanager
+def _bridge(options: Options) -> Iterator[Bridge]:
+    """Have a bridge for one command.
+
+    Raises:
+        BridgeError: it cannot be made.
+    """
+    bridge = Registry().create(BridgeSpec("ros2_command", "ros2", options))
+    try:
+        yield bridge
+    finally:
+        bridge.close()
+
+
+def _node_rows(bridge: Bridge) -> list[Row]:
+    """Return every node with its topics, services and actions."""
+    return [
+        {
+            "node": component.name,
+            "endpoints": [
+                {
+                    "role": at.role.value,
+                    "name": at.address[0],
+                    "type": at.address[1],
+                    "known": report != Description(),
+                }
+                for at, report in component.endpoints
+            ],
+            **({"missing": component.detail} if component.detail else {}),
+        }
+        for component in bridge.discover()
+    ]
+
+
+def _type_rows(bridge: Bridge) -> list[Row]:
+    """Return every type on the graph: whether it is installed, or known from a node."""
+    found: dict[str, Row] = {}
+    for component in bridge.discover():
+        for at, report in component.endpoints:
+            name = at.address[1]
+            row = found.setdefault(name, {"type": name, "known": "", "nodes": []})
+            if component.name not in row["nodes"]:
+                row["nodes"].append(component.name)
+            if not row["known"] and report != Description():
+                row["known"] = "installed" if _is_installed(name) else "described by its node"
+    return [found[name] for name in sorted(found)]
+
+
+def _is_installed(name: str) -> bool:
+    try:
+        import_type(name)
+    except Exception:  # noqa: BLE001 - the answer, whatever the reason
+        return False
+    return True
+
+
+def _structure_rows(bridge: Bridge, name: str, type_name: str) -> Row:
+    """Return the structures of a topic, a service or an action, with the type if it is given.
+
+    Raises:
+        BridgeError: it is not there, or its type is not known.
+    """
+    address = (name, type_name) if type_name else (name,)
+    is_message = kind_of(type_name) == "msg" if type_name else _is_topic(bridge, name)
+    options: Options = {"peer": "optional"} if type_name else {}
+    role = Role.OUTPUT if is_message else Role.SERVICE
+    at = Endpoint(bridge.name, name, role, address, options=options)
+    report = bridge.describe(at)
+    parts = {"message": report.message, "request": report.request, "reply": report.reply}
+    return {
+        part: {"type": value.native_type, "structure": value.schema}
+        for part, value in parts.items()
+        if value is not None
+    }
+
+
+def _is_topic(bridge: Bridge, name: str) -> bool:
+    """Whether the graph has a topic of this name; a name that it does not have counts as one."""
+    everything = [at for component in bridge.discover() for at, _ in component.endpoints]
+    kinds = {at.role for at in everything if at.address[0].strip("/") == name.strip("/")}
+    return kinds != {Role.SERVICE}
 
 
 if __name__ == "__main__":

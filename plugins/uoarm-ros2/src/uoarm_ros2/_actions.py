@@ -14,14 +14,12 @@ from attrs import define, field
 from uoarm.bridge import Channel, Sink, Source
 from uoarm.errors import BridgeError, FailureReason
 from uoarm.model import Deliver, Endpoint, Health, Message
-from uoarm_ros2._action_types import records
-from uoarm_ros2._agreement import Agreement, Disagreement
-from uoarm_ros2._graph import Graph, Presence
-from uoarm_ros2._middleware import Station, rclpy_errors
-from uoarm_ros2._read import reader
-from uoarm_ros2._services import answered, require_agreement
+from uoarm_ros2._conversion import reader, writer
+from uoarm_ros2._discovery import Ros2Graph, ServerPresence
+from uoarm_ros2._middleware import NodeRunner, rclpy_errors
+from uoarm_ros2._schema import action_records
+from uoarm_ros2._services import Agreement, Disagreement, answered, require_agreement
 from uoarm_ros2._types import import_type
-from uoarm_ros2._write import writer
 
 __all__ = ["Action", "ActionSink", "ActionSource"]
 
@@ -48,7 +46,7 @@ class _Goal:
         is_cancelled: whether its end was asked for.
     """
 
-    servers: Presence = field(factory=Presence)
+    servers: ServerPresence = field(factory=ServerPresence)
     sent: Any = None
     handle: Any = None
     is_cancelled: bool = False
@@ -57,27 +55,30 @@ class _Goal:
 class Action:
     """A client of one action, shared by its channels and calls.
 
-    Callbacks run in the station's thread. A goal that is under way, or not answered yet, when its
+    Callbacks run in the runner's thread. A goal that is under way, or not answered yet, when its
     server disappears ends with the status `lost`, also where another server has taken its place.
     """
 
-    def __init__(self, station: Station, graph: Graph, name: str, type_name: str) -> None:
-        goal, feedback, result = records(type_name)
+    def __init__(self, runner: NodeRunner, graph: Ros2Graph, name: str, type_name: str) -> None:
+        goal, feedback, result = action_records(type_name)
         self.name = name
         self._graph = graph
         self._sending = f"{name}/_action/send_goal"
         self._write_goal = writer(goal)
         self._read_feedback = reader(feedback)
         self._read_result = reader(result)
+        # Guards goals and listeners, between the threads that send and the runner's. A goal leaves
+        # the table once, under it: of the reports of its end (result, rejection, loss of the
+        # server) only that of the thread that took it out is emitted.
         self._lock = threading.Lock()
         self._goals: dict[str, _Goal] = {}
         self._listeners: tuple[ActionSource, ...] = ()
         self._new_id = import_type(_UUID)
-        self._station = station
-        self._client = station.action_client(import_type(type_name), name)
+        self._runner = runner
+        self._client = runner.action_client(import_type(type_name), name)
         self._was_ready = False
         services = (f"{name}/_action/{text}" for text in ("send_goal", "get_result"))
-        self.agreement = Agreement(station, f"action {name}", services)
+        self.agreement = Agreement(runner, f"action {name}", services)
         self._disagreement = ""
 
     def ready(self) -> bool:
@@ -94,7 +95,7 @@ class Action:
             text = f"action {self.name} has no server"
             raise BridgeError(text, FailureReason.UNAVAILABLE)
         if not self._was_ready:
-            self._graph.greet(self._sending, limit)
+            self._graph.await_match(self._sending, limit)
         self._was_ready = True
         require_agreement(self.agreement)
 
@@ -115,22 +116,22 @@ class Action:
         deadline = time.monotonic() + timeout
         what = f"action {self.name}"
         goal = self._write_goal(message)
-        with self._station.calling(what):
+        with self._runner.calling(what):
             self.wait(min(wait, timeout))
-            first = Presence()
+            first = ServerPresence()
 
             def there() -> bool:
                 return self.ready() and first.holds(self._graph.servers(self._sending))
 
-            pursuit = _Pursuit(self._client, what)
-            with cancelling(pursuit.cancel):
-                sent = pursuit.begin(goal)
+            call_goal = _CallGoal(self._client, what)
+            with cancelling(call_goal.cancel):
+                sent = call_goal.begin(goal)
                 try:
                     handle = answered(sent, deadline, there, what)
                     if handle.accepted:
                         reply = answered(handle.get_result_async(), deadline, there, what)
                 except BridgeError:
-                    pursuit.cancel()
+                    call_goal.cancel()
                     raise
             if not handle.accepted:
                 raise BridgeError(f"{what} rejected the goal", FailureReason.REFUSED)
@@ -198,7 +199,7 @@ class Action:
             for listener in self._listeners:
                 listener.server_changed(ready=ready)
         if ready and self._listeners:
-            self._tell_disagreement()
+            self._report_disagreement()
         goals = list(self._goals.items())
         servers = self._graph.servers(self._sending) if goals else frozenset[bytes]()
         for goal_id, goal in goals:
@@ -207,7 +208,7 @@ class Action:
                     goal.sent.cancel()  # else rclpy keeps it for an answer that never comes
                 self._emit("status", {"goal_id": goal_id, "status": "lost"})
 
-    def _tell_disagreement(self) -> None:
+    def _report_disagreement(self) -> None:
         found = self.agreement.look()
         if found.text != self._disagreement:
             self._disagreement = found.text
@@ -215,7 +216,7 @@ class Action:
                 listener.disagreed(found)
 
     def _forget(self, goal_id: str) -> bool:
-        """Take a goal off the list; False: it has ended before, and that was told."""
+        """Take a goal off the list; False: it has ended before, and that was reported."""
         with self._lock:
             return self._goals.pop(goal_id, None) is not None
 
@@ -240,7 +241,7 @@ class Action:
         if handle.accepted and not is_wanted:
             _cancel(handle)
         if goal is None:
-            return  # it was told as lost
+            return  # it was reported as lost
         if not handle.accepted:
             self._forget(goal_id)
             self._emit("status", {"goal_id": goal_id, "status": "rejected"})
@@ -257,7 +258,7 @@ class Action:
             self._emit("status", ended)
 
 
-class _Pursuit:
+class _CallGoal:
     """The goal of one call, which any thread may cancel from before it is sent until it ends.
 
     A goal that waits for its acceptance has no handle to cancel it by: it is cancelled by the
@@ -267,6 +268,8 @@ class _Pursuit:
     def __init__(self, client: Any, what: str) -> None:
         self._client = client
         self._what = what
+        # Orders `cancel` and `begin`: a goal is sent before, and then cancelled by its handle, or
+        # it is not sent at all.
         self._lock = threading.Lock()
         self._is_cancelled = False
         self._sent: Any = None
@@ -285,7 +288,7 @@ class _Pursuit:
             return self._sent
 
     def cancel(self) -> bool:
-        """Cancel the goal now or once it is accepted; False: the server cannot be told."""
+        """Cancel the goal now or once it is accepted; False: the server cannot be reached."""
         with self._lock:
             self._is_cancelled = True
             sent = self._sent
@@ -306,7 +309,7 @@ def _cancel_accepted(sent: Any) -> bool:
 
 
 def _cancel(goal: Any) -> bool:
-    """Ask the server to cancel a goal; False: it cannot be told, since the bridge was closed."""
+    """Ask the server to cancel a goal; False: the bridge was closed."""
     with suppress(BridgeError), rclpy_errors("cancelling a goal"):
         goal.cancel_goal_async()
         return True
@@ -341,15 +344,15 @@ class ActionSource(Source):
             self._deliver(message)
 
     def server_changed(self, *, ready: bool) -> None:
-        """Tell the manager that the server is gone or back."""
+        """Report that the server is gone or back."""
         if ready:
             self._report(self, Health.OK, f"a server of {self._action.name} is there")
         else:
             self._report(self, Health.LOST, f"the server of {self._action.name} is gone")
 
     def disagreed(self, found: Disagreement) -> None:
-        """Tell the manager that some, or all, who serve mean something else, or none any more."""
-        unwell = Health.LOST if found.is_everybody else Health.DEGRADED
+        """Report that some or all servers have another definition, or none any more."""
+        unwell = Health.LOST if found.is_total else Health.DEGRADED
         every = f"every server of {self._action.name} has our definition"
         self._report(self, unwell if found.text else Health.OK, found.text or every)
 

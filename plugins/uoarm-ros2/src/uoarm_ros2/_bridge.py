@@ -1,14 +1,16 @@
-"""The bridge: which native thing stands behind each step of the contract."""
+"""The bridge: which native entity stands behind each step of the contract."""
 
 from __future__ import annotations
 
 import math
+import threading
 import time
-from collections.abc import Callable, Mapping
-from contextlib import ExitStack, suppress
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager, suppress
+from functools import partial
 from typing import Any, TypeVar
 
-from attrs import evolve
+from attrs import define, evolve
 
 from uoarm.bridge import (
     Bridge,
@@ -24,58 +26,174 @@ from uoarm.bridge import (
 )
 from uoarm.errors import BridgeError, FailureReason, MessageError
 from uoarm.model import Endpoint, Health, Message, MessageStructure, Options, Role
-from uoarm_ros2 import _action_types, _services
 from uoarm_ros2._actions import Action, ActionSink, ActionSource
-from uoarm_ros2._cdr_read import cdr_reader
-from uoarm_ros2._cdr_write import cdr_writer
-from uoarm_ros2._defined import DefinedTypes
-from uoarm_ros2._discovery import Attendance, discovered
-from uoarm_ros2._end import Place
-from uoarm_ros2._frame_lookups import FrameLookups
-from uoarm_ros2._graph import Graph, Topic
-from uoarm_ros2._link import Relay, SameTopic
-from uoarm_ros2._managed_node import NodeAccess
-from uoarm_ros2._managed_nodes import ManagedNodes
-from uoarm_ros2._middleware import Participant
-from uoarm_ros2._offered_action import (
+from uoarm_ros2._cdr import cdr_reader, cdr_writer
+from uoarm_ros2._channels import PublisherSink, SameTopicLink, SerialisedRelay, SubscriptionSource
+from uoarm_ros2._conversion import writer
+from uoarm_ros2._discovery import NodePresence, Ros2Graph, Topic, discovered
+from uoarm_ros2._health import SimulatedClock
+from uoarm_ros2._managed_nodes import ManagedNodes, NodeAccess
+from uoarm_ros2._middleware import NodeRunner, Participant
+from uoarm_ros2._offered_actions import (
+    OfferedAction,
     OfferedCall,
     OfferedSink,
     OfferedSource,
 )
-from uoarm_ros2._pulse import SimulatedClock
-from uoarm_ros2._qos import Policies
-from uoarm_ros2._schema import structure_of
-from uoarm_ros2._services import Caller, Server
-from uoarm_ros2._settings import (
+from uoarm_ros2._options import (
     LOOKUP,
-    Address,
-    BridgeSettings,
-    Settings,
+    Ros2Address,
+    Ros2BridgeOptions,
+    Ros2Options,
     address_of,
-    settings_of,
+    options_of,
 )
-from uoarm_ros2._shape import is_described, is_large, shape_of
-from uoarm_ros2._shared_ends import SharedEnds
-from uoarm_ros2._sink import TopicSink
-from uoarm_ros2._source import TopicSource
-from uoarm_ros2._type_finder import DESCRIPTION_SERVICE, TypeFinder
-from uoarm_ros2._types import ACTION, import_type
-from uoarm_ros2._write import writer
+from uoarm_ros2._qos import Policies
+from uoarm_ros2._schema import describe_action, describe_service, part_structure, structure_of
+from uoarm_ros2._services import ServiceClient, ServiceServer
+from uoarm_ros2._topic_endpoint import TopicContext
+from uoarm_ros2._transforms import FrameLookups
+from uoarm_ros2._type_finder import DESCRIPTION_SERVICE, DefinedTypes, TypeFinder
+from uoarm_ros2._types import ACTION, import_type, is_described, is_large, shape_of
 
-__all__ = ["Ros2Bridge"]
+__all__ = ["Ros2Bridge", "SharedEntities"]
+
+_UNUSED_SECONDS = 10.0
+_Key = tuple[str, str]
+
+
+@define(eq=False)
+class _NodeClient:
+    """The client of a node's service, how many use it now, and when it was last used."""
+
+    caller: ServiceClient
+    users: int = 0
+    last: float = 0.0
+
+
+class SharedEntities:
+    """Ends that the calls and the channels of a bridge share, by full name and type.
+
+    Replies, results and feedback arrive in the thread of a node of their own, which starts with the
+    first client that needs it. All methods may be called from any thread, `tick` in the runner's.
+
+    Args:
+        runner: of the node in whose thread goals of offered actions come, as messages of topics do,
+            so that a consumer of goals may call services.
+        graph: of that node.
+        start_replies: starts the node for replies.
+    """
+
+    def __init__(
+        self, runner: NodeRunner, graph: Ros2Graph, start_replies: Callable[[], NodeRunner]
+    ) -> None:
+        self._runner = runner
+        self._graph = graph
+        self._start_replies = start_replies
+        # Guards the tables below and the making of what is in them: of two threads that want the
+        # same client one makes it. Held while a channel joins an offered action, so that `tick`
+        # cannot destroy the action between. Reentrant, as making a client starts the node.
+        self._making = threading.RLock()
+        self._replies: NodeRunner | None = None
+        self._callers: dict[_Key, ServiceClient] = {}
+        self._node_clients: dict[_Key, _NodeClient] = {}
+        self._actions: dict[_Key, Action] = {}
+        self._offered: dict[_Key, OfferedAction] = {}
+
+    def replies(self) -> NodeRunner:
+        """Return the node in whose thread replies arrive."""
+        with self._making:
+            if self._replies is None:
+                self._replies = self._start_replies()
+            return self._replies
+
+    def caller(self, name: str, type_name: str) -> ServiceClient:
+        """Return the client of a service."""
+        with self._making:
+            caller = self._callers.get((name, type_name))
+            if caller is None:
+                caller = ServiceClient(self.replies(), self._graph, name, type_name)
+                self._callers[name, type_name] = caller
+            return caller
+
+    def ask(self, name: str, type_name: str, request: Message, seconds: float) -> Message:
+        """Call a service of a node; its client goes once it is unused for a while.
+
+        Nodes with names that are never seen again come and go.
+
+        Raises:
+            BridgeError: as `ServiceClient.call`.
+        """
+        with self._making:
+            client = self._node_clients.get((name, type_name))
+            if client is None:
+                client = _NodeClient(ServiceClient(self.replies(), self._graph, name, type_name))
+                self._node_clients[name, type_name] = client
+            client.users += 1
+        try:
+            return client.caller.call(request, seconds, seconds)
+        finally:
+            with self._making:
+                client.users -= 1
+                client.last = time.monotonic()
+
+    def action(self, name: str, type_name: str) -> Action:
+        """Return the client of an action."""
+        with self._making:
+            action = self._actions.get((name, type_name))
+            if action is None:
+                action = Action(self.replies(), self._graph, name, type_name)
+                self._actions[name, type_name] = action
+            return action
+
+    @contextmanager
+    def offered(self, name: str, type_name: str) -> Iterator[OfferedAction]:
+        """Provide the server of an action, which stays while the block opens a channel at it."""
+        with self._making:
+            offered = self._offered.get((name, type_name))
+            if offered is None:
+                offered = OfferedAction(self._runner, name, type_name)
+                self._offered[name, type_name] = offered
+            yield offered
+
+    def tick(self) -> None:
+        """Look after all of them a few times a second, and put away what is unused."""
+        self._close_unused()
+        for action in list(self._actions.values()):
+            action.tick()
+        for key, offered in list(self._offered.items()):
+            offered.tick()
+            with self._making:
+                if offered.is_unused:
+                    del self._offered[key]
+                    offered.destroy()
+
+    def _close_unused(self) -> None:
+        now = time.monotonic()
+        for key, client in list(self._node_clients.items()):
+            with self._making:
+                if not client.users and now - client.last > _UNUSED_SECONDS:
+                    del self._node_clients[key]
+                    client.caller.close()
+
+    def close(self) -> None:
+        """End the goals that are offered."""
+        for offered in list(self._offered.values()):
+            offered.destroy()
+
 
 _CLOSE_SECONDS = 1.0
 _LEAVE_SECONDS = 3.0
 _DESCRIPTION_SECONDS = 2.0
 _CLOCK = "rosgraph_msgs/msg/Clock"
-Watched = TypeVar("Watched", TopicSource, TopicSink, Relay)
+Watched = TypeVar("Watched", SubscriptionSource, PublisherSink, SerialisedRelay)
 
 
 class Ros2Bridge(Bridge):
     """One participant in one DDS domain, with a context of its own.
 
     Messages are delivered in one thread; replies, results and feedback arrive in a second one, so
-    that whoever takes a message may call a service through the same bridge; requests to services
+    that the consumer of a message may call a service through the same bridge; requests to services
     that it offers are handled in threads of their own.
     """
 
@@ -85,34 +203,40 @@ class Ros2Bridge(Bridge):
         super().__init__(name, options)
         given = {key: value for key, value in options.items() if key != "node"}
         node = str(options.get("node", f"uoarm_{''.join(c if c.isalnum() else '_' for c in name)}"))
-        self._settings = BridgeSettings(node, **given)  # type: ignore[arg-type]  # by the schema
-        defined = DefinedTypes(self._settings.definitions)
+        self._options = Ros2BridgeOptions(node, **given)  # type: ignore[arg-type]  # by the schema
+        defined = DefinedTypes(self._options.definitions)
         self._participant = Participant(
-            self._settings.domain_id, self._settings.namespace, self._settings.shared_memory
+            self._options.domain_id, self._options.namespace, self._options.shared_memory
         )
         try:
-            self._station = self._participant.station(node)
-            self._clock = self._hear_clock() if self._settings.use_sim_time else time.monotonic
+            self._runner = self._participant.start_node(node)
+            self._clock = (
+                self._subscribe_to_clock() if self._options.use_sim_time else time.monotonic
+            )
         except BaseException:
             self._participant.close(_CLOSE_SECONDS)
             raise
-        self._graph = Graph(self._station, self._settings.wait)
-        self._types = TypeFinder(self._ask_for_description, self._station.ends, defined)
-        self._attendance = Attendance(
-            self._station.node, self._participant.node_names, self._told_of
+        self._graph = Ros2Graph(self._runner, self._options.wait)
+        self._types = TypeFinder(self._ask_for_description, self._runner.ends, defined)
+        self._attendance = NodePresence(
+            self._runner.node, self._participant.node_names, self._report_component
         )
-        access = NodeAccess(self._ask, self._station.has_server, self._listen, self._told_of)
-        resolve = self._station.topic_name
-        self._managed = ManagedNodes(access, self._graph, resolve)
-        self._lookups = FrameLookups(self._station, self._graph, self._types.find)
-        self._shared = SharedEnds(
-            self._station, self._graph, lambda: self._participant.station(f"{node}_replies")
+        self._shared = SharedEntities(
+            self._runner, self._graph, partial(self._participant.start_node, f"{node}_replies")
         )
-        self._called: dict[Address, Caller | Action] = {}
+        access = NodeAccess(
+            self._shared.ask,
+            self._runner.has_server,
+            self._subscribe_to_changes,
+            self._report_component,
+        )
+        self._managed = ManagedNodes(access, self._graph, self._runner.topic_name)
+        self._lookups = FrameLookups(self._runner, self._graph, self._types.find)
+        self._called: dict[Ros2Address, ServiceClient | Action] = {}
         self._disagreements: dict[str, str] = {}
         self._watched: dict[Channel, Callable[[], None]] = {}
-        self._station.tick = self._tick
-        self._station.cut_off = self._cut_off
+        self._runner.tick = self._tick
+        self._runner.cut_off = self._cut_off
 
     def facts(self) -> Mapping[str, object]:
         """Return how often the loops of its nodes turned for nothing."""
@@ -120,40 +244,40 @@ class Ros2Bridge(Bridge):
 
     def _describe(self, endpoint: Endpoint) -> Description:
         address = address_of(endpoint)
-        settings = self._managed.described(endpoint, settings_of(endpoint))
+        options = self._managed.described(endpoint, options_of(endpoint))
         if address.part == LOOKUP:
-            return self._lookups.describe(address, settings)
+            return self._lookups.describe(address, options)
         if endpoint.role is Role.SERVICE:
-            return self._describe_service(address, settings)
+            return self._describe_service(address, options)
         if address.kind == ACTION:
             if not endpoint.is_offered:
-                self._require_server(address, settings, action=True)
-            return Description(message=_action_types.part_structure(address.type, address.part))
-        topic = self._graph.topic(address, endpoint.role, settings)
+                self._require_server(address, options, action=True)
+            return Description(message=part_structure(address.type, address.part))
+        topic = self._graph.topic(address, endpoint.role, options)
         self._mention_others(topic, endpoint)
         return Description(message=self._structure(topic.type, topic.name))
 
-    def _describe_service(self, address: Address, settings: Settings) -> Description:
-        action, _, type_name = self._require_server(address, settings)
-        return _action_types.described(type_name) if action else _services.described(type_name)
+    def _describe_service(self, address: Ros2Address, options: Ros2Options) -> Description:
+        action, _, type_name = self._require_server(address, options)
+        return describe_action(type_name) if action else describe_service(type_name)
 
     def _require_server(
         self,
-        address: Address,
-        settings: Settings,
+        address: Ros2Address,
+        options: Ros2Options,
         *,
         action: bool | None = None,
         at_most: float = math.inf,
     ) -> tuple[bool, str, str]:
         """Return whether it is an action, its full name and its type, once a server is there."""
-        name = self._station.service_name(address.name)
+        name = self._runner.service_name(address.name)
         hidden = f"{name}/_action/send_goal"
 
-        def there() -> bool:
-            return self._station.has_server(name) or self._station.has_server(hidden)
+        def has_server() -> bool:
+            return self._runner.has_server(name) or self._runner.has_server(hidden)
 
-        needed = settings.peer_required or not address.type
-        if needed and not self._graph.settled(f"a server of {name}", there, settings, at_most):
+        needed = options.peer_required or not address.type
+        if needed and not self._graph.settled(f"a server of {name}", has_server, options, at_most):
             text = self._graph.absence(
                 f"there is no server of {name}", name, self._graph.servers_named()
             )
@@ -161,7 +285,7 @@ class Ros2Bridge(Bridge):
         if action is None:
             action = address.kind == ACTION
             if not address.type:
-                action = not self._station.has_server(name)
+                action = not self._runner.has_server(name)
         full, type_name = self._graph.service(address, action=action)
         return action, full, type_name
 
@@ -169,54 +293,54 @@ class Ros2Bridge(Bridge):
         self, endpoint: Endpoint, structure: MessageStructure, deliver: Delivery
     ) -> Source:
         del structure  # the native type is in the address, or on the graph
-        address, settings = address_of(endpoint), settings_of(endpoint)
+        address, options = address_of(endpoint), options_of(endpoint)
         if address.kind == ACTION and endpoint.is_offered:
-            return self._shared.with_offered(
-                self._station.service_name(address.name),
-                address.type,
-                lambda offered: OfferedSource(endpoint, offered, address.part, deliver),
-            )
-        with self._managed.held(endpoint, settings) as held:
+            name = self._runner.service_name(address.name)
+            with self._shared.offered(name, address.type) as offered:
+                return OfferedSource(endpoint, offered, address.part, deliver)
+        with self._managed.leased(endpoint, options) as leased:
             if address.kind == ACTION:
-                action = self._reachable(address, held.settings)
-                source = ActionSource(endpoint, action, address.part, deliver, self._told)
-                return held.until_closed(source)
-            place = self._place(endpoint, address, held.settings)
-            read = cdr_reader(shape_of(place.native, place.topic.type))
-            return held.until_closed(self._waited(TopicSource(place, read, deliver)))
+                action = self._reachable(address, leased.options)
+                source = ActionSource(endpoint, action, address.part, deliver, self._report_channel)
+                return leased.until_closed(source)
+            context = self._topic_context(endpoint, address, leased.options)
+            read = cdr_reader(shape_of(context.native, context.topic.type))
+            return leased.until_closed(
+                self._wait_for_peer(SubscriptionSource(context, read, deliver))
+            )
 
     def _open_sink(self, endpoint: Endpoint, structure: MessageStructure) -> Sink:
         del structure
-        address, settings = address_of(endpoint), settings_of(endpoint)
+        address, options = address_of(endpoint), options_of(endpoint)
         if address.kind == ACTION and endpoint.is_offered:
-            return self._shared.with_offered(
-                self._station.service_name(address.name),
-                address.type,
-                lambda offered: OfferedSink(endpoint, offered, address.part),
-            )
-        with self._managed.held(endpoint, settings) as held:
+            name = self._runner.service_name(address.name)
+            with self._shared.offered(name, address.type) as offered:
+                return OfferedSink(endpoint, offered, address.part)
+        with self._managed.leased(endpoint, options) as leased:
             if address.kind == ACTION:
-                action = self._reachable(address, held.settings)
-                return held.until_closed(ActionSink(endpoint, action, address.part))
-            place = self._place(endpoint, address, held.settings)
-            shape = shape_of(place.native, place.topic.type)
+                action = self._reachable(address, leased.options)
+                return leased.until_closed(ActionSink(endpoint, action, address.part))
+            context = self._topic_context(endpoint, address, leased.options)
+            shape = shape_of(context.native, context.topic.type)
             write: Callable[[Message], object] = writer(shape)
-            if is_described(place.native):
+            if is_described(context.native):
                 write = _serialising(write, cdr_writer(shape))
-            return held.until_closed(self._waited(TopicSink(place, write)))
+            return leased.until_closed(self._wait_for_peer(PublisherSink(context, write)))
 
     def _call(
         self, endpoint: Endpoint, structures: ServiceStructures, message: Message, timeout: float
     ) -> Message:
         del structures  # the native type is in the address, or on the graph
-        address, settings = address_of(endpoint), settings_of(endpoint)
-        with self._managed.held(endpoint, settings) as held:
+        address, options = address_of(endpoint), options_of(endpoint)
+        with self._managed.leased(endpoint, options) as leased:
             if address.part == LOOKUP:
                 return self._lookups.call(address, message, timeout)
-            wait = min(self._graph.limit(settings), timeout / 2)
+            wait = min(self._graph.limit(options), timeout / 2)
             server = self._called.get(address)
             if server is None or not server.ready():
-                action, name, type_name = self._require_server(address, held.settings, at_most=wait)
+                action, name, type_name = self._require_server(
+                    address, leased.options, at_most=wait
+                )
                 server = (self._shared.action if action else self._shared.caller)(name, type_name)
                 self._called[address] = server
             try:
@@ -224,49 +348,51 @@ class Ros2Bridge(Bridge):
                     return server.call(message, timeout, wait, self.cancelling)
                 return server.call(message, timeout, wait)
             finally:
-                self._tell_disagreement(endpoint, server)
+                self._report_disagreement(endpoint, server)
 
     def _serve(
         self, endpoint: Endpoint, structures: ServiceStructures, handler: Handler
     ) -> Channel:
         del structures
-        address, settings = address_of(endpoint), settings_of(endpoint)
+        address, options = address_of(endpoint), options_of(endpoint)
         if not address.type:
             text = f"{endpoint}: serving needs a type, as package/srv/Name, in the address"
             raise BridgeError(text, FailureReason.UNSUPPORTED)
-        name = self._station.service_name(address.name)
-        kind = OfferedCall if address.kind == ACTION else Server
-        station, at_once = self._shared.replies(), settings.at_once
-        return kind(station, endpoint, name, address.type, handler, at_once, self._told)
+        name = self._runner.service_name(address.name)
+        kind = OfferedCall if address.kind == ACTION else ServiceServer
+        runner, at_once = self._shared.replies(), options.at_once
+        return kind(runner, endpoint, name, address.type, handler, at_once, self._report_channel)
 
     def _link(self, source: Endpoint, sink: Endpoint) -> Channel | None:
         wanted = [
-            (endpoint, address_of(endpoint), settings_of(endpoint)) for endpoint in (source, sink)
+            (endpoint, address_of(endpoint), options_of(endpoint)) for endpoint in (source, sink)
         ]
         if any(address.kind == ACTION for _, address, _ in wanted):
             return None
         with ExitStack() as stack:
-            ends = [stack.enter_context(self._managed.held(end, asked)) for end, _, asked in wanted]
-            places = [
-                self._place(end, address, held.settings)
-                for (end, address, _), held in zip(wanted, ends, strict=True)
+            ends = [
+                stack.enter_context(self._managed.leased(end, asked)) for end, _, asked in wanted
             ]
-            if places[0].topic.type != places[1].topic.type:
+            contexts = [
+                self._topic_context(end, address, leased.options)
+                for (end, address, _), leased in zip(wanted, ends, strict=True)
+            ]
+            if contexts[0].topic.type != contexts[1].topic.type:
                 return None
-            if places[0].topic.name != places[1].topic.name:
-                link: Channel = self._waited(Relay(*places))
+            if contexts[0].topic.name != contexts[1].topic.name:
+                link: Channel = self._wait_for_peer(SerialisedRelay(*contexts))
             else:
-                same = SameTopic(*places)
+                same = SameTopicLink(*contexts)
                 self._watched[same] = same.tick
                 link = same
-            for held in ends:
-                held.until_closed(link)
+            for leased in ends:
+                leased.until_closed(link)
             return link
 
     def _discover(self) -> tuple[Discovered, ...]:
-        self._graph.settled("anything", lambda: False, Settings())
+        self._graph.wait_until_formed()
         own = self._participant.node_names()
-        return discovered(self.name, self._station.node, own, self._structure)
+        return discovered(self.name, self._runner.node, own, self._structure)
 
     def _close(self) -> None:
         self._managed.close(_LEAVE_SECONDS)
@@ -279,42 +405,41 @@ class Ros2Bridge(Bridge):
         return structure_of(shape_of(self._types.find(type_name, topic), type_name))
 
     def _ask_for_description(self, node: str, request: Message) -> Message:
-        """Ask a node what a type of its is made of."""
+        """Ask a node for the description of a type that it uses."""
         name = f"{node}/get_type_description"
-        if not self._station.has_server(name):
+        if not self._runner.has_server(name):
             text = f"there is no service {name}"
             raise BridgeError(text, FailureReason.NOT_FOUND)
-        return self._ask(name, DESCRIPTION_SERVICE, request, _DESCRIPTION_SECONDS)
+        return self._shared.ask(name, DESCRIPTION_SERVICE, request, _DESCRIPTION_SECONDS)
 
-    def _ask(self, name: str, type_name: str, request: Message, seconds: float) -> Message:
-        return self._shared.ask(name, type_name, request, seconds)
-
-    def _listen(self, topic: str, heard: Callable[[], None]) -> Callable[[], None]:
-        """Have something called, in the station's thread, when a node tells of its lifecycle."""
+    def _subscribe_to_changes(self, topic: str, changed: Callable[[], None]) -> Callable[[], None]:
+        """Have a node's changes of lifecycle state notified in the runner's thread."""
         native = import_type("lifecycle_msgs/msg/TransitionEvent")
-        station = self._station
-        made = station.subscribe(native, topic, Policies(), lambda _: heard(), events={})
-        return lambda: station.discard(made)
+        runner = self._runner
+        made = runner.subscribe(native, topic, Policies(), lambda _: changed(), events={})
+        return partial(runner.discard, made)
 
-    def _place(self, endpoint: Endpoint, address: Address, settings: Settings) -> Place:
-        topic = self._graph.topic(address, endpoint.role, settings)
+    def _topic_context(
+        self, endpoint: Endpoint, address: Ros2Address, options: Ros2Options
+    ) -> TopicContext:
+        topic = self._graph.topic(address, endpoint.role, options)
         self._mention_others(topic, endpoint)
         native = self._types.find(topic.type, topic.name)
         large = is_large(shape_of(native, topic.type))
-        settings = evolve(settings, qos=settings.qos.for_type(large=large))
-        return Place(
-            self._station,
+        options = evolve(options, qos=options.qos.for_type(large=large))
+        return TopicContext(
+            self._runner,
             self._graph,
             endpoint,
             topic,
             native,
-            settings,
-            self._settings.settle,
-            self._told,
+            options,
+            self._options.settle,
+            self._report_channel,
             self._clock,
         )
 
-    def _hear_clock(self) -> SimulatedClock:
+    def _subscribe_to_clock(self) -> SimulatedClock:
         clock, native = SimulatedClock(), import_type(_CLOCK)
         read = cdr_reader(shape_of(native, _CLOCK))
 
@@ -324,10 +449,10 @@ class Ros2Bridge(Bridge):
                 clock.take(now["clock"]["sec"] * 1_000_000_000 + now["clock"]["nanosec"])
 
         latest = Policies(reliability="best_effort", depth=1)
-        self._station.subscribe(native, "/clock", latest, take, events={})
+        self._runner.subscribe(native, "/clock", latest, take, events={})
         return clock
 
-    def _waited(self, channel: Watched) -> Watched:
+    def _wait_for_peer(self, channel: Watched) -> Watched:
         """Wait for the other end; nothing stays open when it does not come."""
         self._watched[channel] = channel.tick
         try:
@@ -342,27 +467,29 @@ class Ros2Bridge(Bridge):
             text = f"topic {topic.name} carries other types than {topic.type} too: {topic.others}"
             self.report(Health.DEGRADED, text, component=endpoint.component)
 
-    def _tell_disagreement(self, endpoint: Endpoint, server: Caller | Action) -> None:
-        """Tell of a component that is called beside others who serve the name as something else."""
+    def _report_disagreement(self, endpoint: Endpoint, server: ServiceClient | Action) -> None:
+        """Report a component that is called beside servers of the same name with another type."""
         with suppress(BridgeError):  # the bridge was closed meanwhile
             text = server.agreement.look().text
             before = self._disagreements.get(endpoint.component, "")
             self._disagreements[endpoint.component] = text
             if text != before:
                 health = Health.DEGRADED if text else Health.OK
-                self._told_of(health, text or "all who serve it mean the same", endpoint.component)
+                self._report_component(
+                    health, text or "every server of it has our definition", endpoint.component
+                )
 
-    def _reachable(self, address: Address, settings: Settings) -> Action:
-        _, name, type_name = self._require_server(address, settings, action=True)
+    def _reachable(self, address: Ros2Address, options: Ros2Options) -> Action:
+        _, name, type_name = self._require_server(address, options, action=True)
         action = self._shared.action(name, type_name)
-        if settings.peer_required:
-            action.wait(self._graph.limit(settings))
+        if options.peer_required:
+            action.wait(self._graph.limit(options))
         return action
 
-    def _told(self, channel: Channel, health: Health, cause: str) -> None:
+    def _report_channel(self, channel: Channel, health: Health, cause: str) -> None:
         self.report(health, cause, channel=channel)
 
-    def _told_of(self, health: Health, cause: str, component: str) -> None:
+    def _report_component(self, health: Health, cause: str, component: str) -> None:
         self.report(health, cause, component=component)
 
     def _cut_off(self) -> None:

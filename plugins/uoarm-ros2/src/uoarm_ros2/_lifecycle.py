@@ -39,13 +39,14 @@ _LEADS_TO = {
 
 
 class Lifecycle:
-    """One node: what is wanted of it, its state as last seen, and what of that was our doing.
+    """One node: the state that is wanted, the state as last seen, and our own changes to it.
 
-    What was configured or active before it was wanted is left so afterwards. What somebody else
-    changes meanwhile is let be, unless it is to be kept active; a node that failed is let be, too.
+    A node that was configured or active before it was wanted is left so afterwards. What another
+    client changes meanwhile stays, unless the node is to be kept active; a node that failed is left
+    alone, too.
 
     Attributes:
-        state: the label that the node told last, empty before.
+        state: the label that the node reported last, empty before.
         why_not: why nothing more is asked although the node is wanted and not active.
     """
 
@@ -63,7 +64,7 @@ class Lifecycle:
         """Want the node active from now on, and once more where that was given up.
 
         Args:
-            keep: activate it again when somebody else deactivates it.
+            keep: activate it again when another client deactivates it.
             afterwards: `deactivate`, `cleanup` or `leave`.
         """
         self._wanted, self._keep, self._afterwards = True, keep, afterwards
@@ -76,15 +77,15 @@ class Lifecycle:
         self.why_not = ""
 
     def saw(self, state: str) -> None:
-        """Take note of the state that the node tells."""
+        """Take note of the state that the node reports."""
         self.state = state
         if state == _ACTIVE:
             self._seen_active = True
             return
         if state in (_INACTIVE, *_LOST):
             self._activated = False
-            let_be = state in _LOST or not self._keep
-            if self._wanted and self._seen_active and let_be and not self.why_not:
+            stays = state in _LOST or not self._keep
+            if self._wanted and self._seen_active and stays and not self.why_not:
                 self.why_not = "not asked for here"
         if state in _LOST:
             self._configured = False
@@ -111,12 +112,12 @@ class Lifecycle:
         elif not succeeded:
             self.why_not = f"{transition} failed"
         why_not = self.why_not
-        self._seen_active = False  # what happens in our own transition is nobody else's doing
+        self._seen_active = False  # our own transition is no other client's change
         self.saw(state)
         self.why_not = why_not
 
     def health(self) -> Health:
-        """Return what the state means for those who use the node."""
+        """Return what the state means for the components of the node."""
         if self.state in _LOST:
             return Health.LOST
         return Health.OK if self.state == _ACTIVE else Health.DEGRADED

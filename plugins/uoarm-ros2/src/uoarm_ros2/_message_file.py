@@ -13,9 +13,9 @@ from collections.abc import Iterator, Mapping, Sequence
 from attrs import frozen
 
 from uoarm_ros2._schema import integer_range
-from uoarm_ros2._shape import NUMBER_CODES, Scalar, Text
+from uoarm_ros2._types import NUMBER_CODES, ScalarType, StringType
 
-__all__ = ["Kind", "Member", "Parsed", "parse_file", "require_one_each"]
+__all__ = ["ParsedField", "ParsedMessage", "ParsedType", "parse_file", "require_one_each"]
 
 _LOWER = re.compile(r"(?!.*__)(?!.*_$)[a-z][a-z0-9_]*")
 _UPPER = re.compile(r"[A-Z](?:_?[A-Z0-9])*")
@@ -30,24 +30,24 @@ _MARK = "\N{BYTE ORDER MARK}"
 
 
 @frozen
-class Kind:
+class ParsedType:
     """The type of a field. `element` is the name of a type, where it is another message.
 
     `size` is the length of an array that is `fixed`, or the most elements of one that is not.
     """
 
-    element: Scalar | Text | str
+    element: ScalarType | StringType | str
     many: bool = False
     size: int | None = None
     fixed: bool = False
 
 
 @frozen
-class Member:
+class ParsedField:
     """A field; `line` is where its file has it, 0 where that is not known."""
 
     name: str
-    kind: Kind
+    kind: ParsedType
     default: object = None
     line: int = 0
 
@@ -59,14 +59,14 @@ class _Constant:
 
 
 @frozen
-class Parsed:
+class ParsedMessage:
     """One message: a whole `.msg` file or a part of another."""
 
-    members: tuple[Member, ...]
+    members: tuple[ParsedField, ...]
     constants: Mapping[str, object]
 
 
-def parse_file(text: str, names: Sequence[str]) -> list[Parsed]:
+def parse_file(text: str, names: Sequence[str]) -> list[ParsedMessage]:
     """Return the messages of a file, one for each name that it has to define.
 
     Args:
@@ -108,8 +108,8 @@ def require_one_each(names: Sequence[str], what: str) -> None:
         raise ValueError(f"two {what}s are called {', '.join(twice)}")
 
 
-def _parse(lines: Sequence[tuple[int, str]], package: str) -> Parsed:
-    members: list[Member] = []
+def _parse(lines: Sequence[tuple[int, str]], package: str) -> ParsedMessage:
+    members: list[ParsedField] = []
     constants: dict[str, object] = {}
     places: dict[str, int] = {}
     for number, line in lines:
@@ -127,14 +127,14 @@ def _parse(lines: Sequence[tuple[int, str]], package: str) -> Parsed:
         if entry.name in places:
             raise ValueError(f"{place}: line {places[entry.name]} defines {entry.name} already")
         places[entry.name] = number
-        if isinstance(entry, Member):
+        if isinstance(entry, ParsedField):
             members.append(entry)
         else:
             constants[entry.name] = entry.value
-    return Parsed(tuple(members), constants)
+    return ParsedMessage(tuple(members), constants)
 
 
-def _entry(kind: str, rest: str, package: str, line: int) -> Member | _Constant:
+def _entry(kind: str, rest: str, package: str, line: int) -> ParsedField | _Constant:
     if not kind:
         raise ValueError("a line must not begin with blanks")
     is_constant = "=" in rest
@@ -155,7 +155,7 @@ def _constant(kind: str, name: str, value: str) -> _Constant:
     return _Constant(name, _value(kind, value, None))
 
 
-def _member(text: str, name: str, default: str, package: str, line: int) -> Member:
+def _member(text: str, name: str, default: str, package: str, line: int) -> ParsedField:
     kind, plain = _kind(text, package)
     if not _LOWER.fullmatch(name):
         hint = f"; a constant is written {name}=..." if _UPPER.fullmatch(name) and default else ""
@@ -164,12 +164,12 @@ def _member(text: str, name: str, default: str, package: str, line: int) -> Memb
             f"first{hint}"
         )
     if not default:
-        return Member(name, kind, None, line)
+        return ParsedField(name, kind, None, line)
     if isinstance(kind.element, str):
         raise ValueError("a field that is a message has no default")  # noqa: TRY004 - of a file
-    bound = kind.element.bound if isinstance(kind.element, Text) else None
+    bound = kind.element.bound if isinstance(kind.element, StringType) else None
     if not kind.many:
-        return Member(name, kind, _value(plain, default, bound), line)
+        return ParsedField(name, kind, _value(plain, default, bound), line)
     if not (default.startswith("[") and default.endswith("]")):
         raise ValueError(f"expected the default of an array as [1, 2], got {default!r:.100}")
     inner = default[1:-1]
@@ -179,31 +179,31 @@ def _member(text: str, name: str, default: str, package: str, line: int) -> Memb
     ):
         wanted = "" if kind.fixed else "at most "
         raise ValueError(f"expected {wanted}{kind.size} elements, got {len(texts)}")
-    return Member(name, kind, [_value(plain, word.strip(), bound) for word in texts], line)
+    return ParsedField(name, kind, [_value(plain, word.strip(), bound) for word in texts], line)
 
 
-def _kind(text: str, package: str) -> tuple[Kind, str]:
+def _kind(text: str, package: str) -> tuple[ParsedType, str]:
     """Return the type of a field and how its elements are called in a file."""
     if not text.endswith("]"):
         element, plain = _element(text, package)
-        return Kind(element), plain
+        return ParsedType(element), plain
     inner, bracket, length = text[:-1].rpartition("[")
     if not bracket:
         raise ValueError(f"{text} ends with ] and has no [")
     element, plain = _element(inner, package)
     if not length:
-        return Kind(element, many=True), plain
+        return ParsedType(element, many=True), plain
     size = _positive(length.removeprefix("<="), f"the length of {text}")
-    return Kind(element, many=True, size=size, fixed=not length.startswith("<=")), plain
+    return ParsedType(element, many=True, size=size, fixed=not length.startswith("<=")), plain
 
 
-def _element(text: str, package: str) -> tuple[Scalar | Text | str, str]:
+def _element(text: str, package: str) -> tuple[ScalarType | StringType | str, str]:
     if text in _SCALARS:
-        return Scalar("uint8" if text == "char" else text), text
+        return ScalarType("uint8" if text == "char" else text), text
     plain, bounded, bound = text.partition("<=")
     if plain in _TEXTS:
         limit = _positive(bound, f"the bound of {text}") if bounded else None
-        return Text(wide=plain == "wstring", bound=limit), plain
+        return StringType(wide=plain == "wstring", bound=limit), plain
     if text in _OF_ROS1:
         raise ValueError(f"ROS 2 has no type {text}, but {_OF_ROS1[text]}")
     parts = text.split("/")

@@ -1,4 +1,4 @@
-"""Quality of service as plain values: what is wished, what fits the peers, and what clashes."""
+"""Quality of service as plain values: what options ask for, what fits peers, what clashes."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from attrs import evolve, frozen
 __all__ = [
     "KEEP_ALL_SECONDS",
     "Policies",
-    "QosWish",
+    "QosOptions",
     "clashes",
     "for_reading",
     "for_writing",
-    "wish_from",
+    "qos_options",
 ]
 
-KEEP_ALL_SECONDS = 10.0  # for which whoever keeps all waits for who is slow, before it loses any
+KEEP_ALL_SECONDS = 10.0  # for which a history that keeps all waits for slow readers
 _DEPTH = 100
 _DEPTH_OF_LARGE = 5  # a queue of pictures is a delay: a hundred of 1080p are 600 MB
 _MAX_DEPTH = 1_000_000
@@ -33,7 +33,7 @@ _SECONDS = ("deadline", "lifespan", "lease_duration")
 class Policies:
     """The policies of one publisher or subscription; times in seconds, None for no limit.
 
-    The history of others is empty: DDS does not tell it.
+    The history of peers is empty: DDS does not report it.
     """
 
     reliability: str = "reliable"
@@ -56,7 +56,7 @@ class Policies:
 
 
 @frozen
-class QosWish:
+class QosOptions:
     """What an endpoint's options ask for; `auto` is settled against the peers.
 
     A deadline or lease that is "auto" is what the peers state; None asks for none. A depth that is
@@ -72,21 +72,21 @@ class QosWish:
     liveliness: str = "auto"
     lease_duration: float | str | None = "auto"
 
-    def for_type(self, *, large: bool) -> QosWish:
-        """Return the wish for a type, with the depth that goes with its size if none is stated."""
+    def for_type(self, *, large: bool) -> QosOptions:
+        """Return the options for a type, with the depth of its size if none is stated."""
         if self.depth is not None:
             return self
         return evolve(self, depth=_DEPTH_OF_LARGE if large else _DEPTH)
 
 
-def wish_from(options: object) -> QosWish:
+def qos_options(options: object) -> QosOptions:
     """Read the `qos` option of an endpoint: "auto", or a table of policies.
 
     Raises:
         ValueError: with the sentence that says what is wrong.
     """
     if options is None or options == "auto":
-        return QosWish()
+        return QosOptions()
     if not isinstance(options, Mapping):
         raise ValueError(  # noqa: TRY004 - one kind of error for every mistake in a file
             f"qos must be auto or a table of policies, got {options!r}"
@@ -106,7 +106,7 @@ def wish_from(options: object) -> QosWish:
     stated = depth is not None
     if stated and (type(depth) is not int or not 1 <= depth <= _MAX_DEPTH):
         raise ValueError(f"qos.depth must be 1 to {_MAX_DEPTH}, got {depth!r}")
-    return QosWish(**given)
+    return QosOptions(**given)
 
 
 def _is_seconds(value: object, *, auto: bool) -> bool:
@@ -115,13 +115,13 @@ def _is_seconds(value: object, *, auto: bool) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool) and value > 0
 
 
-def for_reading(wish: QosWish, offers: Iterable[Policies]) -> Policies:
+def for_reading(options: QosOptions, offers: Iterable[Policies]) -> Policies:
     """Return what a subscription asks so that it gets the most that all publishers offer.
 
     Without a publisher it asks for reliable and volatile: the default that most publishers offer.
     """
     seen = tuple(offers)
-    asked = Policies(history=wish.history, depth=wish.depth or _DEPTH)
+    asked = Policies(history=options.history, depth=options.depth or _DEPTH)
     if any(offer.reliability == "best_effort" for offer in seen):
         asked = evolve(asked, reliability="best_effort")
     if seen and all(offer.durability == "transient_local" for offer in seen):
@@ -130,14 +130,14 @@ def for_reading(wish: QosWish, offers: Iterable[Policies]) -> Policies:
         asked = evolve(asked, liveliness="manual_by_topic")
     leases = [offer.lease_duration for offer in seen if offer.lease_duration is not None]
     lease = max(leases) if leases and len(leases) == len(seen) else None
-    return _settled(asked, wish, deadline=None, lease=lease)
+    return _settled(asked, options, deadline=None, lease=lease)
 
 
-def for_writing(wish: QosWish, requests: Iterable[Policies]) -> Policies:
+def for_writing(options: QosOptions, requests: Iterable[Policies]) -> Policies:
     """Return what a publisher offers so that every subscription is served as it asks."""
     seen = tuple(requests)
-    depth = wish.depth or _DEPTH
-    offered = Policies(history=wish.history, depth=depth, lifespan=wish.lifespan)
+    depth = options.depth or _DEPTH
+    offered = Policies(history=options.history, depth=depth, lifespan=options.lifespan)
     if any(request.durability == "transient_local" for request in seen):
         offered = evolve(offered, durability="transient_local")
     if any(request.liveliness == "manual_by_topic" for request in seen):
@@ -145,26 +145,26 @@ def for_writing(wish: QosWish, requests: Iterable[Policies]) -> Policies:
     deadlines = [policies.deadline for policies in seen if policies.deadline is not None]
     leases = [policies.lease_duration for policies in seen if policies.lease_duration is not None]
     return _settled(
-        offered, wish, deadline=min(deadlines, default=None), lease=min(leases, default=None)
+        offered, options, deadline=min(deadlines, default=None), lease=min(leases, default=None)
     )
 
 
 def _settled(
-    found: Policies, wish: QosWish, *, deadline: float | None, lease: float | None
+    found: Policies, options: QosOptions, *, deadline: float | None, lease: float | None
 ) -> Policies:
-    """Let every policy that the wish states override what was found."""
+    """Let every policy that the options state override what was found."""
     return evolve(
         found,
-        reliability=found.reliability if wish.reliability == "auto" else wish.reliability,
-        durability=found.durability if wish.durability == "auto" else wish.durability,
-        liveliness=found.liveliness if wish.liveliness == "auto" else wish.liveliness,
-        deadline=deadline if isinstance(wish.deadline, str) else wish.deadline,
-        lease_duration=lease if isinstance(wish.lease_duration, str) else wish.lease_duration,
+        reliability=found.reliability if options.reliability == "auto" else options.reliability,
+        durability=found.durability if options.durability == "auto" else options.durability,
+        liveliness=found.liveliness if options.liveliness == "auto" else options.liveliness,
+        deadline=deadline if isinstance(options.deadline, str) else options.deadline,
+        lease_duration=lease if isinstance(options.lease_duration, str) else options.lease_duration,
     )
 
 
 def clashes(offered: Policies, requested: Policies) -> tuple[str, ...]:
-    """Return every policy on which a publisher and a subscription cannot meet, in words."""
+    """Name every policy on which a publisher and a subscription cannot meet."""
     found = []
     if offered.reliability == "best_effort" and requested.reliability == "reliable":
         found.append("reliability (offered best_effort, asked reliable)")

@@ -1,15 +1,95 @@
-"""Message structures of native types: JSON Schema with exact ranges and the native facts."""
+"""Message structures of native types: JSON Schema with exact ranges, units and native facts.
+
+Units are those that REP-103 and the comments of the message definitions state.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import lru_cache
 from typing import Any
 
+from uoarm.bridge import Description
 from uoarm.model import MessageStructure
-from uoarm_ros2._shape import Field, Listing, Record, Scalar, Shape, Text
-from uoarm_ros2._units import unit_of
+from uoarm_ros2._types import (
+    ArrayType,
+    RecordField,
+    RecordType,
+    ScalarType,
+    Shape,
+    StringType,
+    import_type,
+    shape_of,
+)
 
-__all__ = ["FLOAT32_MAX", "integer_range", "schema_of", "structure_of"]
+__all__ = [
+    "FLOAT32_MAX",
+    "action_records",
+    "describe_action",
+    "describe_service",
+    "integer_range",
+    "part_structure",
+    "schema_of",
+    "service_records",
+    "structure_of",
+    "unit_of",
+]
+
+_UNITS: Mapping[str, Mapping[str, str]] = {
+    "builtin_interfaces/msg/Duration": {"sec": "s", "nanosec": "ns"},
+    "builtin_interfaces/msg/Time": {"sec": "s", "nanosec": "ns"},
+    "geometry_msgs/msg/Accel": {"linear": "m/s2", "angular": "rad/s2"},
+    "geometry_msgs/msg/Inertia": {"m": "kg", "com": "m"},
+    "geometry_msgs/msg/Point": {"x": "m", "y": "m", "z": "m"},
+    "geometry_msgs/msg/Point32": {"x": "m", "y": "m", "z": "m"},
+    "geometry_msgs/msg/Pose2D": {"x": "m", "y": "m", "theta": "rad"},
+    "geometry_msgs/msg/Quaternion": {"x": "1", "y": "1", "z": "1", "w": "1"},
+    "geometry_msgs/msg/Transform": {"translation": "m"},
+    "geometry_msgs/msg/Twist": {"linear": "m/s", "angular": "rad/s"},
+    "geometry_msgs/msg/Wrench": {"force": "N", "torque": "N.m"},
+    "nav_msgs/msg/MapMetaData": {"resolution": "m"},
+    "nav_msgs/msg/GridCells": {"cell_width": "m", "cell_height": "m"},
+    "sensor_msgs/msg/BatteryState": {
+        "voltage": "V",
+        "temperature": "degC",
+        "current": "A",
+        "charge": "A.h",
+        "capacity": "A.h",
+        "design_capacity": "A.h",
+        "percentage": "1",
+        "cell_voltage": "V",
+        "cell_temperature": "degC",
+    },
+    "sensor_msgs/msg/FluidPressure": {"fluid_pressure": "Pa"},
+    "sensor_msgs/msg/Illuminance": {"illuminance": "lx"},
+    "sensor_msgs/msg/Imu": {"angular_velocity": "rad/s", "linear_acceleration": "m/s2"},
+    "sensor_msgs/msg/LaserScan": {
+        "angle_min": "rad",
+        "angle_max": "rad",
+        "angle_increment": "rad",
+        "time_increment": "s",
+        "scan_time": "s",
+        "range_min": "m",
+        "range_max": "m",
+        "ranges": "m",
+    },
+    "sensor_msgs/msg/MagneticField": {"magnetic_field": "T"},
+    "sensor_msgs/msg/NavSatFix": {"latitude": "deg", "longitude": "deg", "altitude": "m"},
+    "sensor_msgs/msg/Range": {
+        "field_of_view": "rad",
+        "min_range": "m",
+        "max_range": "m",
+        "range": "m",
+    },
+    "sensor_msgs/msg/RelativeHumidity": {"relative_humidity": "1"},
+    "sensor_msgs/msg/Temperature": {"temperature": "degC"},
+}
+
+
+def unit_of(record: str, field: str) -> str | None:
+    """Return the unit of a field's numbers, None where the definition states none."""
+    return _UNITS.get(record, {}).get(field)
+
 
 FLOAT32_MAX = 340282346638528859811704183484516925440
 
@@ -27,23 +107,23 @@ def integer_range(name: str) -> tuple[int, int] | None:
 
 
 @lru_cache(maxsize=1024)
-def structure_of(record: Record) -> MessageStructure:
+def structure_of(record: RecordType) -> MessageStructure:
     """Return the structure of a record: a closed object with every field required."""
     return MessageStructure(schema_of(record), native_type=record.name)
 
 
 def schema_of(shape: Shape, unit: str | None = None) -> dict[str, Any]:
     """Return the schema of a shape; `unit` holds for the numbers in it that state none."""
-    if isinstance(shape, Record):
+    if isinstance(shape, RecordType):
         return _object(shape, unit)
-    if isinstance(shape, Listing):
+    if isinstance(shape, ArrayType):
         return _array(shape, unit)
-    if isinstance(shape, Text):
+    if isinstance(shape, StringType):
         return _string(shape)
     return _scalar(shape, unit)
 
 
-def _object(record: Record, unit: str | None) -> dict[str, Any]:
+def _object(record: RecordType, unit: str | None) -> dict[str, Any]:
     schema: dict[str, Any] = {
         "type": "object",
         "properties": {field.name: _member(record, field, unit) for field in record.fields},
@@ -57,7 +137,7 @@ def _object(record: Record, unit: str | None) -> dict[str, Any]:
     return schema
 
 
-def _member(record: Record, member: Field, unit: str | None) -> dict[str, Any]:
+def _member(record: RecordType, member: RecordField, unit: str | None) -> dict[str, Any]:
     # A vector that is a velocity counts metres a second, whatever its own type would say.
     schema = schema_of(member.shape, unit or unit_of(record.name, member.name))
     if member.default is not None:
@@ -65,18 +145,18 @@ def _member(record: Record, member: Field, unit: str | None) -> dict[str, Any]:
     return schema
 
 
-def _array(listing: Listing, unit: str | None) -> dict[str, Any]:
+def _array(listing: ArrayType, unit: str | None) -> dict[str, Any]:
     schema: dict[str, Any] = {"type": "array", "items": schema_of(listing.element, unit)}
     if listing.size is not None:
         schema["maxItems"] = listing.size
         if listing.fixed:
             schema["minItems"] = listing.size
-    if listing.element in {Scalar("uint8"), Scalar("byte")}:
+    if listing.element in {ScalarType("uint8"), ScalarType("byte")}:
         schema["x-octets"] = True
     return schema
 
 
-def _string(text: Text) -> dict[str, Any]:
+def _string(text: StringType) -> dict[str, Any]:
     """A bound counts what the text is written in: octets, or units of UTF-16."""
     schema: dict[str, Any] = {"type": "string", "x-nul": False}
     if text.bound is not None:
@@ -87,7 +167,7 @@ def _string(text: Text) -> dict[str, Any]:
     return schema
 
 
-def _scalar(scalar: Scalar, unit: str | None) -> dict[str, Any]:
+def _scalar(scalar: ScalarType, unit: str | None) -> dict[str, Any]:
     if scalar.name == "bool":
         return {"type": "boolean"}
     schema: dict[str, Any] = {"type": "integer", "x-native-type": scalar.name}
@@ -101,3 +181,53 @@ def _scalar(scalar: Scalar, unit: str | None) -> dict[str, Any]:
     if unit is not None:
         schema["x-unit"] = unit
     return schema
+
+
+_STATES = ["accepted", "rejected", "succeeded", "canceled", "aborted", "lost"]
+
+
+def describe_action(type_name: str) -> Description:
+    """Return an action as a call: the goal as request, the result as reply."""
+    goal, _, result = action_records(type_name)
+    return Description(request=structure_of(goal), reply=structure_of(result))
+
+
+def part_structure(type_name: str, part: str) -> MessageStructure:
+    """Return the structure of one stream of an action."""
+    goal, feedback, result = action_records(type_name)
+    if part == "goal":
+        return structure_of(goal)
+    members: dict[str, object] = {"goal_id": {"type": "string"}}
+    if part in {"status", "result"}:
+        members["status"] = {"type": "string", "enum": _STATES}
+    if part in {"feedback", "result"}:
+        members[part] = schema_of(feedback if part == "feedback" else result)
+    schema = {
+        "type": "object",
+        "properties": members,
+        "required": list(members),
+        "additionalProperties": False,
+    }
+    return MessageStructure(schema, native_type=f"{type_name}.{part}")
+
+
+def action_records(type_name: str) -> tuple[RecordType, RecordType, RecordType]:
+    """Return the shapes of the goal, the feedback and the result of an action type."""
+    native: Any = import_type(type_name)
+    return (
+        shape_of(native.Goal, f"{type_name}_Goal"),
+        shape_of(native.Feedback, f"{type_name}_Feedback"),
+        shape_of(native.Result, f"{type_name}_Result"),
+    )
+
+
+def describe_service(type_name: str) -> Description:
+    """Return the request and reply structures of a service type."""
+    request, reply = service_records(import_type(type_name), type_name)
+    return Description(request=structure_of(request), reply=structure_of(reply))
+
+
+def service_records(native: type, name: str) -> tuple[RecordType, RecordType]:
+    request: type = native.Request  # type: ignore[attr-defined]  # generated
+    reply: type = native.Response  # type: ignore[attr-defined]  # generated
+    return shape_of(request, f"{name}_Request"), shape_of(reply, f"{name}_Response")

@@ -1,4 +1,9 @@
-"""Services both ways: calling a server of ROS, and being one."""
+"""Services both ways: calling a server of ROS, and being one.
+
+DDS matches the ends of a service by the names of their types alone. A server whose type has the
+same name and another definition misreads requests; one of another type is not matched, and ROS 2
+does not say so: `Agreement` compares them.
+"""
 
 from __future__ import annotations
 
@@ -7,39 +12,103 @@ import threading
 import time
 from abc import abstractmethod
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any
 
-from uoarm.bridge import Channel, Description, Handler
+from attrs import frozen
+
+from uoarm.bridge import Channel, Handler
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason
 from uoarm.model import Endpoint, Health, Message
-from uoarm_ros2._agreement import Agreement
-from uoarm_ros2._graph import Graph, Presence
-from uoarm_ros2._middleware import Station
-from uoarm_ros2._read import reader
-from uoarm_ros2._schema import structure_of
-from uoarm_ros2._shape import Record, shape_of
+from uoarm_ros2._conversion import reader, writer
+from uoarm_ros2._discovery import Ros2Graph, ServerPresence
+from uoarm_ros2._middleware import UNNAMED, NodeRunner, Peer
+from uoarm_ros2._schema import service_records
 from uoarm_ros2._types import import_type
-from uoarm_ros2._write import writer
 
-__all__ = ["Caller", "Server", "Workers", "answered", "described", "require_agreement"]
+__all__ = [
+    "Agreement",
+    "Disagreement",
+    "ServiceClient",
+    "ServiceServer",
+    "ServiceWorkers",
+    "answered",
+    "require_agreement",
+]
+
+_LOOK_SECONDS = 1.0
+
+
+@frozen
+class Disagreement:
+    """What differs, as a text, empty where nothing does; and whether no server agrees."""
+
+    text: str = ""
+    is_total: bool = False
+
+
+class Agreement:
+    """Compares the servers of some services, those of one action, with a client of ours.
+
+    Args:
+        runner: in which the client is.
+        what: the client is of, for the text.
+        services: the full names.
+    """
+
+    def __init__(self, runner: NodeRunner, what: str, services: Iterable[str]) -> None:
+        self._runner = runner
+        self._what = what
+        self._services = tuple(services)
+        self._due = 0.0
+        self._seen = Disagreement()
+
+    def look(self) -> Disagreement:
+        """Look at the graph, once a second at most.
+
+        Raises:
+            BridgeError: the node has ended.
+        """
+        now = time.monotonic()
+        if now >= self._due:
+            seen = self._compare()
+            if UNNAMED not in seen.text:  # its node reaches the graph a moment later
+                self._due, self._seen = now + _LOOK_SECONDS, seen
+        return self._seen
+
+    def _compare(self) -> Disagreement:
+        reports: dict[str, str] = {}
+        agreeing: set[str] = set()
+        for service in self._services:
+            servers, clients = self._runner.service_ends(service)
+            own = {
+                client.type: client for client in clients if client.node == self._runner.full_name
+            }
+            for server in servers if own else ():
+                otherwise = _otherwise(server, own.get(server.type))
+                if otherwise:
+                    reports.setdefault(server.node, f"{server.node} {otherwise}")
+                else:
+                    agreeing.add(server.node)
+        if not reports:
+            return Disagreement()
+        text = f"{self._what} is not the same everywhere: {'; '.join(reports.values())}"
+        return Disagreement(text, is_total=agreeing <= reports.keys())
+
+
+def _otherwise(server: Peer, own: Peer | None) -> str:
+    name = server.type.replace("::dds_::", "::").removesuffix("_").replace("::", "/")
+    if own is None:
+        return f"has {name}"
+    if "" in {server.definition, own.definition} or server.definition == own.definition:
+        return ""
+    return f"has {name} as {server.definition}, this process has {own.definition}"
+
 
 _FIRST_GLANCE_SECONDS = 0.005
 _GLANCE_SECONDS = 0.25
 _MOST_WAITING = 256
 _log = logging.getLogger("uoarm.ros2")
-
-
-def described(type_name: str) -> Description:
-    """Return the request and reply structures of a service type."""
-    request, reply = _records(import_type(type_name), type_name)
-    return Description(request=structure_of(request), reply=structure_of(reply))
-
-
-def _records(native: type, name: str) -> tuple[Record, Record]:
-    request: type = native.Request  # type: ignore[attr-defined]  # generated
-    reply: type = native.Response  # type: ignore[attr-defined]  # generated
-    return shape_of(request, f"{name}_Request"), shape_of(reply, f"{name}_Response")
 
 
 def answered(future: Any, deadline: float, there: Callable[[], bool], what: str) -> Any:
@@ -62,41 +131,41 @@ def answered(future: Any, deadline: float, there: Callable[[], bool], what: str)
 
 
 def require_agreement(agreement: Agreement) -> None:
-    """Raise BridgeError where all who serve mean something else."""
+    """Raise BridgeError where no server has our definition."""
     found = agreement.look()
-    if found.is_everybody:
+    if found.is_total:
         raise BridgeError(found.text, FailureReason.UNAVAILABLE)
 
 
-def _named(error: BridgeTimeoutError, agreement: Agreement) -> BridgeTimeoutError:
-    """Add who of those that serve means something else, of whom one may have been asked."""
+def _with_disagreement(error: BridgeTimeoutError, agreement: Agreement) -> BridgeTimeoutError:
+    """Add the servers with another definition, of which one may have been called."""
     found = agreement.look().text
     return BridgeTimeoutError(f"{error}; {found}") if found else error
 
 
-class Caller:
+class ServiceClient:
     """A client of one service, shared by all calls to it; calls may overlap.
 
     Attributes:
-        agreement: whether those who serve it have our type.
+        agreement: whether its servers have our type.
     """
 
-    def __init__(self, station: Station, graph: Graph, name: str, type_name: str) -> None:
+    def __init__(self, runner: NodeRunner, graph: Ros2Graph, name: str, type_name: str) -> None:
         native = import_type(type_name)
-        request, reply = _records(native, type_name)
+        request, reply = service_records(native, type_name)
         self._what = f"service {name}"
         self._name = name
-        self._greeted = False
+        self._is_matched = False
         self._graph = graph
         self._write = writer(request)
         self._read = reader(reply)
-        self._client = station.client(native, name)
-        self._station = station
-        self.agreement = Agreement(station, self._what, [name])
+        self._client = runner.client(native, name)
+        self._runner = runner
+        self.agreement = Agreement(runner, self._what, [name])
 
     def close(self) -> None:
-        """Put the client away; nobody calls any more."""
-        self._station.discard(self._client)
+        """Destroy the client, which has no call under way."""
+        self._runner.discard(self._client)
 
     def ready(self) -> bool:
         """Whether a server is matched."""
@@ -113,11 +182,11 @@ class Caller:
         """
         deadline = time.monotonic() + timeout
         request = self._write(message)
-        with self._station.calling(self._what):
-            if not (self._greeted and self.ready()):
-                self._meet(timeout, wait)
+        with self._runner.calling(self._what):
+            if not (self._is_matched and self.ready()):
+                self._await_server(timeout, wait)
             require_agreement(self.agreement)
-            first = Presence()
+            first = ServerPresence()
             future = self._client.call_async(request)
 
             def there() -> bool:
@@ -126,19 +195,19 @@ class Caller:
             try:
                 return self._read(answered(future, deadline, there, self._what))
             except BridgeTimeoutError as error:
-                raise _named(error, self.agreement) from None
+                raise _with_disagreement(error, self.agreement) from None
             finally:
                 self._client.remove_pending_request(future)
 
-    def _meet(self, timeout: float, wait: float) -> None:
+    def _await_server(self, timeout: float, wait: float) -> None:
         """Wait for a server, and until it has met us too."""
         if not self._graph.until(self.ready, min(wait, timeout)):
             raise BridgeError(f"{self._what} has no server", FailureReason.UNAVAILABLE)
-        self._graph.greet(self._name, timeout / 2)
-        self._greeted = True
+        self._graph.await_match(self._name, timeout / 2)
+        self._is_matched = True
 
 
-class Workers(Channel):
+class ServiceWorkers(Channel):
     """What is asked of a function, handled by several threads at once; the rest waits.
 
     Must implement: `_reply` and `_refuse`, which are called by any thread.
@@ -164,6 +233,9 @@ class Workers(Channel):
         self._handler = handler
         self._at_once = at_once
         self._report = report
+        # Guards queue, counters and `_working`, between the runner's thread, which adds requests,
+        # and the workers. A worker that finds none leaves under the lock under which the next
+        # request looks for workers, so that no request waits without one.
         self._lock = threading.Lock()
         self._waiting: deque[tuple[Any, Message]] = deque()
         self._working = 0
@@ -173,11 +245,11 @@ class Workers(Channel):
 
     @abstractmethod
     def _reply(self, asked: Any, reply: Message) -> None:
-        """Tell who asked; raises MessageError for a reply that does not fit."""
+        """Send a client its reply; raises MessageError for one that does not fit."""
 
     @abstractmethod
     def _refuse(self, asked: Any, error: Exception) -> None:
-        """Tell who asked that there is no reply."""
+        """Report to a client that there is no reply, as far as its protocol can."""
 
     def facts(self) -> dict[str, object]:
         """Return how many requests came, how many wait, and how many the handler failed."""
@@ -190,7 +262,7 @@ class Workers(Channel):
         return len(self._waiting) >= _MOST_WAITING
 
     def _take(self, asked: Any, message: Message) -> None:
-        """Have a request handled; in the station's thread alone."""
+        """Have a request handled; in the runner's thread alone."""
         with self._lock:
             self.count += 1
             is_full = self.is_full
@@ -213,7 +285,7 @@ class Workers(Channel):
                 asked, message = self._waiting.popleft()
             try:
                 self._reply(asked, self._handler(message))
-            except Exception as error:  # noqa: BLE001 - reported, and told to the client if it can be
+            except Exception as error:  # noqa: BLE001 - reported, to the client too
                 self._failed(asked, error)
                 continue
             if self._failing:
@@ -221,7 +293,7 @@ class Workers(Channel):
                 self._report(self, Health.OK, f"serving {self._name} works again")
 
     def _forget_waiting(self) -> None:
-        """Handle no more of what waits; a handler that is at work may be what closes."""
+        """Drop waiting requests; a handler that is at work may be the one that closes."""
         with self._lock:
             self._waiting.clear()
 
@@ -238,7 +310,7 @@ class Workers(Channel):
             _log.warning("a client of %s could not be refused: %s", self._name, another)
 
 
-class Server(Workers):
+class ServiceServer(ServiceWorkers):
     """A service offered to ROS.
 
     When the handler fails, a reply type with `success` and `message` says so; any other client is
@@ -246,7 +318,7 @@ class Server(Workers):
     same happens to requests for which there is no room.
 
     Args:
-        station: where it is offered.
+        runner: where it is offered.
         endpoint: as it was configured.
         name: the full name.
         type_name: the service's type.
@@ -257,7 +329,7 @@ class Server(Workers):
 
     def __init__(
         self,
-        station: Station,
+        runner: NodeRunner,
         endpoint: Endpoint,
         name: str,
         type_name: str,
@@ -267,19 +339,19 @@ class Server(Workers):
     ) -> None:
         super().__init__(endpoint, name, handler, at_once, report)
         native: Any = import_type(type_name)
-        request, reply = _records(native, type_name)
+        request, reply = service_records(native, type_name)
         read = reader(request)
         self._native = native
         self._write = writer(reply)
         self._refusable = {"success", "message"} <= {field.name for field in reply.fields}
-        self._station = station
-        self._service = station.server(
+        self._runner = runner
+        self._service = runner.server(
             native, name, lambda asked, answer: self._take(answer, read(asked))
         )
 
     def _close(self) -> None:
         self._forget_waiting()
-        self._station.discard(self._service)
+        self._runner.discard(self._service)
 
     def _reply(self, asked: Any, reply: Message) -> None:
         self._send(asked, self._write(reply))

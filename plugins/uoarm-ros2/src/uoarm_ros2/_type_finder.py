@@ -1,23 +1,231 @@
-"""Where types come from: installed packages, folders of definitions, the nodes that talk them."""
+"""Where types come from: installed packages, folders of definitions, nodes that describe them.
+
+A description is what `type_description_interfaces/srv/GetTypeDescription` replies, as a message.
+It comes from another process: names are checked before they reach generated code, and sizes before
+work.
+"""
 
 from __future__ import annotations
 
+import re
 import threading
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from attrs import evolve
 
 from uoarm.errors import BridgeError, FailureReason
 from uoarm.model import Message
-from uoarm_ros2._defined import DefinedTypes
-from uoarm_ros2._described import described_type
-from uoarm_ros2._frame_lookups import tf_message
-from uoarm_ros2._middleware import Peer
-from uoarm_ros2._settings import TF_MESSAGE
-from uoarm_ros2._types import import_type
+from uoarm_ros2._middleware import Peer, untyped_class
+from uoarm_ros2._options import TF_MESSAGE
+from uoarm_ros2._types import (
+    BOUNDED_TEXTS,
+    EMPTY,
+    KINDS,
+    NESTED,
+    SCALARS,
+    TEXTS,
+    ArrayType,
+    RecordField,
+    RecordType,
+    ScalarType,
+    Shape,
+    StringType,
+    import_type,
+    of_type,
+    shape_of,
+    type_hash,
+    type_mistake,
+)
+from uoarm_ros2.definitions import DefinitionReader
 
-__all__ = ["DESCRIPTION_SERVICE", "TypeFinder"]
+__all__ = ["DESCRIPTION_SERVICE", "DefinedTypes", "TypeFinder", "described_type", "untyped_record"]
+
+_FIELD = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,254}")
+_MOST_TYPES = 256
+_MOST_FIELDS = 4096
+_MOST_DEPTH = 32
+
+
+def described_type(description: Message, name: str, definition: str) -> type:
+    """Return a class for a type of which there is only a description.
+
+    Args:
+        description: a `TypeDescription` as a message.
+        name: of the type that was asked for.
+        definition: the hash of its definition.
+
+    Raises:
+        BridgeError: the description is none of this type, or is more than is taken.
+    """
+    reading = _DescriptionReader(description, name)
+    return reading.record(name, definition, 0).native
+
+
+class _DescriptionReader:
+    """One description; the types that it refers to are read where they are used."""
+
+    def __init__(self, description: Message, name: str) -> None:
+        self._name = name
+        referenced = description["referenced_type_descriptions"]
+        if len(referenced) > _MOST_TYPES:
+            raise self._refused(f"it refers to {len(referenced)} types, more than {_MOST_TYPES}")
+        own = description["type_description"]
+        self._types = {item["type_name"]: item["fields"] for item in (*referenced, own)}
+        self._left = _MOST_FIELDS
+
+    def record(self, name: str, definition: str, depth: int) -> RecordType:
+        """Return the shape of one of the types."""
+        fields = self._types.get(name)
+        if fields is None:
+            raise self._refused(f"{name} is not in it")
+        if type_mistake(name):
+            raise self._refused(type_mistake(name))
+        if depth > _MOST_DEPTH:
+            raise self._refused(f"nested more than {_MOST_DEPTH} deep")
+        self._left -= len(fields)
+        if self._left < 0:
+            raise self._refused(f"more than {_MOST_FIELDS} fields")
+        read = tuple(self._field(field, depth) for field in fields if field["name"] != EMPTY)
+        slots = tuple(field.attribute for field in read)
+        if len(set(slots)) != len(slots):
+            raise self._refused(f"{name} has two fields of one name")
+        native: Any = untyped_class(name, definition, {"__slots__": slots})
+        record = RecordType(name, native, read, {}, slots)
+        native.described = record
+        return record
+
+    def _field(self, field: Mapping[str, Any], depth: int) -> RecordField:
+        name = field["name"]
+        if not _FIELD.fullmatch(name):
+            raise self._refused(f"a field is called {name!r:.60}")
+        return RecordField(name, f"_{name}", self._shape(field["type"], depth))
+
+    def _shape(self, kind: Mapping[str, Any], depth: int) -> Shape:
+        many, number = divmod(kind["type_id"] - 1, KINDS)
+        element = self._element(number + 1, kind, depth)
+        if many == 0:
+            return element
+        if many == 1:
+            return ArrayType(element, kind["capacity"], fixed=True)
+        return ArrayType(element, kind["capacity"] if many == 2 else None)  # noqa: PLR2004 - bounded
+
+    def _element(
+        self, number: int, kind: Mapping[str, Any], depth: int
+    ) -> ScalarType | StringType | RecordType:
+        if number == NESTED:
+            return self.record(kind["nested_type_name"], "", depth + 1)
+        if number in TEXTS:
+            bound = kind["string_capacity"] if number in BOUNDED_TEXTS else None
+            return StringType(wide=TEXTS[number], bound=bound)
+        if number in SCALARS:
+            return ScalarType(SCALARS[number])
+        raise self._refused(f"there is a field of the type number {kind['type_id']}")
+
+    def _refused(self, why: str) -> BridgeError:
+        text = f"the description of {self._name} that its node gives cannot be used: {why}"
+        return BridgeError(text, FailureReason.UNSUPPORTED)
+
+
+class DefinedTypes:
+    """Message types of some folders; what they hold may be installed, and then is the installed.
+
+    A file that cannot be read costs its own types, and those that hold them.
+
+    Raises:
+        ConfigurationError: a folder is none, or holds too many files.
+    """
+
+    def __init__(self, folders: Iterable[str]) -> None:
+        self._lock = threading.Lock()
+        self._found: dict[str, type] = {}
+        self._reading: DefinitionReader | None = None
+        for folder in folders:
+            self._reading = self._reading or DefinitionReader(_installed)
+            self._reading.take(Path(folder).expanduser().absolute())
+        if self._reading is not None:
+            self._reading.leave_out_twice()
+
+    def find(self, name: str) -> type | None:
+        """Return a class for a type, None where no folder defines it.
+
+        Raises:
+            BridgeError: its file cannot be read, it is defined twice, it holds a type that is
+                neither defined nor installed, or too much; with file and line.
+        """
+        if self._reading is None:
+            return None
+        with self._lock:
+            if name not in self._found:
+                try:
+                    record = _sound(self._reading, name)
+                except ValueError as error:
+                    text = f"{of_type(name)}as option definitions has it, cannot be used: {error}"
+                    raise BridgeError(text, FailureReason.UNSUPPORTED) from error
+                if record is None:
+                    return None
+                self._found[name] = untyped_record(record).native
+            return self._found[name]
+
+
+def untyped_record(record: RecordType) -> RecordType:
+    """Return a record with a class of its own, through which serialised messages pass."""
+    return _native(record, type_hash(record), {})
+
+
+def _installed(name: str) -> RecordType | None:
+    """Return the record of a type that is installed."""
+    if type_mistake(name):
+        return None
+    try:
+        return shape_of(import_type(name), name)
+    except BridgeError as error:
+        if error.reason is FailureReason.NOT_FOUND:
+            return None
+        raise
+
+
+def _sound(reading: DefinitionReader, name: str) -> RecordType | None:
+    """Return the record of a type, None where no folder defines it."""
+    if name in reading.unread:
+        raise ValueError(reading.unread[name])
+    return reading.record(name) if name in reading else None
+
+
+def _native(record: RecordType, definition: str, made: dict[str, RecordType]) -> RecordType:
+    """Return a record with classes of its own throughout; only the outermost needs its hash."""
+    if record.name in made:
+        return made[record.name]
+    fields = tuple(_field(field, made) for field in record.fields)
+    slots = tuple(field.attribute for field in fields)
+    native: Any = untyped_class(record.name, definition, {"__slots__": slots})
+    native.described = RecordType(record.name, native, fields, record.constants, slots)
+    made[record.name] = native.described
+    return made[record.name]
+
+
+def _field(field: RecordField, made: dict[str, RecordType]) -> RecordField:
+    shape: Shape = field.shape
+    if isinstance(shape, RecordType):
+        shape = _native(shape, "", made)
+    elif isinstance(shape, ArrayType) and isinstance(shape.element, RecordType):
+        shape = evolve(shape, element=_native(shape.element, "", made))
+    return evolve(field, attribute=f"_{field.name}", shape=shape)
+
 
 DESCRIPTION_SERVICE = "type_description_interfaces/srv/GetTypeDescription"
 _MOST_KEPT = 4_096
+_TRANSFORM = "geometry_msgs/msg/TransformStamped"
+
+
+@cache  # what a class is made of is never given back
+def tf_message() -> type:
+    """Return the class for `tf2_msgs/msg/TFMessage`, which no index of packages has."""
+    element = shape_of(import_type(_TRANSFORM), _TRANSFORM)
+    field = RecordField("transforms", "transforms", ArrayType(element))
+    return untyped_record(RecordType(TF_MESSAGE, object, (field,), {}, ())).native
 
 
 class TypeFinder:

@@ -1,14 +1,50 @@
-"""Native types by name: message packages are found when they are needed, by import."""
+"""Native types: found by name, read once from their classes, and distinguished by their hashes.
+
+The hash (RIHS01) is the SHA-256 of the type's description as JSON, without defaults, as `rosidl`
+writes it from Iron on. Types are numbered as in `type_description_interfaces/msg/FieldType`.
+"""
 
 from __future__ import annotations
 
+import hashlib
 import importlib
+import json
 import re
+from collections.abc import Mapping
 from difflib import get_close_matches
+from functools import lru_cache
+from typing import Any, TypeAlias
+
+from attrs import field, frozen
 
 from uoarm.errors import BridgeError, FailureReason
 
-__all__ = ["ACTION", "MESSAGE", "SERVICE", "import_type", "kind_of", "of_type", "type_mistake"]
+__all__ = [
+    "ACTION",
+    "BOUNDED_TEXTS",
+    "EMPTY",
+    "KINDS",
+    "MESSAGE",
+    "NESTED",
+    "NUMBER_CODES",
+    "SCALARS",
+    "SERVICE",
+    "TEXTS",
+    "ArrayType",
+    "RecordField",
+    "RecordType",
+    "ScalarType",
+    "Shape",
+    "StringType",
+    "import_type",
+    "is_described",
+    "is_large",
+    "kind_of",
+    "of_type",
+    "shape_of",
+    "type_hash",
+    "type_mistake",
+]
 
 MESSAGE, SERVICE, ACTION = "msg", "srv", "action"
 _NAME = re.compile(r"[a-z][a-z0-9_]*/(msg|srv|action)/[A-Z][A-Za-z0-9_]*")
@@ -61,3 +97,268 @@ def import_type(name: str) -> type:
         text = f"{of_type(name)}package {package!r} has no {kind} {type_name!r}{meant}"
         raise BridgeError(text, FailureReason.NOT_FOUND)
     return found
+
+
+NUMBER_CODES = {
+    "int8": "b",
+    "uint8": "B",
+    "int16": "h",
+    "uint16": "H",
+    "int32": "i",
+    "uint32": "I",
+    "int64": "q",
+    "uint64": "Q",
+    "float32": "f",
+    "float64": "d",
+}
+"""How `array` and `struct` call the elements of a block of numbers."""
+
+_MAX_DEPTH = 32
+_OCTETS = frozenset({"byte", "int8", "uint8"})
+_SCALARS = {
+    "boolean": "bool",
+    "octet": "byte",
+    "char": "uint8",
+    "float": "float32",
+    "double": "float64",
+    **{f"{sign}int{bits}": f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)},
+}
+
+
+@frozen
+class ScalarType:
+    """A truth value, a byte, an integer or a float; `name` as in a ROS message file."""
+
+    name: str
+
+
+@frozen
+class StringType:
+    """A string. `bound`: the most code units (bytes of UTF-8, or of UTF-16 when `wide`)."""
+
+    wide: bool = False
+    bound: int | None = None
+
+
+@frozen
+class ArrayType:
+    """Many elements: exactly `size`, at most `size`, or any number when `size` is None."""
+
+    element: ScalarType | StringType | RecordType
+    size: int | None = None
+    fixed: bool = False
+
+
+@frozen
+class RecordField:
+    """One named member of a record; `attribute` is where its native object keeps it."""
+
+    name: str
+    attribute: str
+    shape: Shape
+    default: object = field(default=None, hash=False)
+
+
+@frozen(eq=False)
+class RecordType:
+    """A message, request, reply, goal, result or feedback type.
+
+    Attributes:
+        name: `package/msg/Name`.
+        native: the Python class.
+        fields: members in the order of the definition.
+        constants: named constants of the definition.
+        slots: every attribute of the native object.
+    """
+
+    name: str
+    native: type
+    fields: tuple[RecordField, ...]
+    constants: Mapping[str, object]
+    slots: tuple[str, ...]
+
+
+Shape: TypeAlias = "ScalarType | StringType | ArrayType | RecordType"
+
+
+def is_described(native: type) -> bool:
+    """Whether a class stands for a type of which there is only a description."""
+    return "described" in vars(native)
+
+
+def is_large(shape: Shape) -> bool:
+    """Whether a type holds any number of octets, as pictures, point clouds and grids do."""
+    if isinstance(shape, RecordType):
+        return any(is_large(item.shape) for item in shape.fields)
+    if not isinstance(shape, ArrayType):
+        return False
+    element = shape.element
+    if isinstance(element, ScalarType):
+        return shape.size is None and element.name in _OCTETS
+    return is_large(element)
+
+
+@lru_cache(maxsize=1024)
+def shape_of(native: type, name: str) -> RecordType:
+    """Return the shape of a generated message class, named `package/msg/Name`.
+
+    The same one each time, so that what is compiled for it is compiled once.
+
+    Raises:
+        BridgeError: the class was not generated from a message definition that we understand.
+    """
+    return _shape_of(native, name, 0)
+
+
+def _shape_of(native: type, name: str, depth: int) -> RecordType:
+    described: object = vars(native).get("described")
+    if isinstance(described, RecordType):
+        return described
+    if depth > _MAX_DEPTH:
+        raise BridgeError(f"{name}: nested more than {_MAX_DEPTH} deep", FailureReason.UNSUPPORTED)
+    try:
+        names: Mapping[str, str] = native.get_fields_and_field_types()  # type: ignore[attr-defined]  # generated
+        types: tuple[object, ...] = native.SLOT_TYPES  # type: ignore[attr-defined]  # generated
+        slots = tuple(native.__slots__)  # type: ignore[attr-defined]  # generated
+    except AttributeError as error:
+        text = f"{name}: {native!r} is not a generated ROS 2 type ({error})"
+        raise BridgeError(text, FailureReason.BAD_ENDPOINT) from error
+    if len(names) != len(types):
+        text = f"{name}: {len(names)} fields but {len(types)} types"
+        raise BridgeError(text, FailureReason.UNSUPPORTED)
+    fields = tuple(
+        RecordField(
+            field_name,
+            f"_{field_name}" if f"_{field_name}" in slots else field_name,
+            _shape(kind, f"{name}.{field_name}", depth),
+            _plain(getattr(native, f"{field_name.upper()}__DEFAULT", None)),
+        )
+        for field_name, kind in zip(names, types, strict=True)
+    )
+    return RecordType(name, native, fields, _constants(native), slots)
+
+
+def _shape(kind: object, where: str, depth: int) -> Shape:
+    what = type(kind).__name__
+    if what in {"Array", "BoundedSequence", "UnboundedSequence"}:
+        element = _element(kind.value_type, where, depth)  # type: ignore[attr-defined]  # rosidl
+        if what == "UnboundedSequence":
+            return ArrayType(element)
+        if what == "BoundedSequence":
+            return ArrayType(element, kind.maximum_size)  # type: ignore[attr-defined]  # rosidl
+        return ArrayType(element, kind.size, fixed=True)  # type: ignore[attr-defined]  # rosidl
+    return _element(kind, where, depth)
+
+
+def _element(kind: object, where: str, depth: int) -> ScalarType | StringType | RecordType:
+    what = type(kind).__name__
+    if what == "BasicType":
+        scalar = _SCALARS.get(kind.typename)  # type: ignore[attr-defined]  # rosidl
+        if scalar is not None:
+            return ScalarType(scalar)
+    if what in {"UnboundedString", "BoundedString"}:
+        return StringType(bound=getattr(kind, "maximum_size", None))
+    if what in {"UnboundedWString", "BoundedWString"}:
+        return StringType(wide=True, bound=getattr(kind, "maximum_size", None))
+    if what == "NamespacedType":
+        name = "/".join((*kind.namespaces, kind.name))  # type: ignore[attr-defined]  # rosidl
+        return _shape_of(import_type(name), name, depth + 1)
+    raise BridgeError(f"{where}: native type {kind!r} is not known", FailureReason.UNSUPPORTED)
+
+
+def _constants(native: type) -> dict[str, object]:
+    names = (
+        name
+        for name in vars(type(native))
+        if name.isupper() and not name.startswith("_") and not name.endswith("__DEFAULT")
+    )
+    return {name: _plain(getattr(native, name)) for name in sorted(names)}
+
+
+def _plain(value: object) -> object:
+    """Return a native default or constant as a JSON value."""
+    if isinstance(value, bytes):
+        return value[0] if len(value) == 1 else list(value)
+    if hasattr(value, "tolist"):
+        return value.tolist()
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    return value
+
+
+EMPTY = "structure_needs_at_least_one_member"
+"""What stands in C for a message without fields: one octet."""
+KINDS = 48
+"""Numbers of types: one value, then arrays, bounded and unbounded sequences of each."""
+NESTED = 1
+TEXTS = {17: False, 18: True, 21: False, 22: True}
+"""Whether it is wide."""
+BOUNDED_TEXTS = (21, 22)
+SCALARS = {
+    2: "int8",
+    3: "uint8",
+    4: "int16",
+    5: "uint16",
+    6: "int32",
+    7: "uint32",
+    8: "int64",
+    9: "uint64",
+    10: "float32",
+    11: "float64",
+    13: "uint8",
+    15: "bool",
+    16: "byte",
+}
+_CHAR = 13  # an `.idl` may have it; `.msg` files call an octet so, which is number 3
+_NUMBERS = {name: number for number, name in SCALARS.items() if number != _CHAR}
+_TEXT_NUMBERS = {(wide, number in BOUNDED_TEXTS): number for number, wide in TEXTS.items()}
+_ARRAY, _BOUNDED, _UNBOUNDED = 1, 2, 3
+
+
+def type_hash(record: RecordType) -> str:
+    """Return `RIHS01_` and 64 hexadecimal digits."""
+    within: dict[str, RecordType] = {}
+    _collect(record, within)
+    description = {
+        "type_description": _described(record),
+        "referenced_type_descriptions": [_described(within[name]) for name in sorted(within)],
+    }
+    text = json.dumps(description)  # its spaces and the order of its keys are part of the hash
+    return f"RIHS01_{hashlib.sha256(text.encode()).hexdigest()}"
+
+
+def _collect(record: RecordType, within: dict[str, RecordType]) -> None:
+    for member in record.fields:
+        shape = member.shape.element if isinstance(member.shape, ArrayType) else member.shape
+        if isinstance(shape, RecordType) and shape.name not in within:
+            within[shape.name] = shape
+            _collect(shape, within)
+
+
+def _described(record: RecordType) -> dict[str, Any]:
+    fields = record.fields or (RecordField(EMPTY, EMPTY, ScalarType("uint8")),)
+    return {
+        "type_name": record.name,
+        "fields": [{"name": field.name, "type": _kind(field.shape)} for field in fields],
+    }
+
+
+def _kind(shape: Shape) -> dict[str, Any]:
+    element, many, capacity = shape, 0, 0
+    if isinstance(shape, ArrayType):
+        element, capacity = shape.element, shape.size or 0
+        many = _ARRAY if shape.fixed else _UNBOUNDED if shape.size is None else _BOUNDED
+    bound, nested = 0, ""
+    if isinstance(element, RecordType):
+        number, nested = NESTED, element.name
+    elif isinstance(element, StringType):
+        number, bound = _TEXT_NUMBERS[element.wide, element.bound is not None], element.bound or 0
+    else:
+        assert isinstance(element, ScalarType)
+        number = _NUMBERS[element.name]
+    return {
+        "type_id": number + many * KINDS,
+        "capacity": capacity,
+        "string_capacity": bound,
+        "nested_type_name": nested,
+    }

@@ -17,15 +17,28 @@ from attrs import field, frozen
 from uoarm.bridge import install_command
 from uoarm.errors import ConfigurationError
 from uoarm.model import MessageStructure
-from uoarm_ros2._message_file import Kind, Member, Parsed, parse_file, require_one_each
+from uoarm_ros2._message_file import (
+    ParsedField,
+    ParsedMessage,
+    ParsedType,
+    parse_file,
+    require_one_each,
+)
 from uoarm_ros2._schema import integer_range, structure_of
-from uoarm_ros2._shape import Field, Listing, Record, Scalar, Shape, Text
-from uoarm_ros2._type_hash import EMPTY
+from uoarm_ros2._types import (
+    EMPTY,
+    ArrayType,
+    RecordField,
+    RecordType,
+    ScalarType,
+    Shape,
+    StringType,
+)
 
 if TYPE_CHECKING:
     from rosbags.typesys.base import Message
 
-__all__ = ["Definitions", "Reading", "read_definitions"]
+__all__ = ["DefinitionReader", "RosDefinitions", "read_definitions"]
 
 _KINDS = {".msg": "msg", ".srv": "srv", ".action": "action"}
 _PARTS = {
@@ -44,7 +57,7 @@ _SCALARS = frozenset({"bool", "byte", "float32", "float64"}) | {
 
 
 @frozen
-class Definitions:
+class RosDefinitions:
     """What some folders define.
 
     Attributes:
@@ -57,7 +70,7 @@ class Definitions:
     problems: Mapping[str, str] = field(factory=dict)
 
 
-def read_definitions(*folders: str | Path) -> Definitions:
+def read_definitions(*folders: str | Path) -> RosDefinitions:
     """Read every definition below some folders, `package/msg/Name.msg` and alike.
 
     Reads files and nothing else. An `.idl` beside another file of the same name, as in installed
@@ -68,14 +81,14 @@ def read_definitions(*folders: str | Path) -> Definitions:
     Raises:
         ConfigurationError: a folder is none, or holds too many files.
     """
-    reading = Reading()
+    reading = DefinitionReader()
     for folder in folders:
         reading.take(Path(folder))
     return reading.definitions()
 
 
 def types_of(path: Path) -> tuple[str, ...]:
-    """Return the types that a file defines, as its name and its folders tell."""
+    """Return the types that a file defines, by its name and its folders."""
     kind = _KINDS.get(path.suffix) or path.parent.name
     if kind not in _PARTS:
         kind = "msg"
@@ -87,11 +100,11 @@ def types_of(path: Path) -> tuple[str, ...]:
 class _Part:
     """One message and the file that has it."""
 
-    parsed: Parsed
+    parsed: ParsedMessage
     path: Path
 
 
-class Reading:
+class DefinitionReader:
     """Definitions that were read, each turned into a record when it is asked for.
 
     Args:
@@ -103,10 +116,10 @@ class Reading:
         twice: the types of which there are two definitions: the files of both.
     """
 
-    def __init__(self, elsewhere: Callable[[str], Record | None] = lambda _: None) -> None:
+    def __init__(self, elsewhere: Callable[[str], RecordType | None] = lambda _: None) -> None:
         self._elsewhere = elsewhere
         self._parts: dict[str, _Part] = {}
-        self._records: dict[str, Record] = {}
+        self._records: dict[str, RecordType] = {}
         self._sizes: dict[str, int] = {}
         self.problems: dict[str, str] = {}
         self.unread: dict[str, str] = {}
@@ -174,7 +187,7 @@ class Reading:
             why = f"it is in {first} and in {second}; name a folder with one of them"
             self.unread.setdefault(name, why)
 
-    def definitions(self) -> Definitions:
+    def definitions(self) -> RosDefinitions:
         """Return the structures of all that was read."""
         structures: dict[str, MessageStructure] = {}
         problems = dict(self.problems)
@@ -183,9 +196,9 @@ class Reading:
                 structures[name] = structure_of(self.record(name))
             except (ValueError, KeyError) as error:
                 problems[name] = str(error)
-        return Definitions(structures, dict(sorted(problems.items())))
+        return RosDefinitions(structures, dict(sorted(problems.items())))
 
-    def record(self, name: str, depth: int = 0) -> Record:
+    def record(self, name: str, depth: int = 0) -> RecordType:
         """Return a type that the folders define, or what it holds.
 
         Raises:
@@ -197,7 +210,9 @@ class Reading:
             raise ValueError(f"{name}: nested more than {_MAX_DEPTH} deep")
         part = self._parts[name]
         fields = tuple(
-            Field(member.name, member.name, self._shape(member, part, depth), _default(member))
+            RecordField(
+                member.name, member.name, self._shape(member, part, depth), _default(member)
+            )
             for member in part.parsed.members
             if member.name != EMPTY
         )
@@ -205,19 +220,19 @@ class Reading:
         if size > _MAX_FIELDS:
             raise ValueError(f"{name} has more than {_MAX_FIELDS:,} fields, those within counted")
         self._sizes[name] = size
-        self._records[name] = Record(name, object, fields, part.parsed.constants, ())
+        self._records[name] = RecordType(name, object, fields, part.parsed.constants, ())
         return self._records[name]
 
-    def _shape(self, member: Member, part: _Part, depth: int) -> Shape:
+    def _shape(self, member: ParsedField, part: _Part, depth: int) -> Shape:
         kind = member.kind
         if isinstance(kind.element, str):
             place = f"{part.path}: line {member.line}" if member.line else str(part.path)
-            element: Scalar | Text | Record = self._nested(kind.element, place, depth)
+            element: ScalarType | StringType | RecordType = self._nested(kind.element, place, depth)
         else:
             element = kind.element
-        return Listing(element, kind.size, fixed=kind.fixed) if kind.many else element
+        return ArrayType(element, kind.size, fixed=kind.fixed) if kind.many else element
 
-    def _nested(self, reference: str, place: str, depth: int) -> Record:
+    def _nested(self, reference: str, place: str, depth: int) -> RecordType:
         found = self._elsewhere(reference)
         if found is not None:
             self._sizes[reference] = _count(found)
@@ -232,16 +247,18 @@ class Reading:
         )
 
     def _size(self, shape: Shape) -> int:
-        if isinstance(shape, Listing):
+        if isinstance(shape, ArrayType):
             return self._size(shape.element)
-        return self._sizes[shape.name] if isinstance(shape, Record) else 1
+        return self._sizes[shape.name] if isinstance(shape, RecordType) else 1
 
 
 def _count(shape: Shape) -> int:
     """Return how many fields a shape has, those within counted."""
-    if isinstance(shape, Listing):
+    if isinstance(shape, ArrayType):
         return _count(shape.element)
-    return 1 + sum(_count(item.shape) for item in shape.fields) if isinstance(shape, Record) else 1
+    return (
+        1 + sum(_count(item.shape) for item in shape.fields) if isinstance(shape, RecordType) else 1
+    )
 
 
 def _idl_parser() -> Any:
@@ -256,15 +273,15 @@ def _idl_parser() -> Any:
     return IDLParser
 
 
-def _default(member: Member) -> object:
+def _default(member: ParsedField) -> object:
     """Return a default as the installed types have it: arrays hold what fits into a float32."""
     value = member.default
-    if member.kind.element == Scalar("float32") and isinstance(value, list):
+    if member.kind.element == ScalarType("float32") and isinstance(value, list):
         return [c_float(element).value for element in value]
     return value
 
 
-def _converted(message: Message) -> Parsed:
+def _converted(message: Message) -> ParsedMessage:
     """Return a message of an `.idl` file, whose parser checks no value."""
     require_one_each([field.name for field in message.fields], "field")
     require_one_each([constant.name for constant in message.constants], "constant")
@@ -272,25 +289,29 @@ def _converted(message: Message) -> Parsed:
         constant.name: _checked(constant.typ.value, constant.name, constant.value)
         for constant in message.constants
     }
-    return Parsed(tuple(Member(item.name, _kind(item)) for item in message.fields), constants)
+    return ParsedMessage(
+        tuple(ParsedField(item.name, _kind(item)) for item in message.fields), constants
+    )
 
 
-def _kind(field: Any) -> Kind:
+def _kind(field: Any) -> ParsedType:
     kind = field.typ
     reference = kind.ref.name
-    element: Scalar | Text | str
+    element: ScalarType | StringType | str
     if isinstance(reference, str):
         element = reference
     elif reference.value in {"string", "wstring"}:
-        element = Text(wide=reference.value == "wstring", bound=kind.str_size or None)
+        element = StringType(wide=reference.value == "wstring", bound=kind.str_size or None)
     elif reference.value == "char":
-        element = Scalar("uint8")
+        element = ScalarType("uint8")
     elif reference.value in _SCALARS:
-        element = Scalar(reference.value)
+        element = ScalarType(reference.value)
     else:
         raise ValueError(f"{field.name} is of type {reference.value}, which ROS 2 does not have")
     cardinality = kind.cardinality.value
-    return Kind(element, cardinality != "scalar", kind.size or None, fixed=cardinality == "array")
+    return ParsedType(
+        element, cardinality != "scalar", kind.size or None, fixed=cardinality == "array"
+    )
 
 
 def _checked(kind: str, name: str, value: object) -> object:

@@ -4,21 +4,21 @@ One `Participant` is one rclpy context with nodes of its own. The process's defa
 signal handlers, its logging and its global executor are left to the application.
 """
 
-from uoarm_ros2._middleware._environment import environment
-from uoarm_ros2._middleware._errors import rclpy_errors
-from uoarm_ros2._middleware._goal_server import GoalRequest, GoalServer
-from uoarm_ros2._middleware._participant import Participant
-from uoarm_ros2._middleware._peer import Peer
-from uoarm_ros2._middleware._station import Station
-from uoarm_ros2._middleware._type_support import untyped_class
+from uoarm_ros2._middleware._actions import GoalRequest, GoalServer
+from uoarm_ros2._middleware._native import publish_released, untyped_class
+from uoarm_ros2._middleware._node_runner import NodeRunner
+from uoarm_ros2._middleware._participant import Participant, environment
+from uoarm_ros2._middleware._translation import UNNAMED, Peer, rclpy_errors
 
 __all__ = [
+    "UNNAMED",
     "GoalRequest",
     "GoalServer",
+    "NodeRunner",
     "Participant",
     "Peer",
-    "Station",
     "environment",
+    "publish_released",
     "rclpy_errors",
     "untyped_class",
 ]

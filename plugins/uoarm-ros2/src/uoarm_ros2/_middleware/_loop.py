@@ -6,14 +6,13 @@ import logging
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from typing import Any
 
 from rclpy.exceptions import InvalidHandle
 from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
 
-from uoarm_ros2._middleware._quiet_watch import QuietWatch
 from uoarm_ros2._middleware._wait_set import (
     Entity,
     EventEntity,
@@ -23,7 +22,103 @@ from uoarm_ros2._middleware._wait_set import (
     WaitSet,
 )
 
-__all__ = ["WaitLoop"]
+__all__ = ["QuietWatch", "WaitLoop"]
+
+_WAIT_SECONDS = 10.0
+_CALM_SECONDS = 0.5
+_END_SECONDS = 2.0
+
+
+class QuietWatch:
+    """Notifies when one of many entities is ready, then rests until it is set to watch again.
+
+    It takes nothing from them: what is ready stays so, and would be notified again and again.
+
+    Args:
+        context: rclpy's context.
+        name: of the thread.
+        notify: takes what is ready, in this thread; must not block.
+    """
+
+    def __init__(self, context: Any, name: str, notify: Callable[[list[Entity]], None]) -> None:
+        self._counter = TurnCounter()
+        self._context = context
+        self._name = name
+        self._notify = notify
+        with context.handle:
+            self._guard = _rclpy.GuardCondition(context.handle)
+        self._go_on = threading.Event()
+        self._lock = threading.Lock()
+        self._wanted: Sequence[Entity] = ()
+        self._changed = False
+        self._closing = threading.Event()
+        self._thread: threading.Thread | None = None
+
+    @property
+    def turns(self) -> Turns:
+        """How often its thread has turned, and how often for nothing."""
+        return self._counter.turns
+
+    def watch(self, entities: Sequence[Entity]) -> None:
+        """Wait for these, and for no others, from now on; its thread starts with the first."""
+        with self._lock:
+            self._wanted, self._changed = entities, True
+            if entities and self._thread is None and not self._closing.is_set():
+                self._thread = threading.Thread(target=self._run, name=self._name, daemon=True)
+                self._thread.start()
+        self._wake()
+
+    def go_on(self) -> None:
+        """Wait for the same again, now that what was ready has been taken."""
+        self._go_on.set()
+
+    def close(self) -> None:
+        """End the thread and let go of everything."""
+        self._closing.set()
+        self._wake()
+        if self._thread is not None:
+            self._thread.join(_END_SECONDS)
+        # A handle that is kept keeps its context, with all that belongs to that.
+        self._wanted = ()
+        self._guard.destroy_when_not_in_use()
+
+    def _wake(self) -> None:
+        self._go_on.set()
+        # Where the context was ended from outside, there is no guard and no wait.
+        with suppress(InvalidHandle), self._guard:
+            self._guard.trigger_guard_condition()
+
+    def _run(self) -> None:
+        wait_set: WaitSet | None = None
+        try:
+            while not self._closing.is_set() and self._context.ok():
+                # Before the look at what changed: what comes after it ends the rest at once.
+                self._go_on.clear()
+                with self._lock:
+                    entities, changed = self._wanted, self._changed
+                    self._changed = False
+                try:
+                    if changed or wait_set is None:
+                        if wait_set is not None:
+                            wait_set.close()
+                            wait_set = None  # none stands where making another fails
+                        wait_set = WaitSet(self._context.handle, self._guard, entities)
+                    ready = wait_set.wait(_WAIT_SECONDS)
+                except Exception as error:  # noqa: BLE001 - rclpy's, of several kinds
+                    if not self._closing.is_set() and self._context.ok():
+                        _log.error("waiting for what is seldom ready failed", exc_info=error)
+                        self._go_on.wait(_CALM_SECONDS)
+                    continue
+                rest = self._counter.add(empty=wait_set.ended_early)
+                if rest:
+                    self._go_on.wait(rest)
+                if ready and not self._closing.is_set():
+                    self._notify(ready)
+                    self._go_on.wait()
+        finally:
+            if wait_set is not None:
+                wait_set.close()
+
 
 _EVENT_SECONDS = 0.02
 _FEW = 8
@@ -37,7 +132,7 @@ class WaitLoop:
 
     Its wait sets are built anew only when entities came or went. Waiting for an entity costs a few
     microseconds in each turn. So of many subscriptions those that had no message for a while are
-    quiet: a `QuietWatch` waits for them and their events, until there is news. And the some three
+    quiet: a `QuietWatch` waits for them and their events, until one is ready. And the some three
     events of each of the others are looked at fifty times a second only while messages flow, and
     at once when nothing else happens, or when a wait without them ends with nothing: an event that
     was not taken keeps its subscription's condition set, which ends every wait for its messages.
@@ -45,7 +140,7 @@ class WaitLoop:
     Args:
         context: rclpy's context.
         name: of what it belongs to, for threads.
-        quiet: whether failures need not be told any more, as while everything ends.
+        quiet: whether failures need no report any more, as while everything ends.
     """
 
     def __init__(self, context: Any, name: str, quiet: Callable[[], bool]) -> None:
@@ -56,8 +151,8 @@ class WaitLoop:
             self._guard = _rclpy.GuardCondition(context.handle)
         self._lock = threading.Lock()
         self._soon: deque[Callable[[], None]] = deque()
-        self._watch = QuietWatch(context, f"ros2 {name} quiet", self._told)
-        self._news: deque[list[Entity]] = deque()
+        self._quiet_watch = QuietWatch(context, f"ros2 {name} quiet", self._quiet_ready)
+        self._quiet_entities: deque[list[Entity]] = deque()
         self._sweep_due = 0.0
         self._entities: tuple[Entity, ...] = ()
         self._changed = True
@@ -83,7 +178,7 @@ class WaitLoop:
 
     def wake(self) -> None:
         """End a wait at once; from any thread."""
-        # After `close`, as when somebody else ended the context, there is no guard and no wait.
+        # After `close`, as when the context was ended from outside, there is no guard and no wait.
         with suppress(InvalidHandle), self._guard:
             self._guard.trigger_guard_condition()
 
@@ -97,14 +192,14 @@ class WaitLoop:
         while self._soon:
             self._soon.popleft()()
         now = time.monotonic()
-        news = [entity for ready in _drained(self._news) for entity in ready]
-        worked = self._take_news(news, now)
+        quiet = [entity for ready in _drained(self._quiet_entities) for entity in ready]
+        worked = self._take_quiet(quiet, now)
         if now >= self._sweep_due:
             self._sweep(now)
         if self._changed:
             self._build()
-        elif news:
-            self._watch.go_on()
+        elif quiet:
+            self._quiet_watch.go_on()
         early = self._events_due - now
         chosen = self._everything if early <= 0 else self._without_events
         assert chosen is not None
@@ -114,7 +209,7 @@ class WaitLoop:
             if isinstance(entity, SubscriptionEntity):
                 entity.active_at = now
             worked |= self._take(entity)
-        empty = chosen.ended_early or (bool(news or ready) and not worked)
+        empty = chosen.ended_early or (bool(quiet or ready) and not worked)
         if empty or not ready:
             self._events_due = 0.0
         elif chosen is self._everything:
@@ -125,32 +220,32 @@ class WaitLoop:
 
     @property
     def turns(self) -> Turns:
-        """How often it has turned, with the watch over what is quiet, and how often for nothing."""
-        ours, quiet = self._counter.turns, self._watch.turns
+        """How often it and its watch over quiet entities have turned, and how often for nothing."""
+        ours, quiet = self._counter.turns, self._quiet_watch.turns
         return Turns(ours.all + quiet.all, ours.empty + quiet.empty)
 
     def close(self) -> None:
         """Let go of everything; in the thread that makes the turns."""
-        self._watch.close()
+        self._quiet_watch.close()
         for wait_set in (self._everything, self._without_events):
             if wait_set is not None:
                 wait_set.close()
         self._everything = self._without_events = None
-        self._news.clear()
+        self._quiet_entities.clear()
         self._guard.destroy_when_not_in_use()
 
-    def _told(self, ready: list[Entity]) -> None:
+    def _quiet_ready(self, ready: list[Entity]) -> None:
         """Note that quiet entities have something; in the thread of their watch."""
-        self._news.append(ready)
+        self._quiet_entities.append(ready)
         self.wake()
 
-    def _take_news(self, news: list[Entity], now: float) -> bool:
+    def _take_quiet(self, quiet: list[Entity], now: float) -> bool:
         """Take what quiet entities have; subscriptions are not quiet any more."""
-        for entity in news:
+        for entity in quiet:
             if isinstance(entity, SubscriptionEntity) and entity.is_quiet:
                 entity.is_quiet, entity.active_at = False, now
                 self._changed = True
-        taken = [self._take(entity) for entity in news]
+        taken = [self._take(entity) for entity in quiet]
         return any(taken)
 
     def _sweep(self, now: float) -> None:
@@ -182,10 +277,10 @@ class WaitLoop:
         for wait_set in before:
             if wait_set is not None:
                 wait_set.close()
-        self._watch.watch([entity for entity in every if entity.is_quiet])
+        self._quiet_watch.watch([entity for entity in every if entity.is_quiet])
 
     def _take(self, entity: Entity) -> bool:
-        """Take what an entity has; one of which much has come gives way to the others.
+        """Take what an entity has, up to its limit, so that the others have their turn.
 
         Returns whether it had anything, or is waited for no more.
         """
@@ -195,12 +290,12 @@ class WaitLoop:
                 taken += 1
         except InvalidHandle:
             pass  # it went between the look and the taking
-        except Exception as error:  # noqa: BLE001 - one failure is nobody else's
+        except Exception as error:  # noqa: BLE001 - one failure ends no other entity
             if not self._quiet():
                 _log.error("a callback of ROS 2 failed", exc_info=error)
         return taken > 0 or entity.removed
 
 
-def _drained(news: deque[list[Entity]]) -> Iterator[list[Entity]]:
-    while news:
-        yield news.popleft()
+def _drained(quiet: deque[list[Entity]]) -> Iterator[list[Entity]]:
+    while quiet:
+        yield quiet.popleft()

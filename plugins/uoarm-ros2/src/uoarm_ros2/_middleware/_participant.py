@@ -8,30 +8,35 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import partial
+from pathlib import Path
 
+import rclpy
 from rclpy.context import Context
 
 from uoarm.bridge import at_exit
 from uoarm.errors import BridgeError, FailureReason
-from uoarm_ros2._middleware._station import Station
+from uoarm_ros2._installed import installation, wheels
+from uoarm_ros2._middleware._node_runner import NodeRunner
 from uoarm_ros2._middleware._wait_set import Turns
-from uoarm_ros2._settings import HIGHEST_DOMAIN
+from uoarm_ros2._options import HIGHEST_DOMAIN
 
-__all__ = ["Participant"]
+__all__ = ["Participant", "environment"]
 
 _EXIT_SECONDS = 2.0
 _DOMAIN = "ROS_DOMAIN_ID"
 _TRANSPORTS = "FASTDDS_BUILTIN_TRANSPORTS"
 _RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
-_setting = threading.Lock()  # what is set is the environment of the whole process
+# Guards the variable of Fast DDS in the environment, which is that of the whole process, between
+# participants that are made at the same time.
+_setting = threading.Lock()
 
 
 class Participant:
-    """One rclpy context and the stations in it; the context goes when the last station has.
+    """One rclpy context and the nodes in it; the context goes when the last node has.
 
     Args:
         domain_id: of DDS; None: what the environment says.
-        namespace: of every station's node.
+        namespace: of every node.
         shared_memory: MiB through which messages go to readers on this machine; None: the
             middleware's own.
 
@@ -47,8 +52,10 @@ class Participant:
             _check_domain(os.environ.get(_DOMAIN, ""))
         self._shared_memory = shared_memory
         self._namespace = namespace
+        # Guards the runners and the number of living ones, between `start_node`, `close` and the
+        # threads of runners that end: the context is destroyed by the last, and only once.
         self._lock = threading.Lock()
-        self._stations: list[Station] = []
+        self._runners: list[NodeRunner] = []
         self._names: set[str] = set()
         self._alive = 1
         self._closed = False
@@ -62,7 +69,7 @@ class Participant:
         """The DDS domain that the context joined."""
         return int(self._context.get_domain_id())
 
-    def station(self, name: str) -> Station:
+    def start_node(self, name: str) -> NodeRunner:
         """Start a node with a thread of its own.
 
         Raises:
@@ -73,19 +80,19 @@ class Participant:
             self._alive += 1
         try:
             with _transports(self._shared_memory):
-                station = Station(self._context, name, self._namespace, self._release)
+                runner = NodeRunner(self._context, name, self._namespace, self._release)
         except BaseException:
             self._release()
             raise
         try:
             with self._lock:
                 self._require_open()
-                self._stations.append(station)
-                self._names.add(station.node.get_fully_qualified_name())
+                self._runners.append(runner)
+                self._names.add(runner.node.get_fully_qualified_name())
         except BaseException:
-            station.stop(0.0)
+            runner.stop(0.0)
             raise
-        return station
+        return runner
 
     def _require_open(self) -> None:
         if self._closed:
@@ -96,25 +103,25 @@ class Participant:
         return frozenset(self._names)
 
     def turns(self) -> Turns:
-        """Return how often the loops of all stations have turned, and how often for nothing."""
+        """Return how often the loops of all nodes have turned, and how often for nothing."""
         with self._lock:
-            found = [station.turns for station in self._stations]
+            found = [runner.turns for runner in self._runners]
         return Turns(sum(turns.all for turns in found), sum(turns.empty for turns in found))
 
     def close(self, limit: float) -> None:
-        """Stop every station; a thread that a callback holds ends when the callback does.
+        """Stop every node; a thread that a callback holds ends when the callback does.
 
         Happens by itself when the interpreter ends; idempotent.
         """
         self._forget_exit()
         with self._lock:
             closed, self._closed = self._closed, True
-            stations, self._stations = self._stations, []
+            runners, self._runners = self._runners, []
         if closed:
             return
         deadline = time.monotonic() + limit
-        for station in stations:
-            station.stop(max(0.0, deadline - time.monotonic()))
+        for runner in runners:
+            runner.stop(max(0.0, deadline - time.monotonic()))
         self._release()
 
     def _release(self) -> None:
@@ -126,10 +133,10 @@ class Participant:
             self._context.destroy()
 
 
-def _check_domain(told: str) -> None:
+def _check_domain(value: str) -> None:
     """Raise BridgeError for what is no domain: Fast DDS ends the process for one too high."""
-    if told and not (told.isascii() and told.isdigit() and int(told) <= HIGHEST_DOMAIN):
-        text = f"the environment says {_DOMAIN}={told!r:.40}, expected 0 to {HIGHEST_DOMAIN}"
+    if value and not (value.isascii() and value.isdigit() and int(value) <= HIGHEST_DOMAIN):
+        text = f"the environment says {_DOMAIN}={value!r:.40}, expected 0 to {HIGHEST_DOMAIN}"
         raise BridgeError(text, FailureReason.UNSUPPORTED)
 
 
@@ -164,3 +171,23 @@ def _transports(mebibytes: int | None) -> Iterator[None]:
             del os.environ[_TRANSPORTS]
             if before is not None:
                 os.environ[_TRANSPORTS] = before
+
+
+def environment() -> dict[str, str]:
+    """Return which rclpy, distribution, middleware and domain this process uses."""
+    folder = Path(rclpy.__file__).parent
+    found = installation(folder, os.environ, wheels())
+    return {
+        "rclpy": str(folder),
+        "distribution": f"{found.distribution}, from {found.origin}",
+        **({"conflict": found.conflict} if found.conflict else {}),
+        "rmw": rclpy.get_rmw_implementation_identifier(),
+        "domain": os.environ.get("ROS_DOMAIN_ID", "0 (ROS_DOMAIN_ID is not set)"),
+        "discovery": _discovery(),
+    }
+
+
+def _discovery() -> str:
+    if os.environ.get("ROS_LOCALHOST_ONLY", "0") == "1":
+        return "this machine only (ROS_LOCALHOST_ONLY)"
+    return os.environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "SUBNET (default)")

@@ -1,7 +1,7 @@
 """What rclpy can wait for, and the wait sets that it stands in.
 
 A wait set of ROS 2 forgets what was not ready each time, so that everything is added again before
-each wait. That is all that is done for an entity of which there is no news.
+each wait. Nothing more is done for an entity that is not ready.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from attrs import frozen
 from rclpy.exceptions import InvalidHandle
 from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
 
-from uoarm_ros2._middleware._released import take_with_writer
+from uoarm_ros2._middleware._native import take_with_writer
 
 __all__ = [
     "Entity",
@@ -43,8 +43,8 @@ class Entity(ABC):
         kind: how wait sets call it; empty for what joins and looks by itself.
         at_once: how often `take` may be called after one wait.
         handle: rclpy's handle, which no other thread frees while a wait set holds it.
-        removed: set by whoever takes it out; nothing is taken from it any more.
-        is_quiet: whether it is waited for apart, as something of which there is seldom news.
+        removed: set when it is taken out; nothing is taken from it any more.
+        is_quiet: whether it is waited for apart, as it is seldom ready.
     """
 
     kind = ""
@@ -152,7 +152,7 @@ class EventEntity(Entity):
         self._of = of
 
     @property
-    def is_quiet(self) -> bool:  # type: ignore[override]  # a subscription is told, this follows
+    def is_quiet(self) -> bool:  # type: ignore[override]  # set for a subscription, followed here
         """Whether it is one of a publisher, or of a quiet subscription."""
         return self._of is None or self._of.is_quiet
 
@@ -168,9 +168,6 @@ class WaitableEntity(Entity):
     """An action's client, which is several entities under one name."""
 
     at_once = 1  # what it takes is what the last wait found
-
-    def __init__(self, waitable: Any) -> None:
-        super().__init__(waitable)
 
     def take(self) -> bool:
         """Hand on what the last look found ready."""

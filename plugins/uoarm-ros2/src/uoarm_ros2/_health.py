@@ -1,4 +1,4 @@
-"""What happens on one channel, turned into health events that are each told once."""
+"""What happens on one channel, turned into changes of health that are each reported once."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable
 
 from uoarm.model import Health
 
-__all__ = ["Pulse", "SimulatedClock"]
+__all__ = ["SimulatedClock", "TopicHealth"]
 
 _CALM_SECONDS = 1.0
 _LEAST_SECONDS = 1.0  # no silence is shorter, whatever the rate: a busy machine has pauses
@@ -34,14 +34,14 @@ class SimulatedClock:
         return self._seconds
 
 
-class Pulse:
+class TopicHealth:
     """Counters and health of one channel.
 
     Args:
         report: takes each change of health with its cause.
         stale_after: seconds without a message that make the channel lost; None: never.
         clock: seconds that only grow.
-        hears: whether messages come in here, so that silence means something.
+        receives: whether messages come in here, so that silence means something.
     """
 
     def __init__(
@@ -50,7 +50,7 @@ class Pulse:
         stale_after: float | None = None,
         clock: Callable[[], float] = time.monotonic,
         *,
-        hears: bool = False,
+        receives: bool = False,
     ) -> None:
         self._clock = clock
         self.count = 0
@@ -59,18 +59,18 @@ class Pulse:
         self.lost = 0
         self.incompatible = 0
         self.deadlines_missed = 0
-        self._report = report
+        self._notify = report
         self._stale_after = stale_after
         self._promised: float | None = None
-        self._hears = hears
+        self._receives = receives
         self._since: float | None = None
         self._since_count = 0
         self._longest = 0.0
-        self._told = (Health.OK, "")
+        self._reported = (Health.OK, "")
         self._why = ""
-        self._trouble = 0.0
+        self._trouble_at = 0.0
 
-    def beat(self) -> None:
+    def note_message(self) -> None:
         """Note a message."""
         self.count += 1
         now = self._clock()
@@ -80,28 +80,30 @@ class Pulse:
             self._longest = now - self.last
         self.last = now
 
-    def tell(self, health: Health, cause: str, why: str = "peers") -> None:
-        """Report a change; the same news twice in a row is told once."""
-        if (health, cause) == self._told or (health is Health.OK and self._told[0] is health):
+    def report(self, health: Health, cause: str, why: str = "peers") -> None:
+        """Report a change; a report that repeats the last one is dropped."""
+        if (health, cause) == self._reported or (
+            health is Health.OK and self._reported[0] is health
+        ):
             return
-        self._told = (health, cause)
+        self._reported = (health, cause)
         self._why = why
-        self._report(health, cause)
+        self._notify(health, cause)
 
-    def peers(self, current: int, what: str, *, required: bool, offered: bool = False) -> None:
+    def note_peers(self, current: int, what: str, *, required: bool, offered: bool = False) -> None:
         """Note how many peers are matched now; what is offered is well without any."""
         before, self.matched = self.matched, current
         if current == 0 and before > 0 and offered:
-            self.tell(Health.OK, f"no {what} is there, and none need be")
+            self.report(Health.OK, f"no {what} is there, and none need be")
         elif current == 0 and before > 0:
             health = Health.LOST if required else Health.DEGRADED
-            self.tell(health, f"the last {what} is gone{self._sooner()}")
+            self.report(health, f"the last {what} is gone{self._sooner()}")
         elif current > 0 and before == 0:
             self.last = self._clock()
             self._since = None
-            self.tell(Health.OK, f"a {what} is there")
+            self.report(Health.OK, f"a {what} is there")
 
-    def promise(self, deadlines: Iterable[float | None]) -> None:
+    def note_deadlines(self, deadlines: Iterable[float | None]) -> None:
         """Note within how many seconds the publishers promise a message each: `deadline` of QoS.
 
         Where all do, three deadlines without a message are a silence, unless a time is stated.
@@ -111,46 +113,46 @@ class Pulse:
         every = bool(known) and len(known) == len(stated)
         self._promised = max(_LEAST_SECONDS, _DEADLINES * max(known)) if every else None
 
-    def missed(self, total: int, what: str) -> None:
+    def note_lost(self, total: int, what: str) -> None:
         """Note messages that the middleware lost."""
         self.lost = total
         self._degrade(f"{total} messages lost by the middleware since opening, on {what}")
 
-    def deadline(self, total: int, what: str) -> None:
+    def note_missed_deadline(self, total: int, what: str) -> None:
         """Note that a deadline passed without a message."""
         self.deadlines_missed = total
         self._degrade(f"the deadline passed {total} times without a message on {what}")
 
-    def liveliness(self, alive: int, silent: int, what: str, *, required: bool) -> None:
+    def note_liveliness(self, alive: int, silent: int, what: str, *, required: bool) -> None:
         """Note how many publishers say that they are alive, and how many ceased to."""
         if silent and not alive:
             health = Health.LOST if required else Health.DEGRADED
             cause = f"the publisher of {what} no longer says that it is alive (liveliness)"
-            self.tell(health, cause, "liveliness")
+            self.report(health, cause, "liveliness")
         elif alive and self._why == "liveliness":
-            self.tell(Health.OK, f"the publisher of {what} says again that it is alive")
+            self.report(Health.OK, f"the publisher of {what} says again that it is alive")
 
     def tick(self) -> None:
         """Look at the clock: go stale, or recover once messages flow again."""
         age = self._clock() - self.last
         limit = self._limit()
         if age > limit:
-            if self._told[0] is not Health.LOST:
+            if self._reported[0] is not Health.LOST:
                 promised = f", {_DEADLINES} times the deadline of its QoS (stale_after)"
                 why = f"no message for {limit:g} s{'' if self._stale_after else promised}"
-                self.tell(Health.LOST, why, "stale")
+                self.report(Health.LOST, why, "stale")
         elif limit == math.inf and self._is_steady(age):
-            if self._told[0] is Health.OK:
-                self.tell(Health.DEGRADED, self._silence(age), "stale")
+            if self._reported[0] is Health.OK:
+                self.report(Health.DEGRADED, self._silence(age), "stale")
         elif self._why == "stale" or (
-            self._why == "trouble" and self.last > self._trouble + _CALM_SECONDS
+            self._why == "trouble" and self.last > self._trouble_at + _CALM_SECONDS
         ):
-            self.tell(Health.OK, "messages arrive as they should")
+            self.report(Health.OK, "messages arrive as they should")
 
     def facts(self) -> dict[str, object]:
         """Return the counters by name, and after which silence the channel is lost."""
         limit = self._limit()
-        stale = {"stale_after": "never" if limit == math.inf else limit} if self._hears else {}
+        stale = {"stale_after": "never" if limit == math.inf else limit} if self._receives else {}
         return {
             **stale,
             "matched": self.matched,
@@ -167,7 +169,7 @@ class Pulse:
 
     def _is_steady(self, age: float) -> bool:
         """Say whether messages that always came steadily have ceased to."""
-        if not self._hears or self._since is None or self.matched == 0:
+        if not self._receives or self._since is None or self.matched == 0:
             return False
         count, lasted = self.count - self._since_count, self.last - self._since
         steady = count >= _STEADY_MESSAGES and lasted >= _STEADY_SECONDS
@@ -186,17 +188,17 @@ class Pulse:
         )
 
     def _sooner(self) -> str:
-        """Say what would have told sooner that the last peer is gone; empty: nothing would."""
+        """Name the option that would have reported the loss sooner; empty: none would."""
         age = self._clock() - self.last
-        if not self._hears or self._since is None or age <= 2 * self._enough():
+        if not self._receives or self._since is None or age <= 2 * self._enough():
             return ""
         return (
             f", {age:.1f} s after its last message: stale_after: {self._enough():g} in the options "
-            f"of the output tells it sooner"
+            f"of the output reports it sooner"
         )
 
     def _degrade(self, cause: str) -> None:
-        """Tell of trouble once, however often it recurs before it has passed."""
-        self._trouble = self._clock()
-        if self._told[0] is not Health.LOST and self._why != "trouble":
-            self.tell(Health.DEGRADED, cause, "trouble")
+        """Report trouble once, however often it recurs before it has passed."""
+        self._trouble_at = self._clock()
+        if self._reported[0] is not Health.LOST and self._why != "trouble":
+            self.report(Health.DEGRADED, cause, "trouble")

@@ -9,7 +9,7 @@ from attrs import evolve, field, frozen
 
 from uoarm.bridge import reading_endpoint
 from uoarm.model import Endpoint, Options, Role, Schema
-from uoarm_ros2._qos import QosWish, wish_from
+from uoarm_ros2._qos import QosOptions, qos_options
 from uoarm_ros2._types import ACTION, MESSAGE, SERVICE, kind_of, type_mistake
 
 __all__ = [
@@ -17,13 +17,13 @@ __all__ = [
     "HIGHEST_DOMAIN",
     "LOOKUP",
     "TF_MESSAGE",
-    "Address",
-    "BridgeSettings",
-    "Settings",
+    "Ros2Address",
+    "Ros2BridgeOptions",
+    "Ros2Options",
     "address_of",
     "mistake",
     "node_of",
-    "settings_of",
+    "options_of",
 ]
 
 _NAME = re.compile(r"/?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*")
@@ -32,7 +32,7 @@ _PARTS = {
     Role.INPUT: ("goal", "cancel"),
     Role.SERVICE: (),
 }
-# Fast DDS announces a participant every 3 s: who starts beside us may be unseen that long.
+# Fast DDS announces a participant every 3 s: one that starts beside us may be unseen that long.
 _WAIT_SECONDS = 3.5
 _SETTLE_SECONDS = 0.05
 _MOST_AT_ONCE = 64
@@ -86,7 +86,7 @@ BRIDGE_OPTIONS: Schema = {
 
 
 @frozen
-class Address:
+class Ros2Address:
     """A topic, service or action by name.
 
     Attributes:
@@ -106,7 +106,7 @@ class Address:
 
 
 @frozen
-class BridgeSettings:
+class Ros2BridgeOptions:
     """The options of a bridge instance; `domain_id` None: what the environment says."""
 
     node: str
@@ -120,7 +120,7 @@ class BridgeSettings:
 
 
 @frozen
-class Settings:
+class Ros2Options:
     """The options of an endpoint.
 
     Attributes:
@@ -134,7 +134,7 @@ class Settings:
         afterwards: `deactivate`, `cleanup` or `leave`: what then becomes of it.
     """
 
-    qos: QosWish = field(factory=QosWish)
+    qos: QosOptions = field(factory=QosOptions)
     peer_required: bool = True
     wait: float | None = None
     stale_after: float | None = None
@@ -144,7 +144,7 @@ class Settings:
     afterwards: str = "deactivate"
 
 
-def address_of(endpoint: Endpoint) -> Address:
+def address_of(endpoint: Endpoint) -> Ros2Address:
     """Read an endpoint's address.
 
     Raises:
@@ -159,36 +159,36 @@ def address_of(endpoint: Endpoint) -> Address:
         _fits(address, endpoint.role, parts)
         if address.kind == ACTION and endpoint.role is not Role.SERVICE:
             part = address.part or _default_part(endpoint, parts)
-            address = Address(address.name, address.type, part)
+            address = Ros2Address(address.name, address.type, part)
     return address
 
 
-def settings_of(endpoint: Endpoint) -> Settings:
-    """Read an endpoint's options. What is offered needs nobody at the other end.
+def options_of(endpoint: Endpoint) -> Ros2Options:
+    """Read an endpoint's options. What is offered needs no peer.
 
     Raises:
         BridgeError: with BAD_ENDPOINT and what is wrong.
     """
     with reading_endpoint(endpoint):
-        settings = _settings(endpoint.options)
+        options = _read_options(endpoint.options)
         if not endpoint.is_offered:
-            return settings
-        if settings.node or settings.activate != "false":
+            return options
+        if options.node or options.activate != "false":
             raise ValueError(
                 "what is offered stands on no node: node and activate do not go with it"
             )
-        return evolve(settings, peer_required=False)
+        return evolve(options, peer_required=False)
 
 
-def node_of(endpoint: Endpoint, settings: Settings) -> str:
+def node_of(endpoint: Endpoint, options: Ros2Options) -> str:
     """Return the node behind a component, empty where nothing is asked of one.
 
     Raises:
         ValueError: it is not named, and the component's name is none of a node.
     """
-    if not (settings.node or settings.activate != "false" or endpoint.parameters):
+    if not (options.node or options.activate != "false" or endpoint.parameters):
         return ""
-    name = settings.node or endpoint.component
+    name = options.node or endpoint.component
     if not _NAME.fullmatch(name):
         raise ValueError(f"{name!r} is not the name of a node: say which it is with option node")
     return name
@@ -198,7 +198,7 @@ def mistake(address: tuple[str, ...], options: Options) -> str:
     """Return what is wrong with an address or its options, or ""."""
     try:
         _address(address)
-        _settings(options)
+        _read_options(options)
     except ValueError as error:
         return str(error)
     return ""
@@ -211,10 +211,10 @@ def topic_name(address: tuple[str, ...], options: Options) -> str:
     return f"/{read.name.lstrip('/')}" if read.kind in (MESSAGE, "") and not read.part else ""
 
 
-def _address(parts: tuple[str, ...]) -> Address:
+def _address(parts: tuple[str, ...]) -> Ros2Address:
     if not 1 <= len(parts) <= 3:  # noqa: PLR2004 - the three parts of the sentence
         raise ValueError(f"expected [name, type] or [name, action type, part], got {list(parts)}")
-    address = Address(*parts)
+    address = Ros2Address(*parts)
     if not _NAME.fullmatch(address.name):
         raise ValueError(f"{address.name!r} is not a ROS 2 name such as /camera/image_raw")
     wrong = type_mistake(address.type) if len(parts) > 1 else ""
@@ -241,7 +241,7 @@ def _is_called(endpoint: Endpoint) -> None:
         raise ValueError("looking frames up is a service that is called, and nothing else")
 
 
-def _fits(address: Address, role: Role, parts: tuple[str, ...]) -> None:
+def _fits(address: Ros2Address, role: Role, parts: tuple[str, ...]) -> None:
     wanted = (SERVICE, ACTION) if role is Role.SERVICE else (MESSAGE, ACTION)
     if address.kind not in wanted and address.type:
         kinds = " or ".join(f"package/{kind}/Name" for kind in wanted)
@@ -256,7 +256,7 @@ def _default_part(endpoint: Endpoint, parts: tuple[str, ...]) -> str:
     return "result" if "result" in parts else "goal"
 
 
-def _settings(options: Options) -> Settings:
+def _read_options(options: Options) -> Ros2Options:
     known = ("activate", "afterwards", "at_once", "node", "peer", "qos", "stale_after", "wait")
     unknown = sorted(set(options) - set(known))
     if unknown:
@@ -273,8 +273,8 @@ def _settings(options: Options) -> Settings:
     afterwards = options.get("afterwards", _AFTERWARDS[0])
     if afterwards not in _AFTERWARDS:
         raise ValueError(f"afterwards must be {' or '.join(_AFTERWARDS)}, got {afterwards!r}")
-    return Settings(
-        wish_from(options.get("qos")),
+    return Ros2Options(
+        qos_options(options.get("qos")),
         peer == "required",
         _seconds(options, "wait", zero=True),
         _seconds(options, "stale_after", zero=False),

@@ -21,13 +21,20 @@ from rclpy.publisher import Publisher
 from rclpy.service import Service
 
 from uoarm.errors import BridgeError, FailureReason
-from uoarm_ros2._middleware._action_client import SharedActionClient
-from uoarm_ros2._middleware._errors import rclpy_errors
-from uoarm_ros2._middleware._goal_server import GoalEntity, GoalRequest, GoalServer
+from uoarm_ros2._middleware._actions import (
+    GoalEntity,
+    GoalRequest,
+    GoalServer,
+    SharedActionClient,
+)
 from uoarm_ros2._middleware._loop import WaitLoop
-from uoarm_ros2._middleware._peer import Peer, read_peer
-from uoarm_ros2._middleware._profile import new_profile, server_profile
-from uoarm_ros2._middleware._released import publish_released
+from uoarm_ros2._middleware._translation import (
+    Peer,
+    new_profile,
+    rclpy_errors,
+    read_peer,
+    server_profile,
+)
 from uoarm_ros2._middleware._wait_set import (
     Entity,
     EventEntity,
@@ -39,7 +46,7 @@ from uoarm_ros2._middleware._wait_set import (
 )
 from uoarm_ros2._qos import Policies
 
-__all__ = ["Station"]
+__all__ = ["NodeRunner"]
 
 _TICK_SECONDS = 0.2
 _GOING = frozenset({FailureReason.UNAVAILABLE, FailureReason.RAISED})
@@ -63,7 +70,7 @@ _NAMES = "resolving a name of ROS 2"
 _log = logging.getLogger("uoarm.ros2")
 
 
-class Station:
+class NodeRunner:
     """One node, its wait-set loop and the thread that makes its turns.
 
     When the context is shut down from outside, `is_cut_off` is true: nothing comes any more, and
@@ -91,10 +98,12 @@ class Station:
         self.tick: Callable[[], None] = _nothing
         self.cut_off: Callable[[], None] = _nothing
         self._context = context
-        self._loop = WaitLoop(context, name, lambda: self._stopping or not context.ok())
+        self._loop = WaitLoop(context, name, self._is_ending)
         self._entities: dict[Any, list[Entity]] = {}
         self._definitions: dict[type, str] = {}
-        self._destroying = threading.Lock()  # the lists of rclpy's node bear one thread at a time
+        # Guards the lists of rclpy's node, which bear one thread at a time: channels are closed
+        # from any thread, also while this one puts everything away.
+        self._destroying = threading.Lock()
         self._stopping = False
         self._stopped = threading.Event()
         self._done = done
@@ -109,14 +118,14 @@ class Station:
 
     @property
     def is_cut_off(self) -> bool:
-        """Whether the context was shut down although the station was not stopped."""
+        """Whether the context was shut down although the node was not stopped."""
         return not self._stopping and not self._context.ok()
 
     @contextmanager
     def calling(self, what: str) -> Iterator[None]:
-        """Have what is raised in a block name what was called.
+        """Name the called entity in what the block raises.
 
-        Once the station is stopped, what it holds goes one after the other: a server of its own may
+        Once the node is stopped, what it holds goes one after the other: a server of its own may
         be away, or a client invalid, before the handles are.
 
         Raises:
@@ -136,7 +145,7 @@ class Station:
         return self._loop.turns
 
     def call_soon(self, act: Callable[[], None]) -> None:
-        """Have something done in this station's thread, after what it is at; from any thread."""
+        """Call a function in this node's thread, after its present callback; from any thread."""
         self._loop.call_soon(act)
 
     def stop(self, limit: float) -> bool:
@@ -155,7 +164,7 @@ class Station:
                     if time.monotonic() >= due:
                         due = time.monotonic() + _TICK_SECONDS
                         self.tick()
-                except Exception as error:  # noqa: BLE001 - one failure is nobody else's
+                except Exception as error:  # noqa: BLE001 - one failure ends no other entity
                     self._failed(error)
                 if not self._context.ok():
                     break
@@ -166,8 +175,11 @@ class Station:
         finally:
             self._put_away()
 
+    def _is_ending(self) -> bool:
+        return self._stopping or not self._context.ok()
+
     def _failed(self, error: Exception) -> None:
-        if not self._stopping and self._context.ok():
+        if not self._is_ending():
             _log.error("looking after a ROS 2 node failed", exc_info=error)
 
     def _put_away(self) -> None:
@@ -185,7 +197,7 @@ class Station:
             self._ended.set()
 
     def _wait_for(self, native: Any, *entities: Entity) -> Any:
-        """Hand on what comes to a native thing from now on."""
+        """Hand on what comes to a native entity from now on."""
         self._entities[native] = list(entities)
         self._loop.add(*entities)
         return native
@@ -254,15 +266,6 @@ class Station:
         known = _rclpy.rcl_publisher_event_type_t
         return self._wait_for(made, *_events(made.handle, known, _PUBLISHER_EVENTS, events))
 
-    def publish_released(self, publisher: Any, message: Any) -> None:
-        """Publish without the interpreter's lock, also when the context has ended.
-
-        Raises:
-            OSError: the middleware takes nothing.
-            InvalidHandle: the publisher was destroyed.
-        """
-        publish_released(publisher, message)
-
     def is_acknowledged(self, publisher: Publisher) -> bool:
         """Whether every reliable subscription that is matched has what was published; at once."""
         try:
@@ -273,13 +276,13 @@ class Station:
 
     @rclpy_errors(_OPENING)
     def action_client(self, native: type, name: str) -> Any:
-        """Create an action client; its callbacks run in this station's thread."""
+        """Create an action client; its callbacks run in this node's thread."""
         client = SharedActionClient(self.node, native, name)
         return self._wait_for(client, WaitableEntity(client))
 
     @rclpy_errors(_OPENING)
     def client(self, native: type, name: str) -> Any:
-        """Create a service client; its replies arrive in this station's thread."""
+        """Create a service client; its replies arrive in this node's thread."""
         client = self.node.create_client(native, name)
         return self._wait_for(client, ReplyEntity(client))
 
@@ -287,7 +290,7 @@ class Station:
     def server(
         self, native: type, name: str, answer: Callable[[Any, Callable[[Any], None]], None]
     ) -> Any:
-        """Create a service; `answer` takes each request in this station's thread.
+        """Create a service; `answer` takes each request in this node's thread.
 
         It is given the request and a function that sends the reply, from any thread.
         """
@@ -306,7 +309,7 @@ class Station:
         may_cancel: Callable[[bytes], bool],
         cancel: Callable[[bytes], None],
     ) -> GoalServer:
-        """Create an action server, whose goals and cancellations come in this station's thread."""
+        """Create an action server, whose goals and cancellations come in this node's thread."""
         server = GoalServer(self.node, native, name, ask, may_cancel, cancel)
         self._wait_for(server, GoalEntity(server))
         return server
@@ -316,7 +319,7 @@ class Station:
         """Return the full name of a topic; the namespace is put before a relative one.
 
         Raises:
-            BridgeError: the station has ended.
+            BridgeError: the node has ended.
         """
         return str(self.node.resolve_topic_name(name))
 
@@ -341,7 +344,7 @@ class Station:
 
     @rclpy_errors(_GRAPH)
     def own_definition(self, topic: str, type_name: str, native: type) -> str:
-        """Return the hash of our definition of a type, as our own end of a topic tells it.
+        """Return the hash of our definition of a type, as our own end of a topic shows it.
 
         Of each class the graph is asked once, unless ends of ours mean different ones by the name.
         """
@@ -362,7 +365,7 @@ class Station:
         """Whether a server of this full name is on the graph; clients do not count.
 
         Raises:
-            BridgeError: the station has ended, as for all that the graph is asked here.
+            BridgeError: the node has ended, as for all that the graph is asked here.
         """
         return bool(self.node.count_services(service))
 

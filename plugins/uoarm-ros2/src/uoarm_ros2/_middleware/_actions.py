@@ -1,4 +1,4 @@
-"""A server of one action: what comes is handed on, what was decided is sent from any thread."""
+"""Servers and clients of actions over rclpy's handles, safe to use from several threads."""
 
 from __future__ import annotations
 
@@ -8,17 +8,17 @@ from contextlib import suppress
 from typing import Any
 
 from attrs import field, frozen
+from rclpy.action import ActionClient
 from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
 from rclpy.qos import QoSProfile, qos_profile_action_status_default
 from rclpy.type_support import check_for_type_support
 from rclpy.waitable import NumberOfEntities
 from typing_extensions import Self
 
-from uoarm_ros2._middleware._errors import rclpy_errors
-from uoarm_ros2._middleware._profile import server_profile
+from uoarm_ros2._middleware._translation import rclpy_errors, server_profile
 from uoarm_ros2._middleware._wait_set import Entity
 
-__all__ = ["GoalEntity", "GoalRequest", "GoalServer"]
+__all__ = ["GoalEntity", "GoalRequest", "GoalServer", "SharedActionClient"]
 
 _KEPT_SECONDS = 60  # of the result of a goal that has ended
 _FEEDBACK_DEPTH = 10  # as rclpy has it
@@ -53,14 +53,14 @@ class GoalServer:
 
     rclpy's own `ActionServer` runs goals as tasks of an executor, of which there is none here. The
     C library of actions has no locks: every use of the handle but the publishing of feedback holds
-    `_lock`, and nothing that is handed on is called with it. Once it is destroyed nobody is told
-    anything: a function may end a goal while its offer closes.
+    `_lock`, and nothing that is handed on is called with it. Once it is destroyed no
+    client is answered: a function may end a goal while its offer closes.
 
     Args:
         node: rclpy's node.
         native: the action's type.
         name: its full name.
-        ask: takes each goal; whoever has it answers by `accept` or `reject`, from any thread.
+        ask: takes each goal, which is answered by `accept` or `reject`, from any thread.
         may_cancel: says of a goal's id whether its end may be asked for at all.
         cancel: takes the id of each goal whose end a client has asked for.
     """
@@ -80,6 +80,8 @@ class GoalServer:
         self._ask = ask
         self._may_cancel = may_cancel
         self._cancel = cancel
+        # The C library of actions has no locks: guards every use of the handle but the publishing
+        # of feedback, and the tables of goals, from the runner's thread and those that end goals.
         self._lock = threading.Lock()
         self._is_destroyed = False
         self._ready: tuple[bool, ...] = ()
@@ -139,7 +141,7 @@ class GoalServer:
                 self._handle.publish_feedback(message)
 
     def end(self, goal_id: bytes, status: str, result: Any = None) -> None:
-        """End an accepted goal and send its result to whoever asked for it, now or later.
+        """End an accepted goal and send its result to the clients that ask for it, now or later.
 
         Args:
             goal_id: of the goal, which has not ended.
@@ -155,7 +157,7 @@ class GoalServer:
                 return
             goal = self._goals[goal_id]
             if status == "canceled" and goal.get_status() != _CANCELING:
-                goal.update_goal_state(_rclpy.GoalEvent.CANCEL_GOAL)  # it was the provider's wish
+                goal.update_goal_state(_rclpy.GoalEvent.CANCEL_GOAL)  # the provider's decision
             goal.update_goal_state(_ENDS[status])
             self._results[goal_id] = response
             headers = self._waiting.pop(goal_id)
@@ -169,7 +171,7 @@ class GoalServer:
 
     @property
     def has_unread(self) -> bool:
-        """Whether nobody has asked yet for the result of a goal that has ended."""
+        """Whether no client has asked yet for the result of a goal that has ended."""
         return bool(self._unread)
 
     def destroy(self) -> None:
@@ -284,7 +286,7 @@ class GoalServer:
                 self._goals.pop(goal_id).destroy_when_not_in_use()
 
     def _publish_status(self) -> None:
-        with suppress(_rclpy.RCLError):  # the context is gone, and everybody with it
+        with suppress(_rclpy.RCLError):  # the context is gone
             self._handle.publish_status()
 
     def _answer_goal(self, request: GoalRequest, accepted: Any) -> None:
@@ -304,10 +306,37 @@ class GoalEntity(Entity):
 
     at_once = 1  # what it takes is what the last wait found
 
-    def __init__(self, server: GoalServer) -> None:
-        super().__init__(server)
-
     def take(self) -> bool:
         """Hand on what the last look found ready."""
         self.handle.take()
         return True
+
+
+class SharedActionClient(ActionClient):  # type: ignore[misc]  # rclpy has no types
+    """A client whose every answer finds what waits for it.
+
+    rclpy notes what it waits for after it has sent the request. An answer that another thread takes
+    in between finds no pending request, and is thrown away: the goal, its result or its end would
+    never be reported. So nothing is taken while something is sent. Callbacks run without the lock.
+    """
+
+    def __init__(self, node: Any, native: Any, name: str) -> None:
+        # Held while a request is sent and noted, and while an answer is taken: see above.
+        self._sending = threading.Lock()
+        super().__init__(node, native, name)
+
+    def take_data(self) -> Any:
+        with self._sending:
+            return super().take_data()
+
+    def send_goal_async(self, *args: Any, **keywords: Any) -> Any:
+        with self._sending:
+            return super().send_goal_async(*args, **keywords)
+
+    def _cancel_goal_async(self, goal: Any) -> Any:
+        with self._sending:
+            return super()._cancel_goal_async(goal)
+
+    def _get_result_async(self, goal: Any) -> Any:
+        with self._sending:
+            return super()._get_result_async(goal)

@@ -1,4 +1,4 @@
-"""ROS 2's own generators, called for one package: definitions in, sources out."""
+"""Packages of definitions, and the sources that ROS 2's own generators make of each."""
 
 from __future__ import annotations
 
@@ -16,9 +16,101 @@ from typing import Any
 from attrs import frozen
 
 from uoarm.errors import ConfigurationError, PluginError
-from uoarm_ros2._interfaces._packages import InterfacePackage
 
-__all__ = ["Generated", "generate", "needs_of", "prefixes", "translate"]
+__all__ = [
+    "Generated",
+    "InterfacePackage",
+    "generate",
+    "in_build_order",
+    "needs_of",
+    "packages_in",
+    "prefixes",
+    "translate",
+]
+
+KINDS = ("msg", "srv", "action")
+_NAME = re.compile(r"[a-z](_?[a-z0-9]+)*")
+_TYPE_NAME = re.compile(r"[A-Z][A-Za-z0-9]*")
+_VERSION = re.compile(r"<version[^>]*>\s*(\d+(\.\d+)*)\s*</version>")
+_MOST_FILES = 2_000
+_MOST_OCTETS = 1 << 20
+
+
+@frozen
+class InterfacePackage:
+    """A package's definitions; `files` are relative to `folder`: `msg/Grip.msg`."""
+
+    name: str
+    version: str
+    folder: Path
+    files: tuple[Path, ...]
+
+
+def packages_in(folder: Path) -> tuple[InterfacePackage, ...]:
+    """Return the packages below a folder, which may be one itself: `package/msg/Name.msg`.
+
+    Raises:
+        ConfigurationError: there are none, two of one name, too many files, or wrong names.
+    """
+    if not folder.is_dir():
+        raise ConfigurationError(f"{folder} is no folder")
+    found: dict[Path, list[Path]] = {}
+    for path in sorted(folder.resolve().rglob("*.*")):
+        kind = path.parent.name
+        if kind in KINDS and path.suffix in {f".{kind}", ".idl"} and path.is_file():
+            found.setdefault(path.parents[1], []).append(path)
+    if not found:
+        raise ConfigurationError(
+            f"{folder} has no definitions: expected package/msg/Name.msg, package/srv/Name.srv or "
+            f"package/action/Name.action below it"
+        )
+    number = sum(map(len, found.values()))
+    if number > _MOST_FILES:
+        raise ConfigurationError(f"{folder} has {number:,} definitions, at most {_MOST_FILES:,}")
+    made: dict[str, InterfacePackage] = {}
+    for root, paths in found.items():
+        package = _package(root, paths)
+        if package.name in made:
+            both = f"{made[package.name].folder} and {root}"
+            raise ConfigurationError(f"package {package.name} is there twice: {both}")
+        made[package.name] = package
+    return tuple(made.values())
+
+
+def _package(root: Path, paths: Iterable[Path]) -> InterfacePackage:
+    if not _NAME.fullmatch(root.name):
+        raise ConfigurationError(f"{root}: {root.name!r} is no name of a ROS package")
+    kept: dict[Path, Path] = {}
+    for path in paths:
+        if not _TYPE_NAME.fullmatch(path.stem):
+            raise ConfigurationError(f"{path}: {path.stem!r} is no name of a type, as GripState")
+        if path.stat().st_size > _MOST_OCTETS:
+            raise ConfigurationError(f"{path} has more than {_MOST_OCTETS:,} octets")
+        stem = path.relative_to(root).with_suffix("")
+        if path.suffix != ".idl" or stem not in kept:  # an .idl beside its source adds nothing
+            kept[stem] = path.relative_to(root)
+    manifest = root / "package.xml"
+    text = manifest.read_text(encoding="utf-8", errors="replace") if manifest.is_file() else ""
+    report = _VERSION.search(text)
+    return InterfacePackage(root.name, report[1] if report else "0.0.0", root, tuple(kept.values()))
+
+
+def in_build_order(needs: Mapping[str, frozenset[str]]) -> tuple[str, ...]:
+    """Return packages so that each stands after those that it needs.
+
+    Raises:
+        ConfigurationError: some need one another.
+    """
+    order: list[str] = []
+    left = {name: needed & needs.keys() - {name} for name, needed in needs.items()}
+    while left:
+        ready = sorted(name for name, needed in left.items() if needed <= {*order})
+        if not ready:
+            raise ConfigurationError(f"packages need one another: {', '.join(sorted(left))}")
+        order += ready
+        left = {name: needed for name, needed in left.items() if name not in ready}
+    return tuple(order)
+
 
 _INCLUDE = re.compile(r'^#include "([a-z][a-z0-9_]*)/', re.MULTILINE)
 _ALWAYS = {
@@ -29,7 +121,7 @@ _ALWAYS = {
     ),
 }
 _FASTDDS = "rosidl_typesupport_fastrtps_c"
-_INTROSPECTION = "rosidl_typesupport_introspection_c"  # Fast DDS is told of types by it
+_INTROSPECTION = "rosidl_typesupport_introspection_c"  # Fast DDS knows types by it
 
 
 @frozen
@@ -68,7 +160,7 @@ def translate(package: InterfacePackage, folder: Path) -> None:
         if file.suffix == ".idl":
             target.write_bytes((package.folder / file).read_bytes())
             continue
-        with _told_of(package.folder / file):
+        with _errors_naming(package.folder / file):
             adapter.convert_to_idl(package.folder, package.name, file, folder)
 
 
@@ -85,7 +177,7 @@ def generate(package: InterfacePackage, work: Path, shares: Mapping[str, Path]) 
     """Have everything generated for a package that was translated into `work/NAME/idl`.
 
     Args:
-        package: whose.
+        package: the one to generate for.
         work: the folder in which all is done.
         shares: of every other package the folder of its descriptions, as `share/std_msgs`.
 
@@ -114,7 +206,7 @@ def generate(package: InterfacePackage, work: Path, shares: Mapping[str, Path]) 
             json.dumps({**arguments, "output_dir": str(output), "template_dir": template})
         )
         made: Callable[..., Any] = getattr(_module(module), function)
-        with _told_of(package.folder):
+        with _errors_naming(package.folder):
             made(str(path), *more)
 
     own, also = headers / package.name, introspection / package.name
@@ -163,7 +255,7 @@ def _resources(module: str) -> Path:
 
 
 @contextlib.contextmanager
-def _told_of(path: Path) -> Any:
+def _errors_naming(path: Path) -> Any:
     """Keep what a generator prints; what it raises, or its exit, is an error with the file."""
     said = io.StringIO()
     try:

@@ -8,13 +8,13 @@ from typing import Any
 
 import pytest
 from peers import DOMAIN
-from uoarm_ros2 import _shared_ends
-from uoarm_ros2._graph import Graph
+from uoarm_ros2 import _bridge
+from uoarm_ros2._bridge import SharedEntities
+from uoarm_ros2._discovery import Ros2Graph
 from uoarm_ros2._middleware import Participant, Peer
+from uoarm_ros2._options import Ros2Address, Ros2Options
 from uoarm_ros2._qos import Policies
-from uoarm_ros2._services import Server
-from uoarm_ros2._settings import Address, Settings
-from uoarm_ros2._shared_ends import SharedEnds
+from uoarm_ros2._services import ServiceServer
 from uoarm_ros2._types import import_type
 
 from uoarm.model import Endpoint, Role
@@ -30,13 +30,15 @@ def participant() -> Iterator[Participant]:
     made.close(patience())
 
 
-def test_the_client_of_a_node_goes_when_nobody_asks_any_more(
+def test_the_client_of_a_node_goes_once_it_is_unused(
     participant: Participant, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Nodes with names that are never seen again come and go: a client for each would pile up."""
-    station, native = participant.station("asking"), import_type(SET_BOOL)
-    station.server(native, "/asked", lambda _, answer: answer(native.Response(success=True)))  # type: ignore[attr-defined]
-    shared = SharedEnds(station, Graph(station, 0.0), lambda: participant.station("replies"))
+    runner, native = participant.start_node("asking"), import_type(SET_BOOL)
+    runner.server(native, "/asked", lambda _, answer: answer(native.Response(success=True)))  # type: ignore[attr-defined]
+    shared = SharedEntities(
+        runner, Ros2Graph(runner, 0.0), lambda: participant.start_node("replies")
+    )
     waited_for: Any = shared.replies()._entities
 
     def ask() -> object:
@@ -45,19 +47,19 @@ def test_the_client_of_a_node_goes_when_nobody_asks_any_more(
     assert ask() == {"success": True, "message": ""}
     shared.tick()
     assert len(waited_for) == 1
-    monkeypatch.setattr(_shared_ends, "_ASKED_SECONDS", -1.0)
+    monkeypatch.setattr(_bridge, "_UNUSED_SECONDS", -1.0)
     shared.tick()
     assert not waited_for
     assert ask() == {"success": True, "message": ""}
 
 
-def test_what_waits_to_be_handled_is_forgotten_when_nobody_takes_it(
+def test_waiting_requests_are_dropped_when_their_channel_closes(
     participant: Participant,
 ) -> None:
     """A handler that looks whether something waits, and then takes it, must find it."""
-    station = participant.station("serving")
+    runner = participant.start_node("serving")
     at = Endpoint("ros", "thing", Role.SERVICE, ("/served", SET_BOOL))
-    served = Server(station, at, "/served", SET_BOOL, lambda _: {}, 1, lambda *_: None)
+    served = ServiceServer(runner, at, "/served", SET_BOOL, lambda _: {}, 1, lambda *_: None)
     locked: list[bool] = []
 
     class Waiting(deque[Any]):
@@ -89,6 +91,6 @@ class Vanishing:
 
 
 def test_a_topic_that_goes_after_the_look_is_settled_by_that_look() -> None:
-    station: Any = Vanishing()
-    topic = Graph(station, 0.0).topic(Address("/gone"), Role.OUTPUT, Settings())
+    runner: Any = Vanishing()
+    topic = Ros2Graph(runner, 0.0).topic(Ros2Address("/gone"), Role.OUTPUT, Ros2Options())
     assert topic.type == "std_msgs/msg/Int64"

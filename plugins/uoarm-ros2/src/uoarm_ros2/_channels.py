@@ -1,0 +1,437 @@
+"""Channels of topics: publishers as sinks, subscriptions as sources, links between topics."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
+from functools import partial
+from typing import Any
+
+from attrs import evolve
+
+from uoarm.bridge import Channel, Delivery, Sink, Source
+from uoarm.errors import BridgeError, FailureReason, MessageError
+from uoarm.model import Deliver, Health, Message, OverflowPolicy, QueuePolicy
+from uoarm_ros2._health import TopicHealth
+from uoarm_ros2._middleware import Peer, publish_released
+from uoarm_ros2._qos import KEEP_ALL_SECONDS, Policies, clashes, for_reading, for_writing
+from uoarm_ros2._topic_endpoint import TopicContext, TopicEndpoint
+
+__all__ = ["PublisherSink", "SameTopicLink", "SerialisedRelay", "SubscriptionSource"]
+
+_FULL = "cannot publish data"
+_LOSSLESS = QueuePolicy(policy=OverflowPolicy.BLOCK, timeout=KEEP_ALL_SECONDS)
+
+
+class _Publisher(TopicEndpoint):
+    """The writing end of a topic."""
+
+    peer_word = "subscription"
+
+    def graph_peers(self, topic: str) -> tuple[Peer, ...]:
+        return self._context.runner.subscriptions(topic)
+
+    def count(self) -> int:
+        return int(self.native.get_subscription_count())
+
+    def clashes_with(self, peer: Policies) -> tuple[str, ...]:
+        return clashes(self.policies, peer)
+
+    def comparison(self, peer: Peer) -> str:
+        return (
+            f"subscription {peer.node} asks ({peer.policies}), "
+            f"this publisher offers ({self.policies})"
+        )
+
+    def all_matched(self) -> bool:
+        """Whether every subscription on the graph that fits is matched, and one at least."""
+        fitting = [peer for peer in self.peers() if not self.clashes_with(peer.policies)]
+        return self.count() >= max(1, len(fitting))
+
+    def _fitting(self, peers: Iterable[Peer]) -> Policies:
+        return for_writing(self._context.options.qos, [peer.policies for peer in peers])
+
+    def _create(self) -> Any:
+        context = self._context
+        return context.runner.advertise(
+            context.native, context.topic.name, self.policies, events=self.events()
+        )
+
+
+class PublisherSink(Sink):
+    """One publisher.
+
+    With `auto` policies it offers what the subscriptions ask, and offers anew when all that are
+    left ask for something else. `send` blocks only with `history: keep_all`, while slow readers
+    catch up.
+
+    A publisher takes messages from several threads at once: so ROS 2 promises of `rmw_publish`, and
+    rclpy keeps one that is being destroyed until no call uses it.
+
+    Args:
+        context: where to publish.
+        write: makes what is published (a native object or serialised bytes) of a message.
+    """
+
+    parallel = True
+
+    def __init__(self, context: TopicContext, write: Callable[[Message], Any]) -> None:
+        super().__init__(context.endpoint)
+        # Guards the count of messages: a stop message is sent from another thread than commands.
+        self._counting = threading.Lock()
+        self._context = context
+        self._write = write
+        self._health = TopicHealth(partial(context.report, self))
+        self._end = _Publisher(context, self._health)
+        self.blocking = self._end.policies.history == "keep_all"
+        self.default_queue = _LOSSLESS
+
+    def _send(self, message: Message) -> None:
+        """Publish one message.
+
+        Raises:
+            MessageError: it does not fit the native type; the text names the field.
+            BridgeError: the channel was closed while it sends, or the middleware took nothing.
+        """
+        native = self._write(message)
+        publisher = self._end.native
+        try:
+            self._publish(publisher, native)
+        except Exception as error:  # noqa: BLE001 - raised again there, unless it can be helped
+            self._publish_anyway(native, publisher, error)
+        with self._counting:
+            self._health.count += 1
+
+    def wait(self) -> None:
+        """Wait until every fitting subscription on the graph is matched.
+
+        Raises:
+            BridgeError: none was matched within the limit although one is required.
+        """
+        context, end = self._context, self._end
+        expects_peers = context.options.peer_required or bool(end.peers())
+        limit = context.graph.limit(context.options) if expects_peers else 0.0
+        context.graph.until(lambda: self.closed or end.all_matched() or end.cannot_match(), limit)
+        peers = end.peers()
+        end.require(limit, peers)
+        if end.count() and any(peer.policies.reliability == "best_effort" for peer in peers):
+            # A reader that does not ask for repeats must have matched us before the first message.
+            context.graph.settle(peers, context.settle, lambda: self.closed)
+
+    def tick(self) -> None:
+        """Look after the channel a few times a second, in the runner's thread."""
+        self._end.tick()
+
+    def drain(self, timeout: float) -> bool:
+        """Wait until every reliable subscription has acknowledged what was published.
+
+        One that is matched may not have matched this publisher yet, since discovery goes both ways
+        on its own, and then gets what was sent only as long as the publisher is there. Fast DDS
+        asks for acknowledgements every three seconds.
+        """
+        context, end = self._context, self._end
+        return context.graph.until(lambda: context.runner.is_acknowledged(end.native), timeout)
+
+    def facts(self) -> Mapping[str, object]:
+        """Return counters, the matched subscriptions and the policies in force."""
+        return self._end.facts()
+
+    def _publish(self, publisher: Any, native: Any) -> None:
+        """Publish; what waits for room in a full history must not keep the interpreter's lock."""
+        if self.blocking:
+            publish_released(publisher, native)
+        else:
+            publisher.publish(native)
+
+    def _publish_anyway(self, native: Any, publisher: Any, error: Exception) -> None:
+        """Publish with the publisher that took the place of one, or once the history has room.
+
+        The rmw itself waits for room a tenth of a second only.
+        """
+        deadline = time.monotonic() + KEEP_ALL_SECONDS
+        while True:
+            if self._closed:
+                raise self._gone() from error
+            if self._context.runner.is_cut_off:
+                self._publish_last(native, publisher)
+                return
+            waits = self.blocking and _FULL in str(error) and time.monotonic() < deadline
+            if publisher is self._end.native and not waits:
+                text = f"topic {self._context.topic.name} takes no message: {error}"
+                raise BridgeError(text, FailureReason.UNAVAILABLE) from error
+            publisher = self._end.native
+            try:
+                self._publish(publisher, native)
+            except Exception as another:  # noqa: BLE001 - looked at in the next round
+                error = another
+            else:
+                return
+
+    def _publish_last(self, native: Any, publisher: Any) -> None:
+        try:
+            publish_released(publisher, native)
+        except OSError as error:
+            text = f"topic {self._context.topic.name} takes no message: {error}"
+            raise BridgeError(text, FailureReason.UNAVAILABLE) from error
+
+    def _gone(self) -> BridgeError:
+        text = f"bridge {self.endpoint.bridge!r}: {self.endpoint} is closed"
+        return BridgeError(text, FailureReason.CLOSED)
+
+    def _close(self) -> None:
+        self._end.close()
+
+
+_LOOKS = 10  # ticks within which the graph knows that a publisher has gone
+
+
+class _Subscription(TopicEndpoint):
+    """The reading end of a topic."""
+
+    peer_word = "publisher"
+
+    def __init__(
+        self, context: TopicContext, health: TopicHealth, take: Callable[..., None]
+    ) -> None:
+        self._take = take
+        super().__init__(context, health)
+
+    def graph_peers(self, topic: str) -> tuple[Peer, ...]:
+        return self._context.runner.publishers(topic)
+
+    def count(self) -> int:
+        return int(self.native.get_publisher_count())
+
+    def clashes_with(self, peer: Policies) -> tuple[str, ...]:
+        return clashes(peer, self.policies)
+
+    def comparison(self, peer: Peer) -> str:
+        return (
+            f"publisher {peer.node} offers ({peer.policies}), "
+            f"this subscription asks ({self.policies})"
+        )
+
+    def unreached(self, peers: Sequence[Peer]) -> str:
+        """Name publishers whose latched messages do not come since other publishers latch none."""
+        context = self._context
+        latched = [peer for peer in peers if peer.policies.durability == "transient_local"]
+        if not latched or self.policies.durability == "transient_local":
+            return ""
+        if context.options.qos.durability != "auto":
+            return ""
+        volatile = [peer.node for peer in peers if peer not in latched]
+        return (
+            f"topic {context.topic.name}: {', '.join(peer.node for peer in latched)} latched what "
+            f"they published, which does not come since {', '.join(volatile)} latch nothing; with "
+            "qos: {durability: transient_local} it comes, and nothing of those that latch nothing"
+        )
+
+    def _fitting(self, peers: Iterable[Peer]) -> Policies:
+        return for_reading(self._context.options.qos, [peer.policies for peer in peers])
+
+    def _create(self) -> Any:
+        context, health = self._context, self._health
+        where = f"topic {context.topic.name}"
+        events = self.events()
+        required = context.options.peer_required
+        events["liveliness"] = lambda info: health.note_liveliness(
+            info.alive_count, info.not_alive_count, where, required=required
+        )
+        events["message_lost"] = lambda info: health.note_lost(info.total_count, where)
+        return context.runner.subscribe(
+            context.native,
+            context.topic.name,
+            self.policies,
+            self._take,
+            events=events,
+            names_writers=self.policies.durability == "transient_local",
+        )
+
+
+class SubscriptionSource(Source):
+    """One subscription; each message goes to `deliver` in the runner's thread.
+
+    With `auto` policies it asks for what the publishers offer, and asks anew when all that are
+    left offer something else.
+
+    What was latched stands as for a subscription of its own: the last messages of each publisher,
+    as long as the publisher is there.
+
+    Args:
+        context: where to subscribe.
+        read: makes what is delivered of the serialised form; raises MessageError.
+        deliver: takes it.
+    """
+
+    def __init__(
+        self, context: TopicContext, read: Callable[[bytes], Message], deliver: Deliver
+    ) -> None:
+        super().__init__(context.endpoint)
+        self._context = context
+        self._read = read
+        self._deliver = deliver
+        self._delivery = deliver if isinstance(deliver, Delivery) else None
+        self._health = TopicHealth(
+            partial(context.report, self),
+            context.options.stale_after,
+            context.clock,
+            receives=True,
+        )
+        self._writers: set[bytes] = set()  # whose messages stand; in the runner's thread
+        self._departures = self._looks = 0
+        self._end = _Subscription(context, self._health, self._receive)
+
+    def wait(self) -> None:
+        """Wait until a publisher is matched and has had the time to learn of us.
+
+        Raises:
+            BridgeError: none was matched within the limit although one is required.
+        """
+        context = self._context
+        limit = context.graph.limit(context.options)
+        end = self._end
+        context.graph.until(lambda: self.closed or end.count() > 0 or end.cannot_match(), limit)
+        matched = end.count() > 0
+        peers = end.peers()
+        end.require(limit, peers)
+        self.latched = end.policies.durability == "transient_local"
+        self.depth = end.policies.depth
+        if end.policies.history == "keep_all":
+            self.patience = KEEP_ALL_SECONDS
+        if matched and not self.latched:
+            context.graph.settle(peers, context.settle, lambda: self.closed)
+
+    def tick(self) -> None:
+        """Look after the channel a few times a second, in the runner's thread."""
+        self._end.tick()
+        self._look_for_departures()
+
+    def facts(self) -> Mapping[str, object]:
+        """Return counters, the matched publishers and the policies in force."""
+        return self._end.facts()
+
+    def _close(self) -> None:
+        self._end.close()
+
+    def _look_for_departures(self) -> None:
+        """Withdraw what publishers latched that have gone, as DDS does."""
+        if not self._writers or self._delivery is None:
+            return
+        if self._end.departures != self._departures:
+            self._departures, self._looks = self._end.departures, _LOOKS
+        if not self._looks and len(self._writers) <= self._end.count():
+            return
+        self._looks = max(0, self._looks - 1)
+        there = {peer.identity for peer in self._end.peers()}
+        for writer in self._writers - there:
+            self._writers.discard(writer)
+            self._delivery.let_go(writer.hex())
+
+    def _receive(self, octets: bytes, writer: bytes = b"") -> None:
+        if self._closed:
+            return
+        try:
+            message = self._read(octets)
+        except MessageError as error:
+            if self._delivery is not None:
+                self._delivery.unreadable(f"topic {self._context.topic.name}: {error}")
+            return
+        self._health.note_message()
+        if writer and self._delivery is not None:
+            self._writers.add(writer)
+            self._delivery(message, writer.hex())
+        else:
+            self._deliver(message)
+
+
+class SerialisedRelay(Channel):
+    """Passes serialised bytes from one topic to another of the same type."""
+
+    def __init__(self, source: TopicContext, sink: TopicContext) -> None:
+        super().__init__(source.endpoint)
+        report = source.report
+
+        def report_half(channel: Channel, health: Health, cause: str) -> None:
+            del channel  # the halves are ours alone
+            report(self, health, cause)
+
+        self._out = PublisherSink(evolve(sink, report=report_half), bytes)
+        try:
+            self._into = SubscriptionSource(
+                evolve(source, report=report_half), bytes, self._out.send
+            )
+        except BaseException:
+            self._out.close()
+            raise
+
+    def wait(self) -> None:
+        """Wait for the peers of both halves, for readers first so that no first message is lost.
+
+        Raises:
+            BridgeError: one is missing although it is required.
+        """
+        self._out.wait()
+        self._into.wait()
+
+    def tick(self) -> None:
+        """Look after both halves."""
+        self._into.tick()
+        self._out.tick()
+
+    def facts(self) -> Mapping[str, object]:
+        """Return the facts of both halves, by side."""
+        halves = (("from", self._into), ("to", self._out))
+        return {
+            f"{side} {name}": fact for side, half in halves for name, fact in half.facts().items()
+        }
+
+    def _close(self) -> None:
+        self._into.close()
+        self._out.close()
+
+
+class SameTopicLink(Channel):
+    """Two endpoints on one topic, which ROS 2 connects by itself: only watched.
+
+    Lost when no publisher, or no subscription, is left.
+    """
+
+    def __init__(self, source: TopicContext, sink: TopicContext) -> None:
+        super().__init__(source.endpoint)
+        self._source = source
+        self._sink = sink
+        self._state = ""
+
+    def tick(self) -> None:
+        """Look at the graph."""
+        missing = self._missing()
+        if missing == self._state:
+            return
+        self._state = missing
+        if missing:
+            self._source.report(self, Health.LOST, missing)
+        else:
+            self._source.report(self, Health.OK, "both ends are there")
+
+    def facts(self) -> Mapping[str, object]:
+        """Return how many publishers and subscriptions the topic has; nothing after the end."""
+        runner, name = self._source.runner, self._source.topic.name
+        with suppress(BridgeError):  # the bridge was closed
+            return {
+                "publishers": len(runner.publishers(name)),
+                "subscriptions": len(runner.subscriptions(name)),
+            }
+        return {}
+
+    def _missing(self) -> str:
+        runner, name = self._source.runner, self._source.topic.name
+        if self._source.options.peer_required and not runner.publishers(name):
+            return f"topic {name} has no publisher"
+        if self._sink.options.peer_required and not runner.subscriptions(name):
+            return f"topic {name} has no subscription"
+        return ""
+
+    def _close(self) -> None:
+        pass
