@@ -24,7 +24,7 @@ PAGE = Path(__file__).parents[3] / "docs" / "ros1.md"
 
 def test_the_example_runs_as_printed(master: Master, tmp_path: Path) -> None:
     text = PAGE.read_text(encoding="utf-8")
-    _, peers, robot, commands, printed, *_ = (
+    _, peers, robot, commands, printed, application, *_ = (
         found[1] for found in re.finditer(r"```\w+\n(.*?)```", text, re.DOTALL)
     )
     (tmp_path / "robot.yaml").write_text(robot.replace("127.0.0.1", master.host))
@@ -42,6 +42,11 @@ def test_the_example_runs_as_printed(master: Master, tmp_path: Path) -> None:
 
         wait(answered, "the node of the page did not come up", patience())
         assert "".join(said) == printed
+        (tmp_path / "application.py").write_text(application)
+        done = _run("application", tmp_path)
+        assert done.stdout == "Kia ora\noff\n", done.stderr
+        assert "output  /chatter, std_msgs/String" in _run("uoarm discover", tmp_path).stdout
+        assert "chatter: {endpoint:" in _run("uoarm suggest", tmp_path).stdout
     finally:
         os.killpg(shell.pid, 9)
         shell.wait()

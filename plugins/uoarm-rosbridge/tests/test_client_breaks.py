@@ -194,3 +194,42 @@ def test_a_parameter_that_is_gone_is_lost_alone_and_comes_back(played: Played) -
         played.answers["get_param"] = {"value": "8"}
         eventually(lambda: len(events) == 3, "it is there again")
         assert (events[2].component, events[2].health) == ("speed", Health.OK)
+
+
+def test_a_message_that_is_too_large_is_a_loss_with_its_limit(played: Played) -> None:
+    """It would come again with each connection: that is no break which passes."""
+    with bridge_to(played.url, grace=LONG, max_octets=1000) as bridge:
+        events = seen(bridge)
+        bridge.open_source(TALK, structure(bridge), Collector().deliver)
+        publish(played, "x" * 100_000)
+        eventually(lambda: events, "it is lost")
+        assert events[0].health is Health.LOST
+        assert "larger than `max_octets`, 1,000" in events[0].cause
+
+
+def test_what_cannot_be_read_is_said_once_until_something_can(played: Played) -> None:
+    collector = Collector()
+    with bridge_to(played.url) as bridge:
+        events = seen(bridge)
+        bridge.open_source(TALK, structure(bridge), collector.deliver)
+        for octets in ("{", b"\xff\xff", "[1, ", json.dumps([1]) + "]"):
+            played.sockets[-1].send(octets)
+        publish(played, "x")
+        assert collector.wait(1) == [{"data": "x"}]
+        assert [event.health for event in events] == [Health.DEGRADED, Health.OK]
+        assert "sends what cannot be read" in events[0].cause
+
+
+def test_what_did_not_open_does_not_stand(played: Played) -> None:
+    def on(socket: Any, fields: Any) -> None:
+        if fields["op"] == "subscribe":
+            socket.close()
+
+    with bridge_to(played.url, grace=LONG) as bridge:
+        events, made = seen(bridge), structure(bridge)
+        played.on = on  # type: ignore[method-assign]  # what a test replaces
+        with pytest.raises(BridgeError):
+            bridge.open_source(TALK, made, Collector().deliver)
+        eventually(lambda: len(events) == 2, "the break, and its end")  # noqa: PLR2004 - and its end
+        assert bridge.describe(TALK).message == made
+        assert len(asked(played, "subscribe")) == 1

@@ -12,6 +12,7 @@ from typing import Any
 
 from attrs import define, field
 from websockets.exceptions import ConnectionClosed, InvalidHandshake, InvalidStatus
+from websockets.frames import CloseCode
 from websockets.sync.client import ClientConnection, connect
 
 from uoarm.bridge import Disconnection
@@ -32,6 +33,7 @@ _GOODBYE_SECONDS = 0.5
 _JOIN_SECONDS = 2.0
 _RETRY_SECONDS = (0.1, 5.0)
 _QUICKEST_SECONDS = 0.25
+_STEADY_SECONDS = 5.0
 _FINAL = (401, 403)  # answers to the handshake that no other attempt changes
 _MOST_WAITING = 1024
 _ROOM_FOR_FIELDS = 65_536
@@ -91,6 +93,7 @@ class ServerConnection:
         self._thread: threading.Thread | None = None
         self._cause = ""  # why it is not up; empty: not known yet
         self._is_closed = False
+        self._is_garbled = False  # whether the last frame could not be read
         self._disconnection = Disconnection(options.grace)
         # Guards the two tables of what stands at the server, and the order in which that is sent:
         # what stands when a connection begins is sent with it, all else by who has it stand.
@@ -285,9 +288,13 @@ class ServerConnection:
         while not self._is_closed:
             try:
                 with self._connect() as socket:
-                    pause = _RETRY_SECONDS[0]
+                    begun = time.monotonic()
                     self._begin(socket)
-                    self._lose(self._read(socket))
+                    cause, final = self._read(socket)
+                    self._lose(cause, final=final)
+                    # One that breaks at once is not begun again at once, for ever.
+                    if time.monotonic() - begun > _STEADY_SECONDS:
+                        pause = _RETRY_SECONDS[0]
             except Exception as error:  # noqa: BLE001 - of a URL, TLS, sockets: it is reported
                 if self.is_up:
                     self._lose(_cause_of(error))
@@ -329,14 +336,19 @@ class ServerConnection:
         if (health := self._disconnection.up()) is not None:
             self._report(health, f"{self.options.url} answers again")
 
-    def _read(self, socket: ClientConnection) -> str:
-        """Take what comes until the connection ends; returns why it did."""
+    def _read(self, socket: ClientConnection) -> tuple[str, bool]:
+        """Take what comes until the connection ends; returns why it did, and whether for good."""
         try:
             for frame in socket:
                 self._take(frame)
-        except (ConnectionClosed, OSError) as error:
-            return _cause_of(error)
-        return "the server closed the connection"
+        except ConnectionClosed as error:
+            if error.sent is not None and error.sent.code == CloseCode.MESSAGE_TOO_BIG:
+                most = self.options.budget.octets
+                return f"a message came that is larger than `max_octets`, {most:,}", True
+            return _cause_of(error), False
+        except OSError as error:
+            return _cause_of(error), False
+        return "the server closed the connection", False
 
     def _take(self, frame: str | bytes) -> None:
         spending = Spending(self.options.budget)
@@ -346,8 +358,14 @@ class ServerConnection:
             else:
                 fields = read_binary(frame, spending)
         except ControlMessageError as error:
-            self._report(Health.DEGRADED, f"{self.options.url} sends what cannot be read: {error}")
+            if not self._is_garbled:
+                self._is_garbled = True
+                text = f"{self.options.url} sends what cannot be read: {error}"
+                self._report(Health.DEGRADED, text)
             return
+        if self._is_garbled:
+            self._is_garbled = False
+            self._report(Health.OK, f"what {self.options.url} sends can be read again")
         if not isinstance(fields, dict):
             return
         op = fields.get("op")
@@ -383,8 +401,9 @@ class ServerConnection:
             with suppress(OSError, ConnectionClosed):
                 socket.close()
 
-    def _lose(self, cause: str) -> None:
+    def _lose(self, cause: str, *, final: bool = False) -> None:
         self._set(None, cause)
+        self._is_garbled = False
         with self._changed:
             pending = list(self._pending.values())
             is_closed = self._is_closed
@@ -397,7 +416,7 @@ class ServerConnection:
         self.patient_until = time.monotonic() + self.options.grace
         for watcher in self.watchers:
             watcher(cause)
-        self._judge(cause)
+        self._judge(cause, final=final)
 
     def _judge(self, cause: str, *, final: bool = False) -> None:
         """Report that it is down where that is news; in the connection's thread alone."""
