@@ -230,6 +230,6 @@ def test_what_did_not_open_does_not_stand(played: Played) -> None:
         played.on = on  # type: ignore[method-assign]  # what a test replaces
         with pytest.raises(BridgeError):
             bridge.open_source(TALK, made, Collector().deliver)
-        eventually(lambda: len(events) == 2, "the break, and its end")  # noqa: PLR2004 - and its end
+        eventually(lambda: len(events) == 2, "the break, and its end")
         assert bridge.describe(TALK).message == made
         assert len(asked(played, "subscribe")) == 1
