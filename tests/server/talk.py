@@ -30,7 +30,7 @@ SECONDS = patience()
 # The server's thread makes random ping payloads while hypothesis draws in this one.
 BESIDE = pytest.mark.filterwarnings("ignore:Do not use the .random. module")
 REPORTS = {
-    op: Draft202012Validator({**protocol_schema(), "$ref": f"#/$defs/tell.{op}"})
+    op: Draft202012Validator({**protocol_schema(), "$ref": f"#/$defs/server.{op}"})
     for op in ("Reply", "Error", "Data", "Status")
 }
 

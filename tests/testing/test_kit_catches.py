@@ -106,4 +106,4 @@ def test_the_sections_that_failures_name_are_on_the_page() -> None:
         for line in text.splitlines()
         if line.startswith("## ")
     }
-    assert {"the-steps", "telling-what-happens", "the-declaration"} <= headings
+    assert {"the-steps", "reporting-what-happens", "the-declaration"} <= headings

@@ -19,7 +19,7 @@ from uoarm.model import Budget, Spending
 def test_the_protocol_schema_is_a_schema_and_has_every_operation() -> None:
     schema = protocol_schema()
     Draft202012Validator.check_schema(schema)
-    assert {f"ask.{op}" for op in ASKED} <= schema["$defs"].keys()
+    assert {f"client.{op}" for op in ASKED} <= schema["$defs"].keys()
 
 
 plain = st.none() | st.booleans() | st.integers(0, 9) | st.text(max_size=3)
@@ -32,7 +32,7 @@ fields = st.dictionaries(
 @given(st.sampled_from(ASKED), fields)
 def test_the_server_takes_exactly_what_the_schema_allows(op: str, rest: dict[str, Any]) -> None:
     message = {**rest, "op": op}
-    schema = {**protocol_schema(), "$ref": f"#/$defs/ask.{op}"}
+    schema = {**protocol_schema(), "$ref": f"#/$defs/client.{op}"}
     allowed = Draft202012Validator(schema).is_valid(message)
     try:
         check_asked(message)
@@ -107,5 +107,5 @@ def test_data_is_an_ordinary_control_message(form: Form) -> None:
     written = form.write_data("c1", 7, message)
     read = form.read(written.decode() if form.text else written, Spending(Budget()))
     assert read == {"op": "Data", "type": "c1", "x-number": 7, "jsonMessage": message}
-    schema = {**protocol_schema(), "$ref": "#/$defs/tell.Data"}
+    schema = {**protocol_schema(), "$ref": "#/$defs/server.Data"}
     Draft202012Validator(schema).validate(read)

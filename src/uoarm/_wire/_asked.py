@@ -41,7 +41,7 @@ _MAX_OCTETS = 1_048_576
 
 @cache
 def protocol_schema() -> Mapping[str, Any]:
-    """Return the JSON Schema of every message, `$defs` named `ask.Op` and `tell.Op`."""
+    """Return the JSON Schema of every message, `$defs` named `client.Op` and `server.Op`."""
     text = (files("uoarm._wire") / "protocol.schema.json").read_text(encoding="utf-8")
     schema: Mapping[str, Any] = json.loads(text)
     return schema
@@ -115,4 +115,4 @@ def _wrong_op(fields: Mapping[str, Any]) -> str:
 def _validator(op: str) -> Draft202012Validator:
     from jsonschema import Draft202012Validator  # noqa: PLC0415 - slow import
 
-    return Draft202012Validator({**protocol_schema(), "$ref": f"#/$defs/ask.{op}"})
+    return Draft202012Validator({**protocol_schema(), "$ref": f"#/$defs/client.{op}"})

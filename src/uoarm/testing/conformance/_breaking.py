@@ -65,7 +65,7 @@ def _broken(world: World) -> Iterator[None]:
         world.mended()
 
 
-@rules("telling-what-happens")
+@rules("reporting-what-happens")
 class Breaking:
     """Breaking what the bridge stands on (a link, a broker, a device) and mending it."""
 

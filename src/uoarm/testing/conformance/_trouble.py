@@ -27,7 +27,7 @@ _NONSENSE: tuple[Message, ...] = (
 )
 
 
-@rules("telling-what-happens")
+@rules("reporting-what-happens")
 class DisturbanceRules:
     """What goes wrong outside the bridge."""
 
