@@ -15,6 +15,8 @@ from uoarm_rosbridge.client._options import mistake
 from uoarm_rosbridge.client._types import read_types, reader, structure_of, writer
 from websockets.sync.server import ServerConnection
 
+from uoarm import RobotManager
+from uoarm.config import loads
 from uoarm.errors import BridgeError, ConfigurationError, FailureReason, MessageError
 from uoarm.model import Endpoint, Health, Role
 from uoarm.server import hash_token, make_token
@@ -109,6 +111,25 @@ def test_what_the_server_refuses_is_said(played: Played) -> None:
         assert events[0].health is Health.DEGRADED
         assert events[0].cause == "/chatter: the server says: denied"
         assert sink.facts()["refused_by_server"] == 1
+
+
+def test_a_plan_says_what_the_server_does_not(played: Played) -> None:
+    text = f"""
+version: 1
+bridges: {{far: {{plugin: rosbridge, options: {{url: "{played.url}"}}}}}}
+functions:
+  talk: {{components: [{{name: talker, bridge: far, output: {{endpoint: [/chatter]}}}}]}}
+  listen:
+    components:
+      - {{name: listener, bridge: far, input: {{from: talk, endpoint: [/chatter]}}}}
+"""
+    with RobotManager(loads(text)) as manager:
+        warnings = manager.resolve("listen").warnings
+    said = "a rosbridge server does not say"
+    assert sorted(warnings) == [
+        f"listener.input.default: {said} whether it publishes what it is sent",
+        f"talker.output.default: {said} what it loses of a topic",
+    ]
 
 
 def test_an_advertisement_that_is_refused_opens_nothing(played: Played) -> None:

@@ -186,10 +186,14 @@ class StructureCache:
         for role, ports in (("input", component.inputs), ("output", component.outputs)):
             for port in ports:
                 description = self._describe(port.endpoint)
+                if description.note:
+                    warnings.append(f"{component.name}.{role}.{port.name}: {description.note}")
                 settle(f"{role}.{port.name}", "message", description, port.declared)
         if component.service is not None:
             service = component.service
             description = self._describe(service.endpoint)
+            if description.note:
+                warnings.append(f"{component.name}: {description.note}")
             settle("request", "request", description, service.request)
             settle("reply", "reply", description, service.reply)
         return Structures(found, tuple(warnings))

@@ -25,6 +25,8 @@ class Description:
 
     Attributes:
         hint: what would have the framework know what it does not: a sentence without a full stop.
+        note: what a careful reader of a plan should know of the endpoint, such as what is lost
+            there without a word: a sentence without a full stop.
         limits: keywords that hold of whatever is sent there, also where the configuration declares
             another structure: `x-max-json`, `x-max-octets` and `x-nonfinite: false`.
     """
@@ -33,6 +35,7 @@ class Description:
     request: MessageStructure | None = None
     reply: MessageStructure | None = None
     hint: str = ""
+    note: str = ""
     limits: Mapping[str, object] = field(factory=dict, hash=False)
 
     def limited(self, structure: MessageStructure) -> MessageStructure:

@@ -46,6 +46,10 @@ __all__ = ["RosbridgeBridge"]
 
 C = TypeVar("C", bound=Channel)
 _FINITE = {"x-nonfinite": False}  # JSON, in which everything is published, has no NaN
+_NOTES = {
+    Role.OUTPUT: "a rosbridge server does not say what it loses of a topic",
+    Role.INPUT: "a rosbridge server does not say whether it publishes what it is sent",
+}
 _TICK_SECONDS = 0.25
 _JOIN_SECONDS = 1.0
 _DEEP = 16
@@ -114,7 +118,7 @@ class RosbridgeBridge(Bridge):
                 self._remember(endpoint)
             raise
         limits = _FINITE if endpoint.role is Role.INPUT else {}
-        return Description(structure_of(made), limits=limits)
+        return Description(structure_of(made), note=_NOTES[endpoint.role], limits=limits)
 
     def _describe_service(self, endpoint: Endpoint, address: Address, port: Port) -> Description:
         is_action = address.is_action or address.is_actionlib
