@@ -14,12 +14,11 @@ from peers import Peer
 from uoarm_rtm._shape import IdlScalar, IdlSequence, IdlStruct, IdlUnion, Shape
 from uoarm_rtm._types import Types
 
-from uoarm.bridge import Bridge, Registry
 from uoarm.model import BridgeSpec, Endpoint, Message, Role
 from uoarm.testing import patience
 from uoarm.testing.conformance import Pair, Served, Victim, World
 
-__all__ = ["IDL", "KINDS", "TYPES_IDL", "RtmWorld"]
+__all__ = ["IDL", "KINDS", "TYPES_IDL", "RtmWorld", "begin_loop"]
 
 HERE = Path(__file__).parent
 IDL, TYPES_IDL = str(HERE / "service.idl"), str(HERE / "types.idl")
@@ -44,24 +43,19 @@ class RtmWorld(World):
 
     Args:
         nameserver: of all components.
+        loop: the component `Loop`, of several tests.
         start: starts a component for one test alone.
-        make: makes the bridge of a specification.
     """
 
-    def __init__(
-        self,
-        nameserver: str,
-        start: Callable[..., Peer],
-        make: Callable[[BridgeSpec], Bridge] = lambda spec: Registry().create(spec),
-    ) -> None:
+    def __init__(self, nameserver: str, loop: Peer, start: Callable[..., Peer]) -> None:
         self._nameserver = nameserver
+        self._loop = loop
         self._start = start
-        self._make = make
 
-    def bridge(self) -> Bridge:
+    def spec(self) -> BridgeSpec:
         limits = {"watch": 0.1, "call_timeout": ANSWERS}
         options = {"nameserver": self._nameserver, "idl": [IDL, TYPES_IDL], **limits}
-        return self._make(BridgeSpec("rtm", "rtm", options, {}))
+        return BridgeSpec("rtm", "rtm", options, {})
 
     def pair(self, kind: str) -> Pair:
         return Pair(at(Role.INPUT, f"{kind}_in"), at(Role.OUTPUT, f"{kind}_out"))
@@ -87,11 +81,38 @@ class RtmWorld(World):
             pixels = bytes(range(256)) * 4096
             size = {"width": 1024, "height": 1024, "bpp": 8, "format": "mono8", "fDiv": 0.0}
             return [{"tm": tm, **size, "pixels": pixels}]
-        return []
+        if kind == "ranges":
+            return [scan([math.nan, math.inf, 0.0, 1e300]), scan([0.25] * 100_000)]
+        if kind == "mixed":
+            least = {"a": 0, "b": -math.inf, "c": -(2**15), "d": math.nan, "e": -(2**63)}
+            most = {"a": 255, "b": 5e-324, "c": 2**15 - 1, "d": 1e-45, "e": 2**63 - 1}
+            return [{**least, "f": "\0", "g": 0}, {**most, "f": "\xff", "g": 2**64 - 1}]
+        if kind == "union":
+            stamped = {"tm": tm, "data": -1}
+            return [{"switch": 5, "stamped": stamped}, {"switch": -(2**15), "others": []}]
+        return [{"tm": tm, "data": data} for data in (-(2**31), 2**31 - 1)]
 
     def victim(self) -> Victim:
-        mortal = self._start("Mortal")
-        return Victim(Endpoint("rtm", "mortal", Role.OUTPUT, ("Mortal.rtc", "out")), mortal.kill)
+        return self._mortal("Mortal")
+
+    def victims(self) -> Sequence[Victim]:
+        return [self._mortal(f"Mortal{number}") for number in range(3)]
+
+    def _mortal(self, name: str) -> Victim:
+        component = self._start(name)
+        return Victim(Endpoint("rtm", name, Role.OUTPUT, (f"{name}.rtc", "out")), component.kill)
+
+    def broken(self) -> bool:
+        """End the component without a word to any other process, as a kill does."""
+        self._loop.vanish()
+        return True
+
+    def mended(self) -> None:
+        self._loop.appear()
+        begin_loop(self._loop)
+
+    def unreadable(self, kind: str) -> Callable[[], object]:
+        return lambda: self._loop.emit_octets(kind, "ff")
 
     def served(self) -> Served:
         request = {"target": {"x": 0.5, "y": 0.0}, "steps": 3}
@@ -117,6 +138,27 @@ class RtmWorld(World):
 
     def linkable(self) -> Pair:
         return Pair(at(Role.INPUT, "long_in"), at(Role.OUTPUT, "long_out"))
+
+
+def begin_loop(component: Peer) -> None:
+    """Give a component the ports of all pairs and the service."""
+    for name, type_id in KINDS.items():
+        component.loop(name, type_id)
+    component.provide(IDL, "Mover")
+    component.activate()
+
+
+def scan(ranges: list[float]) -> Message:
+    """A message of a range finder; its pose and limits are zero."""
+    structure = types().codec(KINDS["ranges"]).shape
+    assert isinstance(structure, IdlStruct)
+    return {**{field.name: zero(field.shape) for field in structure.fields}, "ranges": ranges}
+
+
+def zero(shape: Shape) -> Message:
+    if isinstance(shape, IdlStruct):
+        return {field.name: zero(field.shape) for field in shape.fields}
+    return 0 if isinstance(shape, IdlScalar) else []
 
 
 def at(role: Role, port: str) -> Endpoint:

@@ -145,7 +145,7 @@ def test_wide_characters_are_written_as_omniorb_writes_them() -> None:
         assert codec("TimedWChar").decode(data, order) == message
 
 
-def test_lengths_that_lie_allocate_nothing() -> None:
+def test_wrong_lengths_allocate_nothing() -> None:
     for name in every_type():
         for order in ORDERS.values():
             for fill in (b"\xff", b"\x7f", b"\x01", b"\x10"):

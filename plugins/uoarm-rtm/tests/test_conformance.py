@@ -6,7 +6,7 @@ import importlib.util
 from collections.abc import Callable, Iterator
 
 import pytest
-from conformance_world import IDL, KINDS, TYPES_IDL, RtmWorld
+from conformance_world import KINDS, TYPES_IDL, RtmWorld, begin_loop
 from peers import Peer
 
 from uoarm.testing.conformance import BridgeConformance, World
@@ -16,10 +16,7 @@ from uoarm.testing.conformance import BridgeConformance, World
 def loop(nameserver: str) -> Iterator[Peer]:
     """One component for every test: it sends back what comes, and serves."""
     component = Peer(nameserver, "Loop", KINDS["long"], TYPES_IDL)
-    for name, type_id in KINDS.items():
-        component.loop(name, type_id)
-    component.provide(IDL, "Mover")
-    component.activate()
+    begin_loop(component)
     yield component
     component.end()
 
@@ -32,12 +29,11 @@ class TestHostedRtmBridge(BridgeConformance):
     """The suite through a bridge host, whose link has its own tests: one kind is enough."""
 
     kinds = ("ranges",)
+    hosted = True
 
     @pytest.fixture
     def world(self, loop: Peer, nameserver: str, peer: Callable[..., Peer]) -> World:
-        from uoarm._host import RemoteBridge
-
-        return RtmWorld(nameserver, peer, RemoteBridge)
+        return RtmWorld(nameserver, loop, peer)
 
 
 class TestRtmBridge(BridgeConformance):
@@ -47,4 +43,4 @@ class TestRtmBridge(BridgeConformance):
 
     @pytest.fixture
     def world(self, loop: Peer, nameserver: str, peer: Callable[..., Peer]) -> World:
-        return RtmWorld(nameserver, peer)
+        return RtmWorld(nameserver, loop, peer)

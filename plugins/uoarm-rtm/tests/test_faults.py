@@ -322,7 +322,7 @@ ENDINGS = {
 
 
 @pytest.mark.parametrize("ending", ENDINGS)
-def test_a_process_that_never_says_goodbye_ends(nameserver: str, peer: Start, ending: str) -> None:
+def test_a_process_that_closes_no_bridge_ends(nameserver: str, peer: Start, ending: str) -> None:
     component = peer("Mortal")
     script = f"""
 import contextlib, signal, sys, threading

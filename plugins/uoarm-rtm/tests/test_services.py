@@ -207,7 +207,7 @@ def test_a_name_that_was_unbound_while_closing_is_not_taken_for_forgotten(
     assert not is_bound(other, "Manager.rtc")
 
 
-def test_a_component_of_ours_that_is_made_while_its_bridge_closes_is_put_away(
+def test_a_component_of_ours_that_is_made_while_its_bridge_closes_is_removed(
     make_bridge: Make, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     bridge: Any = make_bridge(component="Manager")
