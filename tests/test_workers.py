@@ -51,6 +51,35 @@ def test_without_a_limit_no_call_waits_for_another() -> None:
     before.check()
 
 
+def test_calls_that_are_held_up_hold_up_no_others_where_the_pool_has_patience() -> None:
+    before = Census()
+    pool = WorkerPool("test", 2, patience=0.01)
+    together = threading.Barrier(20)
+    passed: list[int] = []
+    for _ in range(20):
+        pool.submit(lambda: passed.append(together.wait(patience())))
+    wait(lambda: len(passed) == 20)
+    pool.close()
+    before.check()
+
+
+def test_calls_that_get_on_have_no_more_threads_than_the_limit() -> None:
+    before = Census()
+    pool = WorkerPool("test", 2, patience=patience())
+    seen, done = set[int](), list[int]()
+
+    def act(number: int) -> None:
+        seen.add(threading.get_ident())
+        done.append(number)
+
+    for number in range(1000):
+        pool.submit(act, number)
+    wait(lambda: len(done) == 1000)
+    assert len(seen) <= 2
+    pool.close()
+    before.check()
+
+
 def test_one_thread_keeps_the_order_and_outlives_what_a_call_raises(
     caplog: pytest.LogCaptureFixture,
 ) -> None:

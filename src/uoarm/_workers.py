@@ -6,6 +6,7 @@ import logging
 import threading
 from collections import deque
 from collections.abc import Callable
+from contextlib import suppress
 from functools import partial
 from queue import Empty, SimpleQueue
 from typing import Any, Generic, TypeAlias, TypeVar
@@ -54,6 +55,8 @@ class WorkerPool:
         limit: threads at most; a call that finds all at work waits for one, in order, so that a
             pool with one thread keeps the order. None: a thread for each call that is under way.
         idle_seconds: how long a thread waits for the next call.
+        patience: where calls wait and fewer than one a thread has begun in so many seconds, as
+            most are held up, the pool has twice as many threads; None: the limit stands.
 
     Example:
         >>> pool = WorkerPool("uoarm-describe", limit=4)
@@ -67,10 +70,15 @@ class WorkerPool:
         limit: int | None = None,
         *,
         idle_seconds: float = _IDLE_SECONDS,
+        patience: float | None = None,
     ) -> None:
         self._name = name
         self._limit = float("inf") if limit is None else limit
         self._idle_seconds = idle_seconds
+        self._patience = patience
+        self._is_watched = False  # whether a thread looks whether those that wait get on
+        self._begun = 0  # calls that had waited
+        self._closing = threading.Event()
         self._lock = threading.Lock()
         self._waiting: deque[_Task[Any]] = deque()
         self._idle: list[SimpleQueue[_Task[Any] | None]] = []
@@ -119,6 +127,8 @@ class WorkerPool:
                 return True
             if self._threads >= self._limit:
                 self._waiting.append(task)
+                if self._patience is not None and not self._is_watched:
+                    self._begin_to_watch(self._patience)
                 return True
             self._threads += 1
         try:
@@ -143,6 +153,7 @@ class WorkerPool:
         dropped: list[_Task[Any]] = []
         with self._lock:
             self._closed = True
+            self._closing.set()
             while self._idle:
                 self._idle.pop().put(None)
             if drop:
@@ -162,6 +173,36 @@ class WorkerPool:
         work = partial(self._work, inbox, begins=task is not None)
         threading.Thread(target=work, name=self._name, daemon=True).start()
         fit_switch_interval()
+
+    def _begin_to_watch(self, patience: float) -> None:
+        """Have a thread watch those that wait; the caller holds the lock."""
+        watch = partial(self._watch, patience)
+        thread = threading.Thread(target=watch, name=f"{self._name}-watch", daemon=True)
+        with suppress(RuntimeError):  # the system gives no more: then the next that waits tries
+            thread.start()
+            self._is_watched = True
+
+    def _watch(self, patience: float) -> None:
+        """Have more threads as long as calls wait and do not get on; ends when none waits."""
+        while True:
+            with self._lock:
+                begun, more = self._begun, int(self._threads)
+                if not self._waiting or self._closed:
+                    self._is_watched = False
+                    return
+            self._closing.wait(patience)
+            with self._lock:
+                if not self._waiting or self._begun - begun >= more:
+                    continue
+                more = min(more, len(self._waiting))
+                self._threads += more
+            for left in range(more, 0, -1):
+                try:
+                    self._start(None)
+                except RuntimeError:  # the system gives no more: those that there are go on
+                    with self._lock:
+                        self._threads -= left
+                    break
 
     def prepare(self) -> None:
         """Have a thread wait, so that the next call need not wait for the start of one."""
@@ -200,6 +241,7 @@ class WorkerPool:
         with self._lock:
             self._beginning = self._beginning and not is_first
             if self._waiting:
+                self._begun += 1
                 return self._waiting.popleft()
             if self._closed:
                 return None

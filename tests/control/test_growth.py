@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 import math
+import sys
+import tracemalloc
+from collections.abc import Callable, Iterator
 
 import pytest
 from tests.control.world import Plans, World
 
 from uoarm._control.engine import actions as act
 from uoarm._control.engine import events as ev
+from uoarm._control.engine.state import State
+from uoarm._control.engine.step import step
 from uoarm._control.revisions import find_replacement
 from uoarm.errors import ResolutionError
 from uoarm.model import FailoverPolicy, Health, Plan, PortRef, ValidationMode
@@ -91,3 +96,144 @@ def test_a_bridge_that_dies_with_many_is_no_longer_a_list_in_each_connection() -
     assert [record.failure and len(record.failure.lost) for record in records] == [1] * len(NAMES)
     assert len(sought) == len(NAMES)
     assert len({id(action.failed) for action in sought}) == 1
+
+
+def side_by_side(count: int) -> str:
+    """Return so many functions, half of them in a bridge of their own, each with a spare."""
+    text = "version: 1\nbridges: {one: {plugin: memory}, two: {plugin: memory}}\nfunctions:\n"
+    return text + "".join(
+        f"  f{number}:\n    components:\n"
+        f"      - {{name: a{number}, bridge: {'two' if number % 2 else 'one'}, priority: 1,"
+        f" output: {{endpoint: [a{number}]}}}}\n"
+        f"      - {{name: b{number}, bridge: one, output: {{endpoint: [b{number}]}}}}\n"
+        for number in range(count)
+    )
+
+
+class Work:
+    """Counts what the control plane does: calls, and octets that are held at once."""
+
+    def __init__(self, plans: Plans) -> None:
+        self.state = State(
+            FailoverPolicy(wait=10.0), {item.name: item.bridge for item in plans.robot.components()}
+        )
+        self.plans = plans
+        self.now = 0.0
+
+    def request(self, identity: str, function: str) -> None:
+        plan = self.plans(function, frozenset())
+        waiter = f"request {identity}"
+        self.play(
+            ev.Requested(identity, PortRef(function), ValidationMode.OFF, waiter, plan),
+        )
+
+    def play(self, event: ev.Event) -> None:
+        """Have an event handled, and all that follows from it, as if it were done at once."""
+        events = [event]
+        while events:
+            self.state, actions = step(self.state, events.pop(0), self.now)
+            for action in actions:
+                following = self._done(action)
+                if following is not None:
+                    events.append(following)
+
+    def _done(self, action: act.Action) -> ev.Event | None:
+        match action:
+            case act.Open():
+                return ev.Opened(action.batch, action.parts)
+            case act.Close(ends=True):
+                return ev.Ended(action.connection)
+            case act.Finish():
+                return ev.RanOut(action.placement.user)
+            case act.SwitchInputs():
+                return ev.InputsSwitched(action.switchover)
+            case act.FindReplacement():
+                try:
+                    plan = self.plans(action.plan.function, frozenset(self._may_not(action)))
+                except ResolutionError as error:
+                    return ev.ReplacementSought(
+                        action.connection, action.attempt, None, str(error), action.switchover
+                    )
+                return ev.ReplacementSought(
+                    action.connection, action.attempt, plan, switchover=action.switchover
+                )
+        return None
+
+    def _may_not(self, action: act.FindReplacement) -> Iterator[str]:
+        for component in self.plans.robot.functions[action.plan.function].components:
+            if component.name in action.excluded or component.name in action.failed:
+                yield component.name
+
+    def of(self, what: Callable[[], object]) -> tuple[int, int]:
+        """Return how many calls something takes, and how many octets at once."""
+        calls = 0
+
+        def count(*_: object) -> None:
+            nonlocal calls
+            calls += 1
+
+        tracemalloc.start()
+        before = tracemalloc.get_traced_memory()[0]
+        sys.setprofile(count)
+        try:
+            what()
+        finally:
+            sys.setprofile(None)
+            peak = tracemalloc.get_traced_memory()[1] - before
+            tracemalloc.stop()
+        return calls, peak
+
+
+def one_event_each(work: Work) -> None:
+    """Request, kill, die, wait for the time and come back, of one connection beside others."""
+    work.request("more", "f1")
+    work.play(ev.Killed("more", "kill more"))
+    work.play(ev.HealthReported("one", Health.LOST, "it was unplugged", "a0", "component"))
+    work.now += 1.0
+    work.play(ev.TimeReached())
+    work.play(ev.HealthReported("one", Health.DEGRADED, "it is hot", "a2", "component"))
+    work.play(ev.HealthReported("two", Health.FINISHED, "it was played", "a3", "component"))
+
+
+@pytest.mark.parametrize("function", ["f{}", "f4"], ids=["apart", "all share one"])
+def test_what_happens_to_one_connection_costs_the_same_beside_few_and_beside_many(
+    function: str,
+) -> None:
+    spent = []
+    for others in (40, 640):
+        work = Work(Plans(side_by_side(others)))
+        for number in range(others):
+            work.request(f"c{number}", function.format(number))
+        spent.append(work.of(lambda: one_event_each(work)))  # noqa: B023 - at once
+    (few_calls, few_octets), (many_calls, many_octets) = spent
+    assert many_calls <= 1.1 * few_calls
+    assert many_octets <= 1.5 * few_octets
+
+
+@pytest.mark.parametrize("function", ["f{}", "f1"], ids=["apart", "all share one"])
+def test_what_happens_to_all_grows_with_their_number(function: str) -> None:
+    spent = []
+    for count in (40, 320):
+        plans = Plans(side_by_side(count))
+        work = Work(plans)
+
+        def all_of_it() -> None:
+            for number in range(count):  # noqa: B023 - at once
+                work.request(f"c{number}", function.format(number))  # noqa: B023
+            work.play(ev.HealthReported("two", Health.LOST, "it crashed"))  # noqa: B023
+            bridges = work.state.bridges  # noqa: B023
+            work.play(  # noqa: B023
+                ev.Configured(
+                    1,
+                    "configure",
+                    work.state.policy,  # noqa: B023
+                    bridges,
+                    frozenset(),
+                    frozenset(plans.robot.functions),  # noqa: B023
+                )
+            )
+            work.play(ev.Stopped("stop"))  # noqa: B023
+            assert not work.state.connections  # noqa: B023
+
+        spent.append(work.of(all_of_it)[0])
+    assert spent[1] <= 8**1.1 * spent[0]

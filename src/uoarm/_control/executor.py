@@ -44,6 +44,8 @@ from uoarm.model import Component, ComponentStatus, Health, Robot
 __all__ = ["Executor"]
 
 _LISTED_CHANGES = 20
+_LANES = 8
+_PATIENCE_SECONDS = 0.05
 _log = logging.getLogger("uoarm")
 _log_of_events = logging.getLogger("uoarm.control")
 
@@ -81,7 +83,9 @@ class Executor:
         self._events: deque[ev.Event] = deque()
         self._owning = threading.Lock()
         self._numbers = itertools.count()  # of those who wait
-        self._workers = WorkerPool("uoarm-lane")
+        # Thousands of lanes begin with the death of a bridge. A thread for each would fight for the
+        # interpreter; but those that a bridge holds up must hold up no others.
+        self._workers = WorkerPool("uoarm-lane", _LANES, patience=_PATIENCE_SECONDS)
         self._lanes = Lanes(self._start)
         self._timer = Timer(clock, lambda: self.post(ev.TimeReached()))
         self._performer = Performer(
