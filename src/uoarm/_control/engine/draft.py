@@ -329,10 +329,6 @@ class Draft(State):
             )
         return not missing
 
-    def is_open(self, placement: Placement) -> bool:
-        """Say whether all of a plan is open."""
-        return all(map(self._has_open, placement.parts))
-
     def _has_open(self, part: Part) -> bool:
         batch = self.parts.get(part)
         return batch is not None and batch not in self.batches
@@ -380,14 +376,14 @@ class Draft(State):
                 users.update(record.users)
         return by_age(map(connection_of, users))
 
-    def rivals(self, plan: Plan) -> set[str]:
-        """Return the connections with edges that feed what a plan would feed from elsewhere."""
-        found: set[str] = set()
-        for edge in plan.edges:
-            standing = self.feeding.get((edge.consumer, edge.input))
-            if standing is not None and not self._is_origin(standing, edge):
-                found.update(map(connection_of, self.edges[standing].users))
-        return found
+    def rivals(self, plan: Plan) -> dict[int, EdgeRecord]:
+        """Return the edges that feed what a plan would feed from elsewhere, by their ids."""
+        numbers = ((edge, self.feeding.get((edge.consumer, edge.input))) for edge in plan.edges)
+        return {
+            number: self.edges[number]
+            for edge, number in numbers
+            if number is not None and not self._is_origin(number, edge)
+        }
 
     def switch_inputs(self, edges: Iterable[int]) -> tuple[tuple[int, int | None], ...]:
         """Let edges that are held take the places of others; return each with the other one.

@@ -31,7 +31,7 @@ class OrderedMap(Mapping[Key, Value]):
             {key: (place, value) for place, (key, value) in enumerate(values.items())}
         )
         self._keys: HashTrieMap[int, Key] = HashTrieMap(enumerate(values))
-        # The oldest and the newest stand at these two places, found without a search.
+        # The oldest stands at the first place, and is found without a search.
         self._first = 0
         self._next = len(values)
 
@@ -54,13 +54,11 @@ class OrderedMap(Mapping[Key, Value]):
         entry = self._entries.get(key)
         if entry is None:
             return self
-        # Each place is passed once, so that what is taken from an end costs the same on average.
-        keys, first, following = self._keys.remove(entry[0]), self._first, self._next
-        while first < following and first not in keys:
+        # Each place is passed once, so that taking the oldest costs the same on average.
+        keys, first = self._keys.remove(entry[0]), self._first
+        while first < self._next and first not in keys:
             first += 1
-        while first < following and following - 1 not in keys:
-            following -= 1
-        return self._with(self._entries.remove(key), keys, first, following)
+        return self._with(self._entries.remove(key), keys, first, self._next)
 
     def place(self, key: Key) -> int:
         """Return by which number a key stands in the order."""
@@ -73,14 +71,6 @@ class OrderedMap(Mapping[Key, Value]):
             KeyError: there is none.
         """
         return self._keys[self._first]
-
-    def last(self) -> Key:
-        """Return the key that came last of those that are there.
-
-        Raises:
-            KeyError: there is none.
-        """
-        return self._keys[self._next - 1]
 
     def _with(
         self,

@@ -417,6 +417,8 @@ class Switchover:
         members: connections by id, with the plan found for each, None while it is sought.
         unsought: those whose plan is to be sought, the one that is sought first.
         began: when the messages of the plans so far are counted to.
+        joined: users of edges that plans of members take the places of, who are members, too.
+        unopened: members whose plans are placed and not open as a whole.
         is_switching: whether the inputs are changing hands, which nothing interrupts.
         is_reconfiguration: whether the plans are better since the configuration is another.
     """
@@ -425,6 +427,9 @@ class Switchover:
     members: OrderedMap[str, Plan | None]
     unsought: OrderedMap[str, None]
     began: float
+    # Of an edge that thousands use, each member's plan would name all of them once more.
+    joined: HashTrieMap[int, Mapping[str, ValidationMode]] = _NOTHING
+    unopened: HashTrieSet[str] = _NONE
     # From `SwitchInputs` to `InputsSwitched`. Meanwhile the state says that the new edges feed,
     # and the objects may not yet: neither a death nor a change may undo what is half done.
     is_switching: bool = False

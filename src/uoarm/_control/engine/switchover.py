@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 
 from attrs import evolve
-from rpds import HashTrieSet
+from rpds import HashTrieMap, HashTrieSet
 
 from uoarm._control.engine.actions import (
     Adopt,
@@ -24,7 +24,7 @@ from uoarm._control.engine.actions import (
     WakeAt,
     Warn,
 )
-from uoarm._control.engine.draft import Draft
+from uoarm._control.engine.draft import Draft, connection_of
 from uoarm._control.engine.events import (
     CandidatesChanged,
     Configured,
@@ -45,6 +45,7 @@ from uoarm._control.engine.ordered import OrderedMap
 from uoarm._control.engine.state import (
     ComponentFailure,
     ConnectionRecord,
+    EdgeRecord,
     Switchover,
     listed,
     names,
@@ -104,10 +105,12 @@ def found(draft: Draft, record: ConnectionRecord, event: ReplacementSought) -> N
         return
     members, unsought = group.members.insert(record.id, event.plan), group.unsought
     unsought = unsought.discard(record.id)
-    rivals = set[str]() if event.plan is None else draft.rivals(event.plan)
+    rivals = {} if event.plan is None else draft.rivals(event.plan)
+    joined = group.joined
     if group.is_reconfiguration:
         if event.plan is None or _serves(draft, record, event.plan):
             members = members.discard(record.id)  # what must go is replaced after the switchover
+            joined = HashTrieMap()
             draft.put(record, switchover=0)
         if event.plan is None and not _is_superseded(draft, record):
             draft.actions.append(Warn(record.id, f"stays where it is: {event.error}"))
@@ -116,14 +119,18 @@ def found(draft: Draft, record: ConnectionRecord, event: ReplacementSought) -> N
         return
     # An input that this plan takes from another connection would stop that one's messages; so it
     # moves, too, where it may. Where it may not, `switch_inputs` refuses in the end, and all stay.
-    for identity in sorted(rival for rival in rivals if rival not in members):
+    new = {number: edge.users for number, edge in rivals.items() if not _is_known(group, edge)}
+    users = {connection_of(user) for users in new.values() for user in users}
+    for identity in sorted(user for user in users if user not in members):
         for member in _joining_with(draft, identity):
             draft.put(drop_next(draft, draft.connections[member]), switchover=group.id)
             members, unsought = members.insert(member, None), unsought.insert(member, None)
+    if all(user in members for user in users):
+        joined = joined.update(new)
     if not members:
         draft.switchovers = draft.switchovers.remove(group.id)
         return
-    group = _put(draft, evolve(group, members=members, unsought=unsought))
+    group = _put(draft, evolve(group, members=members, unsought=unsought, joined=joined))
     if unsought:
         _seek_for(draft, draft.connections[unsought.first()])
         return
@@ -138,7 +145,7 @@ def found(draft: Draft, record: ConnectionRecord, event: ReplacementSought) -> N
             abandon(draft, group, str(error))
             return
         draft.put(record, next=placement)
-    advance(draft, group, members)
+    advance(draft, _put(draft, evolve(group, unopened=HashTrieSet(members))), members)
 
 
 def seek_outdated(draft: Draft) -> None:
@@ -165,18 +172,17 @@ def advance(draft: Draft, group: Switchover, members: Iterable[str]) -> None:
     """Have what is missing of these members opened; switch the inputs when all is open."""
     if group.is_switching:
         return
-    is_open = True
+    unopened = group.unopened
     for identity in members:
         record = draft.connections[identity]
         if record.next is None:  # it is being placed, in `found`
             return
         # All are asked for, also after one that is not open: they open one after another anyway.
         lane = f"switchover {group.id}"
-        is_open = draft.open(record, record.next, lane, is_receiving=False) and is_open
-    if not is_open or not _is_open(draft, group.members.last()):
-        return
-    # The last member opens last: few times only all of them are looked at.
-    if not all(_is_open(draft, identity) for identity in group.members):
+        if draft.open(record, record.next, lane, is_receiving=False):
+            unopened = unopened.discard(identity)
+    group = _put(draft, evolve(group, unopened=unopened))
+    if unopened:
         return
     plans = (draft.connections[identity].next for identity in group.members)
     edges = [edge for plan in plans if plan is not None for edge in plan.edges]
@@ -229,10 +235,9 @@ def _put(draft: Draft, group: Switchover) -> Switchover:
     return group
 
 
-def _is_open(draft: Draft, identity: str) -> bool:
-    """Say whether the plan to which a member changes is placed and open."""
-    plan = draft.connections[identity].next
-    return plan is not None and draft.is_open(plan)
+def _is_known(group: Switchover, edge: EdgeRecord) -> bool:
+    """Say whether all who use an edge are members; they are the same users, as that is one map."""
+    return group.joined.get(edge.id) is edge.users
 
 
 def abandon(draft: Draft, group: Switchover, error: str) -> None:
