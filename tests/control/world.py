@@ -60,8 +60,12 @@ functions:
       - {name: spare, bridge: two, priority: 1, output: {endpoint: [spare]}}
   face:
     components:
-      - {name: finder, bridge: two, priority: 2, input: {from: camera, endpoint: [finder]},
-         output: {endpoint: [finder]}}
+      - name: finder
+        bridge: two
+        priority: 2
+        input:
+          {from: camera, endpoint: [finder], lifetime: 5, stop: {message: 0}, meaning: stated}
+        output: {endpoint: [finder]}
       - {name: second, bridge: one, priority: 1, input: {from: camera, endpoint: [second]},
          output: {endpoint: [second]}}
   name:
@@ -345,6 +349,7 @@ class World:
         assert not state.switchovers
         assert not state.outdated
         assert not state.postponed
+        assert not state.recalled
         assert Counter(self.replies) == Counter(self.asked)
         wanted: set[Part] = set()
         for record in state.connections.values():

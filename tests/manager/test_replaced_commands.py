@@ -34,6 +34,7 @@ class Motors(Bridge):
     def __init__(self) -> None:
         super().__init__("motors", {})
         self.taken: list[tuple[str, Message]] = []
+        self.opened: list[str] = []
         self.may_close = threading.Event()
         self.may_close.set()
         self.may_stop = threading.Event()
@@ -50,6 +51,7 @@ class Motors(Bridge):
 
     def _open_sink(self, endpoint: Endpoint, structure: MessageStructure) -> Sink:
         name = endpoint.component
+        self.opened.append(name)
 
         def take(message: Message) -> None:
             if message == 0:
@@ -192,3 +194,33 @@ def test_what_was_stopped_and_runs_out_takes_commands_again_when_it_is_wanted_ag
     drive.send(3)
     gate.set()
     assert motors.taken[-1] == ("left", 3)
+    assert motors.opened == ["left", "right"]  # none of them a second time beside the first
+
+
+def test_what_came_in_its_place_stops_no_more_what_is_wanted_again(
+    start: Start, motors: Motors, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The one that replaced it got no command yet when it is recalled, and gets one after that."""
+    robot = start(SETTINGS)
+    drive = robot.request("drive")
+    drive.send(1)
+    live, gate = robot._executor.live, threading.Event()
+    finish = live.finish
+
+    def finish_late(ending: Ending) -> None:
+        gate.wait(patience())
+        finish(ending)
+
+    monkeypatch.setattr(live, "finish", finish_late)
+    try:
+        robot.apply(loads(ROBOT.format(left=1, settings=SETTINGS)), timeout=patience())
+        (right,) = (item for item in live.components.values() if item.component.name == "right")
+        robot.apply(loads(ROBOT.format(left=3, settings=SETTINGS)), timeout=patience())
+        drive.send(2)
+        assert motors.opened == ["left", "right"]
+        assert motors.taken[-1] == ("left", 2)
+        right._stop_replaced()
+        drive.send(3)
+        assert motors.taken[-1] == ("left", 3)
+    finally:
+        gate.set()

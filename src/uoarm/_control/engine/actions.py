@@ -70,6 +70,8 @@ class Open:
     Attributes:
         is_receiving: whether the application receives from a new provider at once, else from
             `HandOver` on.
+        recalled: ids of components that are open and were stopped as they were replaced: they take
+            commands again first, also where the batch was cancelled.
     """
 
     lane: str
@@ -79,6 +81,7 @@ class Open:
     # Only what no other batch opens and nothing has open: opening twice is impossible by design.
     parts: tuple[Part, ...]
     is_receiving: bool
+    recalled: tuple[int, ...] = ()
 
 
 @frozen

@@ -324,10 +324,18 @@ class Draft(State):
             parts = tuple(missing)
             self.parts = self.parts.update(dict.fromkeys(parts, batch))
             self.batches = self.batches.insert(batch, Batch(placement.user, parts))
+            recalled = self._recalled_for(placement) if self.recalled else ()
             self.actions.append(
-                Open(lane, batch, record.id, placement, parts, is_receiving=is_receiving)
+                Open(lane, batch, record.id, placement, parts, is_receiving, recalled)
             )
         return not missing
+
+    def _recalled_for(self, placement: Placement) -> tuple[int, ...]:
+        """Return what a plan uses that is to take commands again, once."""
+        found = tuple(id_ for id_ in placement.components.values() if id_ in self.recalled)
+        for number in found:
+            self.recalled = self.recalled.remove(number)
+        return found
 
     def _has_open(self, part: Part) -> bool:
         batch = self.parts.get(part)
@@ -441,15 +449,17 @@ class Draft(State):
 
     def _use(self, step: Step, user: str) -> int:
         """Use the instance of a component that is there already, or a new one."""
-        # An instance that only drains is taken over as it is, or an application would get each of
-        # its messages twice. Not one that is commanded: it was stopped when it was replaced, and
-        # refuses whatever comes then.
+        # An instance that only drains is taken over as it is: a device may be open once only, and
+        # an application would get each message twice. One that is commanded was stopped when it was
+        # replaced and refuses what comes, until the opening of the plan recalls it.
         name = step.component.name
         found = self.serving.get(name)
         record = None if found is None else self.components[found]
-        if record is None or (record.only_drains and _is_commanded(step.component)):
+        if record is None:
             record = ComponentRecord(self.new_id(), step)
             self.serving = self.serving.insert(name, record.id)
+        elif record.only_drains and _is_commanded(step.component):
+            self.recalled = self.recalled.insert(record.id)
         record = record.used_by(record.users.insert(user))
         self.components = self.components.insert(record.id, record)
         return record.id
@@ -525,6 +535,7 @@ class Draft(State):
             self.components = self.components.insert(component, record.used_by(users))
             return False
         self.components = self.components.remove(component)
+        self.recalled = self.recalled.discard(component) if self.recalled else self.recalled
         # Another instance of the name may serve by now.
         if self.serving.get(record.name) == component:
             self.serving = self.serving.remove(record.name)

@@ -452,6 +452,7 @@ class State:
         beside: the edge that will, after a switchover.
         batches: what is being opened, by number.
         draining: what was replaced and is open still, by the user of its parts.
+        recalled: components that only drained, refuse commands since, and are used again.
         timed: connections that may wait for a time.
         failed: when a component died last, longest ago first.
         avoided: the same for those that emitted too little or raised too often.
@@ -485,6 +486,8 @@ class State:
     batches: HashTrieMap[int, Batch] = _NOTHING
     draining: HashTrieMap[str, DrainingPlan] = _NOTHING
     switchovers: HashTrieMap[int, Switchover] = _NOTHING
+    # From the plan that uses one again to the opening that lets commands through again.
+    recalled: HashTrieSet[int] = _NONE
     # Kept by `Draft.put`: all that have failed or look for a better plan, and no other.
     timed: HashTrieSet[str] = _NONE
     # Their order is that of the times: a name that is set anew is the last.

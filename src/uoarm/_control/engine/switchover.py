@@ -243,7 +243,10 @@ def _is_known(group: Switchover, edge: EdgeRecord) -> bool:
 def abandon(draft: Draft, group: Switchover, error: str) -> None:
     """Leave all where they are."""
     first = next(iter(group.members))
-    draft.actions.append(Warn(first, f"stays where it is: {error}"))
+    # Of what the configuration has no more nothing stays: it is closed, and replaced where it can.
+    goes = group.is_reconfiguration and _is_superseded(draft, draft.connections[first])
+    stays = "cannot move beside what it has" if goes else "stays where it is"
+    draft.actions.append(Warn(first, f"{stays}: {error}"))
     cancel_switchover(draft, group.id, is_abandoned=True)
 
 

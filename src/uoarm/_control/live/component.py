@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import threading
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import Any
 
 from uoarm._control.bridges import facts_of
@@ -50,8 +50,8 @@ class LiveComponent:
         failures: watches what it raises.
         emergency_stop: holds its inputs that move something.
         announce: called, with a sentence, when an input has another holder of its lease.
-        replaced: components in whose place it comes: they are stopped, and take no commands any
-            more, before the first one is sent here.
+        replaced: what runs now; those of the same function, in whose place it comes, are stopped
+            and take no commands any more before the first one is sent here.
 
     Attributes:
         leases: of the inputs that one sender at a time may command, by name.
@@ -64,13 +64,15 @@ class LiveComponent:
         failures: FailureWatch,
         emergency_stop: EmergencyStop,
         announce: Callable[[str], None],
-        replaced: tuple[LiveComponent, ...] = (),
+        replaced: Iterable[LiveComponent] = (),
     ) -> None:
         self._emergency_stop = emergency_stop
-        self._replaced = replaced
-        self._stopping_replaced = threading.Lock()
-        self._are_replaced_stopped = not replaced
         self.component: Component = step.component
+        # Guards what was replaced: a command that is sent here, in any thread, waits until all of
+        # it has stopped; what is recalled is never stopped late by what had taken its place.
+        self._stopping_replaced = threading.Lock()
+        self._replaced = self._of_my_function(replaced)
+        self._are_replaced_stopped = not self._replaced
         self.bridge = bridge
         self.outlets = {
             output.name: Outlet(OutputWatch(failures, output.name))
@@ -196,6 +198,33 @@ class LiveComponent:
                 for live in self._replaced:
                     live.hold_inputs()
                 self._are_replaced_stopped = True
+
+    def recall(self, replaced: Iterable[LiveComponent], others: Iterable[LiveComponent]) -> None:
+        """Take commands again after this was replaced, as it is used again. Bounded in time.
+
+        Args:
+            replaced: what runs now and is replaced by this.
+            others: that may have come in its place, and would stop it with their first command.
+        """
+        for live in others:
+            live.forget_replaced(self)
+        # Also where nothing has stopped it yet: what the plan before commanded ends here.
+        self.hold_inputs()
+        with self._stopping_replaced:
+            self._replaced = self._of_my_function(replaced)
+            self._are_replaced_stopped = not self._replaced
+        self.release_inputs()
+
+    def forget_replaced(self, live: LiveComponent) -> None:
+        """Neither stop nor release a component any more in whose place this came."""
+        with self._stopping_replaced:
+            self._replaced = tuple(item for item in self._replaced if item is not live)
+
+    def _of_my_function(self, lives: Iterable[LiveComponent]) -> tuple[LiveComponent, ...]:
+        function = self.component.function
+        return tuple(
+            live for live in lives if live is not self and live.component.function == function
+        )
 
     def hold_inputs(self) -> None:
         """Stop the inputs that move something and have them refuse commands. Bounded in time."""

@@ -152,6 +152,8 @@ class LiveParts:
         Bridges are asked: not for the thread that owns the state.
         """
         plan = action.placement.plan
+        if action.recalled:  # a stop message may go out
+            return False
         if all(part.kind in PORTS for part in action.parts) and all(
             port.source is not None for port in plan.provider.component.inputs
         ):
@@ -180,6 +182,8 @@ class LiveParts:
             ConnectionClosedError: the batch was cancelled.
         """
         replaced = self._replaced_by(action)
+        for live in _there(self.components, action.recalled):
+            live.recall(replaced, self.components.copy().values())
         for part in action.parts:
             if action.batch in cancelled:
                 raise ConnectionClosedError(f"{action.connection} was given up")
@@ -307,7 +311,7 @@ class LiveParts:
             failures,
             self.emergency_stop,
             lambda cause: self._announce(subject, "leased", cause, function),
-            tuple(live for live in replaced if live.component.function == function),
+            replaced,
         )
 
     def _open_output(self, part: Part) -> None:
