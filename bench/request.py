@@ -59,13 +59,14 @@ Samples = dict[str, list[tuple[float, float]]]
 class Collections:
     """The nanoseconds that the garbage collector has taken, in whichever thread."""
 
-    def __init__(self) -> None:
+    def __init__(self, clock: Callable[[], int] = time.perf_counter_ns) -> None:
         self.spent = 0
+        self._clock = clock
         self._begun = 0
         gc.callbacks.append(self._note)
 
     def _note(self, phase: str, _: dict[str, int]) -> None:
-        now = time.perf_counter_ns()
+        now = self._clock()
         if phase == "start":
             self._begun = now
         else:

@@ -1,11 +1,14 @@
 """How the manager's work grows with its functions: `python -m bench scale`, or with options.
 
-    python -m bench.scale --sizes 10 100 1000 5000 --json
+    python -m bench.scale --sizes 10 100 1000 5000 --before FOLDER --rounds 3
 
-Each size runs in a process of its own. Of N functions, each with a spare candidate, half have their
-first one in a bridge that dies while all of them are open. All is in memory, so that the time is
-the manager's own. The exponent of a step says how it grows from one size to the next: 1 with the
-functions, 2 with their square.
+Each size runs in a process of its own, with `--before` in turns with another checkout. Its
+processor time is what counts, the least of the rounds, so that neighbours matter little. Of N
+functions, each with a spare candidate, a tenth is killed, and half have their first one in a bridge
+that dies while they are open. All is in memory, so that the time is the manager's own. The exponent
+of a step says how it grows from one size to the next: 1 with the functions, 2 with their square.
+When the interpreter's garbage collector looks at all that the process has is chance, so that there
+are exponents of the time without it, too.
 """
 
 from __future__ import annotations
@@ -15,73 +18,87 @@ import itertools
 import json
 import logging
 import math
+import os
 import subprocess
 import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
 
+from bench.request import Collections
 from bench.tables import print_table
-from uoarm import Connection, RobotManager
-from uoarm.config import loads
-from uoarm.model import Health
-from uoarm.testing import MemoryBridge, wait
 
+HERE = Path(__file__).parents[1]
 _SIZES = (10, 100, 1000, 5000)
-_STEPS = ("check", "start", "request", "status", "death", "apply", "close")
+_STEPS = ("check", "start", "request", "status", "kill", "death", "apply", "close")
 _LIMIT_SECONDS = 900.0
 _BRIDGES = ("even", "odd", "spare")
 _HEAD = (
     f"version: 1\nbridges: {{{', '.join(f'{name}: {{plugin: memory}}' for name in _BRIDGES)}}}\n"
 )
-_Seconds = dict[str, float]
+Spent = dict[str, tuple[float, float]]
+"""The seconds of processor time of each step, and those without the collector."""
 
 
 def main() -> None:
     """Print what each step took at each size, and how it grows."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--sizes", type=int, nargs="+", default=_SIZES, help="numbers of functions")
+    parser.add_argument("--before", type=Path, help="a checkout of another state")
+    parser.add_argument("--rounds", type=int, default=1)
     parser.add_argument("--json", action="store_true", help="print JSON")
-    parser.add_argument("--here", type=int, help=argparse.SUPPRESS)
     given = parser.parse_args()
-    if given.here is not None:
-        print(json.dumps(measure(given.here)))
-        return
+    states = {"now": HERE, **({"before": given.before.resolve()} if given.before else {})}
     sizes = sorted(set(given.sizes))
-    found = {size: _measured_apart(size) for size in sizes}
-    growth = exponents(found)
+    found: dict[str, dict[int, Spent]] = {state: {} for state in states}
+    for _, size, (state, folder) in itertools.product(range(given.rounds), sizes, states.items()):
+        spent, before = _measured_apart(folder, size), found[state].get(size)
+        found[state][size] = spent if before is None else _least(before, spent)
     if given.json:
-        print(json.dumps({"seconds": found, "exponents": growth}, indent=2))
+        print(json.dumps(found, indent=2))
         return
+    pairs = tuple(itertools.pairwise(sizes))
     rows = [
         (
             step,
-            *(f"{1000 * found[size][step]:,.1f}" for size in sizes),
-            *(f"{exponent:.2f}" for exponent in growth[step]),
+            state,
+            *(f"{1000 * by_size[size][step][0]:,.1f}" for size in sizes),
+            *(_exponents(step, by_size, less, more) for less, more in pairs),
         )
         for step in _STEPS
+        for state, by_size in found.items()
     ]
-    between = [f"{less:,} to {more:,}" for less, more in itertools.pairwise(sizes)]
-    head = ("ms", *(f"{size:,}" for size in sizes), *(f"exponent, {pair}" for pair in between))
-    print_table("Steps by the number of functions", head, rows)
+    between = (f"{less:,} to {more:,}" for less, more in pairs)
+    head = ("ms", "state", *(f"{size:,}" for size in sizes), *between)
+    print_table("Steps by the number of functions; exponents, without the collector", head, rows)
 
 
-def exponents(found: dict[int, _Seconds]) -> dict[str, list[float]]:
-    """Return of each step how it grows from each size to the next, as a power of the size."""
-    sizes = sorted(found)
+def _least(one: Spent, other: Spent) -> Spent:
     return {
-        step: [
-            math.log(found[more][step] / found[less][step]) / math.log(more / less)
-            for less, more in itertools.pairwise(sizes)
-        ]
+        step: (min(one[step][0], other[step][0]), min(one[step][1], other[step][1]))
         for step in _STEPS
     }
 
 
-def measure(size: int) -> _Seconds:
-    """Return how many seconds each step takes with so many functions."""
+def _exponents(step: str, found: dict[int, Spent], less: int, more: int) -> str:
+    """Return how a step grows from one size to another, as a power of the size."""
+    whole, without = (
+        math.log(large / small) / math.log(more / less)
+        for small, large in zip(found[less][step], found[more][step], strict=True)
+    )
+    return f"{whole:.2f}, {without:.2f}"
+
+
+def measure(size: int) -> None:
+    """Print as JSON how many seconds each step takes with so many functions."""
+    from uoarm import Connection, RobotManager  # noqa: PLC0415 - of the state that is measured
+    from uoarm.config import loads  # noqa: PLC0415
+    from uoarm.model import Health  # noqa: PLC0415
+    from uoarm.testing import MemoryBridge, wait  # noqa: PLC0415
+
+    collections = Collections(time.thread_time_ns)
     logging.getLogger("uoarm").setLevel(logging.CRITICAL)  # a line for each that dies
-    spent: _Seconds = {}
+    spent: Spent = {}
     bridges = {name: MemoryBridge(name, {}) for name in _BRIDGES}
     for number in range(size):
         bridges[_first(number)].emitter(f"c{number}", {"type": "integer"})
@@ -89,9 +106,10 @@ def measure(size: int) -> _Seconds:
     text = _HEAD + "functions:\n" + "".join(map(_function, range(size)))
 
     def timed(step: str, action: Callable[[], object]) -> None:
-        start = time.perf_counter()
+        collected, start = collections.spent, time.process_time()
         action()
-        spent[step] = time.perf_counter() - start
+        whole = time.process_time() - start
+        spent[step] = whole, whole - (collections.spent - collected) / 1e9
 
     found = []
     timed("check", lambda: found.append(loads(text)))
@@ -103,6 +121,10 @@ def measure(size: int) -> _Seconds:
         def request() -> None:
             connections.extend(manager.request(f"f{number}") for number in range(size))
 
+        def kill() -> None:
+            for connection in connections[1::10]:
+                connection.kill()
+
         def die() -> None:
             bridges["even"].report(Health.LOST, "it was killed")
             for connection in connections[::2]:
@@ -110,11 +132,12 @@ def measure(size: int) -> _Seconds:
 
         timed("request", request)
         timed("status", manager.status)
+        timed("kill", kill)
         timed("death", die)
         changed = loads(text.replace(f"endpoint: [c{size - 1}]", f"endpoint: [s{size - 1}]", 1))
         timed("apply", lambda: manager.apply(changed, timeout=_LIMIT_SECONDS))
         timed("close", manager.close)
-    return spent
+    print(json.dumps(spent))
 
 
 def _first(number: int) -> str:
@@ -131,17 +154,19 @@ def _function(number: int) -> str:
     )
 
 
-def _measured_apart(size: int) -> _Seconds:
+def _measured_apart(checkout: Path, size: int) -> Spent:
+    """Return what the uoarm of a checkout takes, in a process of its own."""
+    path = os.pathsep.join((str(checkout / "src"), str(HERE)))
     done = subprocess.run(
-        [sys.executable, "-m", "bench.scale", "--here", str(size)],
+        [sys.executable, "-c", f"from bench.scale import measure; measure({size})"],
+        env={**os.environ, "PYTHONPATH": path},
         stdout=subprocess.PIPE,
         text=True,
         check=True,
-        cwd=Path(__file__).parent.parent,
         timeout=2 * _LIMIT_SECONDS,
     )
-    measured: _Seconds = json.loads(done.stdout)
-    return measured
+    spent: Spent = json.loads(done.stdout)
+    return spent
 
 
 if __name__ == "__main__":
