@@ -11,10 +11,9 @@ from messages import default_of
 from peers import DOMAIN, MORTAL, Peer
 from uoarm_ros2._types import import_type
 
-from uoarm.bridge import Bridge, Registry
 from uoarm.model import BridgeSpec, Endpoint, Message, Role
 from uoarm.testing import patience, slowness
-from uoarm.testing.conformance import Pair, Served, Victim, World
+from uoarm.testing.conformance import Pair, Retained, Served, Victim, World
 
 KINDS = {
     "scalars": "test_msgs/msg/BasicTypes",
@@ -26,7 +25,9 @@ KINDS = {
 BOUND_OCTETS = 22  # of test_msgs/msg/Strings
 # What is not there is looked for so long; what is there may be found later on a busy machine.
 WAIT_SECONDS = slowness()
+FROZEN_SECONDS = 3 * slowness()  # for which what opens waits for a frozen node
 SILENT_SECONDS = 3.0
+CUT_SHORT = b"\0\1\0\0\1\2\3"  # serialised, little endian: three octets of a field
 SERVICE = "test_msgs/srv/BasicTypes"
 
 
@@ -36,24 +37,29 @@ class RosWorld(World):
     Args:
         lasting: a node that serves every test.
         start: starts a node for one test alone.
-        make: makes a bridge; None: in this process.
+        breaks: whether the node behind the kind `echoed` is one for this test, to be frozen. The
+            other kinds loop through topics within the bridge, with no link that could break.
     """
 
-    def __init__(
-        self,
-        lasting: Peer,
-        start: Callable[..., Peer],
-        make: Callable[[BridgeSpec], Bridge] | None = None,
-    ) -> None:
+    def __init__(self, lasting: Peer, start: Callable[..., Peer], *, breaks: bool = False) -> None:
         self._lasting = lasting
         self._start = start
-        self._make = make or Registry().create
+        self._breaks = breaks
+        self._breakable: Peer | None = None
 
-    def bridge(self) -> Bridge:
-        return self._make(BridgeSpec("ros", "ros2", {"domain_id": DOMAIN, "wait": WAIT_SECONDS}))
+    def spec(self) -> BridgeSpec:
+        return BridgeSpec("ros", "ros2", {"domain_id": DOMAIN, "wait": WAIT_SECONDS})
 
     def pair(self, kind: str) -> Pair:
         topic, native = f"/conformance/{kind}", KINDS[kind]
+        if kind == "echoed" and self._breaks:
+            if self._breakable is None:
+                self._breakable = self._start("breakable", "threads", **MORTAL)
+                self._breakable.do("echo", come="/asked_again", go="/echoed_again")
+            return Pair(
+                at(Role.INPUT, "/asked_again", native, wait=FROZEN_SECONDS),
+                at(Role.OUTPUT, "/echoed_again", native, wait=FROZEN_SECONDS),
+            )
         if kind == "echoed":
             return Pair(there(Role.INPUT, "/asked", native), there(Role.OUTPUT, "/echoed", native))
         qos = {"depth": 100}  # a burst is longer than what is kept of pictures by default
@@ -67,7 +73,7 @@ class RosWorld(World):
 
     def await_receivers(self, kind: str, count: int) -> None:
         """DDS reports readers to a writer, and to a reader nothing of what its writers know."""
-        if kind == "echoed":
+        if kind == "echoed" and not self._breaks:
             reports = self._lasting.do("subscriptions", topic="/echoed", expected=count)
             assert reports["count"] == count
 
@@ -85,12 +91,51 @@ class RosWorld(World):
     def samples(self, kind: str) -> Sequence[Message]:
         if kind == "scalars":
             return [special(value) for value in (math.nan, math.inf, -math.inf, 0.1)]
-        return [large_image()] if kind == "image" else []
+        if kind == "image":
+            return [large_image()]
+        message = default_of(import_type(KINDS[kind]))
+        return [{name: listed(value) for name, value in message.items()}]
 
     def victim(self) -> Victim:
-        talker = self._start("victim", **MORTAL)
-        talker.do("advertise", topic="/mortal")
-        return Victim(there(Role.OUTPUT, "/mortal", "std_msgs/msg/Int64"), talker.kill)
+        return self._victim("/mortal")
+
+    def victims(self) -> Sequence[Victim]:
+        return [self._victim(topic) for topic in ("/first_mortal", "/second_mortal")]
+
+    def _victim(self, topic: str) -> Victim:
+        talker = self._start(topic.strip("/"), **MORTAL)
+        talker.do("advertise", topic=topic)
+        return Victim(there(Role.OUTPUT, topic, "std_msgs/msg/Int64"), talker.kill)
+
+    def broken(self) -> bool:
+        """Freeze the node on the way: its lease ends, and with it the link to it."""
+        if self._breakable is None:
+            return False
+        self._breakable.freeze()
+        return True
+
+    def mended(self) -> None:
+        assert self._breakable is not None
+        self._breakable.thaw()
+
+    def unreadable(self, kind: str) -> Callable[[], object]:
+        topic = "/echoed" if kind == "echoed" else f"/conformance/{kind}"
+        self._lasting.do("advertise_octets", topic=topic, native=KINDS[kind])
+
+        def emit() -> None:
+            self._lasting.do("publish_octets", topic=topic, octets=CUT_SHORT.hex())
+
+        return emit
+
+    def retained(self) -> Retained:
+        node = self._start("retaining")
+        node.do("advertise", topic="/retained", durability="transient_local")
+
+        def emit() -> Message:
+            node.do("publish", topic="/retained", count=1, first=7)
+            return {"data": 7}
+
+        return Retained(there(Role.OUTPUT, "/retained", "std_msgs/msg/Int64"), emit)
 
     def served(self) -> Served:
         mortal = self._start("failing", **MORTAL)
@@ -101,7 +146,14 @@ class RosWorld(World):
         service, failing, silent = (
             there(Role.SERVICE, name, SERVICE) for name in ("/add", "/failing", "/silent")
         )
-        return Served(service, request, reply, failing, silent)
+        more = [
+            (
+                {**request, "int64_value": number, "string_value": text},
+                {**reply, "int64_value": number + 1, "string_value": text[::-1]},
+            )
+            for number, text in ((1, "one"), (2, "two"), (3, "three"))
+        ]
+        return Served(service, request, reply, failing, silent, more)
 
     def servable(self) -> tuple[Endpoint, Endpoint]:
         offered = at(Role.SERVICE, "/offered", SERVICE)
@@ -127,6 +179,13 @@ def there(role: Role, name: str, native: str) -> Endpoint:
 def special(value: float) -> Message:
     message = default_of(import_type(KINDS["scalars"]))
     return {**message, "float32_value": value, "float64_value": value}
+
+
+def listed(value: Any) -> Any:
+    """A value of a message as JSON would have it, octets as bytes."""
+    if isinstance(value, memoryview):
+        return bytes(value)
+    return value.tolist() if hasattr(value, "tolist") else value
 
 
 def large_image() -> Message:

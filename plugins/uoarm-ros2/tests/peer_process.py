@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import json
 import os
 import queue
@@ -88,6 +89,7 @@ class Doer:
         self.node = node
         self.publishers: dict[str, Any] = {}
         self.latched: set[str] = set()
+        self.octets: dict[str, Any] = {}
         self.seen: dict[str, list[Any]] = {}
         self.group = ReentrantCallbackGroup()
         self.ends: list[str] = []
@@ -159,6 +161,25 @@ class Doer:
             if period and self.over.wait(period):
                 break
         return {"published": count}
+
+    def advertise_octets(self, topic: str, native: str) -> dict[str, Any]:
+        """Have a publisher of a type, `package/msg/Name`, whose messages are given as octets."""
+        package, _, name = native.split("/")
+        message_type = getattr(importlib.import_module(f"{package}.msg"), name)
+        self.octets[topic] = self.node.create_publisher(message_type, topic, profile())
+        return {}
+
+    def publish_octets(self, topic: str, octets: str) -> dict[str, Any]:
+        """Publish octets, given in hexadecimal digits, as a serialised message; once."""
+        publisher = self.octets.pop(topic)
+        deadline = time.monotonic() + PATIENCE
+        while not publisher.get_subscription_count():
+            assert time.monotonic() < deadline, f"no node subscribes to {topic}"
+            time.sleep(0.001)
+        publisher.publish(bytes.fromhex(octets))
+        publisher.wait_for_all_acked(Duration(seconds=PATIENCE))
+        self.node.destroy_publisher(publisher)
+        return {}
 
     def subscribe(self, topic: str, kind: str = "Int64", **qos: Any) -> dict[str, Any]:
         native = {"Int64": Int64, "Image": Image, "String": String}[kind]

@@ -15,7 +15,7 @@ from uoarm.bridge import Channel, Delivery, Sink, Source
 from uoarm.errors import BridgeError, FailureReason, MessageError
 from uoarm.model import Deliver, Health, Message, OverflowPolicy, QueuePolicy
 from uoarm_ros2._health import TopicHealth
-from uoarm_ros2._middleware import Peer, publish_released
+from uoarm_ros2._middleware import Peer, publish_released, rclpy_errors
 from uoarm_ros2._qos import KEEP_ALL_SECONDS, Policies, clashes, for_reading, for_writing
 from uoarm_ros2._topic_endpoint import TopicContext, TopicEndpoint
 
@@ -50,6 +50,18 @@ class _Publisher(TopicEndpoint):
         fitting = [peer for peer in self.peers() if not self.clashes_with(peer.policies)]
         return self.count() >= max(1, len(fitting))
 
+    def reaches_none(self) -> bool:
+        """Whether a message is lost: a subscription is required, none is matched, none may come.
+
+        The event of the first match comes a moment after it, so that none is not taken for granted.
+        """
+        is_kept = self.policies.durability == "transient_local"
+        if self._health.matched or is_kept or not self._context.options.peer_required:
+            return False
+        with suppress(BridgeError), rclpy_errors(f"topic {self._context.topic.name}"):
+            return not self.count()
+        return False
+
     def _fitting(self, peers: Iterable[Peer]) -> Policies:
         return for_writing(self._context.options.qos, [peer.policies for peer in peers])
 
@@ -79,13 +91,14 @@ class PublisherSink(Sink):
 
     def __init__(self, context: TopicContext, write: Callable[[Message], Any]) -> None:
         super().__init__(context.endpoint)
-        # Guards the count of messages: a stop message is sent from another thread than commands.
+        # Guards the counts of messages: a stop message is sent from another thread than commands.
         self._counting = threading.Lock()
+        self._lost = 0
         self._context = context
         self._write = write
         self._health = TopicHealth(partial(context.report, self))
-        self._end = _Publisher(context, self._health)
-        self.blocking = self._end.policies.history == "keep_all"
+        self._publisher = _Publisher(context, self._health)
+        self.blocking = self._publisher.policies.history == "keep_all"
         self.default_queue = _LOSSLESS
 
     def _send(self, message: Message) -> None:
@@ -96,13 +109,15 @@ class PublisherSink(Sink):
             BridgeError: the channel was closed while it sends, or the middleware took nothing.
         """
         native = self._write(message)
-        publisher = self._end.native
+        native_publisher = self._publisher.native
         try:
-            self._publish(publisher, native)
+            self._publish(native_publisher, native)
         except Exception as error:  # noqa: BLE001 - raised again there, unless it can be helped
-            self._publish_anyway(native, publisher, error)
+            self._publish_anyway(native, native_publisher, error)
+        is_lost = self._publisher.reaches_none()
         with self._counting:
             self._health.count += 1
+            self._lost += is_lost
 
     def wait(self) -> None:
         """Wait until every fitting subscription on the graph is matched.
@@ -110,19 +125,21 @@ class PublisherSink(Sink):
         Raises:
             BridgeError: none was matched within the limit although one is required.
         """
-        context, end = self._context, self._end
-        expects_peers = context.options.peer_required or bool(end.peers())
+        context, publisher = self._context, self._publisher
+        expects_peers = context.options.peer_required or bool(publisher.peers())
         limit = context.graph.limit(context.options) if expects_peers else 0.0
-        context.graph.until(lambda: self.closed or end.all_matched() or end.cannot_match(), limit)
-        peers = end.peers()
-        end.require(limit, peers)
-        if end.count() and any(peer.policies.reliability == "best_effort" for peer in peers):
+        context.graph.until(
+            lambda: self.closed or publisher.all_matched() or publisher.cannot_match(), limit
+        )
+        peers = publisher.peers()
+        publisher.require(limit, peers)
+        if publisher.count() and any(peer.policies.reliability == "best_effort" for peer in peers):
             # A reader that does not ask for repeats must have matched us before the first message.
             context.graph.settle(peers, context.settle, lambda: self.closed)
 
     def tick(self) -> None:
         """Look after the channel a few times a second, in the runner's thread."""
-        self._end.tick()
+        self._publisher.tick()
 
     def drain(self, timeout: float) -> bool:
         """Wait until every reliable subscription has acknowledged what was published.
@@ -131,21 +148,23 @@ class PublisherSink(Sink):
         on its own, and then gets what was sent only as long as the publisher is there. Fast DDS
         asks for acknowledgements every three seconds.
         """
-        context, end = self._context, self._end
-        return context.graph.until(lambda: context.runner.is_acknowledged(end.native), timeout)
+        context, publisher = self._context, self._publisher
+        return context.graph.until(
+            lambda: context.runner.is_acknowledged(publisher.native), timeout
+        )
 
     def facts(self) -> Mapping[str, object]:
         """Return counters, the matched subscriptions and the policies in force."""
-        return self._end.facts()
+        return {**self._publisher.facts(), "lost_on_link": self._lost}
 
-    def _publish(self, publisher: Any, native: Any) -> None:
+    def _publish(self, native_publisher: Any, native: Any) -> None:
         """Publish; what waits for room in a full history must not keep the interpreter's lock."""
         if self.blocking:
-            publish_released(publisher, native)
+            publish_released(native_publisher, native)
         else:
-            publisher.publish(native)
+            native_publisher.publish(native)
 
-    def _publish_anyway(self, native: Any, publisher: Any, error: Exception) -> None:
+    def _publish_anyway(self, native: Any, native_publisher: Any, error: Exception) -> None:
         """Publish with the publisher that took the place of one, or once the history has room.
 
         The rmw itself waits for room a tenth of a second only.
@@ -155,23 +174,23 @@ class PublisherSink(Sink):
             if self._closed:
                 raise self._gone() from error
             if self._context.runner.is_cut_off:
-                self._publish_last(native, publisher)
+                self._publish_last(native, native_publisher)
                 return
             waits = self.blocking and _FULL in str(error) and time.monotonic() < deadline
-            if publisher is self._end.native and not waits:
+            if native_publisher is self._publisher.native and not waits:
                 text = f"topic {self._context.topic.name} takes no message: {error}"
                 raise BridgeError(text, FailureReason.UNAVAILABLE) from error
-            publisher = self._end.native
+            native_publisher = self._publisher.native
             try:
-                self._publish(publisher, native)
+                self._publish(native_publisher, native)
             except Exception as another:  # noqa: BLE001 - looked at in the next round
                 error = another
             else:
                 return
 
-    def _publish_last(self, native: Any, publisher: Any) -> None:
+    def _publish_last(self, native: Any, native_publisher: Any) -> None:
         try:
-            publish_released(publisher, native)
+            publish_released(native_publisher, native)
         except OSError as error:
             text = f"topic {self._context.topic.name} takes no message: {error}"
             raise BridgeError(text, FailureReason.UNAVAILABLE) from error
@@ -181,7 +200,7 @@ class PublisherSink(Sink):
         return BridgeError(text, FailureReason.CLOSED)
 
     def _close(self) -> None:
-        self._end.close()
+        self._publisher.close()
 
 
 _LOOKS = 10  # ticks within which the graph knows that a publisher has gone
@@ -281,7 +300,7 @@ class SubscriptionSource(Source):
         )
         self._writers: set[bytes] = set()  # whose messages stand; in the runner's thread
         self._departures = self._looks = 0
-        self._end = _Subscription(context, self._health, self._receive)
+        self._subscription = _Subscription(context, self._health, self._receive)
 
     def wait(self) -> None:
         """Wait until a publisher is matched and has had the time to learn of us.
@@ -291,40 +310,42 @@ class SubscriptionSource(Source):
         """
         context = self._context
         limit = context.graph.limit(context.options)
-        end = self._end
-        context.graph.until(lambda: self.closed or end.count() > 0 or end.cannot_match(), limit)
-        matched = end.count() > 0
-        peers = end.peers()
-        end.require(limit, peers)
-        self.latched = end.policies.durability == "transient_local"
-        self.depth = end.policies.depth
-        if end.policies.history == "keep_all":
+        subscription = self._subscription
+        context.graph.until(
+            lambda: self.closed or subscription.count() > 0 or subscription.cannot_match(), limit
+        )
+        matched = subscription.count() > 0
+        peers = subscription.peers()
+        subscription.require(limit, peers)
+        self.latched = subscription.policies.durability == "transient_local"
+        self.depth = subscription.policies.depth
+        if subscription.policies.history == "keep_all":
             self.patience = KEEP_ALL_SECONDS
         if matched and not self.latched:
             context.graph.settle(peers, context.settle, lambda: self.closed)
 
     def tick(self) -> None:
         """Look after the channel a few times a second, in the runner's thread."""
-        self._end.tick()
+        self._subscription.tick()
         self._look_for_departures()
 
     def facts(self) -> Mapping[str, object]:
         """Return counters, the matched publishers and the policies in force."""
-        return self._end.facts()
+        return self._subscription.facts()
 
     def _close(self) -> None:
-        self._end.close()
+        self._subscription.close()
 
     def _look_for_departures(self) -> None:
         """Withdraw what publishers latched that have gone, as DDS does."""
         if not self._writers or self._delivery is None:
             return
-        if self._end.departures != self._departures:
-            self._departures, self._looks = self._end.departures, _LOOKS
-        if not self._looks and len(self._writers) <= self._end.count():
+        if self._subscription.departures != self._departures:
+            self._departures, self._looks = self._subscription.departures, _LOOKS
+        if not self._looks and len(self._writers) <= self._subscription.count():
             return
         self._looks = max(0, self._looks - 1)
-        there = {peer.identity for peer in self._end.peers()}
+        there = {peer.identity for peer in self._subscription.peers()}
         for writer in self._writers - there:
             self._writers.discard(writer)
             self._delivery.let_go(writer.hex())
