@@ -1,4 +1,4 @@
-"""Types whose package is not installed: known from what their nodes say, and talked both ways."""
+"""Types whose package is not installed: known from the descriptions of their nodes."""
 
 from __future__ import annotations
 
@@ -9,15 +9,17 @@ from typing import Any
 import pytest
 from endpoints import Inbox, endpoint, known, sink, source
 from messages import same
-from peers import Peer
+from peers import DOMAIN, Peer
 from uoarm_ros2 import _type_finder
+from uoarm_ros2._middleware import Participant, untyped_class
 from uoarm_ros2._middleware import Peer as End_
 from uoarm_ros2._qos import Policies
 from uoarm_ros2._type_finder import DefinedTypes, described_type
 
-from uoarm.bridge import Bridge
+from uoarm.bridge import Bridge, Description
 from uoarm.errors import BridgeError, FailureReason, MessageError
 from uoarm.model import Role
+from uoarm.testing import patience
 
 SEQUENCES = "test_msgs/msg/UnboundedSequences"
 
@@ -126,3 +128,22 @@ def test_types_that_nodes_describe_have_a_budget(monkeypatch: pytest.MonkeyPatch
     with pytest.raises(BridgeError, match="1 types are known from nodes already"):
         finder.find("a/msg/C", "/t")
     assert finder.find("a/msg/B", "/t") is made
+
+
+def test_a_type_of_bare_dds_has_no_structure(bridge: Bridge) -> None:
+    """ROS 2 shows types of programs on bare DDS, whose names have any number of parts."""
+    participant = Participant(DOMAIN, "")
+    try:
+        runner = participant.start_node("bare")
+        native = untyped_class("vendor::arm/types/State", "", {"__slots__": ()})
+        runner.advertise(native, "/state", Policies(), events={})
+        known(bridge, "/bare")
+        [found] = [component for component in bridge.discover() if component.name == "/bare"]
+        [(at, description)] = found.endpoints
+        assert at.address == ("/state", "vendor/arm/types/State")
+        assert description == Description()
+        assert "type 'vendor/arm/types/State' is not spelt package/msg/Name" in found.detail
+        with pytest.raises(BridgeError, match="is not spelt package/msg/Name"):
+            bridge.describe(endpoint(Role.OUTPUT, "/state"))
+    finally:
+        participant.close(patience())

@@ -75,8 +75,11 @@ def import_type(name: str) -> type:
     """Return the generated class of a type such as `sensor_msgs/msg/Image`.
 
     Raises:
-        BridgeError: the package is not installed, or has no such type.
+        BridgeError: the package is not installed, or has no such type; or the name is none of ROS,
+            as that of a type on bare DDS.
     """
+    if mistake := type_mistake(name):
+        raise BridgeError(mistake, FailureReason.NOT_FOUND)
     package, kind, type_name = name.split("/")
     try:
         module = importlib.import_module(f"{package}.{kind}")
