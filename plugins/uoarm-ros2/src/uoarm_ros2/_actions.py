@@ -227,7 +227,7 @@ class Action:
 
     def _on_feedback(self, native: Any) -> None:
         feedback = self._read_feedback(native.feedback)
-        self._emit("feedback", {"goal_id": _id(native.goal_id), "feedback": feedback})
+        self._emit("feedback", {"goal_id": bytes(native.goal_id.uuid).hex(), "feedback": feedback})
 
     def _on_response(self, goal_id: str, sent: Any) -> None:
         if sent.cancelled():
@@ -314,10 +314,6 @@ def _cancel(goal: Any) -> bool:
         goal.cancel_goal_async()
         return True
     return False
-
-
-def _id(goal_id: Any) -> str:
-    return bytes(goal_id.uuid).hex()
 
 
 class ActionSource(Source):

@@ -153,7 +153,8 @@ def address_of(endpoint: Endpoint) -> Ros2Address:
     with reading_endpoint(endpoint):
         address = _address(endpoint.address)
         if address.part == LOOKUP:
-            _is_called(endpoint)
+            if endpoint.role is not Role.SERVICE or endpoint.is_offered:
+                raise ValueError("looking frames up is a service that is called, and nothing else")
             return address
         parts = _PARTS[_seen_by_clients(endpoint)]
         _fits(address, endpoint.role, parts)
@@ -234,11 +235,6 @@ def _seen_by_clients(endpoint: Endpoint) -> Role:
     if not endpoint.is_offered or endpoint.role is Role.SERVICE:
         return endpoint.role
     return Role.OUTPUT if endpoint.role is Role.INPUT else Role.INPUT
-
-
-def _is_called(endpoint: Endpoint) -> None:
-    if endpoint.role is not Role.SERVICE or endpoint.is_offered:
-        raise ValueError("looking frames up is a service that is called, and nothing else")
 
 
 def _fits(address: Ros2Address, role: Role, parts: tuple[str, ...]) -> None:

@@ -10,6 +10,7 @@ import threading
 import time
 from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Iterable, Mapping
+from functools import partial
 from typing import Any
 
 from attrs import define, field, frozen
@@ -51,10 +52,9 @@ class Transformation:
 
     def after(self, other: Transformation) -> Transformation:
         """Return the one that does `other` first, then this."""
-        moved = _rotated(self.rotation, other.translation)
-        return Transformation(
-            _sum(self.translation, moved), _product(self.rotation, other.rotation)
-        )
+        x, y, z = _rotated(self.rotation, other.translation)
+        a, b, c = self.translation
+        return Transformation((a + x, b + y, c + z), _product(self.rotation, other.rotation))
 
     def inverse(self) -> Transformation:
         """Return the one that undoes this."""
@@ -221,10 +221,6 @@ class TransformBuffer:
         return found
 
 
-def _sum(first: Vector, second: Vector) -> Vector:
-    return first[0] + second[0], first[1] + second[1], first[2] + second[2]
-
-
 def _product(first: Quaternion, second: Quaternion) -> Quaternion:
     a, b, c, d = first
     e, f, g, h = second
@@ -382,7 +378,7 @@ class _TransformListener:
                 native,
                 topic,
                 policies,
-                self._take_static if policies.durability == "transient_local" else self._take,
+                partial(self._take, is_static=policies.durability == "transient_local"),
                 events={},
             )
             for topic, policies in self._topics.items()
@@ -448,9 +444,6 @@ class _TransformListener:
                     is_static=is_static,
                 )
             self._changed.notify_all()
-
-    def _take_static(self, octets: bytes) -> None:
-        self._take(octets, is_static=True)
 
 
 def _request_schema() -> dict[str, Any]:

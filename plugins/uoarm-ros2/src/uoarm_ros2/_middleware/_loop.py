@@ -6,7 +6,7 @@ import logging
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from typing import Any
 
@@ -192,7 +192,9 @@ class WaitLoop:
         while self._soon:
             self._soon.popleft()()
         now = time.monotonic()
-        quiet = [entity for ready in _drained(self._quiet_entities) for entity in ready]
+        quiet: list[Entity] = []
+        while self._quiet_entities:
+            quiet += self._quiet_entities.popleft()
         worked = self._take_quiet(quiet, now)
         if now >= self._sweep_due:
             self._sweep(now)
@@ -294,8 +296,3 @@ class WaitLoop:
             if not self._quiet():
                 _log.error("a callback of ROS 2 failed", exc_info=error)
         return taken > 0 or entity.removed
-
-
-def _drained(quiet: deque[list[Entity]]) -> Iterator[list[Entity]]:
-    while quiet:
-        yield quiet.popleft()
