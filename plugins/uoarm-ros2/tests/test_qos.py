@@ -41,14 +41,14 @@ def test_auto_asks_for_the_most_that_all_offer(offers: list[Policies]) -> None:
 
 @given(POLICIES, st.lists(POLICIES, max_size=3))
 def test_what_is_stated_is_kept(stated: Policies, peers: list[Policies]) -> None:
-    settings = QosOptions(
+    options = QosOptions(
         reliability=stated.reliability,
         durability=stated.durability,
         deadline=stated.deadline,
         liveliness=stated.liveliness,
         lease_duration=stated.lease_duration,
     )
-    for settled in (for_reading(settings, peers), for_writing(settings, peers)):
+    for settled in (for_reading(options, peers), for_writing(options, peers)):
         assert (settled.reliability, settled.durability) == (stated.reliability, stated.durability)
         assert (settled.deadline, settled.liveliness) == (stated.deadline, stated.liveliness)
         assert settled.lease_duration == stated.lease_duration
@@ -73,9 +73,9 @@ def test_each_clash_is_named(
     assert not clashes(Policies(**requested), Policies(**requested))  # type: ignore[arg-type]  # a table
 
 
-@pytest.mark.parametrize("settings", [None, "auto", {}])
-def test_nothing_said_is_auto(settings: object) -> None:
-    assert qos_options(settings) == QosOptions()
+@pytest.mark.parametrize("options", [None, "auto", {}])
+def test_nothing_said_is_auto(options: object) -> None:
+    assert qos_options(options) == QosOptions()
 
 
 def test_policies_are_shown_in_words() -> None:
