@@ -122,7 +122,7 @@ def test_others_go_on_while_a_sender_waits_for_room(
     monkeypatch.setattr(_native, "_functions", lambda: functions)
     keep = {"history": "keep_all"}
     out = sink(bridge, endpoint(Role.INPUT, "/full", INT64, qos=keep, peer="optional"))
-    out._end.native, native = Slow(), out._end.native
+    out._publisher.native, native = Slow(), out._publisher.native
     sending = threading.Thread(target=out.send, args=({"data": 7},))
     sending.start()
     calls = set()
@@ -130,7 +130,7 @@ def test_others_go_on_while_a_sender_waits_for_room(
         with suppress(FileNotFoundError, ProcessLookupError):  # it has ended
             text = Path(f"/proc/self/task/{sending.native_id}/syscall").read_text()
             calls.add(text.split()[0])
-    out._end.native = native
+    out._publisher.native = native
     assert calls & {"35", "230"}  # nanosleep, clock_nanosleep
 
 
