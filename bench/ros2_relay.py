@@ -141,7 +141,7 @@ def relay_by_hand(here: str, there: str) -> None:
 
 
 def relay_by_manager(here: str, there: str) -> None:
-    from uoarm._control import RobotManager  # noqa: PLC0415
+    from uoarm._control.robot_manager import RobotManager  # noqa: PLC0415
     from uoarm.config import loads  # noqa: PLC0415
 
     text = f"""

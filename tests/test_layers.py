@@ -20,12 +20,14 @@ LAYERS = [
     {
         "errors",
         "_arguments",
+        "_deferred",
         "_interrupts",
         "_log_lines",
         "_forks",
         "_run_as_module",
         "_version",
         "_origin",
+        "_quick_check",
         "_raised",
         "_spans",
         "_spelling",
@@ -80,10 +82,11 @@ WITHIN = {
     "schema": [
         {"_errors"},
         {"_values"},
+        {"_verdict"},
         {"regex"},
         {"read"},
         {"solve"},
-        {"_explain"},
+        {"_decide"},
         {"_check"},
         {"__init__", "__main__"},
     ],
@@ -104,7 +107,7 @@ WITHIN = {
 ALONE = {
     "schema": {"schema"},
     "_wire": {"_wire", "model", "errors"},
-    "_yaml": {"_yaml"},
+    "_yaml": {"_yaml", "_deferred"},
     "local": {"local", "bridge", "_hints", "model", "errors"}
     | {"_arguments", "_mistakes", "_raised", "_spelling", "_workers"},
 }
@@ -198,38 +201,62 @@ def test_the_folders_of_a_package_import_one_way(package: str) -> None:
             assert found <= may, f"{path.name} in {part} imports {found - may}"
 
 
-def test_importing_uoarm_loads_no_framework_and_nothing_heavy() -> None:
-    heavy = [
-        "rich",
-        "click",
-        "jsonschema",
-        "numpy",
-        "cv2",
-        "rclpy",
-        "omniORB",
-        "hypothesis",
-        "zenoh",
-        "msgpack",
-        "websockets",
-        "orjson",
-        "cbor2",
-        "prometheus_client",
-        "cryptography",
-        "pint",
-    ]
-    code = f"import sys, uoarm; print([m for m in {heavy!r} if m in sys.modules])"
+# What each of these does not load: it costs every start, also of who does not need it.
+FRAMEWORKS = {"rclpy", "omniORB", "hypothesis", "zenoh", "msgpack", "websockets", "paho"}
+HEAVY = FRAMEWORKS | {
+    "asyncio", "cattrs", "cbor2", "click", "cryptography", "cv2", "email", "http", "jsonschema",
+    "numpy", "orjson", "pint", "prometheus_client", "rich", "ssl", "yaml",
+}  # fmt: skip
+PARTS_OF_OURS = {"cli", "client", "environments", "server", "testing", "_host", "_lock._record"}
+PARTS_OF_OURS |= {"config._load", "local", "schema.read", "schema.solve", "_yaml._reader"}
+NOT_LOADED = {
+    "import uoarm": HEAVY | PARTS_OF_OURS | {"attrs", "_control", "model", "importlib.metadata"},
+    "from uoarm import RobotManager": HEAVY | PARTS_OF_OURS | {"importlib.metadata"},
+    "import uoarm.schema": HEAVY | {"model", "schema.read", "schema.solve"},
+    "import uoarm._host.__main__": (HEAVY - {"msgpack"})
+    | {"client", "config", "environments", "server", "_adapt", "_control", "_resolve", "schema"},
+    "import uoarm.cli": (HEAVY - {"click", "email"}) | PARTS_OF_OURS - {"cli"} | {"_control"},
+    "import uoarm.cli._look": (HEAVY - {"click", "email", "yaml"})
+    | {"_control", "_resolve", "_lock"},
+}
+
+
+@pytest.mark.parametrize("action", NOT_LOADED)
+def test_what_is_not_needed_yet_is_not_loaded(action: str) -> None:
+    names = {
+        f"uoarm.{name}"
+        if (ROOT / name.replace(".", "/")).with_suffix(".py").exists()
+        or (ROOT / name.replace(".", "/")).is_dir()
+        else name
+        for name in NOT_LOADED[action]
+    }
+    code = f"import sys; {action}; print(*sorted({names!r} & sys.modules.keys()))"
+    assert _printed(code) == ""
+
+
+def test_a_robot_of_one_framework_loads_no_other_plugin_and_no_validator(tmp_path: Path) -> None:
+    file = tmp_path / "robot.yaml"
+    file.write_text(ROBOT, encoding="utf-8")
+    code = f"import sys; from uoarm import RobotManager; RobotManager.from_file({str(file)!r})"
+    code += "; print(*sorted(name for name in sys.modules if name.startswith('uoarm_')))"
+    code += "; print('jsonschema' in sys.modules, 'asyncio' in sys.modules)"
+    assert _printed(code) == "\nFalse False"
+
+
+ROBOT = """
+version: 1
+bridges: {python: {}}
+functions:
+  number:
+    components: [{name: seven, bridge: python, output: {endpoint: ["builtins:int"]}}]
+"""
+
+
+def _printed(code: str) -> str:
     done = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=patience()
     )
-    assert done.stdout.strip() == "[]"
-
-
-def test_a_host_of_this_machine_loads_no_zenoh() -> None:
-    code = "import sys, uoarm._host.__main__; print('zenoh' in sys.modules)"
-    done = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=patience()
-    )
-    assert done.stdout.strip() == "False"
+    return done.stdout.removesuffix("\n")
 
 
 PLUGINS = Path(__file__).parents[1] / "plugins"

@@ -13,8 +13,10 @@ The layers, from the top; imports go down only:
     uoarm.model         frozen values          uoarm.schema    containment, on its own
 """
 
+from typing import TYPE_CHECKING
+
 from uoarm import _run_as_module, errors  # noqa: F401 - that first, for what it does
-from uoarm._control import AsyncConnection, AsyncRobotManager, Connection, RobotManager
+from uoarm._deferred import deferred
 from uoarm._version import __version__
 from uoarm.errors import (
     BridgeError,
@@ -29,7 +31,19 @@ from uoarm.errors import (
     UoarmError,
     UsageError,
 )
-from uoarm.model import OverflowPolicy, Plan, QueuePolicy, StatusEvent, StatusMap, ValidationMode
+
+if TYPE_CHECKING:
+    from uoarm._control.aio import AsyncConnection, AsyncRobotManager
+    from uoarm._control.connection import Connection
+    from uoarm._control.robot_manager import RobotManager
+    from uoarm.model import (
+        OverflowPolicy,
+        Plan,
+        QueuePolicy,
+        StatusEvent,
+        StatusMap,
+        ValidationMode,
+    )
 
 __all__ = [
     "AsyncConnection",
@@ -56,3 +70,22 @@ __all__ = [
     "__version__",
     "errors",
 ]
+
+if not TYPE_CHECKING:
+    __getattr__, __dir__ = deferred(
+        __name__,
+        {
+            "_control.aio": ("AsyncConnection", "AsyncRobotManager"),
+            "_control.connection": ("Connection",),
+            "_control.robot_manager": ("RobotManager",),
+            "model": (
+                "OverflowPolicy",
+                "Plan",
+                "QueuePolicy",
+                "StatusEvent",
+                "StatusMap",
+                "ValidationMode",
+            ),
+        },
+        submodules=("bridge", "config", "environments", "model", "plugins", "schema"),
+    )

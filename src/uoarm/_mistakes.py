@@ -9,14 +9,14 @@ from collections.abc import Callable, Collection, Iterator, Mapping
 from enum import Enum
 from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
 
-from uoarm._spelling import Speller
+from uoarm._spelling import Speller, any_of
 from uoarm._yaml import Path, clip
 from uoarm.errors import UoarmError
 
 if TYPE_CHECKING:
     from jsonschema.exceptions import ValidationError
 
-__all__ = ["TYPES", "Mistake", "any_of", "choose", "mistakes", "near"]
+__all__ = ["TYPES", "Mistake", "choose", "mistakes", "near"]
 
 E = TypeVar("E", bound=Enum)
 
@@ -144,9 +144,3 @@ def choose(kind: type[E], name: E | str, what: str, error: type[UoarmError]) -> 
         hint = Speller().guess(str(name), known).replace('"', "'")
         text = f"{what} {name!r}: expected {any_of(known)}"
         raise error(f"{text}; {hint}" if hint else text) from None
-
-
-def any_of(allowed: Collection[object]) -> str:
-    """Write a choice: `a, b or c`."""
-    words = [str(item) for item in allowed]
-    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} or {words[-1]}"

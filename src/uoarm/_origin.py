@@ -8,11 +8,13 @@ from __future__ import annotations
 
 import json
 import shlex
-from importlib.metadata import Distribution, PackageNotFoundError, distribution
 from pathlib import Path
-from urllib.parse import unquote, urlsplit
+from typing import TYPE_CHECKING
 
 from attrs import frozen
+
+if TYPE_CHECKING:
+    from importlib.metadata import Distribution
 
 __all__ = ["Origin", "install_command", "installed", "origin_of"]
 
@@ -36,6 +38,11 @@ class Origin:
 
 def installed(name: str) -> Distribution | None:
     """Return the installed distribution of a name."""
+    from importlib.metadata import (  # noqa: PLC0415 - slow import
+        PackageNotFoundError,
+        distribution,
+    )
+
     try:
         return distribution(name)
     except PackageNotFoundError:
@@ -78,6 +85,8 @@ def _argument(name: str, extra: str) -> str:
 
 
 def _recorded(found: Distribution) -> Origin | None:
+    from urllib.parse import unquote, urlsplit  # noqa: PLC0415 - slow import
+
     said = json.loads(found.read_text("direct_url.json") or "{}")
     url = urlsplit(str(said.get("url", "")))
     path = Path(unquote(url.path))

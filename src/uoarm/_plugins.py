@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import sys
-from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
-from typing import TypeAlias, TypeVar
+from typing import TYPE_CHECKING, TypeAlias, TypeVar
 
 import pluggy
 from attrs import frozen
@@ -13,6 +12,9 @@ from attrs import frozen
 from uoarm._origin import install_command
 from uoarm._raised import foreign, text_of
 from uoarm.errors import PluginError
+
+if TYPE_CHECKING:
+    from importlib.metadata import EntryPoint
 
 __all__ = ["PluginProblem", "cause_of", "hookimpl", "hookspec", "installed", "values_of"]
 
@@ -43,6 +45,8 @@ def installed(group: str) -> tuple[EntryPoint, ...]:
     before = _found.get(group)
     if before is not None and before[0] == folders:
         return before[1]
+    from importlib.metadata import entry_points  # noqa: PLC0415 - slow import
+
     points = tuple(entry_points(group=group))
     _found[group] = folders, points
     return points

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import logging
 import threading
 import time
@@ -96,6 +95,8 @@ async def renewed_in_task(
 
     One is under way at a time: what waits for a link that is down is never more than one.
     """
+    import asyncio  # noqa: PLC0415 - slow import, of asynchronous programs only
+
     held = HeldCommand(message)
 
     async def renew() -> None:

@@ -1,11 +1,10 @@
-"""Guesses at what a misspelt word was meant to be, within a budget."""
+"""The words that are allowed somewhere, and which of them a misspelt one was meant to be."""
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Collection
 
-__all__ = ["Speller"]
+__all__ = ["Speller", "any_of"]
 
 _COMPARISONS = 300_000
 _CALL = 20
@@ -27,6 +26,8 @@ class Speller:
         self._left -= len(known) + _CALL
         if self._left < 0 or len(word) > _LONGEST:
             return ""
+        import difflib  # noqa: PLC0415 - for mistakes only
+
         close = difflib.get_close_matches(word, known, n=1)
         return f'did you mean "{close[0]}"?' if close else ""
 
@@ -39,3 +40,9 @@ def _some(known: Collection[str]) -> str:
     words = list(known)[:_LISTED]
     more = f" and {len(known) - _LISTED:,} more" if len(known) > _LISTED else ""
     return (", ".join(words) + more) or "none"
+
+
+def any_of(allowed: Collection[object]) -> str:
+    """Write a choice: `a, b or c`."""
+    words = [str(item) for item in allowed]
+    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} or {words[-1]}"

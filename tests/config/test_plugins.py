@@ -112,7 +112,7 @@ def test_what_is_installed_is_read_once_and_again_when_something_is_installed(
     def names() -> set[str]:
         return {point.name for point in _plugins.installed("uoarm.test")}
 
-    monkeypatch.setattr(_plugins, "entry_points", read)
+    monkeypatch.setattr("importlib.metadata.entry_points", read)
     monkeypatch.setattr(_plugins, "_found", {})
     monkeypatch.syspath_prepend(tmp_path)
     assert (names(), names()) == (set(), set())

@@ -17,8 +17,8 @@ from tests.schema._hostile import HOSTILE, chain, choices, rows
 from tests.schema._reference import Reference
 
 from uoarm.schema import CheckBudget, check
+from uoarm.schema._decide import find_losses
 from uoarm.schema._errors import BudgetError, Meter
-from uoarm.schema._explain import find_losses
 from uoarm.schema.read import Pool, SchemaDocument
 from uoarm.schema.regex import walker_of
 from uoarm.schema.solve._branch import Branch

@@ -9,14 +9,13 @@ from pathlib import Path
 
 from attrs import evolve
 
-from uoarm import _bounded
+from uoarm import _bounded, config
 from uoarm._control.executor import Executor
 from uoarm._control.offers import Offers
 from uoarm._control.revisions import Revisions
 from uoarm._resolve import without_candidates
 from uoarm._whole_file import written_beside
 from uoarm.bridge import BridgeType
-from uoarm.config import assign, is_same, loads, rewrite, with_code
 from uoarm.errors import ConfigurationError, UsageError
 from uoarm.model import ConfigurationChange, Effect, Robot
 
@@ -52,7 +51,7 @@ class KeptFile:
             ConfigurationError: the change cannot be written line by line.
         """
         self._require_unchanged(self._known())
-        return rewrite(self._text, wanted)
+        return config.rewrite(self._text, wanted)
 
     @contextmanager
     def written(self, text: str) -> Iterator[None]:
@@ -151,10 +150,10 @@ class ConfigurationChanges:
         what = "finding out what the change of configuration would do"
         with self._revisions.alone(timeout):
             self._revisions.require(revision)
-            robot = with_code(assign(robot, self._types), None)
+            robot = config.with_code(config.assign(robot, self._types), None)
             if keeps:
                 robot = evolve(robot, text=self._file.prepare(self._written(robot)))
-            robot = with_code(
+            robot = config.with_code(
                 robot, self._revisions.current.robot, uuid.uuid4().hex if reloads_code else ""
             )
             staged = _bounded.run(
@@ -195,7 +194,8 @@ class ConfigurationChanges:
         Raises:
             UsageError: it was built, or changed since it was read.
         """
-        read = loads(robot.text, robot.origin) if robot.text else Robot({}, {})
-        if not robot.text or not is_same(assign(read, self._types), without_candidates(robot)):
+        read = config.loads(robot.text, robot.origin) if robot.text else Robot({}, {})
+        known = config.assign(read, self._types)
+        if not robot.text or not config.is_same(known, without_candidates(robot)):
             raise UsageError("only a configuration that was read from text can be kept in a file")
         return robot.text

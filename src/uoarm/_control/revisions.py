@@ -17,13 +17,13 @@ from typing import Protocol
 
 from attrs import evolve, field, frozen
 
+from uoarm import _lock
 from uoarm._adapt import check_edge
 from uoarm._control.bridges import BridgeSet, StagedBridges
 from uoarm._control.engine import actions as act
 from uoarm._control.engine import events as ev
 from uoarm._control.engine.state import ConnectionRecord, State, names, recently
 from uoarm._dataplane import Clock
-from uoarm._lock import LockGuard, guard_of
 from uoarm._resolve import Hold, Resolver, StructureCache, Unavailable, without_candidates
 from uoarm.config import ConfigurationDifference, compare
 from uoarm.errors import (
@@ -245,7 +245,7 @@ class Revision:
     structures: StructureCache
     resolver: Resolver
     base: Robot
-    guard: LockGuard | None = None
+    guard: _lock.LockGuard | None = None
     candidates: int = 0
     needs_candidates: bool = field(init=False)
     # Filled by any thread; two that find the same do no harm.
@@ -332,7 +332,7 @@ class Revisions:
         self._clock = clock
         self._notify = notify
         self._changing = threading.Lock()
-        guard = guard_of(robot, notify)
+        guard = _guard(robot, notify)
         structures = StructureCache(bridges.get, _hold(guard))
         resolver = Resolver(robot, structures, check_edge, clock=clock)
         self.current = Revision(0, robot, structures, resolver, robot, guard)
@@ -413,7 +413,7 @@ class Revisions:
         """
         before = self.current
         base = without_candidates(base)
-        guard = guard_of(base, self._notify, before.guard)
+        guard = _guard(base, self._notify, before.guard)
         robot = _with_candidates_of(before.robot, base)
         difference = compare(before.robot, robot)
         try:
@@ -533,7 +533,14 @@ def octets_of(robot: Robot) -> int:
     return _ENTRY_OCTETS * entries + len(robot.text)
 
 
-def _hold(guard: LockGuard | None) -> Hold | None:
+def _guard(
+    robot: Robot, notify: Callable[[str, str], None], before: _lock.LockGuard | None = None
+) -> _lock.LockGuard | None:
+    """Return the guard of a robot's lock; one that asks for no lock needs none of its modules."""
+    return None if robot.lock is None else _lock.guard_of(robot, notify, before)
+
+
+def _hold(guard: _lock.LockGuard | None) -> Hold | None:
     return None if guard is None else guard.hold
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, final, overload
 
-from uoarm import _bounded
+from uoarm import _bounded, config
 from uoarm._arguments import arguments
 from uoarm._control.bridges import BridgeSet
 from uoarm._control.candidates import CandidateWatch
@@ -33,7 +33,6 @@ from uoarm._interrupts import Uninterrupted
 from uoarm._mistakes import choose
 from uoarm._resolve import Unavailable
 from uoarm.bridge import Bridge, HealthEvent, Registry
-from uoarm.config import assign, load
 from uoarm.errors import (
     ConnectionClosedError,
     ResolutionError,
@@ -95,7 +94,7 @@ class RobotManager:
     ) -> None:
         self.registry = registry or Registry()
         file = KeptFile(robot)
-        robot = assign(robot, self.registry.types)
+        robot = config.assign(robot, self.registry.types)
         self._events = EventDispatcher(clock)
         self._bridges = BridgeSet(
             robot.bridges,
@@ -191,7 +190,7 @@ class RobotManager:
                 lock that cannot be read.
         """
         registry = registry or Registry()
-        robot = load(path, registry.types)
+        robot = config.load(path, registry.types)
         return cls(robot, registry=registry, clock=clock, stop_file=stop_file)
 
     @arguments()
@@ -527,7 +526,7 @@ class RobotManager:
         path = path or self.config.origin
         if not path:
             raise UsageError("the configuration was not read from a file: name one")
-        robot = load(path, self.registry.types)
+        robot = config.load(path, self.registry.types)
         change = self.apply(
             robot, dry_run=dry_run, force=force, reload_code=reload_code, timeout=timeout
         )

@@ -4,10 +4,15 @@ Needs the extra `uoarm[hosts]`, in the application and in the environment of eve
 machines need beside, `uoarm[machines]`, is imported from `_host.machines` and `_host.agent` alone.
 """
 
-from uoarm._host.process.settings import HostSettings
-from uoarm._host.remote_bridge import RemoteBridge
-from uoarm._host.transport.security import Identity
-from uoarm._host.xmlrpc_server import XmlRpcServer
+from typing import TYPE_CHECKING
+
+from uoarm._deferred import deferred
+
+if TYPE_CHECKING:
+    from uoarm._host.process.settings import HostSettings
+    from uoarm._host.remote_bridge import RemoteBridge
+    from uoarm._host.transport.security import Identity
+    from uoarm._host.xmlrpc_server import XmlRpcServer
 
 __all__ = [
     "HostSettings",
@@ -15,3 +20,14 @@ __all__ = [
     "RemoteBridge",
     "XmlRpcServer",
 ]
+
+if not TYPE_CHECKING:
+    __getattr__, __dir__ = deferred(
+        __name__,
+        {
+            "process.settings": ("HostSettings",),
+            "remote_bridge": ("RemoteBridge",),
+            "transport.security": ("Identity",),
+            "xmlrpc_server": ("XmlRpcServer",),
+        },
+    )

@@ -20,7 +20,6 @@ from uoarm._resolve._catalogue import (
     Structures,
     Unavailable,
 )
-from uoarm._yaml import read
 from uoarm.errors import MessageError
 from uoarm.model import (
     CommandPolicy,
@@ -204,6 +203,8 @@ def _read(
     lines: str, producer: MessageStructure, consumer: MessageStructure, seconds: float
 ) -> Adapted | None:
     """Return what suggested lines say, where the edge is proven with them."""
+    from uoarm._yaml import read  # noqa: PLC0415 - slow import
+
     written = read(lines, "").value if lines else None
     if not isinstance(written, dict) or "map" not in written:
         return None

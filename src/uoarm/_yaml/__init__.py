@@ -1,7 +1,12 @@
 """YAML files that people write: plain values with their places, within a budget."""
 
+from typing import TYPE_CHECKING
+
+from uoarm._deferred import deferred
 from uoarm._yaml._document import Document, Path, Place, Problem, clip, write_path
-from uoarm._yaml._reader import ReadBudget, read, read_file
+
+if TYPE_CHECKING:
+    from uoarm._yaml._reader import ReadBudget, read, read_file
 
 __all__ = [
     "Document",
@@ -14,3 +19,6 @@ __all__ = [
     "read_file",
     "write_path",
 ]
+
+if not TYPE_CHECKING:
+    __getattr__, __dir__ = deferred(__name__, {"_reader": ("ReadBudget", "read", "read_file")})

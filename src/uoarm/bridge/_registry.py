@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-import difflib
-from collections.abc import Iterable, Mapping
-from importlib.metadata import EntryPoint
+import threading
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from typing import TYPE_CHECKING
 
 from uoarm import _bounded
 from uoarm._mistakes import mistakes
 from uoarm._origin import install_command
 from uoarm._plugins import PluginProblem, cause_of, installed, values_of
+from uoarm._quick_check import certainly_matches
 from uoarm._spelling import Speller
 from uoarm._yaml import write_path
 from uoarm.bridge._border import translated
@@ -17,6 +18,9 @@ from uoarm.bridge._bridge import CONTRACT_VERSION, Bridge
 from uoarm.bridge._plugin import BridgeHooks, BridgeType
 from uoarm.errors import BridgeError, ConfigurationError, FailureReason, PluginError
 from uoarm.model import BridgeSpec, MessageStructure
+
+if TYPE_CHECKING:
+    from importlib.metadata import EntryPoint
 
 __all__ = ["Registry"]
 
@@ -34,26 +38,26 @@ _KNOWN = {
 
 
 class Registry:
-    """The bridge types of the installed plugins, read once when it is made.
+    """The bridge types of the plugins that were installed when it was made.
 
-    A plugin that fails to load is listed in `problems` and hurts nobody else.
+    A plugin is loaded when one of its types is asked for, or all types are: a robot of one
+    framework waits for no other. One that fails to load is listed in `problems` and affects no
+    other.
 
     Args:
         points: entry points to read instead of the installed ones.
     """
 
     def __init__(self, points: Iterable[EntryPoint] | None = None) -> None:
-        self._types: dict[str, BridgeType] = {}
-        self._problems: list[PluginProblem] = []
         found = installed(_GROUP) if points is None else points
-        for point in sorted(found, key=lambda point: point.name):
-            try:
-                types = values_of(point, BridgeHooks, "uoarm_bridge_types", BridgeType)
-            except Exception as error:  # noqa: BLE001 - a broken plugin may raise anything
-                self._problems.append(PluginProblem(point.name, cause_of(error, point)))
-                continue
-            for kind in types:
-                self._admit(point.name, kind)
+        self._unread = sorted(found, key=lambda point: point.name)
+        self._plugins = frozenset(point.name for point in self._unread)
+        # Guards the three below from threads that ask for types at the same time: a plugin is
+        # loaded by one of them. Reentrant, as a plugin may look at a registry while it loads.
+        self._reading = threading.RLock()
+        self._known: dict[str, BridgeType] = {}
+        self._problems: list[PluginProblem] = []
+        self._types = _Types(self._read, self._read_all)
 
     @property
     def types(self) -> Mapping[str, BridgeType]:
@@ -63,7 +67,34 @@ class Registry:
     @property
     def problems(self) -> tuple[PluginProblem, ...]:
         """Plugins that cannot be used, each with its cause."""
-        return tuple(self._problems)
+        self._read_all()
+        return tuple(sorted(self._problems, key=lambda problem: problem.name))
+
+    def _read(self, name: str) -> BridgeType | None:
+        """Return a bridge type, loaded with the plugin of its name, or else with all others."""
+        with self._reading:
+            if name not in self._known:
+                self._load([point for point in self._unread if point.name == name])
+            if name not in self._known:
+                self._load(self._unread)
+            return self._known.get(name)
+
+    def _read_all(self) -> list[str]:
+        """Return the names of all usable types."""
+        with self._reading:
+            self._load(self._unread)
+            return sorted(self._known)
+
+    def _load(self, points: list[EntryPoint]) -> None:
+        self._unread = [point for point in self._unread if point not in points]
+        for point in points:
+            try:
+                types = values_of(point, BridgeHooks, "uoarm_bridge_types", BridgeType)
+            except Exception as error:  # noqa: BLE001 - a broken plugin may raise anything
+                self._problems.append(PluginProblem(point.name, cause_of(error, point)))
+                continue
+            for kind in types:
+                self._admit(point.name, kind)
 
     def add(self, kind: BridgeType) -> None:
         """Add a bridge type that no installed plugin provides, as tests and programs do.
@@ -71,11 +102,13 @@ class Registry:
         Raises:
             PluginError: the name is taken, or the contract version is another.
         """
-        before = len(self._problems)
-        self._admit(kind.name, kind)
-        if len(self._problems) > before:
-            problem = self._problems.pop()
-            raise PluginError(f"bridge plugin {problem.name!r}: {problem.cause}")
+        with self._reading:
+            self._read(kind.name)
+            before = len(self._problems)
+            self._admit(kind.name, kind)
+            if len(self._problems) > before:
+                problem = self._problems.pop()
+                raise PluginError(f"bridge plugin {problem.name!r}: {problem.cause}")
 
     def create(self, spec: BridgeSpec) -> Bridge:
         """Make the bridge instance that a configuration asks for.
@@ -122,11 +155,13 @@ class Registry:
 
     def missing(self, plugin: str) -> str:
         """Say why there is no bridge type of this name and what to do."""
-        for problem in self._problems:
+        for problem in self.problems:
             if problem.name == plugin:
                 return f"plugin {plugin!r} is installed but cannot be used: {problem.cause}"
         if plugin in _KNOWN:
             return f"plugin {plugin!r} is not installed: {install_command(*_KNOWN[plugin])}"
+        import difflib  # noqa: PLC0415 - for mistakes only
+
         close = difflib.get_close_matches(plugin, self._types, n=1)
         hint = f"; did you mean {close[0]!r}?" if close else ""
         return f"there is no plugin {plugin!r} (installed: {', '.join(self._types)}){hint}"
@@ -137,15 +172,39 @@ class Registry:
                 f"bridge type {kind.name!r} implements contract version {kind.contract}, "
                 f"this uoarm has version {CONTRACT_VERSION}: install matching versions"
             )
-        elif kind.name in self._types:
+        elif kind.name in self._known or (kind.name != plugin and kind.name in self._plugins):
             cause = f"bridge type {kind.name!r} is already provided by another plugin"
         else:
-            self._types[kind.name] = kind
+            self._known[kind.name] = kind
             return
         self._problems.append(PluginProblem(plugin, cause))
 
 
+class _Types(Mapping[str, BridgeType]):
+    """The bridge types of a registry, each loaded when it is asked for."""
+
+    def __init__(
+        self, read: Callable[[str], BridgeType | None], names: Callable[[], list[str]]
+    ) -> None:
+        self._read = read
+        self._names = names
+
+    def __getitem__(self, name: str) -> BridgeType:
+        kind = self._read(name)
+        if kind is None:
+            raise KeyError(name)
+        return kind
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._names())
+
+    def __len__(self) -> int:
+        return len(self._names())
+
+
 def _require_fitting(spec: BridgeSpec, kind: BridgeType) -> None:
+    if certainly_matches(dict(spec.options), kind.options_schema):
+        return
     from jsonschema import Draft202012Validator  # noqa: PLC0415 - slow import
 
     speller = Speller()

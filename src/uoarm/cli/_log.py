@@ -10,8 +10,7 @@ from contextlib import contextmanager
 import click
 
 from uoarm._log_lines import JsonFormatter, StderrHandler, TextFormatter
-from uoarm._mistakes import any_of
-from uoarm._spelling import Speller
+from uoarm._spelling import Speller, any_of
 
 __all__ = ["add_log_options", "at_least", "leaving_out", "logging_to_stderr"]
 

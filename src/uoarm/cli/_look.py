@@ -16,8 +16,6 @@ from typing import Any
 
 import click
 
-from uoarm._checks import plugin_facts
-from uoarm._resolve import NoPlanError
 from uoarm._version import __version__
 from uoarm.bridge import Registry
 from uoarm.cli._file import Unnamed, takes_configuration
@@ -35,7 +33,7 @@ from uoarm.cli._shared import (
 from uoarm.config import assign, inspect, installation, load, published_schema
 from uoarm.errors import BridgeError
 from uoarm.model import to_json
-from uoarm.schema.__main__ import schema as alone
+from uoarm.schema.__main__ import check_files
 
 __all__ = ["bridges", "check", "doctor", "list_functions", "resolve", "schema"]
 
@@ -132,6 +130,8 @@ def _saying_that_it_waits(timeout: float) -> Iterator[None]:
 @json_option
 def resolve(name: str, file: str, *, explain: bool, timeout: float, as_json: bool) -> None:
     """Find the plan for a function without opening anything."""
+    from uoarm._resolve import NoPlanError  # noqa: PLC0415 - when first needed
+
     with open_robot(file) as robot:
         try:
             with _saying_that_it_waits(timeout):
@@ -189,6 +189,8 @@ def doctor(*, file: str | None, as_json: bool) -> None:
 
     With a configuration also what its bridges find that have an environment of their own.
     """
+    from uoarm._checks import plugin_facts  # noqa: PLC0415 - when first needed
+
     registry = Registry()
     facts: dict[str, dict[str, str]] = {
         "uoarm": {
@@ -219,8 +221,7 @@ def schema(context: click.Context) -> None:
         print_json(published_schema())
 
 
-for _member in alone.commands.values():
-    schema.add_command(_member)
+schema.add_command(check_files)
 
 
 def assigned_options(file: str | None, registry: Registry) -> Iterator[tuple[str, str]]:

@@ -11,15 +11,16 @@ import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, NoReturn, TypeVar
+from typing import TYPE_CHECKING, Any, NoReturn, TypeVar
 
 import click
 from click.shell_completion import CompletionItem
 
-from uoarm import RobotManager, errors
-from uoarm._origin import install_command
-from uoarm.config import load
-from uoarm.model import Function, Message, Role, to_json, write_json
+from uoarm import errors
+
+if TYPE_CHECKING:
+    from uoarm import RobotManager
+    from uoarm.model import Function, Message
 
 __all__ = [
     "FunctionArgument",
@@ -47,6 +48,8 @@ _NAMED = 20
 
 def _can(function: Function, *, serve: bool) -> bool:
     """Say whether a function can be called, or else requested, should its components be there."""
+    from uoarm.model import Role  # noqa: PLC0415 - when first needed
+
     if function.needs is not None and (function.needs.role is Role.SERVICE) is serve:
         return True
     return any((component.service is not None) is serve for component in function.components)
@@ -90,6 +93,8 @@ class FunctionArgument(click.Argument):
         return click.MissingParameter(text, ctx=context, param=self)
 
     def _names(self, file: str) -> list[str]:
+        from uoarm.config import load  # noqa: PLC0415 - when first needed
+
         functions = load(file).functions
         is_any = self._serves is None
         return [
@@ -151,6 +156,8 @@ def needing(extra: str) -> Iterator[None]:
     try:
         yield
     except ImportError as error:
+        from uoarm._origin import install_command  # noqa: PLC0415 - when first needed
+
         command = install_command("uoarm", extra)
         raise errors.PluginError(f"this needs: {command} ({error})") from error
 
@@ -158,12 +165,16 @@ def needing(extra: str) -> Iterator[None]:
 @contextmanager
 def open_robot(file: str, stop_file: Path | None = None) -> Iterator[RobotManager]:
     """Read the configuration and close the manager whatever happens."""
+    from uoarm import RobotManager  # noqa: PLC0415 - when first needed
+
     with reporting(), RobotManager.from_file(file, stop_file=stop_file) as robot:
         yield robot
 
 
 def print_json(value: Any) -> None:
     """Print a value of the model, or plain data, as indented JSON."""
+    from uoarm.model import to_json, write_json  # noqa: PLC0415 - when first needed
+
     click.echo(write_json(to_json(value), indent=2))
 
 
@@ -183,6 +194,8 @@ def plain(message: Message, most: int | None = None) -> Any:
         return {key: plain(value, most) for key, value in message.items()}
     if isinstance(message, list | tuple):
         return [plain(value, most) for value in message]
+    from uoarm.model import to_json  # noqa: PLC0415 - when first needed
+
     return to_json(message)
 
 

@@ -1,11 +1,16 @@
 """Configuration files: YAML 1.2 in, a `Robot` or every mistake out."""
 
+from typing import TYPE_CHECKING
+
+from uoarm._deferred import deferred
 from uoarm._yaml import Place, Problem
-from uoarm.config._difference import ConfigurationDifference, compare, fed_by, with_code
-from uoarm.config._keeping import is_same, rewrite
-from uoarm.config._load import Report, inspect, is_blank, load, loads, merge
-from uoarm.config._shape import ASSIGN, assign, installation, published_schema, structure_schema
-from uoarm.config._suggestion import add_functions, suggest
+
+if TYPE_CHECKING:
+    from uoarm.config._difference import ConfigurationDifference, compare, fed_by, with_code
+    from uoarm.config._keeping import is_same, rewrite
+    from uoarm.config._load import Report, inspect, is_blank, load, loads, merge
+    from uoarm.config._shape import ASSIGN, assign, installation, published_schema, structure_schema
+    from uoarm.config._suggestion import add_functions, suggest
 
 __all__ = [
     "ASSIGN",
@@ -30,3 +35,15 @@ __all__ = [
     "suggest",
     "with_code",
 ]
+
+if not TYPE_CHECKING:
+    __getattr__, __dir__ = deferred(
+        __name__,
+        {
+            "_difference": ("ConfigurationDifference", "compare", "fed_by", "with_code"),
+            "_keeping": ("is_same", "rewrite"),
+            "_load": ("Report", "inspect", "is_blank", "load", "loads", "merge"),
+            "_shape": ("ASSIGN", "assign", "installation", "published_schema", "structure_schema"),
+            "_suggestion": ("add_functions", "suggest"),
+        },
+    )

@@ -9,6 +9,7 @@ from typing import Any
 
 from uoarm import _bounded
 from uoarm._mistakes import mistakes
+from uoarm._quick_check import certainly_matches
 from uoarm._raised import foreign, text_of
 from uoarm._spelling import Speller
 from uoarm._yaml import Document, Path, Problem, clip, write_path
@@ -281,6 +282,8 @@ class PluginChecker:
                     yield self._problem(path, sentence, "leave it out, and uoarm chooses")
 
     def _option_problems(self, kind: BridgeType, options: Any, path: Path) -> Iterator[Problem]:
+        if certainly_matches(options, kind.options_schema):
+            return
         from jsonschema import Draft202012Validator  # noqa: PLC0415 - slow import
 
         for error in Draft202012Validator(kind.options_schema).iter_errors(options):

@@ -22,8 +22,9 @@ from typing import TYPE_CHECKING, Any
 from attrs import evolve, frozen
 
 from uoarm._meaning import unit_mistake
-from uoarm._mistakes import TYPES, Mistake, any_of, mistakes, near
-from uoarm._spelling import Speller
+from uoarm._mistakes import TYPES, Mistake, mistakes, near
+from uoarm._quick_check import certainly_matches
+from uoarm._spelling import Speller, any_of
 from uoarm._yaml import Document, Path, Problem, clip, write_path
 from uoarm.bridge import BridgeType
 from uoarm.errors import ConfigurationError
@@ -73,14 +74,15 @@ class ShapeChecker:
         self._document = document
         self._file = file
         self._speller = speller
-        self._published: Validator = _validator(published_schema(), {"$ref": _local})
-        self._meta: Validator = _validator(structure_schema())
+        self._metaschema: Validator | None = None
         self._sound: set[str] = set()
 
     def problems(self) -> Iterator[Problem]:
         """Yield every mistake of shape in the document."""
         value: Any = self._document.value
-        for error in self._published.iter_errors(value):
+        if certainly_matches(value, published_schema()):
+            return
+        for error in _validator(published_schema(), {"$ref": _local}).iter_errors(value):
             yield from map(self._problem, _mistakes(error, self._speller))
 
     def structure_problems(self, structure: Any, path: Path) -> Iterator[Problem]:
@@ -89,7 +91,7 @@ class ShapeChecker:
         if text in self._sound:
             return
         try:
-            found = list(self._meta.iter_errors(structure))
+            found = list(self._meta().iter_errors(structure))
         except RecursionError:
             yield self._problem((path, "this structure is nested too deeply", "", False))
             return
@@ -102,6 +104,11 @@ class ShapeChecker:
             for where, sentence, hint, at_key in _mistakes(error, self._speller):
                 message = f"not a JSON Schema: {sentence}"
                 yield self._problem(((*path, *where), message, hint, at_key))
+
+    def _meta(self) -> Validator:
+        if self._metaschema is None:
+            self._metaschema = _validator(structure_schema())
+        return self._metaschema
 
     def _problem(self, mistake: Mistake) -> Problem:
         path, sentence, hint, at_key = mistake
@@ -295,9 +302,10 @@ def assign(robot: Robot, types: Mapping[str, BridgeType]) -> Robot:
         ConfigurationError: a range has fewer numbers than there are installations.
     """
     bridges = dict(robot.bridges)
-    for plugin, kind in types.items():
+    for plugin in dict.fromkeys(spec.plugin for spec in robot.bridges.values()):
         specs = [spec for spec in robot.bridges.values() if spec.plugin == plugin]
-        if len({installation(spec.host) for spec in specs}) > 1:
+        several = len({installation(spec.host) for spec in specs}) > 1
+        if several and (kind := types.get(plugin)) is not None:
             for assignable in assignables(kind):
                 bridges |= {spec.name: spec for spec in _assigned(assignable, specs, bridges)}
     return evolve(robot, bridges=bridges)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import inspect
 import logging
 import threading
@@ -10,10 +9,13 @@ from collections.abc import AsyncIterator, Coroutine, Iterator
 from concurrent.futures import CancelledError, Future
 from concurrent.futures import TimeoutError as FutureTimeoutError
 from contextlib import suppress
-from typing import Any, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 from uoarm._raised import contained
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason
+
+if TYPE_CHECKING:
+    import asyncio
 
 __all__ = ["Coroutines", "LoopThread"]
 
@@ -43,6 +45,8 @@ class LoopThread:
         Raises:
             BridgeError: the loop is closed.
         """
+        import asyncio  # noqa: PLC0415 - slow, and of coroutines only
+
         with self._changing:  # whatever is submitted before the close is cancelled by it
             if not self._is_closed:
                 future = asyncio.run_coroutine_threadsafe(_outcome(coroutine), self._started())
@@ -63,6 +67,8 @@ class LoopThread:
 
     def _started(self) -> asyncio.AbstractEventLoop:
         if self._loop is None:
+            import asyncio  # noqa: PLC0415 - slow, and of coroutines only
+
             self._loop = asyncio.new_event_loop()
             self._thread = threading.Thread(
                 target=_work, args=(self._loop,), name=self._name, daemon=True
@@ -111,6 +117,8 @@ def _run_until_stopped(loop: asyncio.AbstractEventLoop) -> None:
 
 
 async def _cancel_others() -> None:
+    import asyncio  # noqa: PLC0415 - slow, and of coroutines only
+
     others = asyncio.all_tasks() - {asyncio.current_task()}
     for task in others:
         task.cancel()
@@ -191,6 +199,8 @@ class Coroutines:
             self._running.discard(future)
         if error is None:
             return result
+        import asyncio  # noqa: PLC0415 - slow, and of coroutines only
+
         if self._loop.is_closed and isinstance(error.__cause__, asyncio.CancelledError):
             raise _closes(what)
         raise error

@@ -3,10 +3,14 @@
 Stands on its own: it needs nothing else of uoarm.
 """
 
+from typing import TYPE_CHECKING
+
 from uoarm.schema._check import check
 from uoarm.schema._errors import SchemaError
-from uoarm.schema._explain import CheckBudget, Loss, MismatchReason, Verdict
-from uoarm.schema.regex import UnsupportedPatternError, found_in
+from uoarm.schema._verdict import CheckBudget, Loss, MismatchReason, Verdict
+
+if TYPE_CHECKING:
+    from uoarm.schema.regex import UnsupportedPatternError, found_in
 
 __all__ = [
     "CheckBudget",
@@ -18,3 +22,15 @@ __all__ = [
     "check",
     "found_in",
 ]
+
+if not TYPE_CHECKING:
+
+    def __getattr__(name: str) -> object:
+        if name not in __all__:
+            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        from uoarm.schema import regex  # noqa: PLC0415 - when first needed
+
+        return getattr(regex, name)
+
+    def __dir__() -> list[str]:
+        return sorted({*globals(), *__all__})

@@ -12,9 +12,9 @@ import click
 
 from uoarm.schema._check import check
 from uoarm.schema._errors import SchemaError
-from uoarm.schema._explain import Verdict
+from uoarm.schema._verdict import Verdict
 
-__all__ = ["schema"]
+__all__ = ["check_files", "schema"]
 
 _UNDECIDED = 3
 _UNREADABLE = 2

@@ -1,4 +1,4 @@
-"""Verdicts: why a message is refused, where, and what is accepted and not kept whole."""
+"""Deciding a pair: the search, why a message is refused, and what is accepted, not kept whole."""
 
 from __future__ import annotations
 
@@ -8,121 +8,43 @@ from contextlib import suppress
 from json.encoder import encode_basestring
 from typing import Any, TypeAlias
 
-from attrs import asdict, field, frozen
+from attrs import frozen
 
 from uoarm.schema._errors import BudgetError, Meter, OutOfScopeError
-from uoarm.schema._values import SCALARS, Repeated, build, describe, exact, kind_of, runs_of
-from uoarm.schema.read import SchemaNode
+from uoarm.schema._values import (
+    SCALARS,
+    Repeated,
+    build,
+    describe,
+    exact,
+    is_small,
+    kind_of,
+    runs_of,
+)
+from uoarm.schema._verdict import Loss, MismatchReason, Verdict
+from uoarm.schema.read import Pool, SchemaNode
 from uoarm.schema.regex import CodeUnits
 from uoarm.schema.solve import (
+    EMPTY,
+    Empty,
+    Found,
     Judgements,
+    Messages,
+    Result,
+    Solver,
+    Unknown,
+    answer,
+    differences,
     item_rules,
     kinds_of_position,
     member_rules,
     named_rules,
 )
 
-__all__ = ["CheckBudget", "Loss", "MismatchReason", "Verdict", "explain", "failures", "find_losses"]
+__all__ = ["decide", "explain", "failures", "find_losses"]
 
-
-@frozen
-class CheckBudget:
-    """How much a check may cost before it answers undecided.
-
-    Attributes:
-        steps: sub-questions, branches and parts of values that are looked at.
-        seconds: time, of the whole check.
-        octets: memory that the check holds, besides the two schemas themselves.
-    """
-
-    steps: int = 1_000_000
-    seconds: float = 10.0
-    octets: int = 200 * 2**20
-
-
-@frozen
-class MismatchReason:
-    """Where and why a message is refused.
-
-    Attributes:
-        path: the field, `pose.position.x`, `points[2]`; empty for the whole message.
-        producer: what the producer may emit there, as JSON Schema text.
-        consumer: what the consumer takes there, as JSON Schema text.
-        sentence: the refusal in one sentence.
-    """
-
-    path: str
-    producer: str
-    consumer: str
-    sentence: str
-
-
-@frozen
-class Loss:
-    """Something that is accepted and yet not kept whole.
-
-    `kind` is `precision`, `ignored`, `nonfinite` or `annotation`.
-    """
-
-    path: str
-    kind: str
-    sentence: str
-
-
-@frozen
-class Verdict:
-    """The answer to: is every message of the producer accepted by the consumer?
-
-    Attributes:
-        compatible: True only when it is proven.
-        undecided: why it is not known; None when the question is decided.
-        reasons: why it is refused.
-        counterexample: a message valid for the producer and invalid for the consumer. Read it
-            only when `incompatible` and not `abridged`: None is a message too.
-        abridged: whether the message is too long to be written out unasked;
-            `build_counterexample` does it.
-        excerpt: the part of the counterexample that matters; shortened where it is long.
-        losses: what is accepted but not kept whole.
-        disputed_patterns: patterns of either side that engines which are not of ECMA-262, such as
-            Python's `re` and Rust's `regex`, read otherwise. The verdict rests on ECMA-262.
-    """
-
-    compatible: bool
-    undecided: str | None = None
-    reasons: tuple[MismatchReason, ...] = ()
-    counterexample: Any = field(default=None, hash=False)
-    excerpt: Any = field(default=None, hash=False)
-    losses: tuple[Loss, ...] = ()
-    abridged: bool = False
-    disputed_patterns: tuple[str, ...] = ()
-    _message: Any = field(default=None, hash=False, eq=False, repr=False)
-
-    @property
-    def incompatible(self) -> bool:
-        """Whether containment is refuted by the counterexample."""
-        return not self.compatible and self.undecided is None
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the verdict as plain JSON values; an abridged counterexample in short."""
-        return {
-            "compatible": self.compatible,
-            "undecided": self.undecided,
-            "reasons": tuple(asdict(reason) for reason in self.reasons),
-            "counterexample": describe(self._message) if self.abridged else self.counterexample,
-            "excerpt": self.excerpt,
-            "losses": tuple(asdict(loss) for loss in self.losses),
-            "abridged": self.abridged,
-            "disputed_patterns": self.disputed_patterns,
-            "incompatible": self.incompatible,
-        }
-
-    def build_counterexample(self) -> Any:
-        """Return the counterexample of a refusal, written out however long it is.
-
-        Parts that are equal may be one object, so that it is held in less memory than its JSON
-        text, which can be longer than any memory.
-        """
-        return build(self._message) if self.abridged else self.counterexample
+_WRITTEN = 20_000
+"""Parts and characters up to which a counterexample is written out unasked."""
 
 
 _MAX_VISITS = 10_000
@@ -460,3 +382,64 @@ def _scalar(value: Any) -> str:
         return f"a number of {value.bit_length():,} bits"
     shown = value[: _SHOWN + 1] if isinstance(value, str) else value
     return _JSON.encode(shown)
+
+
+def decide(producer: SchemaNode, consumer: SchemaNode, pool: Pool) -> Verdict:
+    """Come to a verdict, or raise what keeps it from being one."""
+    judgements = Judgements(pool.meter.spend)
+    with pool.meter.part("the search"):
+        result = _search(producer, consumer, pool, judgements)
+    if isinstance(result, Found):
+        return _refusal(producer, consumer, result.value, pool.meter, judgements)
+    if isinstance(result, Unknown):
+        return Verdict(compatible=False, undecided=result.cause)
+    return Verdict(compatible=True, losses=find_losses(producer, consumer, pool.meter))
+
+
+def _search(
+    producer: SchemaNode, consumer: SchemaNode, pool: Pool, judgements: Judgements
+) -> Result:
+    """Look for a message of the producer that the consumer refuses, first where they differ."""
+    solver, messages = Solver(pool, answer), Messages(pool.meter)
+
+    def refused(one: SchemaNode, other: SchemaNode, found: Found) -> bool:
+        accepts = judgements.accepts
+        return accepts(one, found.value) and not accepts(other, found.value)
+
+    for path, node, other in differences(producer, consumer, pool.meter):
+        likely = messages.likely(node, other)
+        found = next((value for value in likely if refused(node, other, value)), None)
+        result = found or solver.solve(((node, True), (other, False)))
+        if not path:
+            return result
+        if isinstance(result, Found):
+            message = messages.place(producer, path, result.value)
+            if message is not None and refused(producer, consumer, message):
+                return message
+        if not isinstance(result, Empty):
+            return solver.solve(((producer, True), (consumer, False)))
+    return EMPTY
+
+
+def _refusal(
+    producer: SchemaNode, consumer: SchemaNode, message: Any, meter: Meter, judgements: Judgements
+) -> Verdict:
+    """Return the verdict that a message comes to which the search has found.
+
+    Raises:
+        OutOfScopeError: whether the message is valid is not decided.
+        BudgetError: nor within the budget.
+    """
+    with meter.part("the check of the counterexample"):
+        if not judgements.accepts(producer, message) or judgements.accepts(consumer, message):
+            return Verdict(compatible=False, undecided="internal: a counterexample did not hold")
+    reasons, excerpt = explain(producer, consumer, message, judgements)
+    short = is_small(message, _WRITTEN)
+    return Verdict(
+        compatible=False,
+        reasons=reasons,
+        counterexample=build(message) if short else None,
+        excerpt=build(excerpt) if is_small(excerpt, _WRITTEN) else describe(excerpt),
+        abridged=not short,
+        message=message,
+    )

@@ -1,0 +1,49 @@
+"""Names of packages that are imported when they are first asked for."""
+
+from __future__ import annotations
+
+import pydoc
+import subprocess
+import sys
+from importlib import import_module
+from types import ModuleType
+
+import pytest
+
+import uoarm
+import uoarm._host
+import uoarm._lock
+import uoarm._yaml
+import uoarm.config
+import uoarm.schema
+from uoarm.testing import patience
+
+PACKAGES = [uoarm, uoarm._host, uoarm._lock, uoarm._yaml, uoarm.config, uoarm.schema]
+
+
+@pytest.mark.parametrize("package", PACKAGES, ids=lambda package: package.__name__)
+def test_all_names_are_there_and_nothing_else(package: ModuleType) -> None:
+    assert {*package.__all__} <= {*dir(package)}
+    for name in package.__all__:
+        assert getattr(package, name) is not None
+    with pytest.raises(AttributeError, match=f"module {package.__name__!r} has no attribute 'no'"):
+        package.no  # noqa: B018 - it raises
+
+
+def test_a_name_is_looked_up_once() -> None:
+    assert uoarm.config.load is vars(uoarm.config)["load"]
+    assert uoarm.config.load is import_module("uoarm.config._load").load
+
+
+def test_help_shows_what_is_deferred() -> None:
+    text = pydoc.plain(pydoc.render_doc(uoarm))
+    assert "class RobotManager" in text
+    assert "class AsyncRobotManager" in text
+
+
+def test_a_public_package_is_an_attribute_without_an_import_of_its_own() -> None:
+    code = "import uoarm; print(uoarm.config.load.__name__, uoarm.bridge.Registry.__name__)"
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=patience()
+    )
+    assert done.stdout == "load Registry\n"
