@@ -27,7 +27,7 @@ def entry() -> str:
     return f"import sys; from {found[1]} import {found[2]}; sys.exit({found[2]}())"
 
 
-@pytest.mark.parametrize("late", ["attrs", "click"], ids=["package", "command line"])
+@pytest.mark.parametrize("late", ["attrs", "click"], ids=["command", "command line"])
 @pytest.mark.parametrize("program", [("-c", entry()), ("-m", "uoarm")], ids=["script", "module"])
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_while_it_imports_ends_it_in_silence(
@@ -35,7 +35,7 @@ def test_a_signal_while_it_imports_ends_it_in_silence(
 ) -> None:
     (tmp_path / f"{late}.py").write_text(WAITING)
     seen = on_a_terminal(
-        ["--version"], tmp_path, interrupt_at="it imports", number=number, program=program
+        ["check"], tmp_path, interrupt_at="it imports", number=number, program=program
     )
     assert seen.text.strip() == "it imports"
     assert seen.code == -number, "a shell shows it as 128 and the signal's number"

@@ -72,6 +72,8 @@ class Registry:
 
     def _read(self, name: str) -> BridgeType | None:
         """Return a bridge type, loaded with the plugin of its name, or else with all others."""
+        if name in self._known:  # without waiting for a plugin that another thread loads
+            return self._known[name]
         with self._reading:
             if name not in self._known:
                 self._load([point for point in self._unread if point.name == name])

@@ -22,7 +22,7 @@ from uoarm._raised import text_of
 from uoarm._switch_interval import short_switch_interval
 from uoarm._version import __version__
 from uoarm.cli._log import add_log_options, logging_to_stderr
-from uoarm.cli._shared import INTERRUPTED, exit_code_of, fail, terminable
+from uoarm.cli._shared import INTERRUPTED, exit_code_of, fail, importing, terminable
 from uoarm.errors import PluginError, UoarmError, UsageError
 
 if TYPE_CHECKING:
@@ -94,7 +94,8 @@ class PluginGroup(click.Group):
             return own
         if cmd_name in COMMANDS:
             module, attribute, _ = COMMANDS[cmd_name]
-            found: click.Command = getattr(import_module(f"uoarm.cli.{module}"), attribute)
+            with importing():
+                found: click.Command = getattr(import_module(f"uoarm.cli.{module}"), attribute)
             add_log_options(found)
             self.add_command(found, cmd_name)
             return found

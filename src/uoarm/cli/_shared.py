@@ -28,6 +28,7 @@ __all__ = [
     "fail",
     "fitted",
     "function_argument",
+    "importing",
     "json_option",
     "needing",
     "open_robot",
@@ -163,9 +164,27 @@ def needing(extra: str) -> Iterator[None]:
 
 
 @contextmanager
+def importing() -> Iterator[None]:
+    """Import modules; Ctrl-C meanwhile ends the process, as it does before there is a command.
+
+    Nothing is open yet, and an exception could be lost, or reported as another one, in an import.
+    """
+    is_main = threading.current_thread() is threading.main_thread()
+    if not is_main or signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
+        yield
+        return
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+@contextmanager
 def open_robot(file: str, stop_file: Path | None = None) -> Iterator[RobotManager]:
     """Read the configuration and close the manager whatever happens."""
-    from uoarm import RobotManager  # noqa: PLC0415 - when first needed
+    with importing():
+        from uoarm import RobotManager  # noqa: PLC0415 - when first needed
 
     with reporting(), RobotManager.from_file(file, stop_file=stop_file) as robot:
         yield robot
