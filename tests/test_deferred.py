@@ -11,6 +11,7 @@ from types import ModuleType
 import pytest
 
 import uoarm
+import uoarm._control
 import uoarm._host
 import uoarm._lock
 import uoarm._yaml
@@ -18,7 +19,9 @@ import uoarm.config
 import uoarm.schema
 from uoarm.testing import patience
 
-PACKAGES = [uoarm, uoarm._host, uoarm._lock, uoarm._yaml, uoarm.config, uoarm.schema]
+PACKAGES = [
+    uoarm, uoarm._control, uoarm._host, uoarm._lock, uoarm._yaml, uoarm.config, uoarm.schema
+]  # fmt: skip
 
 
 @pytest.mark.parametrize("package", PACKAGES, ids=lambda package: package.__name__)

@@ -33,9 +33,7 @@ from uoarm.errors import (
 )
 
 if TYPE_CHECKING:
-    from uoarm._control.aio import AsyncConnection, AsyncRobotManager
-    from uoarm._control.connection import Connection
-    from uoarm._control.robot_manager import RobotManager
+    from uoarm._control import AsyncConnection, AsyncRobotManager, Connection, RobotManager
     from uoarm.model import (
         OverflowPolicy,
         Plan,
@@ -75,9 +73,7 @@ if not TYPE_CHECKING:
     __getattr__, __dir__ = deferred(
         __name__,
         {
-            "_control.aio": ("AsyncConnection", "AsyncRobotManager"),
-            "_control.connection": ("Connection",),
-            "_control.robot_manager": ("RobotManager",),
+            "_control": ("AsyncConnection", "AsyncRobotManager", "Connection", "RobotManager"),
             "model": (
                 "OverflowPolicy",
                 "Plan",

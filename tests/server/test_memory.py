@@ -17,7 +17,7 @@ from tests.server.robot import script
 from tests.server.talk import Talk, eventually
 
 from uoarm import RobotManager
-from uoarm._control.connection import Connection
+from uoarm._control import Connection
 from uoarm._wire import TEXT_FORM
 from uoarm.model import MessageStructure
 from uoarm.server import Limits, Server

@@ -14,7 +14,7 @@ from typing import IO
 
 import pytest
 
-from uoarm._control.robot_manager import RobotManager
+from uoarm._control import RobotManager
 from uoarm.testing import patience
 
 ROOT = Path(__file__).parents[3]

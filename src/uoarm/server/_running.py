@@ -15,7 +15,7 @@ from contextlib import contextmanager
 from typing import Any
 
 from uoarm._arguments import arguments
-from uoarm._control.robot_manager import RobotManager
+from uoarm._control import RobotManager
 from uoarm._deadlines import result_within
 from uoarm._forks import at_exit, default_in_children
 from uoarm._raised import ContainedError, foreign

@@ -17,7 +17,7 @@ from websockets.asyncio.server import Server as Listening
 from websockets.asyncio.server import ServerConnection, serve
 from websockets.frames import CloseCode
 
-from uoarm._control.robot_manager import RobotManager
+from uoarm._control import RobotManager
 from uoarm._raised import foreign
 from uoarm._wire import FORMS, TEXT_FORM
 from uoarm.errors import ConfigurationError

@@ -13,8 +13,7 @@ from typing import Protocol, TypeAlias, TypeVar
 
 from attrs import Attribute, field, frozen
 
-from uoarm._control.connection import Connection
-from uoarm._control.robot_manager import RobotManager
+from uoarm._control import Connection, RobotManager
 from uoarm._plugins import hookimpl, hookspec
 from uoarm._wire import (
     BINARY_FORM,

@@ -11,7 +11,7 @@ from typing import Any
 
 from attrs import evolve
 
-from uoarm._control.connection import Connection
+from uoarm._control import Connection
 from uoarm._resolve import NoPlanError
 from uoarm._version import __version__
 from uoarm._wire import Form, check_asked, salvage_id, write_or_error

@@ -10,7 +10,7 @@ from collections import deque
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from uoarm._control.connection import Connection
+from uoarm._control import Connection
 from uoarm._dataplane import Clock
 from uoarm._deadlines import result_within
 from uoarm._wire import Form

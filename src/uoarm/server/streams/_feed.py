@@ -13,7 +13,7 @@ from typing import Protocol, TypeAlias
 
 from attrs import define, field, frozen
 
-from uoarm._control.connection import Connection
+from uoarm._control import Connection
 from uoarm._dataplane import Clock
 from uoarm._raised import foreign
 from uoarm.errors import MessageError

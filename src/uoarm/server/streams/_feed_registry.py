@@ -12,8 +12,7 @@ from typing import Any, TypeAlias, TypeVar
 
 from attrs import evolve
 
-from uoarm._control.connection import Connection
-from uoarm._control.robot_manager import RobotManager
+from uoarm._control import Connection, RobotManager
 from uoarm._raised import foreign
 from uoarm._wire import TEXT_FORM, Form
 from uoarm.config import loads

@@ -11,7 +11,7 @@ from typing import TypeAlias
 
 from attrs import define
 
-from uoarm._control.connection import Connection
+from uoarm._control import Connection
 from uoarm._dataplane import make_check
 from uoarm._raised import foreign
 from uoarm._wire import Form
