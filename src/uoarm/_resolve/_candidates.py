@@ -205,8 +205,8 @@ class _Matching:
         need = function.needs
         assert need is not None, "the caller looked"
 
-        def name(one: DiscoveredPort) -> str:
-            return candidate_name(function.name, one.spec.name, one.found, one.port)
+        def name(offer: DiscoveredPort) -> str:
+            return candidate_name(function.name, offer.spec.name, offer.found, offer.port)
 
         if need.refuse_ambiguous:
             alike: dict[tuple[object, ...], list[DiscoveredPort]] = {}
@@ -240,10 +240,10 @@ class _Matching:
             (structure, end) for structure, end in main if structure and end.role is Role.OUTPUT
         ]
         if len(several) <= 1:
-            each = [pair for group in several.values() for pair in group] + streams
+            pairs = [pair for group in several.values() for pair in group] + streams
             names = {function.name, *several, *(end.port for _, end in streams)} - {"default"}
-            if each:
-                yield self._carrying(PortRef(function.name), names, each)
+            if pairs:
+                yield self._carrying(PortRef(function.name), names, pairs)
             return
         for name, group in several.items():
             yield self._carrying(PortRef(function.name, name), {name, function.name}, group)

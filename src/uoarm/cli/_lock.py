@@ -114,18 +114,23 @@ def _sarif(findings: list[LockFinding], lock: Path) -> str:
     return write_json(log, indent=2)
 
 
-def _result(one: LockFinding, place: str) -> dict[str, Any]:
-    name, level, _ = _RULES[one.outcome]
+def _result(finding: LockFinding, place: str) -> dict[str, Any]:
+    name, level, _ = _RULES[finding.outcome]
     location = {"artifactLocation": {"uri": place}, "region": {"startLine": 1}}
-    logical = {"name": one.subject, "fullyQualifiedName": f"{one.function}: {one.subject}"}
+    logical = {
+        "name": finding.subject,
+        "fullyQualifiedName": f"{finding.function}: {finding.subject}",
+    }
     return {
         "ruleId": name,
         "ruleIndex": [rule[0] for rule in _RULES.values()].index(name),
         "level": level,
-        "message": {"text": "\n".join([_sentence(one), one.suggestion]).rstrip()},
+        "message": {"text": "\n".join([_sentence(finding), finding.suggestion]).rstrip()},
         "locations": [{"physicalLocation": location, "logicalLocations": [logical]}],
         # What it is about, not how it is worded, makes it the finding that was seen before.
-        "partialFingerprints": {"subject/v1": f"{one.function}/{one.subject}/{one.path}"},
+        "partialFingerprints": {
+            "subject/v1": f"{finding.function}/{finding.subject}/{finding.path}"
+        },
     }
 
 
@@ -133,11 +138,11 @@ def _unfit(findings: Iterable[LockFinding]) -> Iterable[LockFinding]:
     return (finding for finding in findings if finding.outcome is not LockOutcome.FITS)
 
 
-def _sentence(one: LockFinding) -> str:
-    text = f"{one.function}: {one.subject}: {one.outcome.value}"
-    if not one.sentence:
+def _sentence(finding: LockFinding) -> str:
+    text = f"{finding.function}: {finding.subject}: {finding.outcome.value}"
+    if not finding.sentence:
         return text
-    return f"{text}: {f'{one.path}: ' if one.path else ''}{one.sentence}"
+    return f"{text}: {f'{finding.path}: ' if finding.path else ''}{finding.sentence}"
 
 
 FORMS: Mapping[str, Callable[[list[LockFinding], Path], str]] = {

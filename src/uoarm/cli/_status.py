@@ -142,20 +142,20 @@ def show_frameworks(file: str, *, as_json: bool) -> None:
 
 
 def _framework(
-    one: BridgeFindings,
+    findings: BridgeFindings,
     facts: Mapping[str, Mapping[str, str]],
     is_configured: bool,  # noqa: FBT001 - a fact like the others
     functions: tuple[str, ...],
 ) -> Framework:
     return Framework(
-        one.bridge,
-        one.plugin,
+        findings.bridge,
+        findings.plugin,
         is_configured,
-        not one.cause,
-        one.cause,
-        facts.get(one.plugin, {}),
-        tuple(component.name for component in one.components),
-        sum(len(component.ports) for component in one.components),
+        not findings.cause,
+        findings.cause,
+        facts.get(findings.plugin, {}),
+        tuple(component.name for component in findings.components),
+        sum(len(component.ports) for component in findings.components),
         functions,
     )
 

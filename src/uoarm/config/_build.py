@@ -82,11 +82,11 @@ def _located(path: str, origin: str) -> str:
     return str(FilePath(folder_of(origin), FilePath(path).expanduser()))
 
 
-def _ports(component: Mapping[str, Any], one: str, several: str) -> dict[str, Any]:
+def _ports(component: Mapping[str, Any], single: str, several: str) -> dict[str, Any]:
     """Return the ports of a component by name, whichever of the two spellings it uses."""
     named = dict(component.get(several, {}))
-    if one in component:
-        named["default"] = component[one]
+    if single in component:
+        named["default"] = component[single]
     return named
 
 
@@ -236,7 +236,7 @@ def _offer(bridge: str, function: str, value: Mapping[str, Any], meaning: Meanin
         address, options = tuple(settings["endpoint"]), settings.get("options", {})
         return Endpoint(bridge, offer.name, role, address, port, options, is_offered=True)
 
-    def ports(one: str, several: str, role: Role) -> tuple[OfferedPort, ...]:
+    def ports(single: str, several: str, role: Role) -> tuple[OfferedPort, ...]:
         return tuple(
             OfferedPort(
                 port,
@@ -247,7 +247,7 @@ def _offer(bridge: str, function: str, value: Mapping[str, Any], meaning: Meanin
                 _queue(settings["queue"]) if "queue" in settings else None,
                 _at_level(settings, meaning),
             )
-            for port, settings in _ports(value, one, several).items()
+            for port, settings in _ports(value, single, several).items()
         )
 
     service = value.get("service")

@@ -141,13 +141,13 @@ def rewrite(text: str, wanted: str) -> str:
     return made
 
 
-def is_same(one: Robot, other: Robot) -> bool:
+def is_same(first: Robot, second: Robot) -> bool:
     """Say whether two configurations are the same but for remarks, their file and their text."""
     bridges = {
-        name: evolve(spec, folder=other.bridges[name].folder) if name in other.bridges else spec
-        for name, spec in one.bridges.items()
+        name: evolve(spec, folder=second.bridges[name].folder) if name in second.bridges else spec
+        for name, spec in first.bridges.items()
     }
-    return evolve(one, bridges=bridges, warnings=other.warnings, origin=other.origin) == other
+    return evolve(first, bridges=bridges, warnings=second.warnings, origin=second.origin) == second
 
 
 def _is_made_from(text: str, other: str) -> bool:

@@ -91,10 +91,10 @@ class ComponentPart:
         """Its service, where it has one."""
         return list(self._ports("service", ""))
 
-    def _ports(self, one: str, several: str) -> Iterator[PortPart]:
-        lone = self.value.get(one)
+    def _ports(self, single: str, several: str) -> Iterator[PortPart]:
+        lone = self.value.get(single)
         if isinstance(lone, dict):
-            yield PortPart("default", (*self.path, one), lone)
+            yield PortPart("default", (*self.path, single), lone)
         for name, port in _mapping(self.value.get(several)).items():
             if isinstance(port, dict):
                 yield PortPart(name, (*self.path, several, name), port)

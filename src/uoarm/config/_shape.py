@@ -312,25 +312,26 @@ def assign(robot: Robot, types: Mapping[str, BridgeType]) -> Robot:
 
 
 def _assigned(
-    one: Assignable, specs: list[BridgeSpec], bridges: Mapping[str, BridgeSpec]
+    assignable: Assignable, specs: list[BridgeSpec], bridges: Mapping[str, BridgeSpec]
 ) -> Iterator[BridgeSpec]:
     """Yield the bridges that get a number; others keep their default: in our process, elsewhere."""
-    taken: set[object] = {spec.options.get(one.option) for spec in specs}
+    taken: set[object] = {spec.options.get(assignable.option) for spec in specs}
     chosen: dict[str, int] = {}
     for spec in specs:
-        if spec.host is None or "machine" in spec.host or one.option in spec.options:
+        if spec.host is None or "machine" in spec.host or assignable.option in spec.options:
             continue
         place = installation(spec.host)
         if place not in chosen:
-            number = one.free(taken)
+            number = assignable.free(taken)
             if number is None:
                 raise ConfigurationError(
-                    f"bridge {spec.name!r}: no {one.option} is left between {one.numbers[0]} and "
-                    f"{one.numbers[-1]}; write one under `options`"
+                    f"bridge {spec.name!r}: no {assignable.option} is left between "
+                    f"{assignable.numbers[0]} and {assignable.numbers[-1]}; "
+                    "write one under `options`"
                 )
             chosen[place] = number
             taken.add(number)
-        yield _with(bridges[spec.name], {one.option: chosen[place]})
+        yield _with(bridges[spec.name], {assignable.option: chosen[place]})
 
 
 def _with(spec: BridgeSpec, chosen: Options) -> BridgeSpec:

@@ -41,10 +41,10 @@ class FoundPort:
     is_measured: bool = field(default=False, eq=False)
 
     def __str__(self) -> str:
-        one = self.endpoint
-        text = f"{one.role.value:<7} {', '.join(one.address)}"
-        if one.parameters:
-            text += f"  {json.dumps(to_json(one.parameters))}"
+        end = self.endpoint
+        text = f"{end.role.value:<7} {', '.join(end.address)}"
+        if end.parameters:
+            text += f"  {json.dumps(to_json(end.parameters))}"
         if self.message is None and self.request is None:
             text += "  (structure unknown)"
         if self.rate is not None:

@@ -133,21 +133,21 @@ def message_octets(message: Message, *, most: int | None = None) -> int:
     octets = 0
     waiting: list[Any] = [message]
     while waiting:
-        one = waiting.pop()
-        kind = type(one)
-        octets += getsizeof(one)
+        value = waiting.pop()
+        kind = type(value)
+        octets += getsizeof(value)
         if most is not None and octets > most:
             break  # before the values of a long list are even looked at
         if kind in _FLAT:
             continue
-        if kind is dict or isinstance(one, Mapping):
-            octets += sum(map(getsizeof, one))
-            waiting.extend(one.values())
-        elif isinstance(one, list | tuple):
-            if len(one) > _MANY and set(map(type, one)) <= _FLAT:
-                octets += sum(map(getsizeof, one))
+        if kind is dict or isinstance(value, Mapping):
+            octets += sum(map(getsizeof, value))
+            waiting.extend(value.values())
+        elif isinstance(value, list | tuple):
+            if len(value) > _MANY and set(map(type, value)) <= _FLAT:
+                octets += sum(map(getsizeof, value))
             else:
-                waiting.extend(one)
-        elif isinstance(size := getattr(one, "nbytes", None), int):
-            octets += max(size - getsizeof(one), 0)  # what a view or a numpy array stands for
+                waiting.extend(value)
+        elif isinstance(size := getattr(value, "nbytes", None), int):
+            octets += max(size - getsizeof(value), 0)  # what a view or a numpy array stands for
     return octets

@@ -113,10 +113,12 @@ class Plan:
     def __str__(self) -> str:
         lines = [f"plan for {self.function}"]
         for number, step in enumerate(self.steps, 1):
-            one = step.component
-            found = one.match
-            how = f"priority {one.priority}" if found is None else f"discovered: {found.why}"
-            lines.append(f"  {number}. {one.function}: {one.name} ({one.bridge}, {how})")
+            provider = step.component
+            found = provider.match
+            how = f"priority {provider.priority}" if found is None else f"discovered: {found.why}"
+            lines.append(
+                f"  {number}. {provider.function}: {provider.name} ({provider.bridge}, {how})"
+            )
         if self.edges:
             lines.append("connections, all proven to fit")
         for edge in self.edges:

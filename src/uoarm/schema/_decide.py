@@ -59,19 +59,19 @@ def failures(
     visits = 0
     while waiting and visits < _MAX_VISITS and len(found) < most:
         visits += 1
-        one, part, path = waiting.pop()
-        keyword = _failing_keyword(one, part, judgements)
+        subschema, part, path = waiting.pop()
+        keyword = _failing_keyword(subschema, part, judgements)
         deeper = []
         if keyword == "rules":
             deeper = [
                 (child, item, (*path, *step))
-                for child, item, step in _direct_parts(one, part, judgements)
+                for child, item, step in _direct_parts(subschema, part, judgements)
                 if not child.never and not judgements.accepts(child, item)
             ]
         if deeper:
             waiting.extend(deeper[:3])
         else:
-            found.append((one, part, path, keyword))
+            found.append((subschema, part, path, keyword))
     return found
 
 
@@ -212,29 +212,29 @@ def _gather_losses(
     waiting: list[tuple[SchemaNode, SchemaNode, Path]] = [(producer, consumer, ())]
     seen: set[tuple[int, int]] = set()
     while waiting and len(seen) < _MAX_PAIRS:
-        one, other, path = waiting.pop()
-        if (one.number, other.number) in seen:
+        first, second, path = waiting.pop()
+        if (first.number, second.number) in seen:
             continue
-        seen.add((one.number, other.number))
+        seen.add((first.number, second.number))
         meter.spend()
         meter.hold(_OF_PAIR)
-        if one.reference is not None:
-            waiting.append((one.target(), other, path))
-        if other.reference is not None:
-            waiting.append((one, other.target(), path))
-        _keep(losses, _losses_here(one, other, path), meter)
-        for name, child in one.properties.items():
-            meter.spend(1 + len(other.patterns))
+        if first.reference is not None:
+            waiting.append((first.target(), second, path))
+        if second.reference is not None:
+            waiting.append((first, second.target(), path))
+        _keep(losses, _losses_here(first, second, path), meter)
+        for name, child in first.properties.items():
+            meter.spend(1 + len(second.patterns))
             try:
-                rules = member_rules(other, name)
+                rules = member_rules(second, name)
             except OutOfScopeError:
                 continue
             waiting.extend((child, rule, (*path, name)) for rule in rules)
-            if not rules and other.properties:
+            if not rules and second.properties:
                 sentence = f"the consumer does not know the field {name!r} and ignores it"
                 _keep(losses, [Loss(write_path((*path, name)), "ignored", sentence)], meter)
-        if one.items is not None and other.items is not None:
-            waiting.append((one.items, other.items, (*path, "*")))
+        if first.items is not None and second.items is not None:
+            waiting.append((first.items, second.items, (*path, "*")))
 
 
 def _keep(losses: list[Loss], more: list[Loss], meter: Meter) -> None:
@@ -256,17 +256,17 @@ def write_path(path: Path) -> str:
     return text
 
 
-def _losses_here(one: SchemaNode, other: SchemaNode, path: Path) -> list[Loss]:
+def _losses_here(first: SchemaNode, second: SchemaNode, path: Path) -> list[Loss]:
     where = write_path(path)
     found: list[Loss] = []
-    whole_to_real = one.integer_only and not other.integer_only and other.kinds is not None
-    if whole_to_real and "number" in other.kinds:  # type: ignore[operator] # checked above
-        bounds = [one.minimum, one.maximum]
+    whole_to_real = first.integer_only and not second.integer_only and second.kinds is not None
+    if whole_to_real and "number" in second.kinds:  # type: ignore[operator] # checked above
+        bounds = [first.minimum, first.maximum]
         if any(bound is None or abs(bound) > _EXACT_INTEGERS for bound in bounds):
             sentence = "whole numbers beyond 2**53 lose digits as floating-point numbers"
             found.append(Loss(where, "precision", sentence))
-    mine = one.raw if isinstance(one.raw, Mapping) else {}
-    theirs = other.raw if isinstance(other.raw, Mapping) else {}
+    mine = first.raw if isinstance(first.raw, Mapping) else {}
+    theirs = second.raw if isinstance(second.raw, Mapping) else {}
     if mine.get("x-nonfinite") and not theirs.get("x-nonfinite"):
         found.append(Loss(where, "nonfinite", _NONFINITE))
     for keyword in ("format", "contentEncoding", "contentMediaType"):
@@ -402,14 +402,14 @@ def _search(
     """Look for a message of the producer that the consumer refuses, first where they differ."""
     solver, messages = Solver(pool, answer), Messages(pool.meter)
 
-    def refused(one: SchemaNode, other: SchemaNode, found: Found) -> bool:
+    def refused(first: SchemaNode, second: SchemaNode, found: Found) -> bool:
         accepts = judgements.accepts
-        return accepts(one, found.value) and not accepts(other, found.value)
+        return accepts(first, found.value) and not accepts(second, found.value)
 
-    for path, node, other in differences(producer, consumer, pool.meter):
-        likely = messages.likely(node, other)
-        found = next((value for value in likely if refused(node, other, value)), None)
-        result = found or solver.solve(((node, True), (other, False)))
+    for path, node, second in differences(producer, consumer, pool.meter):
+        likely = messages.likely(node, second)
+        found = next((value for value in likely if refused(node, second, value)), None)
+        result = found or solver.solve(((node, True), (second, False)))
         if not path:
             return result
         if isinstance(result, Found):

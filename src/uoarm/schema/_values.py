@@ -77,20 +77,20 @@ def is_small(value: object, most: int) -> bool:
     waiting: list[tuple[Any, int]] = [(value, 0)]
     size = 1
     while waiting:
-        one, depth = waiting.pop()
+        current, depth = waiting.pop()
         parts: Any = ()
-        if isinstance(one, (dict, list, str, tuple, Repeated, Mapping)):
-            size += len(one)
+        if isinstance(current, (dict, list, str, tuple, Repeated, Mapping)):
+            size += len(current)
         if size > most or depth > _MAX_LEVELS:
             return False
-        if isinstance(one, str):
+        if isinstance(current, str):
             continue
-        if isinstance(one, (list, tuple)):
-            parts = one
-        elif isinstance(one, Repeated):
-            parts = (item for item, count in one.runs for _ in range(count))
-        elif isinstance(one, (dict, Mapping)):
-            parts = one.values()
+        if isinstance(current, (list, tuple)):
+            parts = current
+        elif isinstance(current, Repeated):
+            parts = (item for item, count in current.runs for _ in range(count))
+        elif isinstance(current, (dict, Mapping)):
+            parts = current.values()
         for part in parts:
             size += 1
             if part.__class__ not in _SHORT:
@@ -107,23 +107,25 @@ def build(value: Any) -> Any:
 
     waiting = [value]
     while waiting:
-        one = waiting[-1]
+        current = waiting[-1]
         missing = [
-            part for part in _parts(one) if part.__class__ not in _PLAIN and id(part) not in built
+            part
+            for part in _parts(current)
+            if part.__class__ not in _PLAIN and id(part) not in built
         ]
-        if missing and id(one) not in built:
+        if missing and id(current) not in built:
             waiting.extend(missing)
             continue
         waiting.pop()
-        if isinstance(one, (dict, Mapping)):
-            built[id(one)] = {name: made(part) for name, part in one.items()}
-        elif isinstance(one, Repeated | list | tuple):
+        if isinstance(current, (dict, Mapping)):
+            built[id(current)] = {name: made(part) for name, part in current.items()}
+        elif isinstance(current, Repeated | list | tuple):
             items: list[Any] = []
-            for _, item, count in runs_of(one):
+            for _, item, count in runs_of(current):
                 items.extend([made(item)] * count)
-            built[id(one)] = items
+            built[id(current)] = items
         else:
-            built[id(one)] = one
+            built[id(current)] = current
     return made(value)
 
 
@@ -251,19 +253,19 @@ class Keys:
         waiting: list[tuple[Any, bool]] = [(value, False)]
         around: set[int] = set()
         while waiting:
-            one, entered = waiting.pop()
-            if id(one) in self._known:
+            item, entered = waiting.pop()
+            if id(item) in self._known:
                 continue
             if entered:
-                around.discard(id(one))
-                self._known[id(one)] = self._digest(one)
+                around.discard(id(item))
+                self._known[id(item)] = self._digest(item)
                 continue
-            if id(one) in around:
+            if id(item) in around:
                 raise SchemaError("", "a JSON value", "an array or object in itself")
-            around.add(id(one))
-            waiting.append((one, True))
+            around.add(id(item))
+            waiting.append((item, True))
             waiting.extend(
-                (part, False) for part in _composites(one) if id(part) not in self._known
+                (part, False) for part in _composites(item) if id(part) not in self._known
             )
         return self._known[id(value)]
 

@@ -262,23 +262,23 @@ class SchemaDocument:
         entered: set[int] = set()
         stack: list[tuple[Any, Pointer, bool]] = [(self._first(schema), None, False)]
         while stack:
-            one, where, leaving = stack.pop()
+            subschema, where, leaving = stack.pop()
             if leaving:
-                entered.discard(id(one))
-                self._checked.append(one)
-            elif id(one) in entered:
-                raise SchemaError(write_pointer(where), "a finite schema (use $ref)", one)
-            elif isinstance(one, bool):
-                self._checked.append(one)
-            elif id(one) not in self._views:
-                parts = self._parts(one, where)
+                entered.discard(id(subschema))
+                self._checked.append(subschema)
+            elif id(subschema) in entered:
+                raise SchemaError(write_pointer(where), "a finite schema (use $ref)", subschema)
+            elif isinstance(subschema, bool):
+                self._checked.append(subschema)
+            elif id(subschema) not in self._views:
+                parts = self._parts(subschema, where)
                 if not parts:
-                    self._checked.append(one)
+                    self._checked.append(subschema)
                     continue
-                entered.add(id(one))
+                entered.add(id(subschema))
                 if len(entered) > _MAX_LEVELS:
                     raise OutOfScopeError("the schema is nested too deep")
-                stack.append((one, where, True))
+                stack.append((subschema, where, True))
                 stack.extend(parts)
 
     def _first(self, schema: Any) -> Any:
@@ -330,20 +330,20 @@ class SchemaDocument:
             raise OutOfScopeError("dynamic references lead to too many schemas")
         stack: list[tuple[Any, Scope, bool]] = [(schema, scope, False)]
         while stack:
-            one, around, expanded = stack.pop()
+            subschema, around, expanded = stack.pop()
             self.meter.spend()
-            key = id(one), around
+            key = id(subschema), around
             if key in self._nodes:
                 continue
-            if isinstance(one, bool):
-                self._nodes[key] = self._make_bool(one)
+            if isinstance(subschema, bool):
+                self._nodes[key] = self._make_bool(subschema)
                 continue
-            inner = self._enter(one, around) if self._scopes.matter else around
-            view, children = self._views[id(one)]
+            inner = self._enter(subschema, around) if self._scopes.matter else around
+            view, children = self._views[id(subschema)]
             if expanded or not children:
-                self._nodes[key] = self._make(one, view, inner)
+                self._nodes[key] = self._make(subschema, view, inner)
             else:
-                stack.append((one, around, True))
+                stack.append((subschema, around, True))
                 stack.extend((child, inner, False) for child in children)
         return self._nodes[id(schema), scope]
 
@@ -376,8 +376,8 @@ class SchemaDocument:
 
         nodes, equal = self._nodes, self._equal
 
-        def child(one: object) -> SchemaNode:
-            return nodes[id(equal.get(id(one), one)), scope]
+        def child(subschema: object) -> SchemaNode:
+            return nodes[id(equal.get(id(subschema), subschema)), scope]
 
         for keyword, value in view.items():
             reader = READERS.get(keyword)
@@ -440,10 +440,10 @@ def _mentions(document: object, keyword: str) -> bool:
     seen: set[int] = set()
     waiting = [document]
     while waiting:
-        one = waiting.pop()
-        if isinstance(one, Mapping | list) and id(one) not in seen:
-            seen.add(id(one))
-            if isinstance(one, Mapping) and keyword in one:
+        schema = waiting.pop()
+        if isinstance(schema, Mapping | list) and id(schema) not in seen:
+            seen.add(id(schema))
+            if isinstance(schema, Mapping) and keyword in schema:
                 return True
-            waiting.extend(one.values() if isinstance(one, Mapping) else one)
+            waiting.extend(schema.values() if isinstance(schema, Mapping) else schema)
     return False

@@ -183,9 +183,9 @@ Reader: TypeAlias = Callable[[SchemaNode, Any, Child, KeyOf], object]
 
 def _single(field: str) -> Reader:
     def read(node: SchemaNode, value: Any, child: Child, _: KeyOf) -> object:
-        one = child(value)
-        setattr(node, field, one)
-        return one.number
+        made = child(value)
+        setattr(node, field, made)
+        return made.number
 
     return read
 

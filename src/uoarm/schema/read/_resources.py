@@ -156,27 +156,27 @@ class Resources:
         """Take in a schema that stands somewhere, and all within it."""
         waiting = [(schema, place)]
         while waiting:
-            one, around = waiting.pop()
-            key = id(one), around.base, id(around.draft)
-            if not isinstance(one, Mapping) or key in self._seen:
+            subschema, around = waiting.pop()
+            key = id(subschema), around.base, id(around.draft)
+            if not isinstance(subschema, Mapping) or key in self._seen:
                 continue
             self._seen.add(key)
             self._meter.spend()
             self._meter.hold(_OF_SCHEMA)
-            inner = self._within(one, around)
-            view = self._view(one, inner)
-            known = self._places.setdefault(id(one), around)
+            inner = self._within(subschema, around)
+            view = self._view(subschema, inner)
+            known = self._places.setdefault(id(subschema), around)
             placed = not POSITIONAL.isdisjoint(view)
             if known.base != around.base and placed:
                 raise OutOfScopeError("one object with references stands in two documents")
             if known.draft is not around.draft:
                 raise OutOfScopeError("one object stands in schemas of two drafts")
-            self._inside[id(one)] = inner
+            self._inside[id(subschema)] = inner
             if placed:
-                self._enter(one, view, inner)
+                self._enter(subschema, view, inner)
             waiting.extend((child, inner) for child in _children(view))
             if inner.draft is not self._dialect:
-                waiting.extend((child, inner) for child in _children(self._dialect.view(one)))
+                waiting.extend((child, inner) for child in _children(self._dialect.view(subschema)))
 
     def _follow(self) -> None:
         """Take in what references lead to, also where it stands under no keyword of schemas."""

@@ -30,10 +30,10 @@ _LAST = 0x10FFFF
 ANY: CharSet = ((0, _LAST),)
 
 
-def union(one: CharSet, other: CharSet) -> CharSet:
+def union(first: CharSet, second: CharSet) -> CharSet:
     """Return the characters of either set."""
     merged: list[tuple[int, int]] = []
-    for low, high in sorted((*one, *other)):
+    for low, high in sorted((*first, *second)):
         if merged and low <= merged[-1][1] + 1:
             merged[-1] = (merged[-1][0], max(high, merged[-1][1]))
         else:

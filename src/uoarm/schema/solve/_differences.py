@@ -50,44 +50,48 @@ class SchemaDifference(NamedTuple):
     """Two schemas at one place: a path of names of members and of positions of items."""
 
     path: tuple[str | int, ...]
-    one: SchemaNode
-    other: SchemaNode
+    first: SchemaNode
+    second: SchemaNode
 
 
-def differences(one: SchemaNode, other: SchemaNode, meter: Meter) -> Iterator[SchemaDifference]:
+def differences(first: SchemaNode, second: SchemaNode, meter: Meter) -> Iterator[SchemaDifference]:
     """Yield the places at which two schemas differ: the whole, where they are of two shapes.
 
     Where one says more than the other, and the same besides, that is no difference.
 
-    Each value that the one allows and the other refuses has at one of these places a part that
-    the one allows there and the other refuses.
+    Each value that the first allows and the second refuses has at one of these places a part that
+    the first allows there and the second refuses.
     """
-    waiting = [SchemaDifference((), one, other)]
+    waiting = [SchemaDifference((), first, second)]
     seen: set[tuple[int, int]] = set()
     while waiting:
         found = waiting.pop()
-        pair = found.one.number, found.other.number
+        pair = found.first.number, found.second.number
         if pair[0] == pair[1] or pair in seen:
             continue
         seen.add(pair)
-        meter.spend(1 + len(found.one.properties) // 8)
-        alike = len(found.path) < _MAX_DEPTH and _are_alike(found.one, found.other)
+        meter.spend(1 + len(found.first.properties) // 8)
+        alike = len(found.path) < _MAX_DEPTH and _are_alike(found.first, found.second)
         if alike:
             waiting.extend(_parts(found))
         else:
             yield found
 
 
-def _are_alike(one: SchemaNode, other: SchemaNode) -> bool:
+def _are_alike(first: SchemaNode, second: SchemaNode) -> bool:
     """Say whether a value of one plain schema can fail another by its members and items alone.
 
     Each other keyword of the second one is said by the first one, too, or follows from it.
     """
-    if any(_beyond(one)) or any(_beyond(other)) or one.properties.keys() != other.properties.keys():
+    if (
+        any(_beyond(first))
+        or any(_beyond(second))
+        or first.properties.keys() != second.properties.keys()
+    ):
         return False
-    if other.items is not None and one.items is None:
+    if second.items is not None and first.items is None:
         return False
-    for name, mine, its in zip(_SAID, _said(one), _said(other), strict=True):
+    for name, mine, its in zip(_SAID, _said(first), _said(second), strict=True):
         if not _is_same(mine, its):
             follows = _FOLLOWS.get(name)
             if follows is None or not (its is None or (mine is not None and follows(mine, its))):
@@ -95,29 +99,29 @@ def _are_alike(one: SchemaNode, other: SchemaNode) -> bool:
     return True
 
 
-def _is_same(one: Any, other: Any) -> bool:
-    if one is other:
+def _is_same(first: Any, second: Any) -> bool:
+    if first is second:
         return True
-    if isinstance(one, SchemaNode) or isinstance(other, SchemaNode):
+    if isinstance(first, SchemaNode) or isinstance(second, SchemaNode):
         return (
-            isinstance(one, SchemaNode)
-            and isinstance(other, SchemaNode)
-            and one.number == other.number
+            isinstance(first, SchemaNode)
+            and isinstance(second, SchemaNode)
+            and first.number == second.number
         )
-    if isinstance(one, tuple) and isinstance(other, tuple):
-        return len(one) == len(other) and all(map(_is_same, one, other))
-    if isinstance(one, dict) and isinstance(other, dict):  # the values of an enum, by their keys
-        return one.keys() == other.keys()
-    return bool(one == other)
+    if isinstance(first, tuple) and isinstance(second, tuple):
+        return len(first) == len(second) and all(map(_is_same, first, second))
+    if isinstance(first, dict) and isinstance(second, dict):  # the values of an enum, by their keys
+        return first.keys() == second.keys()
+    return bool(first == second)
 
 
 def _parts(found: SchemaDifference) -> Iterator[SchemaDifference]:
-    path, one, other = found
-    for name, child in one.properties.items():
-        yield SchemaDifference((*path, name), child, other.properties[name])
-    if other.items is not None:
-        assert one.items is not None, "schemas that are alike have items where the second has"
-        yield SchemaDifference((*path, len(one.prefix)), one.items, other.items)
+    path, first, second = found
+    for name, child in first.properties.items():
+        yield SchemaDifference((*path, name), child, second.properties[name])
+    if second.items is not None:
+        assert first.items is not None, "schemas that are alike have items where the second has"
+        yield SchemaDifference((*path, len(first.prefix)), first.items, second.items)
 
 
 class Messages:
@@ -131,16 +135,16 @@ class Messages:
         """Return a value that a schema probably allows; None where one would have to be sought."""
         waiting = [node]
         while waiting:
-            one = waiting[-1]
-            kind = _kind(one)
+            wanted = waiting[-1]
+            kind = _kind(wanted)
             if kind is None or len(waiting) > _MAX_DEPTH:
                 return None
             self._meter.spend()
-            missing = [part for part in _needed(one, kind) if part.number not in self._made]
+            missing = [part for part in _needed(wanted, kind) if part.number not in self._made]
             if missing:
                 waiting.append(missing[0])
             else:
-                self._made[waiting.pop().number] = self._of_kind(one, kind)
+                self._made[waiting.pop().number] = self._of_kind(wanted, kind)
         return Found(self._made[node.number])
 
     def likely(self, node: SchemaNode, limits: SchemaNode) -> Iterator[Found]:

@@ -70,12 +70,12 @@ def find_number(
     return _anywhere(low, high, never, excluded)
 
 
-def _common(one: Fraction | None, other: Fraction) -> Fraction:
+def _common(first: Fraction | None, second: Fraction) -> Fraction:
     """Return the least number that both divide."""
-    if one is None:
-        return other
+    if first is None:
+        return second
     return Fraction(
-        math.lcm(one.numerator, other.numerator), math.gcd(one.denominator, other.denominator)
+        math.lcm(first.numerator, second.numerator), math.gcd(first.denominator, second.denominator)
     )
 
 
@@ -326,19 +326,19 @@ def _steps(nodes: Sequence[SchemaNode], spend: Callable[[int], None]) -> set[Fra
     waiting = list(nodes)
     seen: set[int] = set()
     while waiting:
-        one = waiting.pop()
-        if one.number in seen:
+        node = waiting.pop()
+        if node.number in seen:
             continue
-        seen.add(one.number)
+        seen.add(node.number)
         if not len(seen) % 32:
             spend(1)
-        if one.unsupported:
-            raise OutOfScopeError(one.unsupported)
-        if one.integer_only:
+        if node.unsupported:
+            raise OutOfScopeError(node.unsupported)
+        if node.integer_only:
             found.add(Fraction(1))
-        if one.multiple is not None:
-            found.add(one.multiple)
-        waiting.extend(one.applied())
+        if node.multiple is not None:
+            found.add(node.multiple)
+        waiting.extend(node.applied())
     return found
 
 

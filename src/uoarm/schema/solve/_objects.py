@@ -36,26 +36,26 @@ class ObjectView:
 
     def _take(self, atom: Atom) -> None:
         tag, rest = atom[0], atom[1:]
-        one: Any = rest[0]
+        operand: Any = rest[0]
         if tag == "member":
-            self.members.setdefault(one, []).append(rest[1])  # type: ignore[arg-type] # a literal
+            self.members.setdefault(operand, []).append(rest[1])  # type: ignore[arg-type] # a literal
         elif tag == "pattern":
-            self.patterns.append((one, rest[1]))  # type: ignore[arg-type] # a literal
+            self.patterns.append((operand, rest[1]))  # type: ignore[arg-type] # a literal
         elif tag == "rest":
-            self.rests.append((one, rest[1]))  # type: ignore[arg-type] # a literal
+            self.rests.append((operand, rest[1]))  # type: ignore[arg-type] # a literal
         elif tag == "names":
-            self.names.append(one)
+            self.names.append(operand)
         elif tag == "has":
-            self.has[one] = None
+            self.has[operand] = None
         elif tag == "lacks":
-            self.lacks.add(one)
+            self.lacks.add(operand)
         elif tag == "least":
-            self.least = max(self.least, one)
+            self.least = max(self.least, operand)
         elif tag == "most":
-            self.most = one if self.most is None else min(self.most, one)
+            self.most = operand if self.most is None else min(self.most, operand)
         elif tag == "somemember":
-            self.has[one] = None
-            self.members.setdefault(one, []).append(rest[1])  # type: ignore[arg-type] # a literal
+            self.has[operand] = None
+            self.members.setdefault(operand, []).append(rest[1])  # type: ignore[arg-type] # a literal
         else:
             self.demands.append(atom)
 

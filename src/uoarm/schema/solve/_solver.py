@@ -82,10 +82,10 @@ class SearchState:
         cause = ""
         count = 0
         while waiting:
-            one = waiting.pop()
-            self.atoms.extend(one.atoms)
-            self.choices.extend(one.choices)
-            for node, sign in one.literals:
+            demands = waiting.pop()
+            self.atoms.extend(demands.atoms)
+            self.choices.extend(demands.choices)
+            for node, sign in demands.literals:
                 count += 1
                 if not count % _LITERALS:
                     node.document.meter.spend(_LITERALS // 2)
