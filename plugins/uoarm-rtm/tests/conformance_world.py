@@ -30,6 +30,16 @@ KINDS = {
     "ranges": "IDL:RTC/RangeData:1.0",
     "mixed": "IDL:Odd/Mixed:1.0",
     "union": "IDL:Odd/ByNumber:1.0",
+    "buffered": "IDL:RTC/TimedLong:1.0",
+    "pulled": "IDL:RTC/TimedLong:1.0",
+}
+# Of the two last kinds: a buffer of ours before the InPort, so that `send` waits for nothing; and
+# InPorts that ask for each message, both ways.
+LONG_BUFFER = {"length": 10_000, "empty_policy": "do_nothing"}
+PULLED = {"flow": "pull", "rate": 500.0, "outport_buffer": LONG_BUFFER}
+OPTIONS: dict[str, dict[str, Any]] = {
+    "buffered": {"subscription": "new", "push_policy": "all", "outport_buffer": LONG_BUFFER},
+    "pulled": PULLED,
 }
 
 
@@ -58,7 +68,8 @@ class RtmWorld(World):
         return BridgeSpec("rtm", "rtm", options, {})
 
     def pair(self, kind: str) -> Pair:
-        return Pair(at(Role.INPUT, f"{kind}_in"), at(Role.OUTPUT, f"{kind}_out"))
+        into = at(Role.INPUT, f"{kind}_in", **OPTIONS.get(kind, {}))
+        return Pair(into, at(Role.OUTPUT, f"{kind}_out", **(PULLED if kind == "pulled" else {})))
 
     def missing(self) -> Endpoint:
         return Endpoint("rtm", "missing", Role.OUTPUT, ("Missing.rtc", "out"))
@@ -143,7 +154,7 @@ class RtmWorld(World):
 def begin_loop(component: Peer) -> None:
     """Give a component the ports of all pairs and the service."""
     for name, type_id in KINDS.items():
-        component.loop(name, type_id)
+        component.loop(name, type_id, PULLED["rate"] if name == "pulled" else 0.0)
     component.provide(IDL, "Mover")
     component.activate()
 
@@ -161,8 +172,8 @@ def zero(shape: Shape) -> Message:
     return 0 if isinstance(shape, IdlScalar) else []
 
 
-def at(role: Role, port: str) -> Endpoint:
-    return Endpoint("rtm", "loop", role, ("Loop.rtc", port))
+def at(role: Role, port: str, **options: Any) -> Endpoint:
+    return Endpoint("rtm", "loop", role, ("Loop.rtc", port), options=options)
 
 
 def strings(message: Message) -> Any:

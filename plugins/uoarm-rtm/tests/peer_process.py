@@ -380,11 +380,14 @@ class Process:
         code, _ = self._out.connect(profile)
         return str(code)
 
-    def loop(self, name: str, type_id: str) -> None:
-        """Add ports `NAME_in` and `NAME_out`: what comes in goes out, from another thread."""
+    def loop(self, name: str, type_id: str, rate: float) -> None:
+        """Add ports `NAME_in` and `NAME_out`: what comes in goes out, from another thread.
+
+        OutPorts that wait to be asked are asked `rate` times a second.
+        """
         out = self._component.add_out_port(f"{name}_out", type_id, self._types)
         waiting: queue.Queue[Any] = queue.Queue(100)
-        self._component.add_in_port(f"{name}_in", type_id, self._types, waiting.put)
+        self._component.add_in_port(f"{name}_in", type_id, self._types, waiting.put, rate)
         self._loops[name] = out, waiting
 
         def forward() -> None:

@@ -109,3 +109,20 @@ def test_our_own_port_drops_what_is_too_large_and_stays_connected(
     talker.write_octets(100)
     wait(lambda: usual.sizes() == [100])
     assert talker.connectors() == [0, 1]
+
+
+@pytest.mark.parametrize("subscription", ["flush", "new"])
+def test_our_own_port_counts_what_a_component_that_is_gone_did_not_get(
+    nameserver: str, peer: Start, subscription: str
+) -> None:
+    talker, mortal = peer("Talker", OCTETS), peer("Mortal", OCTETS)
+    properties = {
+        "dataport.interface_type": "corba_cdr",
+        "dataport.dataflow_type": "push",
+        "dataport.subscription_type": subscription,
+    }
+    assert talker.connect(nameserver, "Mortal.rtc", "in", properties) == "RTC_OK"
+    mortal.kill()
+    talker.write_octets(100)
+    wait(lambda: talker.dropped() == 1)
+    wait(lambda: talker.connectors() == [0, 0])

@@ -252,6 +252,7 @@ class InPortSink(Sink):
         waits = buffer_policy(remote.options.properties, "inport").longest_write
         self._is_released = False
         self._refused = 0
+        self._lost_on_link = 0
         self._longest = remote.options.timeout or remote.seconds + waits
         properties = connector_properties(remote.options, remote.codec.name)
         pulls = remote.options.flow == "pull"
@@ -298,8 +299,13 @@ class InPortSink(Sink):
 
     def facts(self) -> Mapping[str, object]:
         """Return counters and the port."""
-        dropped = {} if self._buffer is None else {"dropped": self._buffer.dropped}
-        return {**self.health.facts(), "refused": self._refused, **dropped}
+        facts = {**self.health.facts(), "refused": self._refused}
+        if self._buffer is not None:
+            # What waits to be asked for when the component is lost is not asked for any more.
+            unasked = self._buffer.waiting if self._outlet is not None and self.health.lost else 0
+            lost = self._lost_on_link + unasked
+            facts |= {"dropped": self._buffer.dropped, "lost_on_link": lost}
+        return facts
 
     def _require_open(self) -> None:
         if self._is_released:  # later than `closed`: what moves is stopped before it is released
@@ -311,6 +317,8 @@ class InPortSink(Sink):
     def _keep(self, data: bytes) -> None:
         """Have a message wait in our buffer."""
         assert self._buffer is not None
+        if self._outlet is not None and self.health.lost:  # it would never be asked for
+            raise BridgeError(self.health.lost, FailureReason.UNAVAILABLE)
         if self._buffer.write(data):
             if self._outlet is not None:  # what we push counts when it has been put
                 self.health.note_message()
@@ -326,10 +334,12 @@ class InPortSink(Sink):
         try:
             self._put(data)
         except BridgeTimeoutError:
-            return  # it is reported; the component may be back for the next
+            self._lost_on_link += 1  # it is reported; the component may be back for the next
         except BridgeError as error:
             if error.reason is FailureReason.UNAVAILABLE:
                 self._gone = str(error)
+            if error.reason is not FailureReason.REFUSED:  # which is counted as that
+                self._lost_on_link += 1
             self.health.degrade(str(error))
         else:
             self.health.note_message()

@@ -205,7 +205,7 @@ class _Outlet:
 
     @property
     def dropped(self) -> int:
-        """Messages that a buffer gave up or did not take, or that were too large."""
+        """Messages that a buffer gave up or did not take, were too large, or did not arrive."""
         writers = {id(item): item for item in (self.writer, self.pusher) if item is not None}
         return sum(writer.dropped for writer in writers.values())
 
@@ -230,7 +230,7 @@ class OutPort(_DataPort):
 
     @property
     def dropped(self) -> int:
-        """Messages that buffers gave up or did not take, of all connectors there were."""
+        """Messages that did not get through, of all connectors there were."""
         outlets = list(self._outlets.values())
         return self._dropped_before + sum(outlet.dropped for outlet in outlets)
 

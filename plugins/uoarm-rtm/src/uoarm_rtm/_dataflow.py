@@ -104,6 +104,11 @@ class Buffer:
         # Guards all fields: the writers, the consumer and `close` are different threads.
         self._changed = threading.Condition()
 
+    @property
+    def waiting(self) -> int:
+        """Messages that wait now."""
+        return len(self._waiting)
+
     def write(self, data: bytes) -> bool:
         """Keep one message; returns whether it was taken.
 
@@ -194,7 +199,10 @@ class Pusher:
         self._putting = CallGuard()
 
     def write(self, data: bytes) -> bool:
-        """Send one message; a hung InPort costs its time limit, one too large is dropped."""
+        """Send one message; returns whether it arrived, and counts it in `dropped` where not.
+
+        A hung InPort costs its time limit.
+        """
         if self._sizes.refusal(len(data)):
             self.dropped += 1
             return False
@@ -202,17 +210,19 @@ class Pusher:
             with calls, self._putting:
                 self._target.put(data)
         except CORBA.TIMEOUT:
-            return True  # it may be back for the next
+            self.dropped += 1
+            return False  # it may be back for the next
         except CORBA.Exception as error:
             too_large = self._sizes.explain(error, self._target, len(data))
             if too_large:
                 _log.warning("%s", too_large)
                 self.dropped += 1
                 return False
+            self.dropped += 1
             if not self._ended:
                 self._lost()
-        else:
-            self._sizes.passed(len(data))
+            return False
+        self._sizes.passed(len(data))
         return True
 
     def close(self) -> None:

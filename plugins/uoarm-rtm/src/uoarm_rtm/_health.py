@@ -125,7 +125,7 @@ class RemotePort:
 
 
 class ConnectorHealth:
-    """Counts what passes, and reports a loss once.
+    """Counts what passes, and reports a loss once; `lost` is its cause, empty before it.
 
     Args:
         channel: the channel that it belongs to.
@@ -145,6 +145,7 @@ class ConnectorHealth:
         self._cause = ""
         self._refusal = ""
         self._idle = ""
+        self.lost = ""
         self.count = 0
         self.state = ""
         self.last = time.monotonic()
@@ -197,6 +198,7 @@ class ConnectorHealth:
             if (health, cause) == (self._health, self._cause):
                 return
             self._health, self._cause = health, cause
+            self.lost = cause if health is Health.LOST else ""
         self._remote.report(health, cause, channel=self._channel)
 
     def facts(self) -> Mapping[str, object]:
