@@ -11,7 +11,9 @@ from pathlib import Path
 
 import pytest
 from brokers import Broker, Peer
+from uoarm_mqtt._options import TopicOptions
 
+from uoarm.bridge import options_table
 from uoarm.testing import patience, wait
 
 PAGE = Path(__file__).parents[3] / "docs" / "mqtt.md"
@@ -60,3 +62,7 @@ def _run(words: list[str], folder: Path) -> subprocess.CompletedProcess[str]:
         timeout=patience(),
         check=False,
     )
+
+
+def test_the_table_of_options_is_what_the_plugin_declares() -> None:
+    assert options_table(TopicOptions.schema()) in PAGE.read_text(encoding="utf-8")

@@ -12,10 +12,12 @@ from typing import Any
 
 import yaml
 from peers import Master
+from uoarm_ros1._options import Port
 from uoarm_ros1._structures import structure_of
 from uoarm_ros1._types import TypeStore
 
 from uoarm._adapt import check_edge
+from uoarm.bridge import options_table
 from uoarm.model import MessageStructure
 from uoarm.testing import patience, wait
 
@@ -85,3 +87,7 @@ def _run(line: str, folder: Path) -> subprocess.CompletedProcess[str]:
         check=False,
         env={**os.environ, "HOME": str(folder)},
     )
+
+
+def test_the_table_of_options_is_what_the_plugin_declares() -> None:
+    assert options_table(Port.schema()) in PAGE.read_text(encoding="utf-8")

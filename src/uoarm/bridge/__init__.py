@@ -15,6 +15,7 @@ from uoarm.bridge._description import (
     ServiceStructures,
 )
 from uoarm.bridge._disconnection import Disconnection
+from uoarm.bridge._endpoint_options import EndpointOptions, option, options_table
 from uoarm.bridge._gate import Delivery
 from uoarm.bridge._plugin import BridgeType
 from uoarm.bridge._registry import Registry
@@ -30,6 +31,7 @@ __all__ = [
     "Description",
     "Disconnection",
     "Discovered",
+    "EndpointOptions",
     "Handler",
     "HealthEvent",
     "Outcomes",
@@ -43,5 +45,7 @@ __all__ = [
     "foreign",
     "hookimpl",
     "install_command",
+    "option",
+    "options_table",
     "reading_endpoint",
 ]

@@ -15,6 +15,7 @@ from typing_extensions import Self
 from uoarm._plugins import hookspec
 from uoarm.bridge._bridge import CONTRACT_VERSION, Bridge
 from uoarm.bridge._description import Description
+from uoarm.bridge._endpoint_options import EndpointOptions
 from uoarm.errors import PluginError
 from uoarm.model import Endpoint, MessageStructure, Options, Schema
 
@@ -41,7 +42,11 @@ class BridgeType:
             A text with `x-uoarm-path: true` is the path of a file or folder: a relative one begins
             at the configuration's file. Where its value is a regular expression, texts that match
             it as a whole are paths. One that is left out is its `default`, if it has one.
-        check_endpoint: takes an address and its options; returns what is wrong, or "".
+        endpoint_options: the options that an endpoint may have. What is written is checked against
+            them while the configuration is read, with its place, and editors explain them. None:
+            only `check_endpoint` knows.
+        check_endpoint: takes an address and its options; returns what is wrong, or "". Where there
+            are `endpoint_options`, it is asked only about options that are right each by itself.
             Reads only; imports no middleware.
         topic: takes an address and its options; returns the name of the topic that it stands for,
             or "". What is sent to a topic is received by everybody who listens to it, so that
@@ -77,6 +82,7 @@ class BridgeType:
     structure_of_type: Callable[[str, Options], MessageStructure | None] | None = None
     describe: Callable[[Endpoint, Options], Description] | None = None
     doubts: Callable[[Options, frozenset[Address]], Mapping[Address, str]] | None = None
+    endpoint_options: type[EndpointOptions] | None = None
     contract: int = field(kw_only=True)
 
     def located(self, options: Options, folder: str) -> dict[str, Any]:

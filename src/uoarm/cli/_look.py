@@ -30,7 +30,7 @@ from uoarm.cli._shared import (
     print_warning,
     reporting,
 )
-from uoarm.config import assign, inspect, installation, load, published_schema
+from uoarm.config import assign, completed_schema, inspect, installation, load
 from uoarm.errors import BridgeError
 from uoarm.model import to_json
 from uoarm.schema.__main__ import check_files
@@ -216,9 +216,9 @@ def doctor(*, file: str | None, as_json: bool) -> None:
 @click.group(invoke_without_command=True)
 @click.pass_context
 def schema(context: click.Context) -> None:
-    """Print the JSON Schema of robot.yaml, for editors."""
+    """Print the JSON Schema of robot.yaml and of all installed plugins, for editors."""
     if context.invoked_subcommand is None:
-        print_json(published_schema())
+        print_json(completed_schema(Registry().types))
 
 
 schema.add_command(check_files)

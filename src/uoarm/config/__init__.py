@@ -9,7 +9,14 @@ if TYPE_CHECKING:
     from uoarm.config._difference import ConfigurationDifference, compare, fed_by, with_code
     from uoarm.config._keeping import is_same, rewrite
     from uoarm.config._load import Report, inspect, is_blank, load, loads, merge
-    from uoarm.config._shape import ASSIGN, assign, installation, published_schema, structure_schema
+    from uoarm.config._shape import (
+        ASSIGN,
+        assign,
+        completed_schema,
+        installation,
+        published_schema,
+        structure_schema,
+    )
     from uoarm.config._suggestion import add_functions, suggest
 
 __all__ = [
@@ -21,6 +28,7 @@ __all__ = [
     "add_functions",
     "assign",
     "compare",
+    "completed_schema",
     "fed_by",
     "inspect",
     "installation",
@@ -43,7 +51,14 @@ if not TYPE_CHECKING:
             "_difference": ("ConfigurationDifference", "compare", "fed_by", "with_code"),
             "_keeping": ("is_same", "rewrite"),
             "_load": ("Report", "inspect", "is_blank", "load", "loads", "merge"),
-            "_shape": ("ASSIGN", "assign", "installation", "published_schema", "structure_schema"),
+            "_shape": (
+                "ASSIGN",
+                "assign",
+                "completed_schema",
+                "installation",
+                "published_schema",
+                "structure_schema",
+            ),
             "_suggestion": ("add_functions", "suggest"),
         },
     )

@@ -14,6 +14,7 @@ from uoarm._raised import foreign, text_of
 from uoarm._spelling import Speller
 from uoarm._yaml import Document, Path, Problem, clip, write_path
 from uoarm.bridge import BridgeType
+from uoarm.bridge._endpoint_options import option_mistakes
 from uoarm.config._build import bridge_options, folder_of
 from uoarm.config._loops import SharedTopic, feedback_loops
 from uoarm.config._parts import (
@@ -295,6 +296,16 @@ class PluginChecker:
         """Yield what a plugin says of the addresses of one component: of the same mistake once."""
         found: dict[str, list[PortPart]] = {}
         for port in (*component.inputs(), *component.outputs(), *component.services()):
+            options = port.value.get("options", {})
+            if kind.endpoint_options is not None and isinstance(options, dict):
+                found_here = list(option_mistakes(kind.endpoint_options, options, self._speller))
+                for where, sentence, hint, at_key in found_here:
+                    path = (*port.path, "options", *where)
+                    text = f"the plugin {kind.name}: {sentence}"
+                    yield self._problem(path, text, hint, at_key=at_key)
+                if found_here:
+                    self._unreachable.add(component.path)
+                    continue
             wrong = _endpoint_mistake(kind, port.value)
             if wrong:
                 found.setdefault(wrong, []).append(port)

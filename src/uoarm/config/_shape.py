@@ -14,6 +14,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Callable, Hashable, Iterator, Mapping
+from copy import deepcopy
 from functools import cache
 from importlib.resources import files
 from types import MappingProxyType
@@ -36,6 +37,7 @@ __all__ = [
     "ShapeChecker",
     "assign",
     "assignables",
+    "completed_schema",
     "installation",
     "published_schema",
     "structure_schema",
@@ -48,6 +50,9 @@ if TYPE_CHECKING:
 
 _DIALECT = "https://json-schema.org/draft/2020-12/"
 _RULE_KINDS = ("from", "const", "each")
+_PORT_PARTS = (
+    "input", "output", "service", "offered_output", "offered_input", "offered_service",
+)  # fmt: skip
 _NAME_HINT = "a name has letters, digits, _ and -, begins with a letter or _, 128 at most"
 
 
@@ -57,6 +62,43 @@ def published_schema() -> dict[str, Any]:
     text = files("uoarm.config").joinpath("robot.schema.json").read_text(encoding="utf-8")
     schema: dict[str, Any] = json.loads(text)
     return schema
+
+
+def completed_schema(types: Mapping[str, BridgeType]) -> dict[str, Any]:
+    """Return the published schema with the options of these plugins, for editors.
+
+    The options of a bridge are those of its plugin. Which bridge a port belongs to no JSON Schema
+    can say: its options are explained for all plugins, and none is refused here. `check` does.
+    """
+    schema: dict[str, Any] = deepcopy(published_schema())
+    definitions, named = schema["$defs"], {}
+    cases = definitions["bridge"].setdefault("allOf", [])
+    for name, kind in types.items():
+        definitions[f"options.{name}"] = kind.options_schema
+        options = {"properties": {"options": {"$ref": f"#/$defs/options.{name}"}}}
+        is_it = {"properties": {"plugin": {"const": name}}, "required": ["plugin"]}
+        cases.append({"if": is_it, "then": options})
+        unnamed = {"if": {"not": {"required": ["plugin"]}}, "then": options}
+        named[name] = {"allOf": [{"$ref": "#/$defs/bridge"}, unnamed]}
+    schema["properties"]["bridges"]["properties"] = named
+    for part in _PORT_PARTS:
+        definitions[part]["properties"]["options"]["properties"] = _options_of_ports(types)
+    return schema
+
+
+def _options_of_ports(types: Mapping[str, BridgeType]) -> dict[str, Any]:
+    found: dict[str, list[dict[str, Any]]] = {}
+    for name, kind in types.items():
+        schema: Any = {} if kind.endpoint_options is None else kind.endpoint_options.schema()
+        for key, known in schema.get("properties", {}).items():
+            described = {**known, "description": f"{name}: {known['description']}"}
+            found.setdefault(key, []).append(described)
+    return {
+        key: forms[0]
+        if len(forms) == 1
+        else {"anyOf": forms, "description": "\n".join(form["description"] for form in forms)}
+        for key, forms in found.items()
+    }
 
 
 @cache

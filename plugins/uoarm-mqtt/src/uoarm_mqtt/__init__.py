@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from uoarm.bridge import Bridge, BridgeType, Description, hookimpl
 from uoarm.model import Endpoint, Options
-from uoarm_mqtt._options import BRIDGE_OPTIONS, CONNECTION_OPTIONS, mistake
+from uoarm_mqtt._options import BRIDGE_OPTIONS, CONNECTION_OPTIONS, TopicOptions, mistake
 
 __all__ = ["CONNECTION_OPTIONS", "uoarm_bridge_types"]
 
@@ -41,6 +41,7 @@ def uoarm_bridge_types() -> list[BridgeType]:
             summary="topics and services on an MQTT 5 broker",
             create=_create,
             options_schema=BRIDGE_OPTIONS,
+            endpoint_options=TopicOptions,
             check_endpoint=mistake,
             topic=_topic,
             doctor=_doctor,

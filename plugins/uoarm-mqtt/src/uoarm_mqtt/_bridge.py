@@ -120,9 +120,9 @@ class MqttBridge(Bridge):
 
     def _options_of(self, endpoint: Endpoint) -> TopicOptions:
         with reading_endpoint(endpoint):
+            options = TopicOptions.of(endpoint.options)
             if wrong := mistake(endpoint.address, endpoint.options):
                 raise ValueError(wrong)
-            options = TopicOptions.of(endpoint.options)
             is_wide = {"+", "#"} & set(endpoint.address[0].split("/"))
             if endpoint.role is not Role.OUTPUT and (is_wide or options.with_topic):
                 raise ValueError("wildcards and `with_topic` are for outputs")

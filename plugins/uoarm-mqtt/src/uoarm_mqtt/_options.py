@@ -10,8 +10,8 @@ from typing import Any
 from urllib.parse import urlsplit
 
 from attrs import frozen
-from jsonschema import Draft202012Validator
 
+from uoarm.bridge import EndpointOptions, option
 from uoarm.errors import ConfigurationError
 from uoarm.model import Budget, Options, Schema, is_loopback
 
@@ -26,7 +26,7 @@ __all__ = [
     "mistake",
 ]
 
-_TEXT: Schema = {"type": "string", "minLength": 1}
+_TEXT: Mapping[str, Any] = {"type": "string", "minLength": 1}
 _PATH: Schema = {"type": "string", "minLength": 1, "x-uoarm-path": True}
 _SECONDS: Schema = {"type": "number", "exclusiveMinimum": 0, "maximum": 86400}
 _COUNT: Schema = {"type": "integer", "minimum": 1}
@@ -82,77 +82,62 @@ BRIDGE_OPTIONS: Schema = _closed(
     "url",
 )
 
-_PORT_OPTIONS: Schema = _closed(
-    {
-        "content": {"enum": ["json", "octets", "text"]},
-        "qos": {"enum": [0, 1, 2]},
-        "retain": {"type": "boolean"},
-        "share": {"type": "string", "pattern": "^[^/+#]+$"},
-        "with_topic": {"type": "boolean"},
-        "expiry": {"type": "integer", "minimum": 1, "maximum": 2**32 - 1},
-        "presence": _closed(
-            {"topic": _TEXT, "member": _TEXT, "online": _TEXT, "finished": _TEXT}, "topic"
-        ),
-    }
-)
-_PORT = Draft202012Validator(_PORT_OPTIONS)
 _LONGEST_TOPIC = 65535
 
 
 @frozen
-class PresenceOptions:
-    """Where a component says whether it is there: a retained topic, written by its last will.
+class PresenceOptions(EndpointOptions):
+    """Where a component says whether it is there: a retained topic, written by its last will."""
 
-    Attributes:
-        topic: that it says it on.
-        member: of the JSON object on it; empty: the payload as a text.
-        online: what stands there while the component is there; anything else says that it is not.
-        finished: what stands there after an orderly end; empty: every end is a loss.
-    """
-
-    topic: str
-    member: str = ""
-    online: str = "online"
-    finished: str = ""
+    topic: str = option("", _TEXT, "that it says it on", required=True)
+    member: str = option("", _TEXT, "of the JSON object on it; left out: the payload as a text")
+    online: str = option("online", _TEXT, "what stands there while it is there")
+    finished: str = option("", _TEXT, "what stands there after an orderly end; left out: none is")
 
 
 @frozen
-class TopicOptions:
+class TopicOptions(EndpointOptions):
     """The options of one endpoint."""
 
-    content: str = "json"
-    qos: int = 1
-    retain: bool = False
-    share: str = ""
-    with_topic: bool = False
-    expiry: int = 0
-    presence: PresenceOptions | None = None
-
-    @staticmethod
-    def of(options: Options) -> TopicOptions:
-        """Read the options of an endpoint.
-
-        Raises:
-            ValueError: they cannot be used; the text names the option.
-        """
-        for error in _PORT.iter_errors(dict(options)):
-            raise ValueError("; ".join(["option", *map(str, error.path), error.message]))
-        given: dict[str, Any] = dict(options)
-        if "presence" in given:
-            given["presence"] = PresenceOptions(**given["presence"])
-        port = TopicOptions(**given)
-        if port.retain and port.share:
-            text = "a shared subscription is given no retained messages: `share` or `retain`"
-            raise ValueError(text)
-        return port
+    content: str = option(
+        "json", {"enum": ["json", "octets", "text"]}, "what payloads are; a text is UTF-8"
+    )
+    qos: int = option(1, {"enum": [0, 1, 2]}, "of subscribing or of publishing")
+    retain: bool = option(
+        False,
+        {"type": "boolean"},
+        "an input: what is sent stands on the broker. An output: the last message of each topic "
+        "stands, so that each new consumer gets it first, until an empty payload clears it; "
+        "without it, what is retained is left where it is",
+    )
+    share: str = option(
+        "",
+        {"type": "string", "pattern": "^[^/+#]+$"},
+        "group of a shared subscription, in which each message goes to one member; outputs and "
+        "served functions, without `retain`",
+    )
+    with_topic: bool = option(
+        False,
+        {"type": "boolean"},
+        "messages of an output are `{topic, message}`",
+    )
+    expiry: int = option(
+        0,
+        {"type": "integer", "minimum": 1, "maximum": 2**32 - 1},
+        "seconds after which the broker drops what is sent, when no client has taken it; 0: never",
+        unit="s",
+    )
+    presence: PresenceOptions | None = option(  # noqa: RUF009 - a field, of an immutable value
+        None,
+        PresenceOptions,
+        "`{topic, member, online, finished}`: where the component says that it is there, see below",
+    )
 
 
 def mistake(address: tuple[str, ...], options: Options) -> str:
-    """Say what is wrong with an address and its options, "" where nothing is."""
-    try:
-        TopicOptions.of(options)
-    except ValueError as error:
-        return str(error)
+    """Say what is wrong with an address, and of options with one another; "" where nothing is."""
+    if options.get("retain") and options.get("share"):
+        return "a shared subscription is given no retained messages: `retain` or `share`"
     if len(address) != 1:
         return f"expected one topic, got {list(address)}"
     return wrong_filter(address[0])

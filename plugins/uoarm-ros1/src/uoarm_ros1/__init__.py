@@ -8,7 +8,7 @@ from __future__ import annotations
 from uoarm.bridge import Bridge, BridgeType, hookimpl
 from uoarm.errors import BridgeError
 from uoarm.model import MessageStructure, Options
-from uoarm_ros1._options import BRIDGE_OPTIONS, mistake, topic_name
+from uoarm_ros1._options import BRIDGE_OPTIONS, Port, mistake, topic_name
 
 __all__ = ["uoarm_bridge_types"]
 
@@ -22,6 +22,7 @@ def uoarm_bridge_types() -> list[BridgeType]:
             summary="topics, services, parameters and actions of ROS 1, without ROS here",
             create=_create,
             options_schema=BRIDGE_OPTIONS,
+            endpoint_options=Port,
             check_endpoint=mistake,
             topic=topic_name,
             doctor=_doctor,

@@ -8,10 +8,9 @@ from collections.abc import Mapping
 from typing import Any
 from urllib.parse import urlsplit
 
-from attrs import field, frozen
-from jsonschema import Draft202012Validator
+from attrs import evolve, field, frozen
 
-from uoarm.bridge import reading_endpoint
+from uoarm.bridge import EndpointOptions, option, reading_endpoint
 from uoarm.errors import ConfigurationError
 from uoarm.model import Budget, Endpoint, Options, Role, Schema
 
@@ -100,23 +99,6 @@ BRIDGE_OPTIONS: Schema = {
     },
 }
 
-_PORT_OPTIONS: Schema = {
-    "type": "object",
-    "additionalProperties": False,
-    "properties": {
-        "peer": {"enum": ["required", "optional"]},
-        "wait": {**_SECONDS, "maximum": 86400},
-        "stale_after": {"type": "number", "exclusiveMinimum": 0, "maximum": 86400},
-        "node": {"type": "string", "pattern": f"^{_GRAPH_NAME}$"},
-        "latch": {"type": ["boolean", "integer"], "minimum": 1, "maximum": 1000},
-        "queue": {"type": "integer", "minimum": 1, "maximum": 100_000},
-        "nodelay": {"type": "boolean"},
-        "definition": dict(_TEXT),
-        "at_once": {"type": "integer", "minimum": 1, "maximum": 64},
-    },
-}
-_PORT = Draft202012Validator(_PORT_OPTIONS)
-
 
 @frozen
 class Address:
@@ -142,30 +124,60 @@ class Address:
 
 
 @frozen
-class Port:
-    """The options of one endpoint.
+class Port(EndpointOptions):
+    """The options of one endpoint."""
 
-    Attributes:
-        peer_required: whether an endpoint without another end counts as unavailable.
-        wait: seconds to wait for the other end; None: as the bridge says.
-        stale_after: seconds without a message after which the channel is lost; None: never.
-        node: the one node that is meant; empty: all of the topic.
-        latch: how many of the last messages are given to each subscriber that comes.
-        queue: messages that may wait for one subscriber.
-        nodelay: whether small messages are sent at once.
-        definition: the text of the type, where no peer says it.
-        at_once: requests to a service that is offered that are handled at the same time.
-    """
+    peer: str = option(
+        "required",
+        {"enum": ["required", "optional"]},
+        "`optional`: available without another end, as for publishing outward",
+    )
+    wait: float | None = option(
+        None,
+        {**_SECONDS, "maximum": 86400},
+        "seconds to wait for the other end; left out: as the bridge does",
+        unit="s",
+    )
+    stale_after: float | None = option(
+        None,
+        {"type": "number", "exclusiveMinimum": 0, "maximum": 86400},
+        "of an output: seconds without a message after which it is lost; left out: never",
+        unit="s",
+    )
+    node: str = option(
+        "",
+        {"type": "string", "pattern": f"^{_GRAPH_NAME}$"},
+        "of an output the one node whose messages are taken, of an input one that must subscribe; "
+        "left out: all of the topic",
+    )
+    latch: int = option(
+        0,
+        {"type": ["boolean", "integer"], "minimum": 1, "maximum": 1000},
+        "of an input: how many of the last messages each subscriber that comes is given, as for "
+        "`/tf_static`; `true`: the last one",
+    )
+    queue: int = option(
+        100,
+        {"type": "integer", "minimum": 1, "maximum": 100_000},
+        "of an input: messages that may wait for one subscriber; then the oldest are dropped and "
+        "counted",
+    )
+    nodelay: bool = option(
+        True,
+        {"type": "boolean"},
+        "of an output: the publisher is asked to send small messages at once",
+    )
+    definition: str = option("", _TEXT, "the text of the type, where no peer says it")
+    at_once: int = option(
+        8,
+        {"type": "integer", "minimum": 1, "maximum": 64},
+        "of what is offered: requests or goals that are handled at the same time",
+    )
 
-    peer_required: bool = True
-    wait: float | None = None
-    stale_after: float | None = None
-    node: str = ""
-    latch: int = 0
-    queue: int = 100
-    nodelay: bool = True
-    definition: str = ""
-    at_once: int = 8
+    @property
+    def peer_required(self) -> bool:
+        """Whether an endpoint without another end counts as unavailable."""
+        return self.peer == "required"
 
 
 @frozen
@@ -284,15 +296,15 @@ def port_of(endpoint: Endpoint) -> Port:
     Raises:
         BridgeError: with BAD_ENDPOINT and what is wrong.
     """
-    with reading_endpoint(endpoint):
-        return _port(endpoint.options, is_offered=endpoint.is_offered)
+    port = Port.of_endpoint(endpoint)
+    return evolve(port, peer="optional") if endpoint.is_offered else port
 
 
 def mistake(address: tuple[str, ...], options: Options) -> str:
-    """Return what is wrong with an address or its options, or ""."""
+    """Return what is wrong with an address, or ""."""
+    del options  # each is checked by itself
     try:
         _address(address)
-        _port(options, is_offered=False)
     except ValueError as error:
         return str(error)
     return ""
@@ -315,11 +327,3 @@ def _address(parts: tuple[str, ...]) -> Address:
         text = f"{address.type!r} is not a type of ROS 1 such as sensor_msgs/Image"
         raise ValueError(f"{text}, nor `{PARAMETER}`")
     return address
-
-
-def _port(options: Options, *, is_offered: bool) -> Port:
-    for error in _PORT.iter_errors(dict(options)):
-        raise ValueError("; ".join(["option", *map(str, error.path), error.message]))
-    given: dict[str, Any] = dict(options)
-    required = given.pop("peer", "required") == "required"
-    return Port(peer_required=required and not is_offered, **given)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from uoarm.bridge import Bridge, BridgeType, hookimpl
 from uoarm.model import Options
-from uoarm_rosbridge.client._options import BRIDGE_OPTIONS, mistake, topic_name
+from uoarm_rosbridge.client._options import BRIDGE_OPTIONS, Port, mistake, topic_name
 
 __all__ = ["uoarm_bridge_types"]
 
@@ -18,6 +18,7 @@ def uoarm_bridge_types() -> list[BridgeType]:
             summary="topics, services, actions and parameters behind a rosbridge server",
             create=_create,
             options_schema=BRIDGE_OPTIONS,
+            endpoint_options=Port,
             check_endpoint=mistake,
             topic=topic_name,
             contract=2,

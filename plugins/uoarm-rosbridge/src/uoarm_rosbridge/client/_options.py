@@ -12,10 +12,9 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
 
-from attrs import frozen
-from jsonschema import Draft202012Validator
+from attrs import evolve, frozen
 
-from uoarm.bridge import reading_endpoint
+from uoarm.bridge import EndpointOptions, option, reading_endpoint
 from uoarm.errors import ConfigurationError
 from uoarm.model import Budget, Endpoint, Options, Role, Schema, is_loopback
 
@@ -100,19 +99,6 @@ BRIDGE_OPTIONS: Schema = _closed(
     "url",
 )
 
-_PORT_OPTIONS: Schema = _closed(
-    {
-        "peer": {"enum": ["required", "optional"]},
-        "stale_after": {"type": "number", "exclusiveMinimum": 0, "maximum": 86400},
-        "throttle": {"type": "integer", "minimum": 0, "maximum": 3_600_000},
-        "queue": {"type": "integer", "minimum": 1, "maximum": 100_000},
-        "latch": {"type": "boolean"},
-        "compression": {"enum": [*_COMPRESSIONS]},
-        "at_once": {"type": "integer", "minimum": 1, "maximum": 64},
-    }
-)
-_PORT = Draft202012Validator(_PORT_OPTIONS)
-
 
 @frozen
 class Address:
@@ -143,26 +129,54 @@ class Address:
 
 
 @frozen
-class Port:
-    """The options of one endpoint.
+class Port(EndpointOptions):
+    """The options of one endpoint."""
 
-    Attributes:
-        peer_required: whether an endpoint without another end counts as unavailable.
-        stale_after: seconds without a message after which the channel is lost; None: never.
-        throttle: milliseconds between two messages at the least.
-        queue: messages that may wait for one consumer.
-        latch: whether the last message stands for who comes later.
-        compression: how messages of an output come; None: as the bridge says.
-        at_once: requests to a function that is served that are handled at the same time.
-    """
+    peer: str = option(
+        "required",
+        {"enum": ["required", "optional"]},
+        "`optional`: available without another end, as for publishing outward",
+    )
+    stale_after: float | None = option(
+        None,
+        {"type": "number", "exclusiveMinimum": 0, "maximum": 86400},
+        "of an output: seconds without a message after which it is lost; left out: never",
+        unit="s",
+    )
+    throttle: int = option(
+        0,
+        {"type": "integer", "minimum": 0, "maximum": 3_600_000},
+        "of an output: milliseconds between two messages at the least; the server leaves others "
+        "out",
+        unit="ms",
+    )
+    queue: int = option(
+        100,
+        {"type": "integer", "minimum": 1, "maximum": 100_000},
+        "messages that may wait here for one consumer; then the oldest are dropped and counted",
+    )
+    latch: bool = option(
+        False,
+        {"type": "boolean"},
+        "of an input: the server keeps the last message for who comes later. Of an output: the "
+        "last message stands, as a map does; sent again after a break, it is not delivered again",
+    )
+    compression: str | None = option(
+        None,
+        {"enum": [*_COMPRESSIONS]},
+        "of an output: how its messages come; left out: as the bridge says. All outputs on one "
+        "topic have that of the first",
+    )
+    at_once: int = option(
+        8,
+        {"type": "integer", "minimum": 1, "maximum": 64},
+        "of what is offered: requests that are handled at the same time",
+    )
 
-    peer_required: bool = True
-    stale_after: float | None = None
-    throttle: int = 0
-    queue: int = 100
-    latch: bool = False
-    compression: str | None = None
-    at_once: int = 8
+    @property
+    def peer_required(self) -> bool:
+        """Whether an endpoint without another end counts as unavailable."""
+        return self.peer == "required"
 
 
 @frozen
@@ -297,8 +311,8 @@ def port_of(endpoint: Endpoint) -> Port:
     Raises:
         BridgeError: with BAD_ENDPOINT and what is wrong.
     """
-    with reading_endpoint(endpoint):
-        return _port(endpoint.options, is_offered=endpoint.is_offered)
+    port = Port.of_endpoint(endpoint)
+    return evolve(port, peer="optional") if endpoint.is_offered else port
 
 
 def is_type(name: str) -> bool:
@@ -307,10 +321,10 @@ def is_type(name: str) -> bool:
 
 
 def mistake(address: tuple[str, ...], options: Options) -> str:
-    """Return what is wrong with an address or its options, or ""."""
+    """Return what is wrong with an address, or ""."""
+    del options  # each is checked by itself
     try:
         _address(address)
-        _port(options, is_offered=False)
     except ValueError as error:
         return str(error)
     return ""
@@ -335,11 +349,3 @@ def _address(parts: tuple[str, ...]) -> Address:
         text = f"{address.type!r} is not a type of ROS such as sensor_msgs/msg/Image"
         raise ValueError(f"{text}, nor `{_PARAMETER}`")
     return address
-
-
-def _port(options: Options, *, is_offered: bool) -> Port:
-    for error in _PORT.iter_errors(dict(options)):
-        raise ValueError("; ".join(["option", *map(str, error.path), error.message]))
-    given: dict[str, Any] = dict(options)
-    required = given.pop("peer", "required") == "required"
-    return Port(peer_required=required and not is_offered, **given)

@@ -1,0 +1,194 @@
+"""Options of an endpoint that a plugin declares once: one line is all that an option takes."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import attrs
+import pytest
+from attrs import frozen
+from hypothesis import given
+from hypothesis import strategies as st
+from jsonschema import Draft202012Validator
+
+from uoarm.bridge import BridgeType, EndpointOptions, Registry, option, options_table
+from uoarm.config import completed_schema, inspect, published_schema
+from uoarm.errors import BridgeError, FailureReason
+from uoarm.model import Endpoint, Role
+from uoarm.testing import MemoryBridge
+
+
+@frozen
+class Lamp(EndpointOptions):
+    """Options of a member."""
+
+    colour: str = option("white", {"enum": ["white", "red"]}, "of the light", required=True)
+    level: int = option(5, {"type": "integer", "minimum": 0, "maximum": 9}, "of brightness")
+
+
+@frozen
+class Options(EndpointOptions):
+    """Options of a port."""
+
+    period: float = option(0.5, {"type": "number", "exclusiveMinimum": 0}, "of a look", unit="s")
+    label: str | None = option(None, {"type": "string"}, "that people see")
+    lamp: Lamp | None = option(None, Lamp, "that shines")  # noqa: RUF009 - a field
+
+
+KIND = BridgeType("shed", "a shed", MemoryBridge, endpoint_options=Options, contract=2)
+FILE = """version: 1
+bridges: {shed: {}}
+functions:
+  door:
+    components:
+      - name: door
+        bridge: shed
+        output:
+          endpoint: [door]
+          structure: {type: integer}
+          options:
+            OPTIONS
+"""
+
+
+def written(folder: Path, options: str) -> Path:
+    file = folder / "robot.yaml"
+    file.write_text(FILE.replace("OPTIONS", options), encoding="utf-8")
+    return file
+
+
+def test_what_is_left_out_has_its_default() -> None:
+    assert Options.of({}) == Options(0.5, None, None)
+    assert Options.of({"lamp": {"colour": "red"}}) == Options(lamp=Lamp("red", 5))
+
+
+def test_every_mistake_is_named_with_what_was_expected() -> None:
+    wrong = {"perod": 1, "label": 3, "lamp": {"level": 12}}
+    with pytest.raises(ValueError, match="perod") as caught:
+        Options.of(wrong)
+    for sentence in (
+        'option $.perod: unknown key "perod" (did you mean "period"?)',
+        "option $.label: expected text, got 3",
+        "option $.lamp.level: expected at most 9, got 12",
+        'option $.lamp: the key "colour" is missing',
+    ):
+        assert sentence in str(caught.value)
+
+
+def test_an_endpoint_is_named_in_the_error() -> None:
+    endpoint = Endpoint("shed", "door", Role.OUTPUT, ("door",), options={"period": 0})
+    with pytest.raises(BridgeError, match=r"bridge 'shed': .*door.*expected more than 0") as caught:
+        Options.of_endpoint(endpoint)
+    assert caught.value.reason is FailureReason.BAD_ENDPOINT
+
+
+def test_the_check_of_a_file_names_line_and_column_of_each_without_a_bridge(tmp_path: Path) -> None:
+    report = inspect(written(tmp_path, "{perod: 1, lamp: {colour: blue}}"), types={"shed": KIND})
+    found = {(problem.path, problem.sentence, problem.hint) for problem in report.problems}
+    path = "$.functions.door.components[0].output.options"
+    assert found == {
+        (f"{path}.perod", 'the plugin shed: unknown key "perod"', 'did you mean "period"?'),
+        (
+            f"{path}.lamp.colour",
+            'the plugin shed: expected white or red, got "blue"',
+            "",
+        ),
+    }
+    assert {problem.place.line for problem in report.problems} == {12}
+
+
+def test_the_check_of_addresses_sees_options_only_that_are_right(tmp_path: Path) -> None:
+    seen: list[Mapping[str, Any]] = []
+
+    def check(address: tuple[str, ...], options: Mapping[str, Any]) -> str:
+        seen.append(options)
+        return ""
+
+    kind = attrs.evolve(KIND, check_endpoint=check)
+    inspect(written(tmp_path, "{perod: 1}"), types={"shed": kind})
+    assert seen == []
+    inspect(written(tmp_path, "{period: 1}"), types={"shed": kind})
+    assert seen == [{"period": 1}]
+
+
+def test_an_editor_completes_and_explains_what_a_plugin_has() -> None:
+    schema = completed_schema({**Registry().types, "shed": KIND})
+    Draft202012Validator.check_schema(schema)
+    known = schema["$defs"]["output"]["properties"]["options"]["properties"]
+    assert known["period"]["description"] == "shed: of a look"
+    assert (known["period"]["default"], known["period"]["x-unit"]) == (0.5, "s")
+    assert "$defs" in published_schema(), "the published one is not changed"
+    assert "properties" not in published_schema()["$defs"]["output"]["properties"]["options"]
+
+
+@pytest.mark.parametrize(
+    ("bridges", "fits"),
+    [
+        ({"shed": {}}, True),
+        ({"shed": {"options": {"roof": "flat"}}}, False),
+        ({"mine": {"plugin": "shed", "options": {"roof": "flat"}}}, False),
+        ({"mine": {"plugin": "other", "options": {"roof": "flat"}}}, True),
+        ({"shed": {"plugin": "other", "options": {"roof": "flat"}}}, True),
+    ],
+)
+def test_an_editor_knows_the_options_of_a_bridge_by_its_plugin(
+    bridges: dict[str, Any], *, fits: bool
+) -> None:
+    schema = completed_schema({"shed": KIND})
+    assert (
+        Draft202012Validator(schema).is_valid({"version": 1, "bridges": bridges, "functions": {}})
+        is fits
+    )
+
+
+def test_an_option_of_several_plugins_is_explained_for_each() -> None:
+    other = attrs.evolve(KIND, name="barn")
+    known = completed_schema({"shed": KIND, "barn": other})["$defs"]["input"]["properties"]
+    period = known["options"]["properties"]["period"]
+    assert period["description"] == "shed: of a look\nbarn: of a look"
+    assert len(period["anyOf"]) == 2
+
+
+def test_a_further_option_is_one_line_and_shows_everywhere(tmp_path: Path) -> None:
+    further: Any = attrs.make_class(
+        "Further",
+        {"depth": option(3, {"type": "integer"}, "of the water", unit="m")},
+        bases=(EndpointOptions,),
+        frozen=True,
+    )
+    kind = attrs.evolve(KIND, endpoint_options=further)
+    (problem,) = inspect(written(tmp_path, "{depth: deep}"), types={"shed": kind}).problems
+    assert problem.sentence == 'the plugin shed: expected a whole number, got "deep"'
+    assert "depth" in json.dumps(completed_schema({"shed": kind}))
+    assert options_table(further.schema()).splitlines()[2] == "| `depth` | 3 | of the water |"
+
+
+def test_a_table_says_what_must_be_given_and_what_is_left_out() -> None:
+    rows = options_table(Lamp.schema(), "option of a lamp").splitlines()
+    assert rows[0] == "| option of a lamp | default | meaning |"
+    assert rows[2:] == [
+        "| `colour` | must be given | of the light |",
+        "| `level` | 5 | of brightness |",
+    ]
+    assert "| `label` |  | that people see |" in options_table(Options.schema())
+
+
+@given(
+    period=st.floats(min_value=0, exclude_min=True, allow_infinity=False),
+    level=st.integers(-2, 12),
+    label=st.none() | st.text(),
+)
+def test_what_the_schema_takes_is_read_as_it_was_written(
+    period: float, level: int, label: str | None
+) -> None:
+    options = {"period": period, "lamp": {"colour": "red", "level": level}, "label": label}
+    if label is None:
+        del options["label"]
+    if Draft202012Validator(Options.schema()).is_valid(options):
+        assert Options.of(options) == Options(period, label, Lamp("red", level))
+    else:
+        with pytest.raises(ValueError, match="option"):
+            Options.of(options)
