@@ -159,6 +159,8 @@ def pytest_fixture_setup(
 def pytest_runtest_teardown(item: pytest.Item) -> Generator[None, None, None]:
     with _leaks.maker(item.nodeid):
         yield
+    if not gc.get_freeze_count():  # a server that looks at everything again, now and then
+        gc.freeze()
     held = item.stash.get(_HELD, None)
     if held is None:
         return

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import gc
+from collections.abc import Iterator
+
+import pytest
 
 from uoarm.server._running import _short_collections
 
@@ -18,6 +21,15 @@ def count() -> int:
     return sum(isinstance(value, Node) for value in gc.get_objects())
 
 
+@pytest.fixture
+def nothing_frozen() -> Iterator[None]:
+    """What the harness has frozen is not, for a test."""
+    gc.unfreeze()
+    yield
+    gc.freeze()
+
+
+@pytest.mark.usefixtures("nothing_frozen")
 def test_what_outlived_a_look_is_left_out_of_the_next_ones_and_freed_in_the_end() -> None:
     former = gc.get_threshold()
     with _short_collections():
@@ -36,3 +48,11 @@ def test_what_outlived_a_look_is_left_out_of_the_next_ones_and_freed_in_the_end(
         assert not count()
     assert gc.get_threshold() == former
     assert not gc.get_freeze_count()
+
+
+def test_what_an_application_has_frozen_stays_so() -> None:
+    gc.freeze()
+    frozen = gc.get_freeze_count()
+    with _short_collections():
+        pass
+    assert gc.get_freeze_count() >= frozen

@@ -138,6 +138,7 @@ def _short_collections() -> Iterator[None]:
     which lives for a moment, is not taken for what stays.
     """
     former, looks = gc.get_threshold(), itertools.count(1)
+    has_frozen = gc.get_freeze_count() > 0
 
     def collected(phase: str, facts: dict[str, int]) -> None:
         if phase == "stop" and facts["generation"] == _OLDEST:
@@ -154,7 +155,8 @@ def _short_collections() -> Iterator[None]:
         yield
     finally:
         gc.callbacks.remove(collected)
-        gc.unfreeze()
+        if not has_frozen:  # else the application has done so, and what it froze stays
+            gc.unfreeze()
         gc.set_threshold(*former)
 
 
