@@ -70,9 +70,9 @@ def mistakes(
         sentence = f"expected {_expected(expected)}, got {write(value)}"
         yield path, sentence, _type_hint(expected, value), False
     elif keyword == "const":
-        yield path, f"expected {expected}, got {write(value)}", "", False
+        yield path, f"expected {_choice(expected)}, got {write(value)}", "", False
     elif keyword == "enum":
-        sentence = f"expected {any_of(expected)}, got {write(value)}"
+        sentence = f"expected {any_of([_choice(word) for word in expected])}, got {write(value)}"
         yield path, sentence, near(value, expected, speller), False
     elif keyword == "pattern":
         yield path, f"expected text that matches {expected}, got {write(value)}", "", False
@@ -109,6 +109,11 @@ def near(value: object, allowed: Collection[object], speller: Speller) -> str:
     if not isinstance(value, str):
         return ""
     return speller.guess(value, [str(item) for item in allowed if item != value])
+
+
+def _choice(value: object) -> str:
+    """Write what may be written: a word as it is, anything else as in JSON."""
+    return value if isinstance(value, str) else clip(value)
 
 
 def _expected(types: str | list[str]) -> str:

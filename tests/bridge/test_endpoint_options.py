@@ -78,6 +78,21 @@ def test_every_mistake_is_named_with_what_was_expected() -> None:
         assert sentence in str(caught.value)
 
 
+@frozen
+class Switch(EndpointOptions):
+    """An option of a choice that is not only of texts."""
+
+    on: bool | str = option(False, {"enum": [False, True, "keep"]}, "whether it is on")
+
+
+def test_a_choice_is_written_as_in_a_file() -> None:
+    assert Switch.of({"on": "keep"}).on == "keep"
+    with pytest.raises(
+        ValueError, match=r"option \$\.on: expected false, true or keep, got \"yes\""
+    ):
+        Switch.of({"on": "yes"})
+
+
 def test_an_endpoint_is_named_in_the_error() -> None:
     endpoint = Endpoint("shed", "door", Role.OUTPUT, ("door",), options={"period": 0})
     with pytest.raises(BridgeError, match=r"bridge 'shed': .*door.*expected more than 0") as caught:

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from peers import Peer
 from uoarm_rtm import _options
 from uoarm_rtm._dataflow import Buffer
-from uoarm_rtm._options import BufferPolicy, buffer_policy, policy_properties, push_policy
+from uoarm_rtm._options import BufferPolicy, RtmEndpointOptions, buffer_policy, push_policy
 
 from uoarm.bridge import Bridge
 from uoarm.errors import BridgeError, FailureReason
@@ -96,7 +96,7 @@ TABLES = st.fixed_dictionaries(
 @given(TABLES, st.none() | TABLES)
 def test_what_is_asked_is_what_the_other_side_reads(both: Any, ours: Any) -> None:
     options = {"buffer": both} if ours is None else {"buffer": both, "outport_buffer": ours}
-    properties = policy_properties(options)
+    properties = RtmEndpointOptions.of(options).requested_properties
     names = ("length", "full_policy", "write_timeout", "empty_policy", "read_timeout")
     for side, table in (("inport", both), ("outport", {**both, **(ours or {})})):
         usual = BufferPolicy()
@@ -122,26 +122,38 @@ def test_what_is_said_of_both_sides_holds_for_each_that_says_nothing() -> None:
 
 
 MISTAKES: list[tuple[dict[str, Any], str]] = [
-    ({"buffer": 4}, "buffer must be a table such as {length: 4}, got 4"),
-    ({"buffer": {"size": 4}}, "buffer has no member 'size'; there are length, full_policy, "),
-    ({"buffer": {"length": 0}}, "buffer.length must be a whole number from 1 to 10000, got '0'"),
-    ({"buffer": {"length": 1.5}}, "buffer.length must be a whole number from 1 to 10000"),
-    ({"inport_buffer": {"full_policy": "wait"}}, "inport_buffer.full_policy must be overwrite or "),
-    ({"outport_buffer": {"empty_policy": "overwrite"}}, "outport_buffer.empty_policy must be "),
+    ({"buffer": 4}, "option $.buffer: expected a mapping, got 4"),
+    (
+        {"buffer": {"size": 4}},
+        'option $.buffer.size: unknown key "size"',
+    ),
+    ({"buffer": {"length": 0}}, "option $.buffer.length: expected at least 1, got 0"),
+    ({"buffer": {"length": 1.5}}, "option $.buffer.length: expected a whole number, got 1.5"),
+    (
+        {"inport_buffer": {"full_policy": "wait"}},
+        "option $.inport_buffer.full_policy: expected overwrite, ",
+    ),
+    (
+        {"outport_buffer": {"empty_policy": "overwrite"}},
+        "option $.outport_buffer.empty_policy: expected ",
+    ),
     ({"buffer": {"write_timeout": 1}}, "buffer.write_timeout means nothing without full_policy: "),
     (
         {"buffer": {"empty_policy": "block", "read_timeout": 61}},
-        "buffer.read_timeout must be seconds from 0 to 60, got '61'",
+        "option $.buffer.read_timeout: expected at most 60.0, got 61",
     ),
     ({"push_policy": "all"}, "push_policy means nothing without flow: push and subscription: new"),
-    ({"subscription": "new", "push_policy": "most"}, "push_policy must be new or fifo or skip or "),
+    (
+        {"subscription": "new", "push_policy": "most"},
+        "option $.push_policy: expected new, fifo, skip or all",
+    ),
     (
         {"subscription": "new", "push_policy": "all", "skip_count": 1},
         "skip_count means nothing without push_policy: skip",
     ),
     (
         {"subscription": "new", "push_policy": "skip", "skip_count": -1},
-        "skip_count must be a whole number from 0 to 1000000, got '-1'",
+        "option $.skip_count: expected at least 0, got -1",
     ),
     (
         {"properties": {"dataport.inport.buffer.length": "many"}},

@@ -138,10 +138,10 @@ def test_wrong_options_of_a_bridge_are_refused(options: dict[str, Any]) -> None:
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        ({"flow": "sideways"}, "flow must be push or pull"),
-        ({"rate": -1}, "rate must be more than 0"),
-        ({"activate": "yes"}, "activate must be true, false or keep"),
-        ({"properties": {"a": 1}}, "properties must be a table of strings"),
+        ({"flow": "sideways"}, 'option $.flow: expected push or pull, got "sideways"'),
+        ({"rate": -1}, "option $.rate: expected more than 0, got -1"),
+        ({"activate": "yes"}, 'option $.activate: expected false, true or keep, got "yes"'),
+        ({"properties": {"a": 1}}, "option $.properties.a: expected text, got 1"),
         ({"reset": True}, "reset means nothing without activate"),
         (
             {"properties": {"dataport.serializer.cdr.endian": "big"}},
@@ -151,8 +151,8 @@ def test_wrong_options_of_a_bridge_are_refused(options: dict[str, Any]) -> None:
             {"properties": {"dataport.interface_type": "shared_memory"}},
             "interface type 'shared_memory' is not spoken here: only corba_cdr is",
         ),
-        ({"qos": "auto"}, "there is no option 'qos'; there are flow"),
-        ({"endian": "middle"}, "endian must be little or big"),
+        ({"qos": "auto"}, 'option $.qos: unknown key "qos" (known keys: flow, '),
+        ({"endian": "middle"}, "option $.endian: expected little or big"),
     ],
     ids=str,
 )

@@ -8,7 +8,7 @@ from __future__ import annotations
 from uoarm.bridge import Bridge, BridgeType, hookimpl
 from uoarm.errors import PluginError
 from uoarm.model import Options
-from uoarm_rtm._options import BRIDGE_OPTIONS, option_mistake
+from uoarm_rtm._options import BRIDGE_OPTIONS, RtmEndpointOptions, option_mistake
 
 __all__ = ["uoarm_bridge_types"]
 
@@ -25,6 +25,7 @@ def uoarm_bridge_types() -> list[BridgeType]:
             summary="OpenRTM components through CORBA",
             create=_create,
             options_schema=BRIDGE_OPTIONS,
+            endpoint_options=RtmEndpointOptions,
             check_endpoint=option_mistake,
             doctor=_doctor,
             contract=2,

@@ -40,10 +40,10 @@ from uoarm_rtm._options import (
     LIFECYCLE,
     SELF,
     PortAddress,
+    RtmEndpointOptions,
     address_of,
     bridge_options,
     linked_options,
-    options_of,
 )
 from uoarm_rtm._orb import Orb
 from uoarm_rtm._own import OwnComponent
@@ -159,7 +159,7 @@ class RtmBridge(Bridge):
         del structures  # the interface is in the address, or at the port
         address = address_of(endpoint)
         seconds = min(timeout, self._options.call_seconds)
-        own = options_of(endpoint).timeout if endpoint.options else None
+        own = RtmEndpointOptions.of_endpoint(endpoint).timeout if endpoint.options else None
         limit = timeout, "the limit of the call"
         if own is not None:
             limit = min(limit, (own, "`timeout` of the endpoint"))
@@ -293,7 +293,7 @@ class RtmBridge(Bridge):
             peer,
             port,
             self._types.codec(port.data_type),
-            options_of(endpoint),
+            RtmEndpointOptions.of_endpoint(endpoint),
             self._options.call_seconds,
             self.report,
             self._active.tick,
@@ -302,7 +302,7 @@ class RtmBridge(Bridge):
     def _port(self, endpoint: Endpoint, address: PortAddress) -> tuple[PeerComponent, PeerPort]:
         """Return the port of an address, which can be what is asked, and is not of a failed one."""
         peer = self._directory.peer(address.component)
-        options = options_of(endpoint)
+        options = RtmEndpointOptions.of_endpoint(endpoint)
         port = required_port(peer, endpoint.role, address, options, self._types)
         if not options.reset:
             self._require_no_error(peer)

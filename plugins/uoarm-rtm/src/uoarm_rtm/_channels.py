@@ -186,11 +186,12 @@ class OutPortSource(Source):
 
     def _begin_pulling(self) -> None:
         remote = self._remote
+        requested = remote.options.requested_properties
         ior = self._connector.published(OUTPORT_IOR)
         what = f"{remote.where}: its OutPortCdr"
         try:
             target = narrowed(remote.orb.reference(ior), OpenRTM.OutPortCdr, remote.seconds, what)
-            self._longest += buffer_policy(remote.options.properties, "outport").longest_read
+            self._longest += buffer_policy(requested, "outport").longest_read
             limit(target, self._longest)
         except BridgeError:
             self._connector.disconnect()
@@ -198,7 +199,7 @@ class OutPortSource(Source):
         self._puller = Puller(
             target,
             remote.options.rate,
-            repeats=says_what_empty_means(remote.options.properties),
+            repeats=says_what_empty_means(requested),
             take=self.receive,
             lost=self._lost,
             missed=self._missed,
@@ -242,14 +243,15 @@ class InPortSink(Sink):
         self._remote = remote
         self._order = BIG if remote.options.endian == "big" else LITTLE
         self.health = ConnectorHealth(self, remote)
-        self._policy = buffer_policy(remote.options.properties, "outport")
+        requested = remote.options.requested_properties
+        self._policy = buffer_policy(requested, "outport")
         self._buffer: PullBuffer | ThreadedPusher | None = None
         self._outlet: Any = None
         self._target: Any = None
         self._gone = ""
         self._putting = CallGuard()
         self._sizes = SizeLimit(remote.where, remote.orb.most_octets)
-        waits = buffer_policy(remote.options.properties, "inport").longest_write
+        waits = buffer_policy(requested, "inport").longest_write
         self._is_released = False
         self._refused = 0
         self._lost_on_link = 0
@@ -268,7 +270,7 @@ class InPortSink(Sink):
             self._withdraw()
             raise
         if not pulls and remote.options.subscription != "flush":
-            push, period = push_policy(remote.options.properties), remote.options.period
+            push, period = push_policy(requested), remote.options.period
             self._buffer = ThreadedPusher(self._push, self._policy, push, period)
         self.blocking = self._buffer is None or self._policy.full == "block"
 

@@ -1,25 +1,26 @@
 """Addresses and options as the configuration writes them, read without any middleware.
 
 The policy of a buffer travels as connector properties whatever side it is for, and is read from
-them by the side that holds the buffer: `policy_properties` writes, `buffer_policy` reads.
+them by the side that holds the buffer: `requested_properties` writes, `buffer_policy` reads.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Literal
+from typing import Any, Literal
 
-from attrs import field, frozen
+from attrs import frozen
+from typing_extensions import Self
 
-from uoarm.bridge import reading_endpoint
+from uoarm.bridge import EndpointOptions, option, reading_endpoint
 from uoarm.model import Endpoint, Options, Role, Schema
 
 __all__ = [
     "BRIDGE_OPTIONS",
     "CONFIGURATION",
     "LIFECYCLE",
-    "POLICY_OPTIONS",
     "SELF",
+    "BufferOptions",
     "BufferPolicy",
     "PortAddress",
     "PushPolicy",
@@ -30,14 +31,9 @@ __all__ = [
     "buffer_policy",
     "linked_options",
     "option_mistake",
-    "options_of",
-    "policy_properties",
     "push_policy",
     "says_what_empty_means",
 ]
-
-POLICY_OPTIONS = ("buffer", "inport_buffer", "outport_buffer", "push_policy", "skip_count")
-"""The options of an endpoint that `policy_properties` reads."""
 
 _SIDES = ("inport", "outport")
 
@@ -57,7 +53,7 @@ _MEMBERS = {
     "empty_policy": "read.empty_policy",
     "read_timeout": "read.timeout",
 }
-"""Members of a `buffer` option, and what OpenRTM calls them."""
+"""Options of a buffer, and what OpenRTM calls them."""
 
 
 @frozen
@@ -102,32 +98,6 @@ class PushPolicy:
     skipped: int = 0
 
 
-def policy_properties(options: Mapping[str, object]) -> dict[str, str]:
-    """Return the connector properties that POLICY_OPTIONS ask for.
-
-    Raises:
-        ValueError: with the option or its member, what was expected and what came.
-    """
-    properties = {}
-    for option, sides in (
-        ("buffer", _SIDES),
-        ("inport_buffer", _SIDES[:1]),
-        ("outport_buffer", _SIDES[1:]),
-    ):
-        for name, text in _buffer_texts(option, options.get(option, {})).items():
-            properties.update({f"dataport.{side}.buffer.{name}": text for side in sides})
-    if "push_policy" in options:
-        properties[_PUSH_POLICY] = _policy_word(
-            "push_policy", _policy_text(options["push_policy"]), _PUSH
-        )
-    if "skip_count" in options:
-        if options.get("push_policy") != "skip":
-            raise ValueError("skip_count means nothing without push_policy: skip")
-        skipped = _policy_count("skip_count", _policy_text(options["skip_count"]), 0, _MOST_SKIPPED)
-        properties[_SKIP_COUNT] = str(skipped)
-    return properties
-
-
 def buffer_policy(properties: Mapping[str, str], side: str) -> BufferPolicy:
     """Read the policy of the buffer at one side of a connector.
 
@@ -165,22 +135,6 @@ def push_policy(properties: Mapping[str, str]) -> PushPolicy:
     )
 
 
-def _buffer_texts(option: str, table: object) -> dict[str, str]:
-    """Return what the table of an option asks for, by OpenRTM's names below `buffer.`."""
-    if not isinstance(table, Mapping):
-        raise ValueError(f"{option} must be a table such as {{length: 4}}, got {table!r}")  # noqa: TRY004 - one kind
-    unknown = sorted(set(table) - set(_MEMBERS), key=str)
-    if unknown:
-        text = f"{option} has no member {unknown[0]!r}; there are {', '.join(_MEMBERS)}"
-        raise ValueError(text)
-    for timeout, policy in (("write_timeout", "full_policy"), ("read_timeout", "empty_policy")):
-        if timeout in table and table.get(policy) != "block":
-            raise ValueError(f"{option}.{timeout} means nothing without {policy}: block")
-    texts = {_MEMBERS[member]: _policy_text(value) for member, value in table.items()}
-    _policy({_MEMBERS[item]: (f"{option}.{item}", texts[_MEMBERS[item]]) for item in table})
-    return texts
-
-
 def _policy(said: Mapping[str, tuple[str, str]]) -> BufferPolicy:
     """Read what is said, each with its place, and take what is usual for the rest."""
     usual = BufferPolicy()
@@ -192,12 +146,6 @@ def _policy(said: Mapping[str, tuple[str, str]]) -> BufferPolicy:
         _policy_word(*empty, _EMPTY) if empty else usual.empty,
         _policy_seconds(*read) if read else usual.read_seconds,
     )
-
-
-def _policy_text(value: object) -> str:
-    if isinstance(value, bool) or not isinstance(value, str | int | float):
-        return repr(value)
-    return str(value)
 
 
 def _policy_word(name: str, text: str, words: tuple[str, ...]) -> str:
@@ -330,47 +278,240 @@ class RtmBridgeOptions:
     idl_folder: str = "."
 
 
+_WAITING = {"type": "number", "minimum": 0, "maximum": _MOST_SECONDS}
+_ABOVE_ZERO = {"type": "number", "exclusiveMinimum": 0}
+_TEXT = {"type": "string"}
+
+
 @frozen
-class RtmEndpointOptions:
-    """The options of an endpoint; meaning in docs/rtm.md.
+class BufferOptions(EndpointOptions):
+    """How messages wait at one end of a connector; what is left out is the holder's to choose."""
 
-    `properties` holds also what the options for buffers and pushing come to.
-    """
+    length: int | None = option(
+        None,
+        {"type": "integer", "minimum": 1, "maximum": _LONGEST},
+        "messages that it holds (`buffer.length` of OpenRTM)",
+    )
+    full_policy: str | None = option(
+        None,
+        {"enum": list(_FULL)},
+        "a full buffer gives up its oldest message with `overwrite`, refuses the new one with "
+        "`do_nothing`, and lets the writer wait with `block` (`buffer.write.full_policy`)",
+    )
+    write_timeout: float | None = option(
+        None,
+        _WAITING,
+        "seconds that a writer waits with `block` (`buffer.write.timeout`)",
+        unit="s",
+    )
+    empty_policy: str | None = option(
+        None,
+        {"enum": list(_EMPTY)},
+        "an empty buffer says so with `do_nothing`, gives its last message again with `readback`, "
+        "and lets the reader wait with `block` (`buffer.read.empty_policy`)",
+    )
+    read_timeout: float | None = option(
+        None,
+        _WAITING,
+        "seconds that a reader waits with `block` (`buffer.read.timeout`)",
+        unit="s",
+    )
 
-    flow: Literal["push", "pull"] = "push"
-    subscription: Literal["flush", "new", "periodic"] = "flush"
-    rate: float = 20.0
-    endian: Literal["little", "big"] = "little"
-    activate: Literal[False, True, "keep"] = False
-    reset: bool = False
-    event: str = ""
-    instance: str = ""
-    interface: str = ""
-    timeout: float | None = None
-    stale_after: float | None = None
-    properties: Mapping[str, str] = field(factory=dict, hash=False)
+    @property
+    def texts(self) -> dict[str, str]:
+        """What is asked for, by OpenRTM's names below `buffer.`."""
+        asked = {name: getattr(self, option) for option, name in _MEMBERS.items()}
+        # 4.0 is a whole number in JSON, but not to the component that reads the property.
+        asked["length"] = None if self.length is None else int(self.length)
+        return {name: str(value) for name, value in asked.items() if value is not None}
+
+    def check_together(self, name: str) -> None:
+        """Raise ValueError where a time limit is given for what does not wait."""
+        for timeout, policy in (("write_timeout", "full_policy"), ("read_timeout", "empty_policy")):
+            if getattr(self, timeout) is not None and getattr(self, policy) != "block":
+                raise ValueError(f"{name}.{timeout} means nothing without {policy}: block")
+
+
+@frozen
+class RtmEndpointOptions(EndpointOptions):
+    """The options of an endpoint."""
+
+    flow: Literal["push", "pull"] = option(
+        "push",
+        {"enum": ["push", "pull"]},
+        "with `push` the OutPort calls the InPort, with `pull` the InPort asks the OutPort",
+    )
+    subscription: Literal["flush", "new", "periodic"] = option(
+        "flush",
+        {"enum": ["flush", "new", "periodic"]},
+        "how an OutPort pushes: `flush` at once, `new` from a thread of its own as soon as "
+        "something waits, `periodic`",
+    )
+    rate: float = option(
+        20,
+        _ABOVE_ZERO,
+        "times a second: of `periodic`, of our asking with `flow: pull`, and of an InPort of our "
+        "own component asking those who wait to be asked",
+        unit="Hz",
+    )
+    push_policy: str | None = option(
+        None,
+        {"enum": list(_PUSH)},
+        "of the messages that wait in the OutPort (`new`, `periodic`): the `new`est alone, which "
+        "is usual, `fifo` one after the other, `all`, or `skip`",
+    )
+    skip_count: int | None = option(
+        None,
+        {"type": "integer", "minimum": 0, "maximum": _MOST_SKIPPED},
+        "with `skip`: how many are left out before each that is pushed; left out: 0",
+    )
+    buffer: BufferOptions | None = option(  # noqa: RUF009 - a field
+        None, BufferOptions, "how messages wait at both ends, see below"
+    )
+    inport_buffer: BufferOptions | None = option(  # noqa: RUF009 - a field
+        None, BufferOptions, "the same for the InPort, before `buffer`"
+    )
+    outport_buffer: BufferOptions | None = option(  # noqa: RUF009 - a field
+        None, BufferOptions, "the same for the OutPort, before `buffer`"
+    )
+    endian: Literal["little", "big"] = option(
+        "little",
+        {"enum": ["little", "big"]},
+        "byte order that is asked for, and sent. `big` is refused where a component in C++ takes "
+        "no notice of it: OutPorts that push, InPorts that pull",
+    )
+    activate: Literal[False, True, "keep"] = option(
+        False,
+        {"enum": [False, True, "keep"]},
+        "`true`: activate the component on request and deactivate it when its last channel closes; "
+        "one that was active before is left active. `keep`: activate it again, too, when another "
+        "program has deactivated it",
+    )
+    reset: bool = option(
+        False,
+        {"type": "boolean"},
+        "with `activate`: reset a component that has failed (state ERROR) before it is activated "
+        "on request",
+    )
+    event: str = option(
+        "",
+        _TEXT,
+        "of the port of a state machine (type `any`): the event that a message is, whose data type "
+        "is the third part of the address: `[Microwave0.rtc, event, TimedLong]` with "
+        "`event: minute`",
+    )
+    timeout: float | None = option(
+        None,
+        _ABOVE_ZERO,
+        "seconds that one message to an InPort may take; of a service, seconds that one call may "
+        "take at most, in place of the bridge's `call_timeout`",
+        unit="s",
+    )
+    instance: str = option(
+        "",
+        _TEXT,
+        "of a service at our own component: name of the provided interface as the port shows it; "
+        "left out: the interface's name in lower case. `rtcon` connects ports whose names are the "
+        "same: `myservice0`",
+    )
+    interface: str = option(
+        "",
+        _TEXT,
+        "its type as the port shows it; left out: the interface's name; for components in C++ "
+        "`SimpleService::MyService`",
+    )
+    stale_after: float | None = option(
+        None,
+        _ABOVE_ZERO,
+        "seconds without a message after which an output counts as lost; left out: never",
+        unit="s",
+    )
+    properties: Mapping[str, str] | None = option(
+        None,
+        {"type": "object", "additionalProperties": _TEXT},
+        "further connector properties; what is said here comes before the other options. Byte "
+        "order and data type have their own place and are refused here, as is another interface "
+        "type than `corba_cdr`",
+    )
+
+    @classmethod
+    def of(cls, options: Options) -> Self:
+        """Read options.
+
+        Raises:
+            ValueError: some are wrong, or do not go together.
+        """
+        made = super().of(options)
+        made._check_together()  # noqa: SLF001 - our own class
+        return made
 
     @property
     def period(self) -> float:
         """Seconds from one push of ours to the next; 0 for whenever there is something."""
         return 1.0 / self.rate if self.subscription == "periodic" else 0.0
 
+    @property
+    def requested_properties(self) -> dict[str, str]:
+        """What `properties` and the options for buffers, pushing and events ask of a connector."""
+        requested = {}
+        for table, sides in (
+            (self.buffer, _SIDES),
+            (self.inport_buffer, _SIDES[:1]),
+            (self.outport_buffer, _SIDES[1:]),
+        ):
+            for name, text in table.texts.items() if table is not None else ():
+                requested.update({f"dataport.{side}.buffer.{name}": text for side in sides})
+        if self.push_policy is not None:
+            requested[_PUSH_POLICY] = self.push_policy
+        if self.skip_count is not None:
+            requested[_SKIP_COUNT] = str(int(self.skip_count))
+        if self.event:
+            requested["dataport.fsm_event_name"] = self.event
+        return {**requested, **(self.properties or {})}
+
+    def _check_together(self) -> None:
+        if self.reset and not self.activate:
+            raise ValueError("reset means nothing without activate: true or keep")
+        if self.push_policy and (self.flow == "pull" or self.subscription == "flush"):
+            text = "push_policy means nothing without flow: push and subscription: new or periodic"
+            raise ValueError(text)
+        if self.skip_count is not None and self.push_policy != "skip":
+            raise ValueError("skip_count means nothing without push_policy: skip")
+        for name in ("buffer", "inport_buffer", "outport_buffer"):
+            table: BufferOptions | None = getattr(self, name)
+            if table is not None:
+                table.check_together(name)
+        properties = self.properties or {}
+        for name, instead in _OF_OPTIONS.items():
+            if name in properties:
+                # We encode and decode by the option: the property alone would make garbage of both.
+                raise ValueError(f"properties must not hold {name}: use {instead}")
+        interface = properties.get("dataport.interface_type", "corba_cdr")
+        if interface != "corba_cdr":
+            text = f"interface type {interface!r} is not spoken here: only corba_cdr is"
+            raise ValueError(text)
+        requested = self.requested_properties
+        for side in _SIDES:
+            buffer_policy(requested, side)
+        push_policy(requested)
+
 
 def bridge_options(name: str, options: Options) -> RtmBridgeOptions:
     """Read the options of a bridge, which have been checked against BRIDGE_OPTIONS."""
-    defaults = RtmBridgeOptions(str(options.get("component", f"uoarm_{name}")))
+    given: Any = options
+    defaults = RtmBridgeOptions(given.get("component", f"uoarm_{name}"))
     return RtmBridgeOptions(
         defaults.component,
-        _texts(options.get("nameserver")) or defaults.nameservers,
-        _texts(options.get("idl")),
-        str(options.get("address", defaults.address)),
-        _seconds(options, "call_timeout") or defaults.call_seconds,
-        _number(options.get("watch", defaults.watch_seconds), "watch"),
-        str(options.get("text", defaults.text)),
-        int(str(options.get("max_message", defaults.most_octets))),
-        _seconds(options, "call_timeout"),
-        options.get("observe", defaults.observe) is True,
-        str(options.get("idl_folder", defaults.idl_folder)),
+        _texts(given.get("nameserver")) or defaults.nameservers,
+        _texts(given.get("idl")),
+        given.get("address", defaults.address),
+        given.get("call_timeout", defaults.call_seconds),
+        given.get("watch", defaults.watch_seconds),
+        given.get("text", defaults.text),
+        int(given.get("max_message", defaults.most_octets)),
+        given.get("call_timeout"),
+        given.get("observe", defaults.observe),
+        given.get("idl_folder", defaults.idl_folder),
     )
 
 
@@ -384,16 +525,6 @@ def address_of(endpoint: Endpoint) -> PortAddress:
         address = _address(endpoint.address)
         _fits(address, endpoint.role, is_offered=endpoint.is_offered)
     return address
-
-
-def options_of(endpoint: Endpoint) -> RtmEndpointOptions:
-    """Read an endpoint's options.
-
-    Raises:
-        BridgeError: with BAD_ENDPOINT and what is wrong.
-    """
-    with reading_endpoint(endpoint):
-        return _read_options(endpoint.options)
 
 
 def linked_options(source: Endpoint, sink: Endpoint) -> RtmEndpointOptions | None:
@@ -417,7 +548,7 @@ def linked_options(source: Endpoint, sink: Endpoint) -> RtmEndpointOptions | Non
             elif before != value:
                 return None
     try:
-        return _read_options(together)
+        return RtmEndpointOptions.of(together)
     except ValueError:  # each is right by itself, and the two are not
         return None
 
@@ -426,7 +557,7 @@ def option_mistake(address: tuple[str, ...], options: Options) -> str:
     """Return what is wrong with an address or its options, or ""."""
     try:
         _address(address)
-        _read_options(options)
+        RtmEndpointOptions.of(options)
     except ValueError as error:
         return str(error)
     return ""
@@ -446,93 +577,7 @@ def _fits(address: PortAddress, role: Role, *, is_offered: bool) -> None:
         raise ValueError("a port of our own component needs its type as third part")
 
 
-def _read_options(options: Options) -> RtmEndpointOptions:
-    known = [*(attr.name for attr in RtmEndpointOptions.__attrs_attrs__), *POLICY_OPTIONS]
-    unknown = sorted(set(options) - set(known))
-    if unknown:
-        raise ValueError(f"there is no option {unknown[0]!r}; there are {', '.join(known)}")
-    activate, reset = options.get("activate", False), options.get("reset", False)
-    if not isinstance(activate, bool) and activate != "keep":
-        raise ValueError(f"activate must be true, false or keep, got {activate!r}")
-    if not isinstance(reset, bool):
-        raise ValueError(f"reset must be true or false, got {reset!r}")  # noqa: TRY004 - one kind
-    if reset and not activate:
-        raise ValueError("reset means nothing without activate: true or keep")
-    flow = _one_of(options, "flow", ("push", "pull"))
-    subscription = _one_of(options, "subscription", ("flush", "new", "periodic"))
-    if "push_policy" in options and (flow == "pull" or subscription == "flush"):
-        text = "push_policy means nothing without flow: push and subscription: new or periodic"
-        raise ValueError(text)
-    event = _word(options, "event")
-    properties = {
-        **policy_properties(options),
-        **({"dataport.fsm_event_name": event} if event else {}),
-        **_properties(options.get("properties", {})),
-    }
-    for side in ("inport", "outport"):
-        buffer_policy(properties, side)
-    push_policy(properties)
-    return RtmEndpointOptions(
-        flow,  # type: ignore[arg-type]  # checked above
-        subscription,  # type: ignore[arg-type]  # checked above
-        _seconds(options, "rate") or RtmEndpointOptions().rate,
-        _one_of(options, "endian", ("little", "big")),  # type: ignore[arg-type]  # checked there
-        activate,
-        reset,
-        event,
-        _word(options, "instance"),
-        _word(options, "interface"),
-        _seconds(options, "timeout"),
-        _seconds(options, "stale_after"),
-        properties,
-    )
-
-
-def _one_of(options: Options, name: str, values: tuple[str, ...]) -> str:
-    value = options.get(name, values[0])
-    if value not in values:
-        raise ValueError(f"{name} must be {' or '.join(values)}, got {value!r}")
-    return str(value)
-
-
-def _word(options: Options, name: str) -> str:
-    value = options.get(name, "")
-    if not isinstance(value, str):
-        raise ValueError(f"{name} must be a text, got {value!r}")  # noqa: TRY004 - one kind
-    return value
-
-
-def _seconds(options: Options, name: str) -> float | None:
-    value = options.get(name)
-    if value is None:
-        return None
-    number = _number(value, name)
-    if not number > 0:
-        raise ValueError(f"{name} must be more than 0, got {value!r}")
-    return number
-
-
-def _number(value: object, name: str) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        raise ValueError(f"{name} must be a number, got {value!r}")  # noqa: TRY004 - one kind
-    return float(value)
-
-
 def _texts(value: object) -> tuple[str, ...]:
     if value is None:
         return ()
     return (value,) if isinstance(value, str) else tuple(map(str, value))  # type: ignore[call-overload]  # by the schema
-
-
-def _properties(value: object) -> Mapping[str, str]:
-    if not isinstance(value, Mapping) or not all(isinstance(item, str) for item in value.values()):
-        raise ValueError(f"properties must be a table of strings, got {value!r}")
-    for name, option in _OF_OPTIONS.items():
-        if name in value:
-            # We encode and decode by the option: the property alone would make garbage of both.
-            raise ValueError(f"properties must not hold {name}: use {option}")
-    interface = value.get("dataport.interface_type", "corba_cdr")
-    if interface != "corba_cdr":
-        text = f"interface type {interface!r} is not spoken here: only corba_cdr is"
-        raise ValueError(text)
-    return dict(value)

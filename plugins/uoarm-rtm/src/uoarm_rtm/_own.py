@@ -10,7 +10,7 @@ from uoarm.errors import BridgeError, FailureReason
 from uoarm.model import Deliver, Endpoint, Health, Message
 from uoarm_rtm._descriptors import IdlInterface
 from uoarm_rtm._naming import NamingService
-from uoarm_rtm._options import options_of
+from uoarm_rtm._options import RtmEndpointOptions
 from uoarm_rtm._orb import Orb
 from uoarm_rtm._services import ServicePort, servant_of
 from uoarm_rtm._types import Types
@@ -29,7 +29,7 @@ class _OwnSource(Source):
         self._own = own
         self._deliver = deliver
         self._count = 0
-        rate = options_of(endpoint).rate
+        rate = RtmEndpointOptions.of_endpoint(endpoint).rate
         self._port = own.component.add_in_port(name, type_id, own.types, self._take, rate)
 
     def facts(self) -> Mapping[str, object]:
@@ -145,7 +145,7 @@ class OwnComponent:
         self._free(name)
         servant = servant_of(interface, operation, handler)
         full = f"{self.component.profile.name}.{name}"
-        options = options_of(endpoint)
+        options = RtmEndpointOptions.of_endpoint(endpoint)
         port = ServicePort(
             self._orb,
             full,

@@ -206,7 +206,7 @@ def connector_properties(options: RtmEndpointOptions, data_type: str) -> dict[st
         "dataport.push_rate": f"{options.rate:g}",
         "dataport.data_type": data_type,
         "dataport.serializer.cdr.endian": order,
-        **options.properties,
+        **options.requested_properties,
     }
 
 
