@@ -75,7 +75,9 @@ def mistakes(
         sentence = f"expected {any_of([_choice(word) for word in expected])}, got {write(value)}"
         yield path, sentence, near(value, expected, speller), False
     elif keyword == "pattern":
-        yield path, f"expected text that matches {expected}, got {write(value)}", "", False
+        examples = rules.get("examples", ())
+        wanted = f"such as {examples[0]}" if examples else f"that matches {expected}"
+        yield path, f"expected text {wanted}, got {write(value)}", "", False
     elif keyword == "x-nul":
         yield path, f"expected a string without the character NUL, got {write(value)}", "", False
     elif keyword in _UNITS:
@@ -108,7 +110,7 @@ def near(value: object, allowed: Collection[object], speller: Speller) -> str:
     """Return which of the allowed words a misspelt one may have been."""
     if not isinstance(value, str):
         return ""
-    return speller.guess(value, [str(item) for item in allowed if item != value])
+    return speller.guess(value, [any_of([item]) for item in allowed if item != value])
 
 
 def _choice(value: object) -> str:

@@ -43,6 +43,6 @@ def _some(known: Collection[str]) -> str:
 
 
 def any_of(allowed: Collection[object]) -> str:
-    """Write a choice: `a, b or c`."""
-    words = [str(item) for item in allowed]
+    """Write a choice: `a, b or c`; truth values as files have them."""
+    words = [str(item).lower() if isinstance(item, bool) else str(item) for item in allowed]
     return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} or {words[-1]}"

@@ -5,7 +5,8 @@ from __future__ import annotations
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from uoarm_ros2._qos import Policies, QosOptions, clashes, for_reading, for_writing, qos_options
+from uoarm_ros2._options import Ros2Options
+from uoarm_ros2._qos import Policies, QosOptions, clashes, for_reading, for_writing
 
 TIMES = st.none() | st.floats(0.001, 100.0)
 POLICIES = st.builds(
@@ -73,9 +74,9 @@ def test_each_clash_is_named(
     assert not clashes(Policies(**requested), Policies(**requested))  # type: ignore[arg-type]  # a table
 
 
-@pytest.mark.parametrize("options", [None, "auto", {}])
-def test_nothing_said_is_auto(options: object) -> None:
-    assert qos_options(options) == QosOptions()
+@pytest.mark.parametrize("options", [{}, {"qos": "auto"}, {"qos": {}}])
+def test_nothing_said_is_auto(options: dict[str, object]) -> None:
+    assert Ros2Options.of(options).policies == QosOptions()
 
 
 def test_policies_are_shown_in_words() -> None:

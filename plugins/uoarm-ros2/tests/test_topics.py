@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import os
+import re
 import threading
 from collections.abc import Callable
 from contextlib import nullcontext, suppress
@@ -613,13 +614,29 @@ def test_what_is_not_there_says_so(bridge: Bridge, peer: Start) -> None:
         (("/a", "Int64"), {}, "is not spelt package/msg/Name"),
         (("/a", "std_msgs/Int64"), {}, r"action/Name; did you mean 'std_msgs/msg/Int64'\?"),
         (("/a", INT64, "goal"), {}, "only an action has parts"),
-        (("/a", INT64), {"peers": "optional"}, "there is no option 'peers'"),
-        (("/a", INT64), {"peer": "maybe"}, "peer must be required or optional"),
-        (("/a", INT64), {"qos": {"reliability": "good"}}, "qos.reliability must be one of"),
-        (("/a", INT64), {"qos": {"depth": 0}}, "qos.depth must be 1 to"),
-        (("/a", INT64), {"qos": {"depht": 1}}, "qos has no policy 'depht'"),
-        (("/a", INT64), {"qos": {"deadline": -1}}, "qos.deadline must be seconds"),
-        (("/a", INT64), {"stale_after": 0}, "stale_after must be seconds"),
+        (("/a", INT64), {"peers": "optional"}, r'option \$.peers: unknown key "peers"'),
+        (("/a", INT64), {"peer": "maybe"}, r"option \$.peer: expected required or optional, got"),
+        (
+            ("/a", INT64),
+            {"qos": {"reliability": "good"}},
+            "expected auto, reliable or best",
+        ),
+        (("/a", INT64), {"qos": {"depth": 0}}, r"option \$.qos.depth: expected at least 1"),
+        (
+            ("/a", INT64),
+            {"qos": {"depht": 1}},
+            r"qos.depht: unknown key .* \(did you mean",
+        ),
+        (("/a", INT64), {"qos": {"deadline": -1}}, r"option \$.qos.deadline: expected more than 0"),
+        (("/a", INT64), {"qos": "atuo"}, r"option \$.qos: expected text such as auto, got"),
+        (
+            ("/a", INT64),
+            {"qos": {"deadline": "atuo"}},
+            r"qos.deadline: expected text such as auto, got",
+        ),
+        (("/a", INT64), {"node": "a b"}, r"option \$.node: expected text such as /camera"),
+        (("/a", INT64), {"activate": "on"}, r"activate: expected false, true or keep"),
+        (("/a", INT64), {"stale_after": 0}, r"option \$.stale_after: expected more than 0"),
     ],
 )
 def test_a_mistake_in_an_address_is_found_without_middleware(
@@ -627,10 +644,15 @@ def test_a_mistake_in_an_address_is_found_without_middleware(
 ) -> None:
     from uoarm_ros2 import uoarm_bridge_types
 
-    check = uoarm_bridge_types()[0].check_endpoint
-    assert check is not None
-    with pytest.raises(ValueError, match=words):
-        raise ValueError(check(address, options))
+    kind = uoarm_bridge_types()[0]
+    assert kind.check_endpoint is not None
+    assert kind.endpoint_options is not None
+    found = kind.check_endpoint(address, options)
+    if not found:
+        with pytest.raises(ValueError, match=words):
+            kind.endpoint_options.of(options)
+    else:
+        assert re.search(words, found)
     with pytest.raises(BridgeError, match=words) as caught:
         bridge.describe(endpoint(Role.OUTPUT, *address, **options))  # type: ignore[arg-type]  # wrong on purpose
     assert caught.value.reason is FailureReason.BAD_ENDPOINT

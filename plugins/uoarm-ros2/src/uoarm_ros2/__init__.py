@@ -14,7 +14,7 @@ from uoarm.bridge import Bridge, BridgeType, hookimpl, install_command
 from uoarm.errors import PluginError
 from uoarm.model import Options
 from uoarm_ros2._installed import absent_middleware, doubts, structure_of_type
-from uoarm_ros2._options import BRIDGE_OPTIONS, mistake, topic_name
+from uoarm_ros2._options import BRIDGE_OPTIONS, Ros2Options, mistake, topic_name
 from uoarm_ros2._parameters import mistakes
 
 __all__ = ["uoarm_bridge_types"]
@@ -29,6 +29,7 @@ def uoarm_bridge_types() -> list[BridgeType]:
             summary="ROS 2 topics, services and actions through rclpy",
             create=_create,
             options_schema=BRIDGE_OPTIONS,
+            endpoint_options=Ros2Options,
             check_endpoint=mistake,
             topic=topic_name,
             doctor=_doctor,

@@ -10,7 +10,7 @@ from contextlib import ExitStack, contextmanager, suppress
 from functools import partial
 from typing import Any, TypeVar
 
-from attrs import define, evolve
+from attrs import define
 
 from uoarm.bridge import (
     Bridge,
@@ -426,7 +426,6 @@ class Ros2Bridge(Bridge):
         self._mention_others(topic, endpoint)
         native = self._types.find(topic.type, topic.name)
         large = is_large(shape_of(native, topic.type))
-        options = evolve(options, qos=options.qos.for_type(large=large))
         return TopicContext(
             self._runner,
             self._graph,
@@ -434,6 +433,7 @@ class Ros2Bridge(Bridge):
             topic,
             native,
             options,
+            options.policies.for_type(large=large),
             self._options.settle,
             self._report_channel,
             self._clock,

@@ -63,7 +63,7 @@ class _Publisher(TopicEndpoint):
         return False
 
     def _fitting(self, peers: Iterable[Peer]) -> Policies:
-        return for_writing(self._context.options.qos, [peer.policies for peer in peers])
+        return for_writing(self._context.qos, [peer.policies for peer in peers])
 
     def _create(self) -> Any:
         context = self._context
@@ -238,7 +238,7 @@ class _Subscription(TopicEndpoint):
         latched = [peer for peer in peers if peer.policies.durability == "transient_local"]
         if not latched or self.policies.durability == "transient_local":
             return ""
-        if context.options.qos.durability != "auto":
+        if context.qos.durability != "auto":
             return ""
         volatile = [peer.node for peer in peers if peer not in latched]
         return (
@@ -248,7 +248,7 @@ class _Subscription(TopicEndpoint):
         )
 
     def _fitting(self, peers: Iterable[Peer]) -> Policies:
-        return for_reading(self._context.options.qos, [peer.policies for peer in peers])
+        return for_reading(self._context.qos, [peer.policies for peer in peers])
 
     def _create(self) -> Any:
         context, health = self._context, self._health

@@ -386,7 +386,7 @@ class ManagedNodes:
                 f"name the type of {endpoint.address[0]} in the address"
             )
             raise BridgeError(text, FailureReason.BAD_ENDPOINT)
-        return options if state == "active" else evolve(options, peer_required=False)
+        return options if state == "active" else evolve(options, peer="optional")
 
     @contextmanager
     def leased(self, endpoint: Endpoint, options: Ros2Options) -> Iterator[LeasedNode]:
@@ -431,7 +431,7 @@ class ManagedNodes:
             parameters = flattened(endpoint.parameters)
         return NodeRequirement(
             self._resolve(name),
-            options.activate != "false",
+            bool(options.activate),
             options.activate == "keep",
             options.afterwards,
             parameters,

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
+from typing import Any
 
-from attrs import evolve, field, frozen
+from attrs import evolve, frozen
 
-from uoarm.bridge import reading_endpoint
+from uoarm.bridge import EndpointOptions, option, reading_endpoint
 from uoarm.model import Endpoint, Options, Role, Schema
-from uoarm_ros2._qos import QosOptions, qos_options
+from uoarm_ros2._qos import AUTO_ONLY, QosOptions
 from uoarm_ros2._types import ACTION, MESSAGE, SERVICE, kind_of, type_mistake
 
 __all__ = [
@@ -26,7 +27,8 @@ __all__ = [
     "options_of",
 ]
 
-_NAME = re.compile(r"/?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*")
+_GRAPH_NAME = "/?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*"
+_NAME = re.compile(_GRAPH_NAME)
 _PARTS = {
     Role.OUTPUT: ("feedback", "result", "status"),
     Role.INPUT: ("goal", "cancel"),
@@ -35,11 +37,10 @@ _PARTS = {
 # Fast DDS announces a participant every 3 s: one that starts beside us may be unseen that long.
 _WAIT_SECONDS = 3.5
 _SETTLE_SECONDS = 0.05
-_MOST_AT_ONCE = 64
 HIGHEST_DOMAIN = 232  # from there on the ports that DDS computes do not exist
 TF_MESSAGE, LOOKUP = "tf2_msgs/msg/TFMessage", "lookup"
-_AFTERWARDS = ("deactivate", "cleanup", "leave")
 
+_QOS: Any = QosOptions.schema()
 _SECONDS: dict[str, object] = {"type": "number", "minimum": 0, "maximum": 60}
 BRIDGE_OPTIONS: Schema = {
     "type": "object",
@@ -120,28 +121,63 @@ class Ros2BridgeOptions:
 
 
 @frozen
-class Ros2Options:
-    """The options of an endpoint.
+class Ros2Options(EndpointOptions):
+    """The options of an endpoint."""
 
-    Attributes:
-        qos: policies asked for.
-        peer_required: whether an endpoint without another end counts as unavailable.
-        wait: seconds to wait for the other end; None: as the bridge says.
-        stale_after: seconds without a message after which the channel is lost; None: never.
-        at_once: requests to a service that is offered that are handled at the same time.
-        node: behind the component; empty: its name.
-        activate: `false`, `true` or `keep`: whether a lifecycle node is active while it is used.
-        afterwards: `deactivate`, `cleanup` or `leave`: what then becomes of it.
-    """
+    qos: str | Mapping[str, Any] = option(
+        "auto",
+        {**_QOS, "type": ["string", "object"], **AUTO_ONLY},
+        "`auto`, or a table of the policies below",
+    )
+    peer: str = option(
+        "required",
+        {"enum": ["required", "optional"]},
+        "or `optional`: it is available without another end, as for publishing outward",
+    )
+    wait: float | None = option(
+        None,
+        {"type": "number", "minimum": 0},
+        "seconds to wait for the other end; left out: as the bridge says",
+        unit="s",
+    )
+    stale_after: float | None = option(
+        None,
+        {"type": "number", "exclusiveMinimum": 0},
+        "seconds without a message after which it is lost; left out: three times the `deadline` "
+        "that every publisher of the topic offers, a second at least; never where one offers none",
+        unit="s",
+    )
+    at_once: int = option(
+        8,
+        {"type": "integer", "minimum": 1, "maximum": 64},
+        "of a service that is offered: requests that are handled at the same time, 1 to 64",
+    )
+    node: str = option(
+        "",
+        {"type": "string", "pattern": f"^({_GRAPH_NAME})?$", "examples": ["/camera"]},
+        "the node behind the component; left out: the component's name",
+    )
+    activate: bool | str = option(
+        False,
+        {"enum": [False, True, "keep"]},
+        "of a lifecycle node, `true`: active while something of the component is open; `keep`: "
+        "activated again, too, when another client has deactivated it",
+    )
+    afterwards: str = option(
+        "deactivate",
+        {"enum": ["deactivate", "cleanup", "leave"]},
+        "what then becomes of the node: `deactivate`, `cleanup` or `leave`",
+    )
 
-    qos: QosOptions = field(factory=QosOptions)
-    peer_required: bool = True
-    wait: float | None = None
-    stale_after: float | None = None
-    at_once: int = 8
-    node: str = ""
-    activate: str = "false"
-    afterwards: str = "deactivate"
+    @property
+    def peer_required(self) -> bool:
+        """Whether an endpoint without another end counts as unavailable."""
+        return self.peer == "required"
+
+    @property
+    def policies(self) -> QosOptions:
+        """What `qos` asks for."""
+        return QosOptions() if isinstance(self.qos, str) else QosOptions(**self.qos)
 
 
 def address_of(endpoint: Endpoint) -> Ros2Address:
@@ -170,15 +206,15 @@ def options_of(endpoint: Endpoint) -> Ros2Options:
     Raises:
         BridgeError: with BAD_ENDPOINT and what is wrong.
     """
+    options = Ros2Options.of_endpoint(endpoint)
+    if not endpoint.is_offered:
+        return options
     with reading_endpoint(endpoint):
-        options = _read_options(endpoint.options)
-        if not endpoint.is_offered:
-            return options
-        if options.node or options.activate != "false":
+        if options.node or options.activate:
             raise ValueError(
                 "what is offered stands on no node: node and activate do not go with it"
             )
-        return evolve(options, peer_required=False)
+    return evolve(options, peer="optional")
 
 
 def node_of(endpoint: Endpoint, options: Ros2Options) -> str:
@@ -187,7 +223,7 @@ def node_of(endpoint: Endpoint, options: Ros2Options) -> str:
     Raises:
         ValueError: it is not named, and the component's name is none of a node.
     """
-    if not (options.node or options.activate != "false" or endpoint.parameters):
+    if not (options.node or options.activate or endpoint.parameters):
         return ""
     name = options.node or endpoint.component
     if not _NAME.fullmatch(name):
@@ -196,10 +232,10 @@ def node_of(endpoint: Endpoint, options: Ros2Options) -> str:
 
 
 def mistake(address: tuple[str, ...], options: Options) -> str:
-    """Return what is wrong with an address or its options, or ""."""
+    """Return what is wrong with an address, or ""."""
+    del options  # each is checked by itself
     try:
         _address(address)
-        _read_options(options)
     except ValueError as error:
         return str(error)
     return ""
@@ -250,49 +286,3 @@ def _default_part(endpoint: Endpoint, parts: tuple[str, ...]) -> str:
     if endpoint.port in parts:
         return endpoint.port
     return "result" if "result" in parts else "goal"
-
-
-def _read_options(options: Options) -> Ros2Options:
-    known = ("activate", "afterwards", "at_once", "node", "peer", "qos", "stale_after", "wait")
-    unknown = sorted(set(options) - set(known))
-    if unknown:
-        raise ValueError(f"there is no option {unknown[0]!r}; there are {', '.join(known)}")
-    peer = options.get("peer", "required")
-    if peer not in {"required", "optional"}:
-        raise ValueError(f"peer must be required or optional, got {peer!r}")
-    node = options.get("node", "")
-    if node and not (isinstance(node, str) and _NAME.fullmatch(node)):
-        raise ValueError(f"node must be the name of a node such as /camera, got {node!r}")
-    activate = options.get("activate", False)
-    if activate not in (True, False, "keep"):
-        raise ValueError(f"activate must be true, false or keep, got {activate!r}")
-    afterwards = options.get("afterwards", _AFTERWARDS[0])
-    if afterwards not in _AFTERWARDS:
-        raise ValueError(f"afterwards must be {' or '.join(_AFTERWARDS)}, got {afterwards!r}")
-    return Ros2Options(
-        qos_options(options.get("qos")),
-        peer == "required",
-        _seconds(options, "wait", zero=True),
-        _seconds(options, "stale_after", zero=False),
-        _at_once(options),
-        str(node),
-        str(activate).lower(),
-        str(afterwards),
-    )
-
-
-def _at_once(options: Mapping[str, object]) -> int:
-    value = options.get("at_once", 8)
-    if isinstance(value, bool) or not isinstance(value, int) or not 1 <= value <= _MOST_AT_ONCE:
-        raise ValueError(f"at_once must be 1 to {_MOST_AT_ONCE}, got {value!r}")
-    return value
-
-
-def _seconds(options: Mapping[str, object], name: str, *, zero: bool) -> float | None:
-    value = options.get(name)
-    if value is None:
-        return None
-    number = isinstance(value, int | float) and not isinstance(value, bool)
-    if not number or not (value >= 0 if zero else value > 0):  # type: ignore[operator]  # a number
-        raise ValueError(f"{name} must be seconds, got {value!r}")
-    return float(value)  # type: ignore[arg-type]  # a number

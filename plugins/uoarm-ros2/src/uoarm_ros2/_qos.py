@@ -6,27 +6,24 @@ from collections.abc import Iterable, Mapping
 
 from attrs import evolve, frozen
 
+from uoarm.bridge import EndpointOptions, option
+
 __all__ = [
+    "AUTO_ONLY",
     "KEEP_ALL_SECONDS",
     "Policies",
     "QosOptions",
     "clashes",
     "for_reading",
     "for_writing",
-    "qos_options",
 ]
 
 KEEP_ALL_SECONDS = 10.0  # for which a history that keeps all waits for slow readers
 _DEPTH = 100
 _DEPTH_OF_LARGE = 5  # a queue of pictures is a delay: a hundred of 1080p are 600 MB
-_MAX_DEPTH = 1_000_000
-_CHOICES: Mapping[str, tuple[str, ...]] = {
-    "reliability": ("auto", "reliable", "best_effort"),
-    "durability": ("auto", "volatile", "transient_local"),
-    "history": ("keep_last", "keep_all"),
-    "liveliness": ("auto", "automatic", "manual_by_topic"),
-}
-_SECONDS = ("deadline", "lifespan", "lease_duration")
+AUTO_ONLY: Mapping[str, object] = {"pattern": "^auto$", "examples": ["auto"]}
+"""The only text that may be written where something else may be, too."""
+_AUTO_SECONDS = {"type": ["number", "string", "null"], "exclusiveMinimum": 0, **AUTO_ONLY}
 
 
 @frozen
@@ -55,64 +52,67 @@ class Policies:
         return ", ".join(words)
 
 
+def _auto(*choices: str) -> dict[str, object]:
+    return {"enum": ["auto", *choices]}
+
+
 @frozen
-class QosOptions:
-    """What an endpoint's options ask for; `auto` is settled against the peers.
+class QosOptions(EndpointOptions):
+    """The policies that an endpoint's options ask for; `auto` is settled against the peers.
 
     A deadline or lease that is "auto" is what the peers state; None asks for none. A depth that is
     None follows from the size of the type.
     """
 
-    reliability: str = "auto"
-    durability: str = "auto"
-    history: str = "keep_last"
-    depth: int | None = None
-    deadline: float | str | None = "auto"
-    lifespan: float | None = None
-    liveliness: str = "auto"
-    lease_duration: float | str | None = "auto"
+    reliability: str = option(
+        "auto",
+        _auto("reliable", "best_effort"),
+        "`reliable` or `best_effort`: whether messages lost on the way are sent again",
+    )
+    durability: str = option(
+        "auto",
+        _auto("volatile", "transient_local"),
+        "`volatile` or `transient_local`: whether later readers get the last messages",
+    )
+    history: str = option(
+        "keep_last",
+        {"enum": ["keep_last", "keep_all"]},
+        "or `keep_all`: the sender waits for slow readers, while else the oldest message gives way",
+    )
+    depth: int | None = option(
+        None,
+        {"type": ["integer", "null"], "minimum": 1, "maximum": 1_000_000},
+        f"messages that are kept; left out: {_DEPTH}, for pictures and the like {_DEPTH_OF_LARGE}",
+    )
+    deadline: float | str | None = option(
+        "auto",
+        _AUTO_SECONDS,
+        "seconds within which each message follows the last one; null: none",
+        unit="s",
+    )
+    lifespan: float | None = option(
+        None,
+        {"type": ["number", "null"], "exclusiveMinimum": 0},
+        "seconds after which an unread message is dropped; left out: none",
+        unit="s",
+    )
+    liveliness: str = option(
+        "auto",
+        _auto("automatic", "manual_by_topic"),
+        "`automatic` or `manual_by_topic`: what counts as a sign of life",
+    )
+    lease_duration: float | str | None = option(
+        "auto",
+        _AUTO_SECONDS,
+        "seconds without a sign of life after which a publisher is lost; null: none",
+        unit="s",
+    )
 
     def for_type(self, *, large: bool) -> QosOptions:
         """Return the options for a type, with the depth of its size if none is stated."""
         if self.depth is not None:
             return self
         return evolve(self, depth=_DEPTH_OF_LARGE if large else _DEPTH)
-
-
-def qos_options(options: object) -> QosOptions:
-    """Read the `qos` option of an endpoint: "auto", or a table of policies.
-
-    Raises:
-        ValueError: with the sentence that says what is wrong.
-    """
-    if options is None or options == "auto":
-        return QosOptions()
-    if not isinstance(options, Mapping):
-        raise ValueError(  # noqa: TRY004 - one kind of error for every mistake in a file
-            f"qos must be auto or a table of policies, got {options!r}"
-        )
-    given = dict(options)
-    unknown = sorted(set(given) - {*_CHOICES, *_SECONDS, "depth"})
-    if unknown:
-        known = ", ".join(sorted({*_CHOICES, *_SECONDS, "depth"}))
-        raise ValueError(f"qos has no policy {unknown[0]!r}; there are {known}")
-    for name, choices in _CHOICES.items():
-        if name in given and given[name] not in choices:
-            raise ValueError(f"qos.{name} must be one of {', '.join(choices)}, got {given[name]!r}")
-    for name in _SECONDS:
-        if name in given and not _is_seconds(given[name], auto=name != "lifespan"):
-            raise ValueError(f"qos.{name} must be seconds above 0, got {given[name]!r}")
-    depth = given.get("depth")
-    stated = depth is not None
-    if stated and (type(depth) is not int or not 1 <= depth <= _MAX_DEPTH):
-        raise ValueError(f"qos.depth must be 1 to {_MAX_DEPTH}, got {depth!r}")
-    return QosOptions(**given)
-
-
-def _is_seconds(value: object, *, auto: bool) -> bool:
-    if value is None or (auto and value == "auto"):
-        return True
-    return isinstance(value, int | float) and not isinstance(value, bool) and value > 0
 
 
 def for_reading(options: QosOptions, offers: Iterable[Policies]) -> Policies:

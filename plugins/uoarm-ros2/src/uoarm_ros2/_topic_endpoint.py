@@ -17,7 +17,7 @@ from uoarm_ros2._discovery import Ros2Graph, Topic
 from uoarm_ros2._health import TopicHealth
 from uoarm_ros2._middleware import UNNAMED, NodeRunner, Peer
 from uoarm_ros2._options import Ros2Options
-from uoarm_ros2._qos import Policies
+from uoarm_ros2._qos import Policies, QosOptions
 
 __all__ = ["TopicContext", "TopicEndpoint"]
 
@@ -37,6 +37,7 @@ class TopicContext:
     topic: Topic
     native: type
     options: Ros2Options
+    qos: QosOptions
     settle: float
     report: Callable[[Channel, Health, str], None]
     clock: Callable[[], float] = time.monotonic
