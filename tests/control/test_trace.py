@@ -17,7 +17,7 @@ from tests.control.world import FACE, Plans
 
 import uoarm
 from uoarm import RobotManager
-from uoarm._control import candidates, executor
+from uoarm._control import candidates, driver
 from uoarm._control.engine import actions as act
 from uoarm._control.engine import events as ev
 from uoarm._control.engine.draft import InputInUseError
@@ -50,7 +50,7 @@ def played(
         done.append(actions)
         return after, actions
 
-    monkeypatch.setattr(executor, "step", watched)
+    monkeypatch.setattr(driver, "step", watched)
     caplog.set_level(logging.DEBUG, "uoarm.control")
     one, two = MemoryBridge("one", {}), MemoryBridge("two", {})
     one.emitter("best", NUMBER)
@@ -171,7 +171,7 @@ def test_what_is_discovered_is_in_the_log_and_replays(
         done.append(actions)
         return after, actions
 
-    monkeypatch.setattr(executor, "step", watched)
+    monkeypatch.setattr(driver, "step", watched)
     caplog.set_level(logging.DEBUG, "uoarm.control")
     one = MemoryBridge("one", {})
     one.emitter("first", NUMBER)

@@ -176,7 +176,7 @@ def test_what_is_being_opened_meanwhile_is_held_as_it_opens(
 def test_a_command_is_refused_by_the_last_hop_too(robot: RobotManager) -> None:
     robot.request("left")
     robot.stop_all(timeout=patience())
-    (sink,) = robot._executor.live.emergency_stop._sinks
+    (sink,) = robot._driver.live.emergency_stop._sinks
     with pytest.raises(CommandRefusedError) as caught:
         sink.send(5)
     assert caught.value.reason == "held"

@@ -45,20 +45,20 @@ functions:
 
 def look(robot: RobotManager) -> None:
     """Have a robot look whether it is time, and wait until what follows is over."""
-    robot._executor.post(TimeReached())  # another thread may own the state, and then handles it
+    robot._driver.post(TimeReached())  # another thread may own the state, and then handles it
     wait(lambda: rests(robot))
 
 
 def rests(robot: RobotManager) -> bool:
     """Say whether no event waits, none is being handled, and no work follows from one."""
-    executor = robot._executor
-    if not executor._owning.acquire(blocking=False):
+    driver = robot._driver
+    if not driver._owning.acquire(blocking=False):
         return False
     try:  # what is being done posts its event before it is over, and none is handled meanwhile
-        return not executor._lanes._lanes and not executor._events
+        return not driver._lanes._lanes and not driver._events
     finally:
-        executor._owning.release()
-        executor._work()  # what came meanwhile was left to us
+        driver._owning.release()
+        driver._work()  # what came meanwhile was left to us
 
 
 class Stage:
@@ -95,7 +95,7 @@ class Stage:
         self.look()
 
     def records(self) -> tuple[ConnectionRecord, ...]:
-        return tuple(self.robot._executor.state.connections.values())
+        return tuple(self.robot._driver.state.connections.values())
 
 
 @pytest.fixture
@@ -114,12 +114,12 @@ def cameras(stage: Stage) -> list[str]:
 
 def set_user(robot: RobotManager, user: str, mode: ValidationMode | None) -> None:
     """Let it use every edge, or, with None, those no more that it uses."""
-    executor = robot._executor
-    edges = executor.state.edges
+    driver = robot._driver
+    edges = driver.state.edges
     for number, edge in edges.items():
         if mode is not None or user in edge.users:
             edges = edges.insert(number, edge.used_by(user, mode))
-    executor.state = evolve(executor.state, edges=edges)
+    driver.state = evolve(driver.state, edges=edges)
 
 
 def test_a_component_in_the_middle_is_fed_by_the_better_one_again(stage: Stage) -> None:
@@ -237,7 +237,7 @@ def returned_while_the_spare_runs_out(
     stage.clock.advance(BETWEEN_LOOKS)
     stage.look()
     stage.clock.advance(PATIENCE)
-    live = stage.robot._executor.live
+    live = stage.robot._driver.live
     finish, gate = live.finish, threading.Event()
 
     def finish_late(*ending: Any) -> None:
@@ -245,7 +245,7 @@ def returned_while_the_spare_runs_out(
         finish(*ending)
 
     monkeypatch.setattr(live, "finish", finish_late)
-    stage.robot._executor.post(TimeReached())
+    stage.robot._driver.post(TimeReached())
     wait(lambda: len(connection.gaps) == 2)
     return gate
 
@@ -326,7 +326,7 @@ def test_what_two_candidates_get_as_one_takes_over_counts_as_a_copy(
         wait(lambda: connection.gaps)
         camera.emit(2)
         one.loop("near", NUMBER)
-        live = manager._executor.live
+        live = manager._driver.live
         switch = live.switch_inputs
 
         def delivered(finder: str) -> int:

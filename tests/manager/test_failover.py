@@ -12,7 +12,7 @@ import pytest
 from attrs import evolve
 
 from uoarm import ConnectionClosedError, RobotManager, _bounded
-from uoarm._control import performer
+from uoarm._control import driver
 from uoarm._control.engine import actions as act
 from uoarm._control.engine import events as ev
 from uoarm._control.engine.state import State, names
@@ -191,17 +191,17 @@ def test_a_takeover_that_comes_too_late_takes_over_nothing(
     make: Make, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     limits = threading.local()
-    opens, run = performer.Performer._open_batch, _bounded.run
+    opens, run = driver.Driver._open, _bounded.run
 
-    def open_batch(made: performer.Performer, action: act.Open, state: State) -> ev.Event:
+    def open_batch(made: driver.Driver, action: act.Open, state: State) -> ev.Event:
         limits.seconds = 0.2 if "next" in names(action.placement.plan) else patience()
         return opens(made, action, state)
 
     def run_limited(step: str, _: float, action: Callable[[], object]) -> object:
         return run(step, getattr(limits, "seconds", patience()), action)
 
-    monkeypatch.setattr(performer.Performer, "_open_batch", open_batch)
-    monkeypatch.setattr(performer, "_bounded", SimpleNamespace(run=run_limited))
+    monkeypatch.setattr(driver.Driver, "_open", open_batch)
+    monkeypatch.setattr(driver, "_bounded", SimpleNamespace(run=run_limited))
     stage = make()
     one, two = stage.robot.request("camera"), stage.robot.request("face")
     opened = stage.two._open_source
@@ -231,7 +231,7 @@ def test_a_takeover_that_comes_too_late_takes_over_nothing(
 def test_a_takeover_that_comes_too_late_still_lets_go_of_what_died(
     make: Make, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    monkeypatch.setattr(performer, "_OPEN_SECONDS", 0.2)
+    monkeypatch.setattr(driver, "_OPEN_SECONDS", 0.2)
     stage = make()
     connection = stage.robot.request("face")
     opened, hang = stage.two._open_source, Hang()

@@ -50,7 +50,7 @@ def test_a_connection_that_was_killed_leaves_nothing_to_the_collector(
         stage.script.put({"value": number})
     for _ in range(count):
         connection.get(patience())
-    live = robot._executor.live
+    live = robot._driver.live
     watched = [*live.components.values(), *live.edges.values(), *live.runtimes.values()]
     watched += [channel for component in live.components.values() for channel in component.channels]
     watched += [runtime.receiver for runtime in live.runtimes.values()]

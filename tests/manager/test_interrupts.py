@@ -130,8 +130,8 @@ def robot(one: Quick) -> Iterator[RobotManager]:
 
 
 def is_nothing_left(robot: RobotManager) -> bool:
-    executor = robot._executor
-    state, live, status = executor.state, executor.live, robot.status()
+    driver = robot._driver
+    state, live, status = driver.state, driver.live, robot.status()
     return not (
         state.connections
         or state.components
@@ -143,7 +143,7 @@ def is_nothing_left(robot: RobotManager) -> bool:
         or live.components
         or live.edges
         or live.ports
-        or executor._lanes._lanes
+        or driver._lanes._lanes
         or any(bridge.open_channels for bridge in status.bridges)
     )
 
@@ -214,9 +214,9 @@ def test_a_death_reported_in_the_main_thread_and_interrupted_can_be_reported_aga
         at += 1
         robot.request("face")
         interrupt = Interrupt(number, at)
-        assert interrupt.during(lambda: robot._executor.report(lost)) is interrupt.has_come, at
+        assert interrupt.during(lambda: robot._driver.report(lost)) is interrupt.has_come, at
         has_come = interrupt.has_come
-        robot._executor.report(lost)
+        robot._driver.report(lost)
         wait(lambda: is_nothing_left(robot), never=f"interrupted at call {at}")
     assert at > 50, "the whole of a death was interrupted"
 

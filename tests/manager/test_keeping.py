@@ -187,7 +187,7 @@ def test_a_limit_that_is_over_is_not_said_to_be_the_files(
     def configure(*_: object) -> None:
         raise BridgeTimeoutError("changing to revision 1 did not finish within 60 s")
 
-    monkeypatch.setattr(robot._executor, "configure", configure)
+    monkeypatch.setattr(robot._driver, "configure", configure)
     with pytest.raises(BridgeTimeoutError, match="did not finish"):
         robot.apply(loads(WITH_LAMP, str(file)), keep=True)
     assert file.read_text(encoding="utf-8") == ROBOT

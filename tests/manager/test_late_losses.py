@@ -158,7 +158,7 @@ def test_what_a_component_emits_while_no_consumer_takes_it_is_in_the_status() ->
 
 
 def _outlets(robot: RobotManager) -> list[Outlet]:
-    lives = robot._executor.live.components.values()
+    lives = robot._driver.live.components.values()
     return [outlet for live in lives for outlet in live.outlets.values()]
 
 

@@ -181,7 +181,7 @@ def test_of_a_thousand_that_come_and_go_between_two_rounds_only_the_last_state_c
     with lab.manager(CAMERA) as manager:
         camera = manager.request("camera")
         reported: set[tuple[str, ...]] = set()
-        change = manager._executor.change_candidates
+        change = manager._driver.change_candidates
 
         def changed(robot: Robot) -> None:
             reported.add(
@@ -189,7 +189,7 @@ def test_of_a_thousand_that_come_and_go_between_two_rounds_only_the_last_state_c
             )
             change(robot)
 
-        monkeypatch.setattr(manager._executor, "change_candidates", changed)
+        monkeypatch.setattr(manager._driver, "change_candidates", changed)
         lab.lab.may_answer.clear()
         lab.lab.hidden.update(f"guest{number}" for number in range(1_000) if number != 7)
         for number in range(1_000):

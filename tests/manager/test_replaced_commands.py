@@ -178,7 +178,7 @@ def test_what_was_stopped_and_runs_out_takes_commands_again_when_it_is_wanted_ag
     robot = start(SETTINGS)
     drive = robot.request("drive")
     drive.send(1)
-    live, gate = robot._executor.live, threading.Event()
+    live, gate = robot._driver.live, threading.Event()
     finish = live.finish
 
     def finish_late(ending: Ending) -> None:
@@ -204,7 +204,7 @@ def test_what_came_in_its_place_stops_no_more_what_is_wanted_again(
     robot = start(SETTINGS)
     drive = robot.request("drive")
     drive.send(1)
-    live, gate = robot._executor.live, threading.Event()
+    live, gate = robot._driver.live, threading.Event()
     finish = live.finish
 
     def finish_late(ending: Ending) -> None:

@@ -41,8 +41,8 @@ class Stage:
         self.robot._staleness.close()
         self.events: list[HealthEvent] = []
         self.watch = StalenessWatch(
-            self.robot._executor.components,
-            self.robot._executor.edges,
+            self.robot._driver.live.shared,
+            self.robot._driver.live.feeding,
             self.events.append,
             self.clock,
         )

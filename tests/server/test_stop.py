@@ -218,7 +218,7 @@ def test_the_command_line_says_who_has_not_stopped(
     )
     memory.mend()
     (tmp_path / "file").write_text("no folder", encoding="utf-8")
-    stops = robot._executor.live.emergency_stop
+    stops = robot._driver.live.emergency_stop
     monkeypatch.setattr(stops, "_file", StopFile(tmp_path / "file" / "stopped"))
     code, text = stop("driver")
     assert "stopped      base.default" in text

@@ -11,7 +11,7 @@ from functools import partial
 from attrs import define, field
 
 from uoarm._control.discovery import Discovery
-from uoarm._control.executor import Executor
+from uoarm._control.driver import Driver
 from uoarm._control.revisions import Revisions
 from uoarm._dataplane import Clock
 from uoarm._resolve import Proofs, Structures, Unavailable, add_candidates
@@ -105,7 +105,7 @@ class CandidateWatch:
 
     Args:
         revisions: of the configuration.
-        executor: takes the change, but for what is in use then.
+        driver: takes the change, but for what is in use then.
         get: gives a bridge, starting it where it must.
         types: of bridges, by plugin; they know topics.
         clock: a monotonic clock, in seconds.
@@ -114,13 +114,13 @@ class CandidateWatch:
     def __init__(
         self,
         revisions: Revisions,
-        executor: Executor,
+        driver: Driver,
         get: Callable[[str], Bridge],
         types: Mapping[str, BridgeType],
         clock: Clock,
     ) -> None:
         self._revisions = revisions
-        self._executor = executor
+        self._driver = driver
         self._types = types
         self._clock = clock
         self._proofs = Proofs(clock)
@@ -248,4 +248,4 @@ class CandidateWatch:
             _log.info("%d pairs of structures wait to be compared", self._proofs.unjudged)
         with self._revisions.alone(_TURN_SECONDS):
             if self._revisions.current.base is base:
-                self._executor.change_candidates(robot)
+                self._driver.change_candidates(robot)

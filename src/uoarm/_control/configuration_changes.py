@@ -10,7 +10,7 @@ from pathlib import Path
 from attrs import evolve
 
 from uoarm import _bounded, config
-from uoarm._control.executor import Executor
+from uoarm._control.driver import Driver
 from uoarm._control.offers import Offers
 from uoarm._control.revisions import Revisions
 from uoarm._resolve import without_candidates
@@ -110,7 +110,7 @@ class ConfigurationChanges:
         file: of the configuration, where a change is kept that is to be kept.
         types: of bridges, by name.
         revisions: of the configuration.
-        executor: has the connections move to their new plans.
+        driver: has the connections move to their new plans.
         offers: follow the configuration.
         before: called with a configuration that is to be in force, before it is.
     """
@@ -120,14 +120,14 @@ class ConfigurationChanges:
         file: KeptFile,
         types: Mapping[str, BridgeType],
         revisions: Revisions,
-        executor: Executor,
+        driver: Driver,
         offers: Offers,
         before: Callable[[Robot], None],
     ) -> None:
         self._file = file
         self._types = types
         self._revisions = revisions
-        self._executor = executor
+        self._driver = driver
         self._offers = offers
         self._before = before
 
@@ -160,7 +160,7 @@ class ConfigurationChanges:
                 what,
                 timeout,
                 lambda: self._revisions.stage(
-                    robot, lambda: self._executor.state, is_new_code=reloads_code
+                    robot, lambda: self._driver.state, is_new_code=reloads_code
                 ),
                 on_late=lambda late: late.bridges.close(),
             )
@@ -182,7 +182,7 @@ class ConfigurationChanges:
                 self._before(robot)
                 with self._file.written(robot.text) if keeps else nullcontext():
                     refused.pop_all()  # from here on the bridges are those in force
-                    self._executor.configure(staged, timeout)
+                    self._driver.configure(staged, timeout)
                     self._offers.follow()
             if keeps:
                 self._revisions.note_kept()

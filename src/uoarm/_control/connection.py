@@ -12,8 +12,8 @@ from attrs import asdict
 from typing_extensions import Self
 
 from uoarm._arguments import arguments
+from uoarm._control.driver import Driver
 from uoarm._control.engine.state import ConnectionRecord
-from uoarm._control.executor import Executor
 from uoarm._control.live.application_ports import ApplicationPorts
 from uoarm._control.live.connection_runtime import ConnectionRuntime
 from uoarm._dataplane import QueueClosed
@@ -44,11 +44,11 @@ class Connection(Generic[T]):
     """
 
     def __init__(
-        self, runtime: ConnectionRuntime, executor: Executor, as_type: MessageType[T] | None = None
+        self, runtime: ConnectionRuntime, driver: Driver, as_type: MessageType[T] | None = None
     ) -> None:
         self.id = runtime.id
         self._runtime = runtime
-        self._executor = executor
+        self._driver = driver
         self._type = as_type
         runtime.handle = self
 
@@ -274,7 +274,7 @@ class Connection(Generic[T]):
 
     def _kill(self, cause: str = "") -> None:
         """As `kill`; the cause says who did it, where that is not the application."""
-        self._executor.kill(self.id, cause)
+        self._driver.kill(self.id, cause)
 
     @property
     def _is_killed(self) -> bool:
@@ -286,9 +286,9 @@ class Connection(Generic[T]):
 
     def _trouble(self) -> str:
         """Say what keeps messages from coming, as far as it is known; for the end of a sentence."""
-        routes = (edge.status() for edge in self._executor.edges())
+        routes = (edge.status() for edge in self._driver.live.feeding())
         status = StatusMap(
-            components=self._executor.component_statuses(),
+            components=self._driver.live.statuses(),
             connections=(self.status(),),
             routes=(*(route for route in routes if route is not None), *self.routes()),
         )

@@ -15,6 +15,7 @@ from attrs import define
 
 from uoarm._control.bridges import BridgeSet
 from uoarm._control.offered_function import Functions, OfferedFunction
+from uoarm._control.revisions import Revisions
 from uoarm._control.threads import EventDispatcher, Timer
 from uoarm._dataplane import Clock
 from uoarm._interrupts import Uninterrupted
@@ -332,7 +333,7 @@ class Offers:
     """Keeps what the configuration in force offers open, once it has begun. Thread safe.
 
     Args:
-        robot: gives the configuration in force.
+        revisions: of the configuration; what the one in force offers is kept open.
         functions: where functions are requested, as every application does.
         bridges: of the manager.
         events: notified of every change, and listened to for those that concern an offer.
@@ -342,14 +343,14 @@ class Offers:
 
     def __init__(
         self,
-        robot: Callable[[], Robot],
+        revisions: Revisions,
         functions: Functions,
         bridges: BridgeSet,
         events: EventDispatcher,
         clock: Clock,
         hold: Hold,
     ) -> None:
-        self._robot = robot
+        self._revisions = revisions
         self._functions = functions
         self._bridges = bridges
         self._events = events
@@ -379,7 +380,7 @@ class Offers:
 
     def _follow(self) -> None:
         with self._lock:
-            wanted = self._robot().offers
+            wanted = self._revisions.current.robot.offers
             if self._closed.is_set() or not self._has_begun or not (wanted or self._keepers):
                 return
             if self._stop_listening is None:

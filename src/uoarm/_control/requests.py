@@ -11,12 +11,11 @@ from typing import Any
 from uoarm import _bounded
 from uoarm._control.candidates import CandidateWatch
 from uoarm._control.connection import Connection
+from uoarm._control.driver import Driver
 from uoarm._control.engine.events import Requested
 from uoarm._control.engine.state import keep_newest, recently
-from uoarm._control.executor import Executor
 from uoarm._control.live.connection_runtime import ConnectionRuntime
 from uoarm._control.live.health import FailureWatch
-from uoarm._control.live.safety import EmergencyStop
 from uoarm._control.revisions import Revision, Revisions
 from uoarm._control.threads import EventDispatcher
 from uoarm._dataplane import Clock, make_check
@@ -35,7 +34,6 @@ from uoarm.model import (
     Component,
     ComponentStatus,
     Endpoint,
-    FailureLimits,
     Health,
     Message,
     MessageStructure,
@@ -54,7 +52,7 @@ class Requests:
 
     Args:
         revisions: of the configuration, in which plans are found.
-        executor: opens what a plan needs.
+        driver: opens what a plan needs.
         candidates: of functions with needs; the first round of discovery is waited for.
         events: where what a callback raises is reported.
         clock: seconds.
@@ -63,13 +61,13 @@ class Requests:
     def __init__(
         self,
         revisions: Revisions,
-        executor: Executor,
+        driver: Driver,
         candidates: CandidateWatch,
         events: EventDispatcher,
         clock: Clock,
     ) -> None:
         self._revisions = revisions
-        self._executor = executor
+        self._driver = driver
         self._candidates = candidates
         self._events = events
         self._clock = clock
@@ -83,7 +81,7 @@ class Requests:
         known = self._known(function, revision)
         if known is not None:
             return known
-        avoided = recently(self._executor.state.avoided, self._clock())
+        avoided = recently(self._driver.state.avoided, self._clock())
         with span("resolve", function=function):
             return _bounded.run(
                 f"resolving {function!r}",
@@ -121,8 +119,8 @@ class Requests:
             revision=revision.number,
             candidates=revision.candidates,
         )
-        connection = Connection(runtime, self._executor, wanted_type)
-        self._executor.request(runtime, event, f"request for {name!r}", left)
+        connection = Connection(runtime, self._driver, wanted_type)
+        self._driver.request(runtime, event, f"request for {name!r}", left)
         if wanted_type is not None:
             try:  # of the plan that was opened, which may be another one than was found above
                 wanted_type.require(_given(connection.plan, connection.output, name).schema)
@@ -143,7 +141,7 @@ class Requests:
 
     def _known(self, function: str, revision: Revision) -> Plan | None:
         """Return the plan that was found before, unless it may use what is avoided now."""
-        avoided = recently(self._executor.state.avoided, self._clock())
+        avoided = recently(self._driver.state.avoided, self._clock())
         return None if avoided else revision.resolver.known(function)
 
 
@@ -171,29 +169,20 @@ class Services:
 
     Args:
         bridge: gives the bridge of this name.
-        limits: gives when one is lost.
+        driver: takes the verdict on one where it changes.
         clock: seconds.
-        report: called when the verdict on one changes.
-        is_avoided: says whether one that was lost is still avoided; after that it has another
-            chance.
-        emergency_stop: refuses and cancels calls of what moves something.
     """
 
     def __init__(
         self,
         bridge: Callable[[str], Bridge],
-        limits: Callable[[], FailureLimits],
+        driver: Driver,
         clock: Clock,
-        report: Callable[[Component, Health, str], None],
-        is_avoided: Callable[[str], bool],
-        emergency_stop: EmergencyStop,
     ) -> None:
         self._bridge = bridge
-        self._limits = limits
+        self._driver = driver
         self._clock = clock
-        self._report = report
-        self._is_avoided = is_avoided
-        self._emergency_stop = emergency_stop
+        # Guards the order of watches: the newest are kept, and two threads may begin one each.
         self._lock = threading.Lock()
         self._watches: dict[str, tuple[Component, FailureWatch]] = {}
 
@@ -234,7 +223,7 @@ class Services:
         if endpoint.command is not None and endpoint.command.lifetime is not None:
             timeout = min(timeout, endpoint.command.lifetime)
         try:
-            with self._emergency_stop.calling(bridge, endpoint, name) as number:
+            with self._driver.live.emergency_stop.calling(bridge, endpoint, name) as number:
                 reply = _answer(bridge, step, endpoint, message, timeout, number)
         except CommandRefusedError:
             raise  # no component is to blame
@@ -267,7 +256,7 @@ class Services:
             return
         if found[1].health is Health.LOST:
             self._begin(component)
-            self._report(component, Health.OK, "it answers again")
+            self._driver.judge_service(component, Health.OK, "it answers again")
         elif found[1].is_alert:
             found[1].took()
 
@@ -276,15 +265,22 @@ class Services:
         if not is_raised(error):
             return
         _, watch = self._watches.get(component.name, (component, None))
-        if watch is None or (watch.health is Health.LOST and not self._is_avoided(component.name)):
+        if watch is None or (watch.health is Health.LOST and not self._is_avoided(component)):
             watch = self._begin(component)
         # Where the service ran in this process, what it raised itself is the cause.
         watch.raised("the service", error.__cause__ or error)
 
+    def _is_avoided(self, component: Component) -> bool:
+        """Say whether one that was lost is avoided still; after that it has another chance."""
+        return component.name in recently(self._driver.state.avoided, self._clock())
+
     def _begin(self, component: Component) -> FailureWatch:
         """Judge a service afresh; what was counted stays."""
         watch = FailureWatch(
-            component.name, self._limits(), self._clock, partial(self._report, component)
+            component.name,
+            self._driver.state.policy.failing,
+            self._clock,
+            partial(self._driver.judge_service, component),
         )
         with self._lock:
             before = self._watches.get(component.name)

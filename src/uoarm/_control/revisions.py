@@ -277,6 +277,10 @@ class Revision:
             reach = self._reach[function] = _reach(self.robot.functions, function)
         return frozenset(name for name in reach if name in components)
 
+    def forget_within(self, function: str, components: Collection[str]) -> None:
+        """Forget the structures of components, of which a function, where one is named, has few."""
+        self.forget(self.within(function, components) if function else components)
+
     def forget(self, components: Collection[str]) -> None:
         """Ask for the structures of components again the next time."""
         for component in components:

@@ -6,6 +6,7 @@ import logging
 import threading
 import time
 from collections.abc import Callable, Mapping
+from functools import partial
 from os import PathLike
 from pathlib import Path
 from types import TracebackType
@@ -18,8 +19,8 @@ from uoarm._control.candidates import CandidateWatch
 from uoarm._control.configuration_changes import ConfigurationChanges, KeptFile
 from uoarm._control.connection import Connection
 from uoarm._control.discovery import Discovery, check_availability, with_rates
-from uoarm._control.engine.state import State, recently
-from uoarm._control.executor import Executor
+from uoarm._control.driver import Driver
+from uoarm._control.engine.state import State
 from uoarm._control.live.safety import EmergencyStop, StopFile
 from uoarm._control.live.staleness import StalenessWatch
 from uoarm._control.offered_function import offered_structures
@@ -109,9 +110,9 @@ class RobotManager:
             robot,
             self._bridges,
             clock,
-            lambda place, difference: self._events.post(f"lock {place}", "differs", difference),
+            self._differs,
         )
-        self._executor = Executor(
+        self._driver = Driver(
             State(
                 robot.failover,
                 {component.name: component.bridge for component in robot.components()},
@@ -127,33 +128,26 @@ class RobotManager:
         self._discovery = Discovery(self._bridges.get)
         self._discovering = threading.Lock()
         self._candidates = CandidateWatch(
-            self._revisions, self._executor, self._bridges.get, self.registry.types, clock
+            self._revisions, self._driver, self._bridges.get, self.registry.types, clock
         )
         self._requests = Requests(
-            self._revisions, self._executor, self._candidates, self._events, clock
+            self._revisions, self._driver, self._candidates, self._events, clock
         )
-        self._services = Services(
-            self._bridges.get,
-            lambda: self._executor.state.policy.failing,
-            clock,
-            self._executor.judge_service,
-            lambda name: name in recently(self._executor.state.avoided, clock()),
-            self._executor.live.emergency_stop,
-        )
+        self._services = Services(self._bridges.get, self._driver, clock)
         self._offers = Offers(
-            lambda: self.config, self, self._bridges, self._events, clock, self._hold_offer
+            self._revisions, self, self._bridges, self._events, clock, self._hold_offer
         )
         self._staleness = StalenessWatch(
-            self._executor.components,
-            self._executor.edges,
-            lambda event: self._executor.report(event, is_avoided=True),
+            self._driver.live.shared,
+            self._driver.live.feeding,
+            partial(self._driver.report, is_avoided=True),
             clock,
         )
         self._changes = ConfigurationChanges(
             file,
             self.registry.types,
             self._revisions,
-            self._executor,
+            self._driver,
             self._offers,
             self._watch_rates,
         )
@@ -311,18 +305,18 @@ class RobotManager:
 
     def connections(self) -> tuple[Connection, ...]:
         """Return the connections that have not ended, oldest first, of every caller."""
-        runtimes = self._executor.connections()
+        runtimes = self._driver.live.connections()
         return tuple(runtime.handle for runtime in runtimes if runtime.handle is not None)
 
     def status(self) -> StatusMap:
         """Return the whole system as it is at this moment."""
         connections = self.connections()
         guard = self._revisions.current.guard
-        shared = (edge.status() for edge in self._executor.edges())
+        shared = (edge.status() for edge in self._driver.live.feeding())
         own = (route for connection in connections for route in connection.routes())
         return StatusMap(
             bridges=self._bridges.statuses(),
-            components=(*self._executor.component_statuses(), *self._services.statuses()),
+            components=(*self._driver.live.statuses(), *self._services.statuses()),
             connections=tuple(connection.status() for connection in connections),
             routes=(
                 *(route for route in shared if route is not None),
@@ -330,10 +324,10 @@ class RobotManager:
                 *self._offers.routes(),
             ),
             machines=self._bridges.machines.statuses(),
-            deaths=self._executor.deaths(),
-            takeovers=self._executor.takeovers(),
+            deaths=tuple(sorted(self._driver.deaths.copy().items())),
+            takeovers=tuple(sorted(self._driver.takeovers.copy().items())),
             offers=self._offers.statuses(),
-            held=self._executor.live.emergency_stop.held(),
+            held=self._driver.live.emergency_stop.held(),
             lock=() if guard is None else guard.status(),
         )
 
@@ -589,7 +583,7 @@ class RobotManager:
         Returns:
             For every open input that moves something whether the framework took the stop message.
         """
-        return self._executor.live.emergency_stop.stop(timeout)
+        return self._driver.live.emergency_stop.stop(timeout)
 
     @arguments()
     def release(self, *, timeout: float = 2.0) -> None:
@@ -599,12 +593,12 @@ class RobotManager:
             BridgeError: some inputs could not be notified; they go on refusing commands. Or nothing
                 was released: the stop file cannot be removed, or another stop came meanwhile.
         """
-        self._executor.live.emergency_stop.release(timeout)
+        self._driver.live.emergency_stop.release(timeout)
 
     @property
     def is_stopped(self) -> bool:
         """Whether commands are refused, from `stop_all` to `release`."""
-        return self._executor.live.emergency_stop.is_held
+        return self._driver.live.emergency_stop.is_held
 
     def close(self) -> None:
         """Kill every connection and close every bridge. Idempotent; bounded in time.
@@ -613,19 +607,21 @@ class RobotManager:
         In a child that was forked it does nothing: what is open is the parent's.
         """
         with Uninterrupted():
-            if self._executor.is_foreign:
+            if self._driver.is_foreign:
                 return
             self._discovery.close()
             self._candidates.close()
             self._staleness.close()
             self._offers.close()
-            self._executor.close()
+            self._driver.close()
             for failure in self._bridges.close():
                 _log.warning("%s", failure)
             self._events.close()
 
     def _with_rates(self, findings: tuple[BridgeFindings, ...]) -> tuple[BridgeFindings, ...]:
-        shared = [route for edge in self._executor.edges() if (route := edge.status()) is not None]
+        shared = [
+            route for edge in self._driver.live.feeding() if (route := edge.status()) is not None
+        ]
         own = [route for connection in self.connections() for route in connection.routes()]
         rates = {
             route_status.producer: route_status.rate
@@ -640,7 +636,10 @@ class RobotManager:
 
     def _noticed(self, event: HealthEvent) -> None:
         if not self._offers.reported(event):
-            self._executor.report(event)
+            self._driver.report(event)
+
+    def _differs(self, place: str, difference: str) -> None:
+        self._events.post(f"lock {place}", "differs", difference)
 
     def _hold_offer(self, offer: Offer, bridge: Bridge) -> None:
         guard = self._revisions.current.guard
@@ -648,10 +647,10 @@ class RobotManager:
             guard.hold_offer(offer.name, offered_structures(offer, bridge))
 
     def _require_open(self) -> None:
-        if self._executor.is_foreign:
+        if self._driver.is_foreign:
             text = "the robot manager belongs to the process that made it, of which this is a child"
             raise ConnectionClosedError(f"{text}: make another one here")
-        if self._executor.state.is_closing:
+        if self._driver.state.is_closing:
             raise ConnectionClosedError("the robot manager is closed")
 
     def __repr__(self) -> str:

@@ -15,6 +15,7 @@ from uoarm._control.engine.state import ConnectionRecord, names
 from uoarm._control.live.application_ports import ApplicationPorts, OutputReceiver
 from uoarm._control.live.component import LiveComponent
 from uoarm._control.live.edge import LiveEdge
+from uoarm._spans import past_span
 from uoarm.model import Gap, QueuePolicy, RouteStatus
 
 __all__ = ["ConnectionRuntime", "Counting", "LossAccount"]
@@ -233,3 +234,47 @@ class ConnectionRuntime:
     def take_gap(self, before: str) -> Gap | None:
         """Return the gap in which the plan of this user ended, once; None: it never ran."""
         return self._uncounted.pop(before, None)
+
+
+class LetThrough:
+    """A job: have an application receive from a plan that is open, its retained message first."""
+
+    def __init__(
+        self, action: HandOver, runtime: ConnectionRuntime, ports: ApplicationPorts
+    ) -> None:
+        self._action = action
+        self._runtime = runtime
+        self._ports = ports
+        self._thread = 0
+        self._over = threading.Event()
+
+    @property
+    def is_over(self) -> bool:
+        """Whether it was done."""
+        return self._over.is_set()
+
+    def wait(self, timeout: float) -> bool:
+        """Wait until it was done, but not in the thread that does it; False: it was not."""
+        return self._thread == threading.get_ident() or self._over.wait(timeout)
+
+    def __call__(self) -> None:
+        self._thread = threading.get_ident()
+        try:
+            with self._ports.letting_through():
+                self._runtime.hand_over(self._action, self._ports)
+        finally:
+            self._over.set()
+
+
+def record_takeover(action: HandOver, runtime: ConnectionRuntime) -> None:
+    """Record a takeover, from when it was needed to when it was done."""
+    past_span(
+        "takeover",
+        action.time - action.since,
+        runtime.context,
+        connection=action.connection,
+        function=action.after.plan.function,
+        cause=action.cause,
+        before=" -> ".join(names(action.before.plan)),
+        after=" -> ".join(names(action.after.plan)),
+    )

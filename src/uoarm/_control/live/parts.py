@@ -1,6 +1,6 @@
 """What is open, as objects, by the ids of the state; how parts of a plan open and close.
 
-Here are the calls into bridges. They may take long and fail; the executor makes them in lanes, and
+Here are the calls into bridges. They may take long and fail; the driver makes them in lanes, and
 turns what becomes of them into events.
 """
 
@@ -14,6 +14,7 @@ from attrs import define
 
 from uoarm._control.bridges import BridgeSet
 from uoarm._control.engine.actions import Finish, Open
+from uoarm._control.engine.draft import by_age, connection_of
 from uoarm._control.engine.state import (
     PORTS,
     ComponentRecord,
@@ -23,6 +24,7 @@ from uoarm._control.engine.state import (
     Parts,
     Placement,
     State,
+    oldest_first,
 )
 from uoarm._control.live.application_ports import ApplicationPorts
 from uoarm._control.live.component import LiveComponent
@@ -33,7 +35,7 @@ from uoarm._control.live.safety import EmergencyStop
 from uoarm._dataplane import Clock
 from uoarm.bridge import Bridge
 from uoarm.errors import BridgeError, ConnectionClosedError, FailureReason
-from uoarm.model import Component, Health, ValidationMode
+from uoarm.model import Component, ComponentStatus, Health, ValidationMode
 
 __all__ = ["Ending", "LiveParts"]
 
@@ -84,18 +86,21 @@ class LiveParts:
     """The objects of open parts.
 
     Args:
+        state: to begin with.
         bridges: gives the bridge of a component, starting it where it must.
-        state: gives the state of this moment.
         clock: seconds.
         judged: called, with a component's id, when the verdict on what it raises changes.
         emergency_stop: holds all inputs that move something.
         announce: takes a subject, a change, its cause and the function, for listeners.
+
+    Attributes:
+        state: of this moment; its owner sets it.
     """
 
     def __init__(
         self,
+        state: State,
         bridges: BridgeSet,
-        state: Callable[[], State],
         clock: Clock,
         judged: Callable[[int, Health, str], None],
         emergency_stop: EmergencyStop,
@@ -103,7 +108,7 @@ class LiveParts:
     ) -> None:
         self._bridges = bridges
         self._judged = judged
-        self._state = state
+        self.state = state
         self._clock = clock
         self.emergency_stop = emergency_stop
         self._announce = announce
@@ -114,6 +119,47 @@ class LiveParts:
         self._draining: dict[str, Ending] = {}
         self._ending: set[LiveComponent] = set()
         self._hanging: dict[str, list[LiveComponent]] = {}
+
+    def shared(self) -> tuple[LiveComponent, ...]:
+        """Return the components that are in use and well enough to be shared."""
+        objects = self.components.copy()
+        return tuple(objects[record.id] for record in self.state.shared() if record.id in objects)
+
+    def feeding(self) -> tuple[LiveEdge, ...]:
+        """Return the edges that feed something."""
+        objects = self.edges.copy()
+        return tuple(_there(objects, sorted(self.state.feeding.values())))
+
+    def statuses(self) -> tuple[ComponentStatus, ...]:
+        """Return what the status map shows of components."""
+        objects = self.components.copy()
+        return tuple(_status(record, objects.get(record.id)) for record in self.state.shared())
+
+    def connections(self) -> tuple[ConnectionRuntime, ...]:
+        """Return the connections that have a plan and have not ended, oldest first."""
+        runtimes = self.runtimes.copy()
+        records = oldest_first(self.state.connections.values())
+        found = (runtimes.get(record.id) for record in records)
+        return tuple(
+            runtime for runtime in found if runtime is not None and runtime.record is not None
+        )
+
+    def listen(self, connection: str, ports: int) -> None:
+        """Let an application receive at the application ports of this id again."""
+        found, runtime = self.ports.get(ports), self.runtimes.get(connection)
+        if found is not None and runtime is not None:
+            runtime.receiver.deliver_from(found.route, found.outlet)
+
+    def stop(self, edges: Iterable[int]) -> None:
+        """Let nothing more through edges."""
+        for joined in _there(self.edges, edges):
+            if joined.route is not None:
+                joined.route.stop()
+
+    def renew_check(self, edge: int) -> None:
+        """Check the messages of an edge as its strictest user wishes now."""
+        for joined in _there(self.edges, (edge,)):
+            joined.renew_check()
 
     def edges_of(self, placement: Placement | None) -> list[LiveEdge]:
         """Return the edges of a plan that are open, those of the first producers first."""
@@ -302,7 +348,7 @@ class LiveParts:
         component = record.step.component
         self._refuse_hanging(component.name)
         bridge = self._bridges.get(component.bridge)
-        limits, report = self._state().policy.failing, partial(self._judged, record.id)
+        limits, report = self.state.policy.failing, partial(self._judged, record.id)
         failures = FailureWatch(component.name, limits, self._clock, report)
         subject, function = f"component {component.name}", component.function
         self.components[record.id] = LiveComponent(
@@ -332,7 +378,7 @@ class LiveParts:
         self.edges[record.id] = joined
 
     def _strictness(self, edge: int) -> ValidationMode:
-        record = self._state().edges.get(edge)
+        record = self.state.edges.get(edge)
         return ValidationMode.OFF if record is None else record.strictest
 
     def _receive(self, action: Open) -> None:
@@ -395,3 +441,20 @@ def _there(objects: Mapping[int, T], ids: Iterable[int]) -> list[T]:
 
 def _taken(objects: dict[int, T], ids: Iterable[int]) -> list[T]:
     return [objects.pop(id_) for id_ in ids if id_ in objects]
+
+
+def _status(record: ComponentRecord, live: LiveComponent | None) -> ComponentStatus:
+    """Return what the status map shows of a component; its object is None while it opens."""
+    channels = () if live is None else live.channel_statuses()
+    return ComponentStatus(
+        name=record.name,
+        function=record.step.component.function,
+        bridge=record.step.component.bridge,
+        health=record.health.health,
+        users=tuple(by_age(map(connection_of, record.users))),
+        cause=record.health.cause,
+        channels=channels,
+        failed=0 if live is None else live.failures.failed,
+        last_error="" if live is None else live.failures.last_error,
+        lost=sum(channel.lost for channel in channels),
+    )

@@ -1,9 +1,12 @@
-"""The executor: owns the state, gives `step` its events, and has the performer do what follows.
+"""The driver: owns the state, gives `step` its events, and does what follows from them.
 
 One thread at a time owns the state: the one that posts an event while it has no owner. It works
 until no event is left, calls nothing foreign meanwhile and waits for nothing, so that a post is
 quick and no event needs a thread of its own. Ctrl-C and SIGTERM, which may be raised after any
 call in the main thread, wait until what that thread has begun is whole.
+
+Quick steps of our own are done at once, by the owner. Calls into bridges are made in lanes, by
+their caller or by worker threads, under time limits; what became of them comes back as events.
 """
 
 from __future__ import annotations
@@ -14,43 +17,45 @@ import os
 import threading
 import time
 from collections import deque
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
+from contextlib import AbstractContextManager
+from functools import partial
 
 from uoarm import _bounded
 from uoarm._control.bridges import BridgeSet
+from uoarm._control.engine import actions as act
 from uoarm._control.engine import events as ev
-from uoarm._control.engine.draft import by_age, connection_of
 from uoarm._control.engine.events import write_event
-from uoarm._control.engine.state import ComponentRecord, State, oldest_first
+from uoarm._control.engine.state import Part, State, keep_newest, names
 from uoarm._control.engine.step import step
-from uoarm._control.live.component import LiveComponent
-from uoarm._control.live.connection_runtime import ConnectionRuntime
+from uoarm._control.live.connection_runtime import ConnectionRuntime, LetThrough, record_takeover
 from uoarm._control.live.edge import LiveEdge
 from uoarm._control.live.parts import LiveParts
 from uoarm._control.live.safety import EmergencyStop
-from uoarm._control.performer import Performer
-from uoarm._control.revisions import Revisions, StagedRevision
+from uoarm._control.revisions import Revisions, StagedRevision, check_preferred, seek_replacement
 from uoarm._control.threads import EventDispatcher, Job, Lanes, Timer
 from uoarm._dataplane import Clock
 from uoarm._interrupts import Uninterrupted
+from uoarm._raised import foreign
 from uoarm._resolve import keep_candidates
 from uoarm._spans import current, span
 from uoarm._workers import WorkerPool
 from uoarm.bridge import HealthEvent
 from uoarm.config import compare
-from uoarm.errors import BridgeTimeoutError
-from uoarm.model import Component, ComponentStatus, Health, Robot
+from uoarm.errors import BridgeTimeoutError, UoarmError
+from uoarm.model import Component, Health, Robot
 
-__all__ = ["Executor"]
+__all__ = ["Driver"]
 
 _LISTED_CHANGES = 20
 _LANES = 8
 _PATIENCE_SECONDS = 0.05
+_OPEN_SECONDS = 60.0
 _log = logging.getLogger("uoarm")
 _log_of_events = logging.getLogger("uoarm.control")
 
 
-class Executor:
+class Driver:
     """Runs the control plane of one manager. All methods may be called from any thread.
 
     Args:
@@ -60,6 +65,12 @@ class Executor:
         revisions: of the configuration, in which plans are found.
         clock: seconds.
         emergency_stop: holds all inputs that move something.
+
+    Attributes:
+        state: of this moment. A reader takes it once: each is whole, and never changed.
+        live: what is open, as objects.
+        deaths: how often each component was lost, of the thousand that were last.
+        takeovers: how often a plan took over, by function, of as many.
     """
 
     def __init__(
@@ -74,30 +85,26 @@ class Executor:
     ) -> None:
         self._process = os.getpid()
         self.state = state
-        self.live = LiveParts(
-            bridges, lambda: self.state, clock, self._judged, emergency_stop, events.post
-        )
+        self.live = LiveParts(state, bridges, clock, self._judged, emergency_stop, events.post)
+        self.deaths: dict[str, int] = {}
+        self.takeovers: dict[str, int] = {}
         self._bridges = bridges
         self._revisions = revisions
+        self._announcements = events
         self._clock = clock
         self._events: deque[ev.Event] = deque()
+        # Guards the state and the order of events: two owners would give `step` the same state.
         self._owning = threading.Lock()
         self._numbers = itertools.count()  # of those who wait
         # Thousands of lanes begin with the death of a bridge. A thread for each would fight for the
         # interpreter; but those that a bridge holds up must hold up no others.
         self._workers = WorkerPool("uoarm-lane", _LANES, patience=_PATIENCE_SECONDS)
         self._lanes = Lanes(self._start)
-        self._timer = Timer(clock, lambda: self.post(ev.TimeReached()))
-        self._performer = Performer(
-            lambda: self.state,
-            self.post,
-            live=self.live,
-            lanes=self._lanes,
-            timer=self._timer,
-            bridges=bridges,
-            announcements=events,
-            revisions=revisions,
-        )
+        self._timer = Timer(clock, partial(self.post, ev.TimeReached()))
+        # Read by the threads that open, which take a look before each part: one look too early
+        # opens one part more, which comes back with the others and is closed.
+        self._cancelled: set[int] = set()
+        self._undelivered: tuple[LetThrough, ...] = ()
 
     def post(self, event: ev.Event) -> None:
         """Take an event. Quick: what follows from it may be done later, in other threads."""
@@ -143,7 +150,7 @@ class Executor:
                 if is_quick:  # sharing what is open costs no hop
                     self._lanes.drive(event.waiter)
             if not is_quick:
-                _bounded.run(step_name, timeout, lambda: self._lanes.drive(event.waiter))
+                _bounded.run(step_name, timeout, partial(self._lanes.drive, event.waiter))
         except BaseException as error:
             with Uninterrupted():
                 self._lanes.abandon(event.waiter)
@@ -187,11 +194,11 @@ class Executor:
                 self._revisions.expect(staged)
                 self._lanes.reserve(event.waiter)
                 self.post(event)
-            _bounded.run(step_name, timeout, lambda: self._lanes.drive(event.waiter))
+            _bounded.run(step_name, timeout, partial(self._lanes.drive, event.waiter))
         except BaseException:
             self._lanes.abandon(event.waiter)
             raise
-        if not self._performer.wait_delivered(max(0.0, deadline - time.monotonic())):
+        if not self._wait_delivered(max(0.0, deadline - time.monotonic())):
             text = f"{step_name}: an application that is called now holds it up"
             raise BridgeTimeoutError(text)
 
@@ -286,39 +293,6 @@ class Executor:
             )
         )
 
-    def connections(self) -> tuple[ConnectionRuntime, ...]:
-        """Return the connections that have a plan and have not ended, oldest first."""
-        runtimes = self.live.runtimes.copy()
-        records = oldest_first(self.state.connections.values())
-        found = (runtimes.get(record.id) for record in records)
-        return tuple(
-            runtime for runtime in found if runtime is not None and runtime.record is not None
-        )
-
-    def components(self) -> tuple[LiveComponent, ...]:
-        """Return the components that are in use and well enough to be shared."""
-        objects = self.live.components.copy()
-        return tuple(objects[record.id] for record in self.state.shared() if record.id in objects)
-
-    def edges(self) -> tuple[LiveEdge, ...]:
-        """Return the edges that feed something."""
-        objects = self.live.edges.copy()
-        numbers = sorted(self.state.feeding.values())
-        return tuple(objects[number] for number in numbers if number in objects)
-
-    def component_statuses(self) -> tuple[ComponentStatus, ...]:
-        """Return what the status map shows of components."""
-        state, objects = self.state, self.live.components.copy()
-        return tuple(_status(record, objects.get(record.id)) for record in state.shared())
-
-    def deaths(self) -> tuple[tuple[str, int], ...]:
-        """Return how often each component was lost."""
-        return tuple(sorted(self._performer.deaths.copy().items()))
-
-    def takeovers(self) -> tuple[tuple[str, int], ...]:
-        """Return how often a plan took over, by function."""
-        return tuple(sorted(self._performer.takeovers.copy().items()))
-
     def close(self) -> None:
         """End every connection, and take no more requests or times that are reached."""
         self._ask(ev.Stopped(f"close {next(self._numbers)}"))
@@ -348,17 +322,199 @@ class Executor:
         if _log_of_events.isEnabledFor(logging.DEBUG):
             _log_of_events.debug("%s", write_event(event, now))
         try:
-            self.state, actions = step(self.state, event, now)
+            state, actions = step(self.state, event, now)
         except Exception:  # noqa: BLE001 - its caller must not pay for a fault of ours
             _log.exception("the control plane failed at %r", event)
             return
-        if isinstance(event, ev.Opened):
-            self._performer.opened(event)
+        self.state = self.live.state = state
+        # A thread that hangs in a batch still asks whether it was cancelled.
+        if isinstance(event, ev.Opened) and not isinstance(event.error, BridgeTimeoutError):
+            self._cancelled.discard(event.batch)
         for action in actions:
             try:
-                self._performer.perform(action)
+                self._perform(action)
             except Exception:  # noqa: BLE001 - nor do the actions that come after it
                 _log.exception("the control plane failed to do %r", action)
+
+    def _perform(self, action: act.Action) -> None:  # noqa: C901, PLR0912, PLR0915 - a case for each
+        """Do an action, or have it done in its lane. Waits for nothing, and calls nothing foreign.
+
+        Here alone a decision becomes a call.
+        """
+        match action:
+            case act.Publish():
+                self._publish(action)
+            case act.Announce():
+                self._announce(action)
+            case act.Reply():
+                self._lanes.reply(action.waiter, action.error)
+            case act.Open():
+                call = partial(self._open, action, self.state)
+                self._call(action, call, is_quick=partial(self.live.is_quick, action))
+            case act.Close():
+                # What is closed is taken out now: by the time of the call it would be found again.
+                parts, lost = action.parts, action.lost
+                ending = self.live.take(action.connection, parts, action.placement, lost)
+                ended = ev.Ended(action.connection) if action.ends else None
+                close = partial(self.live.close, ending, ends=action.ends)
+                self._call(action, partial(_end, action, close, ended))
+            case act.Finish():
+                ending = self.live.take_draining(action)
+                finish = partial(self.live.finish, ending)
+                self._call(action, partial(_end, action, finish, ev.RanOut(action.placement.user)))
+            case act.HandOver():
+                self._hand_over(action)
+            case act.Resolve():
+                self._call(action, partial(self._resolve, action))
+            case act.FindReplacement():
+                self._call(action, partial(seek_replacement, action, self._revisions.current))
+            case act.CheckPreferred():
+                self._call(action, partial(check_preferred, action, self._revisions.current))
+            case act.SwitchInputs():
+                self._call(action, partial(self._switch_inputs, action))
+            case act.Drain():
+                edges = self.live.edges_of(action.placement)
+                self._call(action, partial(self._drain, action, edges))
+            case act.Release():
+                self._call(action, partial(self.live.release, action.components))
+            case act.Listen():
+                self.live.listen(action.connection, action.ports)
+            case act.Stop():
+                self.live.stop(action.edges)
+            case act.SetCheck():
+                self.live.renew_check(action.edge)
+            case act.CancelBatch():
+                self._cancelled.add(action.batch)
+            case act.Forget():
+                self._revisions.current.forget_within(action.function, action.components)
+            case act.RetireBridge():
+                self._bridges.retire(action.bridge)
+            case act.Adopt():
+                self._revisions.adopt(action.revision)
+                self._bridges.retire_replaced(self.live.uses)
+            case act.WakeAt():
+                self._timer.wake_at(action.time)
+            case act.Warn():
+                _log.warning("connection %s: %s", action.connection, action.text)
+
+    def _call(
+        self,
+        action: act.CallAction,
+        call: Callable[[], ev.Event | None],
+        *,
+        is_quick: Callable[[], bool] | None = None,
+    ) -> None:
+        """Have a call made in the action's lane, and its result posted."""
+        self._lanes.put(action.lane, partial(self._made, action, call), is_quick=is_quick)
+
+    def _made(self, action: act.CallAction, call: Callable[[], ev.Event | None]) -> None:
+        try:
+            event = foreign(call)
+        except Exception:  # noqa: BLE001 - the lane must go on
+            _log.exception("the control plane failed to do %r", action)
+            return
+        if event is not None:
+            self.post(event)
+
+    # Quick steps, done by the thread that owns the state.
+
+    def _publish(self, action: act.Publish) -> None:
+        record = action.record
+        runtime = self.live.runtimes.get(record.id)
+        if runtime is None:
+            return
+        is_over = record.is_over
+        if record.current is not None and not is_over:
+            runtime.ports = self.live.ports.get(record.current.ports, runtime.ports)
+        runtime.publish(record, is_over=is_over)
+        if is_over:
+            del self.live.runtimes[record.id]
+
+    def _announce(self, action: act.Announce) -> None:
+        kind, _, name = action.subject.partition(" ")
+        if kind == "component" and action.change == Health.LOST.value:
+            keep_newest(self.deaths, name, self.deaths.get(name, 0) + 1)
+        self._announcements.post(action.subject, action.change, action.cause, action.function)
+
+    def _hand_over(self, action: act.HandOver) -> None:
+        function = action.after.plan.function
+        keep_newest(self.takeovers, function, self.takeovers.get(function, 0) + 1)
+        ports = self.live.ports[action.after.ports]
+        runtime = self.live.runtimes[action.connection]
+        if action.is_receiving:
+            runtime.hand_over(action, ports)
+        else:
+            letting = LetThrough(action, runtime, ports)
+            self._undelivered = (
+                *(let_through for let_through in self._undelivered if not let_through.is_over),
+                letting,
+            )
+            self._lanes.put(action.lane, letting)
+        if runtime.context is not None:
+            # In a lane, as everything foreign: what takes a finished span may export it at once.
+            self._lanes.put(action.lane, partial(record_takeover, action, runtime))
+
+    def _wait_delivered(self, timeout: float) -> bool:
+        """Wait until applications receive from plans that have taken over; False when time ran out.
+
+        Any thread; one in which an application is given a retained message now does not wait for
+        itself.
+        """
+        deadline = time.monotonic() + timeout
+        return all(
+            let_through.wait(max(0.0, deadline - time.monotonic()))
+            for let_through in self._undelivered
+        )
+
+    # Calls into bridges, made in lanes.
+
+    def _drain(self, action: act.Drain, edges: Iterable[LiveEdge]) -> ev.Event:
+        self.live.drain(edges)
+        return ev.Drained(action.connection)
+
+    def _open(self, action: act.Open, state: State) -> ev.Event:
+        """Open a batch; the time limit of a first plan is that of its request."""
+        done: list[Part] = []
+        open_parts = partial(self.live.open, action, state, done, self._cancelled)
+        try:
+            components = " -> ".join(names(action.placement.plan))
+            with self._span("open", action.connection, components=components):
+                if action.placement.user == action.connection:
+                    open_parts()
+                else:
+                    step_name = f"takeover of connection {action.connection}"
+                    _bounded.run(step_name, _OPEN_SECONDS, open_parts)
+        except BaseException as error:  # noqa: BLE001 - the state learns of it whatever it is
+            self._cancelled.add(action.batch)  # a thread that hangs in it opens nothing more
+            return ev.Opened(action.batch, tuple(done), error)
+        return ev.Opened(action.batch, tuple(done))
+
+    def _span(
+        self, name: str, connection: str, **attributes: str
+    ) -> AbstractContextManager[object]:
+        runtime = self.live.runtimes.get(connection)
+        context = None if runtime is None else runtime.context
+        return span(name, context, connection=connection, **attributes)
+
+    def _resolve(self, action: act.Resolve) -> ev.Event:
+        revision = self._revisions.current
+        try:
+            with self._span("resolve", action.connection, function=action.function):
+                plan = revision.resolve(action.function, avoided=action.avoided)
+        except BaseException as error:  # noqa: BLE001 - handed to who asked
+            return ev.Resolved(action.connection, None, error, revision.number)
+        number, candidates = revision.number, revision.candidates
+        return ev.Resolved(action.connection, plan, revision=number, candidates=candidates)
+
+    def _switch_inputs(self, action: act.SwitchInputs) -> ev.Event:
+        try:
+            step_name = "switchover to better components"
+            _bounded.run(step_name, _OPEN_SECONDS, partial(self.live.switch_inputs, action.edges))
+        except Exception as error:  # noqa: BLE001 - the state learns of it whatever it is
+            if not isinstance(error, UoarmError):
+                _log.exception("changing over failed")
+            return ev.InputsSwitched(action.switchover, str(error))
+        return ev.InputsSwitched(action.switchover)
 
     def _start(self, job: Job) -> None:
         """Have a lane served by a worker; what comes late is closed after the manager, too."""
@@ -366,18 +522,12 @@ class Executor:
             threading.Thread(target=job, name="uoarm-late", daemon=True).start()
 
 
-def _status(record: ComponentRecord, live: LiveComponent | None) -> ComponentStatus:
-    """Return what the status map shows of a component; its object is None while it opens."""
-    channels = () if live is None else live.channel_statuses()
-    return ComponentStatus(
-        name=record.name,
-        function=record.step.component.function,
-        bridge=record.step.component.bridge,
-        health=record.health.health,
-        users=tuple(by_age(map(connection_of, record.users))),
-        cause=record.health.cause,
-        channels=channels,
-        failed=0 if live is None else live.failures.failed,
-        last_error="" if live is None else live.failures.last_error,
-        lost=sum(channel.lost for channel in channels),
-    )
+def _end(
+    action: act.Close | act.Finish, call: Callable[[], None], event: ev.Event | None
+) -> ev.Event | None:
+    """Make a call after which an event is posted whatever goes wrong: an end ends."""
+    try:
+        foreign(call)
+    except Exception:  # noqa: BLE001 - see above
+        _log.exception("closing what %s had open failed", action.connection)
+    return event
