@@ -10,6 +10,7 @@ import pytest
 from attrs import evolve
 from tests.control.test_transcripts import Player
 
+from uoarm._control.engine.move import Reason
 from uoarm._control.engine.ordered import OrderedMap
 from uoarm._control.engine.state import Switchover
 from uoarm.model import FailoverPolicy
@@ -50,8 +51,8 @@ def _returning(*, is_switching: bool, is_reconfiguration: bool) -> Player:
         OrderedMap([("c2", None)]),
         OrderedMap([("c2", None)]),
         player.now,
+        reason=Reason.CONFIGURATION if is_reconfiguration else Reason.RETURN,
         is_switching=is_switching,
-        is_reconfiguration=is_reconfiguration,
     )
     moved = state.connections["c2"]._replace(switchover=OTHER)
     player.state = evolve(

@@ -15,7 +15,7 @@ from attrs import evolve
 from uoarm._adapt import check_edge
 from uoarm._control.engine import actions as act
 from uoarm._control.engine import events as ev
-from uoarm._control.engine.state import Kind, Part, Parts, Placement, State, names
+from uoarm._control.engine.state import ConnectionRecord, Kind, Part, Parts, Placement, State, names
 from uoarm._control.engine.step import step
 from uoarm._control.revisions import find_replacement
 from uoarm._resolve import Resolver, StructureCache
@@ -338,8 +338,22 @@ class World:
             assert state.components[number].name == name
             assert not state.components[number].is_lost
         for connection in state.connections.values():
-            if connection.switchover:
-                assert connection.id in state.switchovers[connection.switchover].members
+            self._check_move(connection)
+
+    def _check_move(self, connection: ConnectionRecord) -> None:
+        """A connection has one move at most, and the plan that it leads to belongs to it."""
+        number, failed = connection.switchover, connection.failure is not None
+        if number:
+            group = self.state.switchovers[number]
+            assert connection.id in group.members
+            # What dies while inputs change hands is left for the end of that move.
+            assert not failed or group.is_switching
+        if connection.next is not None:
+            assert failed or number
+        if connection.state is ConnectionState.CLOSING:
+            assert not number
+        if connection.state is ConnectionState.WAITING:
+            assert failed
 
     def check_at_rest(self) -> None:
         """Raise where something is open that nobody wants, or the other way round."""

@@ -26,6 +26,7 @@ from uoarm._control.engine.actions import (
 )
 from uoarm._control.engine.draft import Draft, InputInUseError
 from uoarm._control.engine.events import HealthReported, ReplacementSought
+from uoarm._control.engine.move import RULES, Reason
 from uoarm._control.engine.state import (
     ComponentFailure,
     ComponentRecord,
@@ -132,9 +133,7 @@ def cancel_switchover(draft: Draft, number: int, *, is_abandoned: bool = False) 
     """
     group = draft.switchovers[number]
     draft.switchovers = draft.switchovers.remove(number)
-    # A change of configuration is owed to its caller: it is begun again when what disturbed it is
-    # over. A return is only better, and is looked for anew by each member.
-    if group.is_reconfiguration and not is_abandoned:
+    if group.rule.is_owed and not is_abandoned:
         draft.outdated = draft.outdated.update(group.members)
     for identity in group.members:
         record = drop_next(draft, draft.connections[identity])
@@ -424,7 +423,7 @@ def advance(draft: Draft, record: ConnectionRecord) -> None:
     is_open = draft.open(record, record.next, record.next.user, is_receiving=True)
     failure = record.failure
     if failure is not None and is_open:
-        hand_over(draft, record, failure.time, failure.cause)
+        hand_over(draft, record, Reason.DEATH, failure.time, failure.cause)
 
 
 def try_another(draft: Draft, record: ConnectionRecord, error: str) -> None:
@@ -436,16 +435,17 @@ def try_another(draft: Draft, record: ConnectionRecord, error: str) -> None:
 
 
 def hand_over(
-    draft: Draft, record: ConnectionRecord, since: float, cause: str, *, is_planned: bool = False
+    draft: Draft, record: ConnectionRecord, reason: Reason, since: float, cause: str
 ) -> None:
     """Let the next plan be the one that runs, and the one so far drain."""
+    rule = RULES[reason]
     before, after = record.placement, record.next
     assert after is not None, "there is a plan to hand over to"
     lost = record.failure.lost if record.failure is not None else ()
     waited = record.state is ConnectionState.WAITING
     # The first plan that was lost, however many follow: it returns to that one, in one step.
     preferred = None
-    if draft.policy.return_after is not None and not is_planned:
+    if draft.policy.return_after is not None and rule.remembers:
         preferred = record.preferred or before.plan
         if names(after.plan) == names(preferred):
             preferred = None
@@ -460,11 +460,11 @@ def hand_over(
         available_since=None,
         look_at=None,
         switchover=0,
-        moves=(*(move for move in record.moves if draft.now - move < _MINUTE), draft.now),
+        moves=_moves(draft, record) if rule.is_counted else record.moves,
     )
     # After a death the application has received from the next plan since that was opened, as there
     # was nothing else to receive. In a switchover it receives from the old one up to this moment.
-    lane, is_receiving = f"{after.user}>", not is_planned or before.ports == after.ports
+    lane, is_receiving = f"{after.user}>", not rule.is_beside or before.ports == after.ports
     draft.actions += [
         HandOver(lane, record.id, before, after, is_receiving, record, since, draft.now, cause),
         Publish(record),
@@ -480,6 +480,11 @@ def hand_over(
     draft.actions.append(Finish(lane, record.id, parts, before, lost))
     if preferred is not None:
         look_later(draft, record)
+
+
+def _moves(draft: Draft, record: ConnectionRecord) -> tuple[float, ...]:
+    """Return when the plan changed within the last minute, now included."""
+    return (*(move for move in record.moves if draft.now - move < _MINUTE), draft.now)
 
 
 def _added(record: ConnectionRecord, plan: Plan) -> frozenset[str]:

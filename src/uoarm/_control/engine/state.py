@@ -13,6 +13,7 @@ from typing import Any, NamedTuple, TypeVar
 from attrs import define, evolve, field, frozen, setters
 from rpds import HashTrieMap, HashTrieSet
 
+from uoarm._control.engine.move import RULES, Reason, Rule
 from uoarm._control.engine.ordered import OrderedMap
 from uoarm.model import (
     ConnectionState,
@@ -419,21 +420,26 @@ class Switchover:
         began: when the messages of the plans so far are counted to.
         joined: users of edges that plans of members take the places of, who are members, too.
         unopened: members whose plans are placed and not open as a whole.
+        reason: why the plans are better.
         is_switching: whether the inputs are changing hands, which nothing interrupts.
-        is_reconfiguration: whether the plans are better since the configuration is another.
     """
 
     id: int
     members: OrderedMap[str, Plan | None]
     unsought: OrderedMap[str, None]
     began: float
+    reason: Reason
     # Of an edge that thousands use, each member's plan would name all of them once more.
     joined: HashTrieMap[int, Mapping[str, ValidationMode]] = _NOTHING
     unopened: HashTrieSet[str] = _NONE
     # From `SwitchInputs` to `InputsSwitched`. Meanwhile the state says that the new edges feed,
     # and the objects may not yet: neither a death nor a change may undo what is half done.
     is_switching: bool = False
-    is_reconfiguration: bool = False
+
+    @property
+    def rule(self) -> Rule:
+        """What that reason means."""
+        return RULES[self.reason]
 
 
 # Persistent maps: an event makes new ones that share with those before all that it did not touch,

@@ -41,6 +41,7 @@ from uoarm._control.engine.failover import (
     replace,
     seek,
 )
+from uoarm._control.engine.move import Reason
 from uoarm._control.engine.ordered import OrderedMap
 from uoarm._control.engine.state import (
     ComponentFailure,
@@ -69,14 +70,10 @@ __all__ = [
     "seek_outdated",
 ]
 
-_RETURNED = "its preferred components are available again"
-_RECONFIGURED = "the configuration was changed"
 _KNOWN_CHANGES = 16
 
 
-def begin(
-    draft: Draft, records: Sequence[ConnectionRecord], *, is_reconfiguration: bool = False
-) -> None:
+def begin(draft: Draft, records: Sequence[ConnectionRecord], reason: Reason) -> None:
     """Have connections change to better plans together, which are sought one after another."""
     number = draft.new_id()
     unsought = OrderedMap((record.id, None) for record in records)
@@ -85,7 +82,7 @@ def begin(
         OrderedMap((record.id, None) for record in records),
         unsought,
         draft.now,
-        is_reconfiguration=is_reconfiguration,
+        reason,
     )
     draft.switchovers = draft.switchovers.insert(number, group)
     # One search at a time, all in the lane of the switchover: what the plan of one member moves
@@ -107,7 +104,7 @@ def found(draft: Draft, record: ConnectionRecord, event: ReplacementSought) -> N
     unsought = unsought.discard(record.id)
     rivals = {} if event.plan is None else draft.rivals(event.plan)
     joined = group.joined
-    if group.is_reconfiguration:
+    if group.rule.may_stay:
         if event.plan is None or _serves(draft, record, event.plan):
             members = members.discard(record.id)  # what must go is replaced after the switchover
             joined = HashTrieMap()
@@ -207,19 +204,15 @@ def inputs_switched(draft: Draft, event: InputsSwitched) -> None:
             continue
         failure = record.failure
         if event.error:
-            what = "its move" if group.is_reconfiguration else "its return"
-            cause = f"{what} failed: {event.error}"
+            cause = f"{group.rule.called} failed: {event.error}"
             record = draft.put(drop_next(draft, record), switchover=0, available_since=None)
             # Some inputs may have been switched and others not: it is a failure like a death, after
             # which any plan that can be had is taken, the one so far included.
             failure = failure or ComponentFailure(group.began, cause, (), frozenset(), frozenset())
             seek(draft, draft.put(record, failure=failure))
             continue
-        moves, cause = record.moves, _RECONFIGURED if group.is_reconfiguration else _RETURNED
-        hand_over(draft, record, group.began, cause, is_planned=True)
+        hand_over(draft, record, group.reason, group.began, group.rule.cause)
         record = draft.connections[identity]
-        if group.is_reconfiguration:  # a move that was asked for is no sign of a failure
-            record = draft.put(record, moves=moves)
         # Deaths that came while the inputs changed hands were left for this moment.
         ids = set(record.placement.components.values())
         if any(draft.components[id_].is_lost for id_ in ids):
@@ -244,7 +237,7 @@ def abandon(draft: Draft, group: Switchover, error: str) -> None:
     """Leave all where they are."""
     first = next(iter(group.members))
     # Of what the configuration has no more nothing stays: it is closed, and replaced where it can.
-    goes = group.is_reconfiguration and _is_superseded(draft, draft.connections[first])
+    goes = _is_superseded(draft, draft.connections[first])
     stays = "cannot move beside what it has" if goes else "stays where it is"
     draft.actions.append(Warn(first, f"{stays}: {error}"))
     cancel_switchover(draft, group.id, is_abandoned=True)
@@ -253,7 +246,7 @@ def abandon(draft: Draft, group: Switchover, error: str) -> None:
 def _seek_for(draft: Draft, record: ConnectionRecord) -> None:
     """Look for the better plan of a member."""
     record = draft.put(record, attempt=record.attempt + 1)
-    is_reconfiguration = draft.switchovers[record.switchover].is_reconfiguration
+    rule = draft.switchovers[record.switchover].rule
     draft.actions.append(
         FindReplacement(
             lane=f"switchover {record.switchover}",
@@ -262,7 +255,7 @@ def _seek_for(draft: Draft, record: ConnectionRecord) -> None:
             plan=record.placement.plan,
             output=record.output,
             excluded=frozenset(),
-            failed=draft.failed_lately(but=()) if is_reconfiguration else OrderedMap(),
+            failed=draft.failed_lately(but=()) if rule.avoids_failed else OrderedMap(),
             avoided=draft.avoided_lately(),
             switchover=record.switchover,
         )
@@ -280,7 +273,7 @@ def _joining_with(draft: Draft, identity: str) -> tuple[str, ...]:
     group = draft.switchovers.get(record.switchover)
     if group is None:
         return (identity,) if may_move(record) else ()
-    if group.is_switching or group.is_reconfiguration:
+    if group.is_switching or not group.rule.is_shared:
         return ()
     draft.switchovers = draft.switchovers.remove(group.id)
     return tuple(group.members)
@@ -339,7 +332,7 @@ def preferred_checked(draft: Draft, event: PreferredChecked) -> None:
     if draft.now - since < (draft.policy.return_after or 0.0):
         look_later(draft, record)
         return
-    begin(draft, [record])
+    begin(draft, [record], Reason.RETURN)
 
 
 def configured(draft: Draft, event: Configured) -> None:
@@ -405,14 +398,14 @@ def continue_reconfiguration(draft: Draft) -> None:
     draft.outdated = HashTrieSet(record.id for record in records)
     # All move at once or not at all, so that what is opening or switching now is waited for. Each
     # of these ends with an event, after which this is called again.
-    if any(group.is_reconfiguration for group in draft.switchovers.values()) or any(
+    if any(group.rule.is_owed for group in draft.switchovers.values()) or any(
         record.state is ConnectionState.OPENING or record.switchover for record in records
     ):
         return
     draft.outdated = HashTrieSet()
     members = [record for record in records if record.failure is None and not record.finished]
     if members:
-        begin(draft, members, is_reconfiguration=True)
+        begin(draft, members, Reason.CONFIGURATION)
         return
     # What could not move by now is closed first. Then the requests that were in the way of moves,
     # with plans that are sought anew: those that they had may be in the way still.
