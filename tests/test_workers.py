@@ -63,6 +63,19 @@ def test_calls_that_are_held_up_hold_up_no_others_where_the_pool_has_patience() 
     before.check()
 
 
+def test_at_the_end_what_waits_is_done_though_all_threads_are_held_up() -> None:
+    before = Census()
+    pool = WorkerPool("test", 1, patience=patience())
+    gate, done = threading.Event(), list[int]()
+    pool.submit(gate.wait, patience())
+    for number in range(3):
+        pool.submit(done.append, number)
+    assert pool.close(drop=False) == 0
+    wait(lambda: sorted(done) == [0, 1, 2])
+    gate.set()
+    before.check()
+
+
 def test_calls_that_get_on_have_no_more_threads_than_the_limit() -> None:
     before = Census()
     pool = WorkerPool("test", 2, patience=patience())

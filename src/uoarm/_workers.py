@@ -187,14 +187,16 @@ class WorkerPool:
         while True:
             with self._lock:
                 begun, more = self._begun, int(self._threads)
-                if not self._waiting or self._closed:
+                if not self._waiting:
                     self._is_watched = False
                     return
             self._closing.wait(patience)
             with self._lock:
-                if not self._waiting or self._begun - begun >= more:
+                is_last = self._closed
+                if not self._waiting or (not is_last and self._begun - begun >= more):
                     continue
-                more = min(more, len(self._waiting))
+                # What is left at the end has no later chance: a thread for each.
+                more = len(self._waiting) if is_last else min(more, len(self._waiting))
                 self._threads += more
             for left in range(more, 0, -1):
                 try:
@@ -203,6 +205,8 @@ class WorkerPool:
                     with self._lock:
                         self._threads -= left
                     break
+            if is_last:
+                return
 
     def prepare(self) -> None:
         """Have a thread wait, so that the next call need not wait for the start of one."""

@@ -10,7 +10,7 @@ import pytest
 from attrs import evolve
 from tests.control.test_transcripts import Player
 
-from uoarm._control.engine.move import Reason
+from uoarm._control.engine.move import MoveReason
 from uoarm._control.engine.ordered import OrderedMap
 from uoarm._control.engine.state import Switchover
 from uoarm.model import FailoverPolicy
@@ -51,7 +51,7 @@ def _returning(*, is_switching: bool, is_reconfiguration: bool) -> Player:
         OrderedMap([("c2", None)]),
         OrderedMap([("c2", None)]),
         player.now,
-        reason=Reason.CONFIGURATION if is_reconfiguration else Reason.RETURN,
+        reason=MoveReason.CONFIGURATION if is_reconfiguration else MoveReason.RETURN,
         is_switching=is_switching,
     )
     moved = state.connections["c2"]._replace(switchover=OTHER)

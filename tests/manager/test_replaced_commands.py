@@ -224,3 +224,24 @@ def test_what_came_in_its_place_stops_no_more_what_is_wanted_again(
         assert motors.taken[-1] == ("left", 3)
     finally:
         gate.set()
+
+
+def test_an_emergency_stop_that_comes_while_an_input_is_let_go_is_not_undone(
+    start: Start, motors: Motors, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    robot = start(SETTINGS)
+    drive = robot.request("drive")
+    drive.send(1)
+    (left,) = robot._driver.live.components.values()
+    left.hold_inputs()
+    release = Sink.release
+
+    def stop_first(sink: Sink) -> None:
+        robot.stop_all()
+        release(sink)
+
+    monkeypatch.setattr(Sink, "release", stop_first)
+    left.release_inputs()
+    (status,) = (channel.command for channel in left.channel_statuses())
+    assert status is not None
+    assert status.held

@@ -50,6 +50,8 @@ class Restarts:
 
     def __init__(self, clock: Clock) -> None:
         self._clock = clock
+        # Guards the records: a bridge dies in one thread while another asks whether it may be
+        # started.
         self._lock = threading.Lock()
         self._records: dict[str, _Record] = {}
 
@@ -180,6 +182,8 @@ class BridgeSet:
         self._replaced: list[Bridge] = []
         self._retiring: set[threading.Thread] = set()
         self._health: dict[str, tuple[Health, str]] = {}
+        # Guards what is listed, and never a start or a close: these may hang, and starts have a
+        # lock for each name.
         self._lock = threading.Lock()
         self._closed = False
         self.machines = Machines(specs, listening, self._note_health, self._state)
@@ -400,6 +404,7 @@ class StagedBridges:
         self._running = running
         self._before = before
         self._start = start
+        # Held while a bridge starts: two threads that ask for structures must not start it twice.
         self._lock = threading.Lock()
         self.specs = specs
         self.machines = machines

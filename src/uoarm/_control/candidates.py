@@ -126,6 +126,8 @@ class CandidateWatch:
         self._proofs = Proofs(clock)
         self._rounds = Rounds()
         self._undescribed = UndescribedComponents()
+        # Guards what is known of rounds; requests wait on it for candidates, and the thread for a
+        # close.
         self._changed = threading.Condition()
         self._thread: threading.Thread | None = None
         self._is_closed = False

@@ -88,6 +88,8 @@ class Discovery:
         self._kept = kept
         self.is_whole = True
         self._questions: dict[str, _Question] = {}
+        # Guards the questions: answers come in threads of the pool, each of which wakes the look
+        # that waits.
         self._changed = threading.Condition()
         self._pool = WorkerPool("uoarm-discovery")
 

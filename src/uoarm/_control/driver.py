@@ -108,6 +108,7 @@ class Driver:
 
     def post(self, event: ev.Event) -> None:
         """Take an event. Quick: what follows from it may be done later, in other threads."""
+        # An event that is appended is handled, whatever is raised in this thread afterwards.
         with Uninterrupted():
             self._events.append(event)
             self._work()
@@ -143,7 +144,9 @@ class Driver:
     ) -> None:
         try:
             with Uninterrupted():
+                # Before the event: the first action already shows the connection at its handle.
                 self.live.runtimes[runtime.id] = runtime
+                # Before it, too: a lane that is not reserved is served by a worker thread.
                 self._lanes.reserve(event.waiter)
                 self.post(event)
                 is_quick = self._lanes.is_quick(event.waiter)
@@ -152,6 +155,8 @@ class Driver:
             if not is_quick:
                 _bounded.run(step_name, timeout, partial(self._lanes.drive, event.waiter))
         except BaseException as error:
+            # Given up, by the limit or by Ctrl-C. A thread may be opening parts for it still; what
+            # it has opened comes back as an event, and is closed since no plan uses it any more.
             with Uninterrupted():
                 self._lanes.abandon(event.waiter)
                 self.kill(runtime.id, str(error) or type(error).__name__, is_failure=True)
@@ -165,7 +170,7 @@ class Driver:
 
     def kill(self, identity: str, cause: str = "", *, is_failure: bool = False) -> None:
         """End a connection, and close in this thread what only it used. Idempotent."""
-        if self.is_foreign:
+        if self.is_foreign:  # the parent's connection goes on, and its locks are of no use here
             return
         waiter = f"kill {next(self._numbers)}"
         self._ask(ev.Killed(identity, waiter, cause, is_failure))
@@ -191,11 +196,13 @@ class Driver:
         deadline = time.monotonic() + timeout
         try:
             with Uninterrupted():
+                # `Adopt` finds it by its number, in the thread that owns the state.
                 self._revisions.expect(staged)
                 self._lanes.reserve(event.waiter)
                 self.post(event)
             _bounded.run(step_name, timeout, partial(self._lanes.drive, event.waiter))
         except BaseException:
+            # The change stands; a worker thread does what this thread would have done for it.
             self._lanes.abandon(event.waiter)
             raise
         if not self._wait_delivered(max(0.0, deadline - time.monotonic())):
@@ -266,6 +273,7 @@ class Driver:
             # Found by its endpoint: it may report before its opening has returned.
             component = channel.endpoint.component
             part = channel.endpoint.role, channel.endpoint.port
+        # By now another bridge may have the name: what it has opened is not what died.
         spared = frozenset[int]()
         if event.health is Health.LOST and component is None:
             live = self.live.components.copy()
@@ -297,10 +305,13 @@ class Driver:
         """End every connection, and take no more requests or times that are reached."""
         self._ask(ev.Stopped(f"close {next(self._numbers)}"))
         self._timer.close()
-        self._workers.close()
+        # What lanes still have to close is closed; later ones get threads of their own (`_start`).
+        self._workers.close(drop=False)
 
     def _judged(self, number: int, health: Health, cause: str) -> None:
         """Take a new verdict on what an instance of a component raises, and no other of it."""
+        # The thread that raised knows the number of its instance only; another one of the name may
+        # serve by now, and is not to blame.
         state = self.state
         record = state.components.get(number)
         if record is None or state.serving.get(record.name) != number:
@@ -326,6 +337,7 @@ class Driver:
         except Exception:  # noqa: BLE001 - its caller must not pay for a fault of ours
             _log.exception("the control plane failed at %r", event)
             return
+        # Before the actions: a thread that an action wakes finds the state from which it follows.
         self.state = self.live.state = state
         # A thread that hangs in a batch still asks whether it was cancelled.
         if isinstance(event, ev.Opened) and not isinstance(event.error, BridgeTimeoutError):

@@ -44,6 +44,8 @@ class Machines:
         self._notify = notify
         self._state = state
         self._bridges = _by_machine(specs)
+        # Held from the look at a machine to its report: or one that left and came would be
+        # reported in the other order.
         self._reporting = threading.Lock()
         self._reported: dict[str, bool] = {}
         self._listener = _Listener(listening, frozenset(self._bridges))
@@ -252,6 +254,8 @@ class _Listener:
         self.listening = listening
         self._names = names
         self._before = before
+        # Held while it begins to listen: who needs it meanwhile waits for the one address, and
+        # none opens it after the end.
         self._lock = threading.Lock()
         self._closed = False
         self.opened: MachineRegistry | None = None

@@ -162,6 +162,7 @@ class OfferedFunction:
         self.failed = 0
         self._functions = functions
         self._clock = clock
+        # Guards the counters: a framework calls in several threads.
         self._counting = threading.Lock()
         self._connections: list[Any] = []
         self._channels: list[Channel] = []

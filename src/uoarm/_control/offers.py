@@ -176,6 +176,7 @@ class _Keeper:
         self._start = start
         self._timer = timer
         self._hold = hold
+        # Guards the machine, which knows no threads: bridges report while a worker opens.
         self._lock = threading.Lock()
         self._machine = OfferMachine()
         self._announced = self._machine.state, ""
@@ -356,6 +357,8 @@ class Offers:
         self._events = events
         self._clock = clock
         self._hold = hold
+        # Guards which offers are kept: a change of configuration adds some while the manager
+        # closes.
         self._lock = threading.Lock()
         self._keepers: tuple[_Keeper, ...] = ()
         self._workers = WorkerPool("uoarm-offer")

@@ -335,6 +335,7 @@ class Revisions:
         self._bridges = bridges
         self._clock = clock
         self._notify = notify
+        # Held for a whole change: each is made for the revision that the one before led to.
         self._changing = threading.Lock()
         guard = _guard(robot, notify)
         structures = StructureCache(bridges.get, _hold(guard))

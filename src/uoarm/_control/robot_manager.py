@@ -126,6 +126,7 @@ class RobotManager:
             ),
         )
         self._discovery = Discovery(self._bridges.get)
+        # Guards the discovery that is kept between looks, which is for one thread at a time.
         self._discovering = threading.Lock()
         self._candidates = CandidateWatch(
             self._revisions, self._driver, self._bridges.get, self.registry.types, clock

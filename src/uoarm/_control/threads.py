@@ -52,6 +52,8 @@ class Lanes:
 
     def __init__(self, start: Callable[[Job], None]) -> None:
         self._start = start
+        # Guards the table, and whether a thread does the jobs of a lane: one that is put just as
+        # its lane is found empty would be done by no thread.
         self._lock = threading.Lock()
         self._lanes: dict[str, _Lane] = {}
 
@@ -162,6 +164,8 @@ class Timer:
     def __init__(self, clock: Clock, reached: Callable[[], None]) -> None:
         self._clock = clock
         self._reached = reached
+        # Guards the one time that is waited for. No list of times: what is not yet due is said so
+        # again.
         self._changed = threading.Condition(threading.Lock())
         self._due: float | None = None
         self._is_closed = False
@@ -218,6 +222,8 @@ class EventDispatcher:
 
     def __init__(self, clock: Clock) -> None:
         self._clock = clock
+        # Held from the number of an event to its place in the queue: listeners get them in order.
+        # None is called with it.
         self._lock = threading.Lock()
         self._number = 0
         self._listeners: tuple[Callable[[StatusEvent], None], ...] = ()

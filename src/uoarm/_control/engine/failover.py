@@ -26,7 +26,7 @@ from uoarm._control.engine.actions import (
 )
 from uoarm._control.engine.draft import Draft, InputInUseError
 from uoarm._control.engine.events import HealthReported, ReplacementSought
-from uoarm._control.engine.move import RULES, Reason
+from uoarm._control.engine.move import RULES, MoveReason
 from uoarm._control.engine.state import (
     ComponentFailure,
     ComponentRecord,
@@ -423,7 +423,7 @@ def advance(draft: Draft, record: ConnectionRecord) -> None:
     is_open = draft.open(record, record.next, record.next.user, is_receiving=True)
     failure = record.failure
     if failure is not None and is_open:
-        hand_over(draft, record, Reason.DEATH, failure.time, failure.cause)
+        hand_over(draft, record, MoveReason.DEATH, failure.time, failure.cause)
 
 
 def try_another(draft: Draft, record: ConnectionRecord, error: str) -> None:
@@ -435,7 +435,7 @@ def try_another(draft: Draft, record: ConnectionRecord, error: str) -> None:
 
 
 def hand_over(
-    draft: Draft, record: ConnectionRecord, reason: Reason, since: float, cause: str
+    draft: Draft, record: ConnectionRecord, reason: MoveReason, since: float, cause: str
 ) -> None:
     """Let the next plan be the one that runs, and the one so far drain."""
     rule = RULES[reason]

@@ -11,10 +11,10 @@ from enum import Enum
 
 from attrs import frozen
 
-__all__ = ["RULES", "Reason", "Rule"]
+__all__ = ["RULES", "MoveReason", "MoveRule"]
 
 
-class Reason(Enum):
+class MoveReason(Enum):
     """Why the plan that is open is to be another one."""
 
     DEATH = "death"
@@ -25,7 +25,7 @@ class Reason(Enum):
 
 
 @frozen
-class Rule:
+class MoveRule:
     """What a reason of a move means for it.
 
     Attributes:
@@ -55,8 +55,8 @@ class Rule:
 
 
 # The same table, in words, stands in docs/architecture.md.
-RULES: Mapping[Reason, Rule] = {
-    Reason.DEATH: Rule(
+RULES: Mapping[MoveReason, MoveRule] = {
+    MoveReason.DEATH: MoveRule(
         called="its takeover",
         cause="",
         is_beside=False,
@@ -67,7 +67,7 @@ RULES: Mapping[Reason, Rule] = {
         is_counted=True,
         remembers=True,
     ),
-    Reason.RETURN: Rule(
+    MoveReason.RETURN: MoveRule(
         called="its return",
         cause="its preferred components are available again",
         is_beside=True,
@@ -78,7 +78,7 @@ RULES: Mapping[Reason, Rule] = {
         is_counted=True,
         remembers=False,
     ),
-    Reason.CONFIGURATION: Rule(
+    MoveReason.CONFIGURATION: MoveRule(
         called="its move",
         cause="the configuration was changed",
         is_beside=True,

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple, TypeVar
 from attrs import define, evolve, field, frozen, setters
 from rpds import HashTrieMap, HashTrieSet
 
-from uoarm._control.engine.move import RULES, Reason, Rule
+from uoarm._control.engine.move import RULES, MoveReason, MoveRule
 from uoarm._control.engine.ordered import OrderedMap
 from uoarm.model import (
     ConnectionState,
@@ -428,7 +428,7 @@ class Switchover:
     members: OrderedMap[str, Plan | None]
     unsought: OrderedMap[str, None]
     began: float
-    reason: Reason
+    reason: MoveReason
     # Of an edge that thousands use, each member's plan would name all of them once more.
     joined: HashTrieMap[int, Mapping[str, ValidationMode]] = _NOTHING
     unopened: HashTrieSet[str] = _NONE
@@ -437,7 +437,7 @@ class Switchover:
     is_switching: bool = False
 
     @property
-    def rule(self) -> Rule:
+    def rule(self) -> MoveRule:
         """What that reason means."""
         return RULES[self.reason]
 

@@ -41,7 +41,7 @@ from uoarm._control.engine.failover import (
     replace,
     seek,
 )
-from uoarm._control.engine.move import Reason
+from uoarm._control.engine.move import MoveReason
 from uoarm._control.engine.ordered import OrderedMap
 from uoarm._control.engine.state import (
     ComponentFailure,
@@ -73,7 +73,7 @@ __all__ = [
 _KNOWN_CHANGES = 16
 
 
-def begin(draft: Draft, records: Sequence[ConnectionRecord], reason: Reason) -> None:
+def begin(draft: Draft, records: Sequence[ConnectionRecord], reason: MoveReason) -> None:
     """Have connections change to better plans together, which are sought one after another."""
     number = draft.new_id()
     unsought = OrderedMap((record.id, None) for record in records)
@@ -332,7 +332,7 @@ def preferred_checked(draft: Draft, event: PreferredChecked) -> None:
     if draft.now - since < (draft.policy.return_after or 0.0):
         look_later(draft, record)
         return
-    begin(draft, [record], Reason.RETURN)
+    begin(draft, [record], MoveReason.RETURN)
 
 
 def configured(draft: Draft, event: Configured) -> None:
@@ -405,7 +405,7 @@ def continue_reconfiguration(draft: Draft) -> None:
     draft.outdated = HashTrieSet()
     members = [record for record in records if record.failure is None and not record.finished]
     if members:
-        begin(draft, members, Reason.CONFIGURATION)
+        begin(draft, members, MoveReason.CONFIGURATION)
         return
     # What could not move by now is closed first. Then the requests that were in the way of moves,
     # with plans that are sought anew: those that they had may be in the way still.

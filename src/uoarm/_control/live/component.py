@@ -90,8 +90,11 @@ class LiveComponent:
         }
         self._sources: dict[str, Source] = {}
         self._sinks: dict[str, Sink] = {}
+        # One for each input: where the component hangs in a message, no second thread enters it.
         self._turns: dict[str, threading.Lock] = {}
         self._closed: list[Channel] = []
+        # Held while a channel opens, and while all are closed. What dooms it waits for no
+        # opening: the thread that opens closes all as it comes out.
         self._busy = threading.Lock()
         self._doomed = False
 
@@ -241,6 +244,9 @@ class LiveComponent:
             if sink.endpoint.command is not None and not self._emergency_stop.is_held:
                 try:
                     sink.release()
+                    # A stop that began since then has held it before, and would be undone.
+                    if self._emergency_stop.held() is not None:
+                        sink.hold(_STOP_SECONDS)
                 except UoarmError as error:
                     _log.warning("%s goes on refusing commands: %s", sink.endpoint, error)
 

@@ -45,6 +45,8 @@ class LossAccount:
     """
 
     def __init__(self) -> None:
+        # Guards sums and gaps: lanes that close add to them while a status reads them. A reader
+        # takes sums and what ended last at once, or it would count some twice or not at all.
         self._lock = threading.Lock()
         self.gaps: tuple[Gap, ...] = ()
         self._lost = 0

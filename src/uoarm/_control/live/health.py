@@ -133,6 +133,7 @@ class FailureWatch:
         self._rules: dict[Hashable, FailureRule] = {_TAKING: FailureRule(limits)}
         self._clock = clock
         self._notify = notify
+        # Guards counts and rules, and the order of verdicts: messages pass in several threads.
         self._lock = threading.Lock()
         self._records = LimitedLog(f"uoarm.component.{name}", clock=clock)
         self.failed = 0

@@ -46,6 +46,8 @@ class StopFile:
 
     def __init__(self, path: Path) -> None:
         self.path = path
+        # Held from the question what is wanted to its answer on the disk: of two that settle it,
+        # the later one asks later.
         self._lock = threading.Lock()
 
     def is_there(self) -> bool:
@@ -135,6 +137,8 @@ class EmergencyStop:
     def __init__(self, clock: Clock, file: StopFile | None = None) -> None:
         self._clock = clock
         self._file = file
+        # Guards what is held and what is listed: what begins while it stops either is in the list
+        # or sees that all is held.
         self._lock = threading.Lock()
         self._sinks: dict[Sink, str] = {}
         self._calls: dict[_Call, str] = {}
@@ -436,6 +440,7 @@ class InputLease:
         self._place = place
         self._announce = announce
         self._clock = clock
+        # Guards the lease, which knows no threads. Listeners are notified without it.
         self._lock = threading.Lock()
 
     def ask(self, sender: LeaseHolder, *, take_over: bool = False) -> None:
