@@ -270,8 +270,8 @@ def _is_too_large(said: Description) -> bool:
     return message_octets(reports, most=_MOST_OCTETS) > _MOST_OCTETS
 
 
-def _stated(one: Discovered, endpoint: Endpoint) -> float | None:
-    rate = one.rates.get(endpoint.port) if endpoint.role is Role.OUTPUT else None
+def _stated(component: Discovered, endpoint: Endpoint) -> float | None:
+    rate = component.rates.get(endpoint.port) if endpoint.role is Role.OUTPUT else None
     return rate if rate is not None and 0 < rate < math.inf else None
 
 

@@ -173,27 +173,27 @@ class OfferedFunction:
     @property
     def connections(self) -> tuple[str, ...]:
         """Ids of the connections behind it."""
-        return tuple(one.id for one in self._connections)
+        return tuple(connection.id for connection in self._connections)
 
     @property
     def broken(self) -> str | None:
         """Why a connection behind it has ended that should not have; None while there is none."""
-        for one in self._connections:
-            is_killed = one._is_killed  # noqa: SLF001 - within the control plane
-            if one.ended and (one.state is ConnectionState.FAILED or is_killed):
-                return str(one.cause or "its connection was killed")
+        for connection in self._connections:
+            is_killed = connection._is_killed  # noqa: SLF001 - within the control plane
+            if connection.ended and (connection.state is ConnectionState.FAILED or is_killed):
+                return str(connection.cause or "its connection was killed")
         return None
 
     @property
     def finished(self) -> str | None:
         """Why nothing more will come: the sources of all its connections have finished."""
-        ended = [one.cause for one in self._connections if one.ended]
+        ended = [connection.cause for connection in self._connections if connection.ended]
         return str(ended[-1]) if ended and len(ended) == len(self._connections) else None
 
     def owns(self, channel: Channel) -> bool:
         """Say whether a channel is one of its own."""
         return channel in self._channels or any(
-            channel.endpoint is one for one in self.offer.endpoints
+            channel.endpoint is endpoint for endpoint in self.offer.endpoints
         )
 
     def provider_changed(self) -> None:
@@ -264,7 +264,7 @@ class OfferedFunction:
         sink = self.bridge.open_sink(port.endpoint, taken, timeout=_OPEN_SECONDS)
         self._channels.append(sink)
         hand: Callable[[Message], None] = sink.send
-        if output == _STATUS and any(one.name == _GOAL for one in self.offer.inputs):
+        if output == _STATUS and any(port.name == _GOAL for port in self.offer.inputs):
             self._goals = _GoalWatch(self._connections[0], sink.send)
             hand = self._goals.report
         queue = port.queue or (sink.default_queue if sink.blocking else None)
@@ -274,7 +274,7 @@ class OfferedFunction:
 
     def _open_input(self, port: OfferedPort, connection: Any) -> None:
         step = connection.plan.provider
-        free = [one.name for one in step.component.inputs if one.source is None]
+        free = [port.name for port in step.component.inputs if port.source is None]
         name = free[0] if port.name == "default" and len(free) == 1 else port.name
         if name not in free:
             has = f"has the inputs {', '.join(free)}" if free else "has none"

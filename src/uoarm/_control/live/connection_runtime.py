@@ -153,16 +153,16 @@ def _settled(route: RouteStatus) -> RouteStatus:
     return evolve(route, dropped=tuple(sorted(dropped.items())), rate=None, age=None)
 
 
-def _sum(one: RouteStatus, two: RouteStatus) -> RouteStatus:
-    dropped = Counter(dict(one.dropped)) + Counter(dict(two.dropped))
+def _sum(earlier: RouteStatus, later: RouteStatus) -> RouteStatus:
+    dropped = Counter(dict(earlier.dropped)) + Counter(dict(later.dropped))
     return evolve(
-        two,
-        received=one.received + two.received,
-        delivered=one.delivered + two.delivered,
+        later,
+        received=earlier.received + later.received,
+        delivered=earlier.delivered + later.delivered,
         dropped=tuple(sorted(dropped.items())),
-        invalid=one.invalid + two.invalid,
-        last_error=two.last_error or one.last_error,
-        copies=one.copies + two.copies,
+        invalid=earlier.invalid + later.invalid,
+        last_error=later.last_error or earlier.last_error,
+        copies=earlier.copies + later.copies,
     )
 
 

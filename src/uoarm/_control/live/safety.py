@@ -226,8 +226,10 @@ class EmergencyStop:
         deadline = time.monotonic() + timeout
         results: dict[Sink | _Call, CommandStatus | str] = {}
 
-        def hold(one: Sink | _Call) -> None:
-            results[one] = one.hold(_SHARE * timeout) or "its bridge host is gone: it was not asked"
+        def hold(item: Sink | _Call) -> None:
+            results[item] = (
+                item.hold(_SHARE * timeout) or "its bridge host is gone: it was not asked"
+            )
 
         _each(hold, moving, results, timeout)
         late = f"no answer within {timeout:g} s"
@@ -324,11 +326,11 @@ def _each(
 ) -> None:
     """Do something to everything that moves, in a thread for each; note what it raises."""
 
-    def begin(one: T) -> None:
+    def begin(item: T) -> None:
         try:
-            foreign(act, one)
+            foreign(act, item)
         except Exception as error:  # noqa: BLE001 - a bridge may raise anything
-            results[one] = text_of(error)
+            results[item] = text_of(error)
 
     threads = [
         threading.Thread(target=begin, args=(item,), name="uoarm-stop", daemon=True)
