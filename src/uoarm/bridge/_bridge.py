@@ -101,8 +101,11 @@ class Bridge(ABC):
         """
         if endpoint.command is not None or self._is_closed:
             return False
-        with translated(BoundedStep(f"bridge {self.name!r}: looking at ", endpoint)):
+        try:
             return self._is_quick(endpoint)
+        except BaseException:  # asked several times in each request: names itself when it fails
+            with translated(BoundedStep(f"bridge {self.name!r}: looking at ", endpoint)):
+                raise
 
     @final
     def describe(self, endpoint: Endpoint, *, timeout: float = 5.0) -> Description:
