@@ -168,8 +168,13 @@ class ClientStreams:
         self._shown = shown
         self._streams: dict[str, Stream] = {}
         self._sendings: dict[str, InputSender] = {}
+        # The last ends, for a client that comes back: those of more streams than it may have are
+        # old.
         self._ends: deque[tuple[Lane, bytes]] = deque(maxlen=limits.streams)
+        # By connection, who waits for its end; set before the kill begins, so that a second one
+        # joins it.
         self._killing: dict[str, list[Callable[[], None]]] = {}
+        # Requests under way: they count against the limit, or many at once would pass it.
         self._opening = 0
 
     async def open(
@@ -197,6 +202,8 @@ class ClientStreams:
             self._opening -= 1
         connection = feed.connection
         assert connection is not None, "join returns feeds that are open"
+        # After the opening, since only then the connection has a name: two requests at the same
+        # time get the same feed, and the second gives its claim back.
         if connection.id in self._streams:
             self._registry.leave(feed)
             raise UsageError(f"this client has {wanted.name!r} open as {connection.id}")
@@ -283,6 +290,7 @@ class ClientStreams:
             for report in self._killing.pop(identity):
                 report()
 
+        # Before `after`, which may call `end` at once.
         self._killing[identity] = [done]
         sending = self._sendings.get(identity)
         if sending is None:
@@ -292,6 +300,7 @@ class ClientStreams:
 
     def close(self) -> None:
         """Give everything back."""
+        # A copy: removing one takes it out.
         for identity in list(self._streams):
             self._remove(identity, f"{self._holder} has gone, who used it last")
 
@@ -312,6 +321,7 @@ class ClientStreams:
     def repeat_ends(self) -> None:
         """Send the last ends once more: after a drop the client may not have received them."""
         for lane, frame in self._ends:
+            # One whose end waits still will be sent anyway, and must not be sent twice.
             if not lane.waiting:
                 self._outbox.finish(lane, frame)
 
@@ -346,12 +356,15 @@ class ClientStreams:
         if stream is not None:
             fields = {"connection": identity, "state": state, "cause": self._shown(cause)}
             frame = self._form.write({"op": "Status", "type": "connection", "jsonMessage": fields})
+            # Through the stream's own queue: the end comes after its last message.
             self._outbox.finish(stream.lane, frame)
             self._ends.append((stream.lane, frame))
 
     def _remove(self, identity: str, cause: str = "") -> Stream | None:
         stream = self._streams.pop(identity, None)
         sending = self._sendings.pop(identity, None)
+        # Before the claim is given back: with the last one the connection ends, and what still
+        # waits to be sent should fail as ended, not as refused by a closed input.
         if sending is not None:
             sending.close()
         if stream is not None:

@@ -58,6 +58,8 @@ class FeedBacklog:
             self._late_since = math.inf
             return False
         self._late_since = min(self._late_since, came + _LATE_SECONDS)
+        # What was found to stand stands until all of it is worked off: one message that is in time
+        # between two late ones, as after a burst, must not begin the second anew.
         self._stands |= now - self._late_since >= _PATIENCE_SECONDS - _LATE_SECONDS
         return self._stands
 
@@ -116,6 +118,8 @@ class Envelope:
     joiner: Listener | None = None
     is_late: bool = field(default=False, init=False)
     _long: bool | None = field(default=None, init=False)
+    # By form. A message that has none keeps its error: each client is refused, and it is tried
+    # once. The encoder's thread sets an entry, the loop reads it after the future of that is done.
     _written: dict[str, bytes | MessageError] = field(factory=dict, init=False)
     _writing: dict[str, asyncio.Future[object]] = field(factory=dict, init=False)
 
@@ -128,6 +132,8 @@ class Envelope:
         made = self._written.get(key)
         if made is None:
             self._make(key, write)
+            # `written` is asked without `prepare` for what is short, and after its future for what
+            # is long: in neither case does the encoder write the same key at the same time.
             made = self._written[key]
         if isinstance(made, MessageError):
             raise made.with_traceback(None)
@@ -144,6 +150,7 @@ class Envelope:
             future = encoder.start(lambda: self._make(key, write))
             if future is None:
                 return None
+            # Kept, so that clients of the same form wait for one writing, not one each.
             self._writing[key] = future
         return self._writing[key]
 
@@ -240,12 +247,20 @@ class Feed:
         self._mailbox = mailbox
         self._limits = limits
         self._clock = clock
+        # The thread in which messages come appends and, to make room, takes from the left; the loop
+        # takes from the left and, for a client that joins, puts back there. A deque allows both
+        # without a lock: a side that finds it empty was overtaken by the other, which is no error
+        # (`_next`, `_lose_oldest`).
         self._waiting: deque[Envelope] = deque()
         self._number = 0
+        # Set with a request for a turn of the loop, cleared at the start of that turn, before
+        # anything is taken: a message that comes after that asks again, so that none stays until
+        # the next one.
         self._pending = False
         self._is_writing = False
         self._is_done = False
         self._listeners: dict[Listener, _Place] = {}
+        # Changed by the thread in which messages come; `add` copies it in the loop, in one step.
         self._known: list[tuple[int, Message]] = []  # what may stand, with its number
         self._most_known = 0
         self._handed = 0  # the number of the last message that was taken to be handed out
@@ -264,14 +279,18 @@ class Feed:
         """Take one message in the thread in which it came. Waits for nothing."""
         self._number += 1
         self._remember(self._number, message)
+        # Remembered before it can be handed out: a client that joins in between finds its number.
         self._waiting.append(Envelope(self._number, message, came=self._clock()))
         if len(self._waiting) > self._limits.feed_messages:
             self._lose_oldest()
         elif len(self._waiting) == _UNCOUNTED + 1 or (
             len(self._waiting) > _UNCOUNTED and self._number % _UNCOUNTED == 0
         ):
+            # Octets are counted at every 16th message only, so at most 15 large ones exceed the
+            # bound.
             self._bound_memory()
         if not self._pending:
+            # Once for all messages until the loop comes: a wake-up costs more than a message.
             self._pending = True
             self._mailbox.put(self._hand_out)
 
@@ -295,6 +314,7 @@ class Feed:
 
     def _bound_memory(self) -> None:
         """Lose the oldest until what waits holds no more than it may; what came last is kept."""
+        # A copy, since the loop takes messages meanwhile.
         held = [envelope.message_octets for envelope in self._waiting.copy()]
         excess = sum(held) - self._limits.feed_bytes
         for octets in held[:-1]:
@@ -325,12 +345,16 @@ class Feed:
                 so that what is new is there sooner; None: the listener gets all.
         """
         if not self._listeners:
+            # Before the place is made, with whose first number messages are compared.
             self._listened_since = self._clock()  # no client was late for what waited for the first
         self._listeners[listener] = _Place(prepare, missed, self._handed + 1)
+        # From the newest to the oldest, each put before the others: they end in order, before all
+        # that waits, and no client gets a latched message after a newer one.
         for number, message in reversed(_of_those(tuple(self._known), self._standing())):
             if number <= self._handed:  # others are on their way to all
                 envelope = Envelope(number, message, came=self._clock(), joiner=listener)
                 self._waiting.appendleft(envelope)
+        # A client that joins after the end gets the end, in this call: no other call follows.
         if self._is_done:
             assert self.end is not None, "only what has ended is done"
             _end(listener, *self.end)
@@ -351,6 +375,8 @@ class Feed:
         """
         if self.end is not None:
             return
+        # Set before what waits is handed out: a long message under way then goes on to the end
+        # itself.
         self.end = (state, cause)
         if self._listeners:
             self._hand_all()
@@ -362,6 +388,7 @@ class Feed:
 
     def _hand_out(self) -> None:
         """Hand out for a moment, then let writers and replies have their turn."""
+        # Before anything is taken; see where it is made.
         self._pending = False
         if self.end is not None:
             self._hand_all()
@@ -369,6 +396,8 @@ class Feed:
         end = time.perf_counter() + _TURN_SECONDS
         while self._hand_next() and time.perf_counter() < end:
             pass
+        # Through the loop, not at once: sockets and replies that became ready have their turn
+        # before.
         if self._can_hand():
             self._schedule()
 
@@ -379,6 +408,8 @@ class Feed:
         if self._is_writing or self._is_done or not self._listeners:
             return
         assert self.end is not None, "nothing is the last before the end"
+        # Before listeners are notified: one of them may remove itself or join another feed in
+        # there.
         self._is_done = True
         for listener in tuple(self._listeners):
             _end(listener, *self.end)
@@ -398,6 +429,8 @@ class Feed:
             and not (envelope.is_late and place.missed)
             and (future := self._prepared(listener, place.prepare, envelope)) is not None
         ]
+        # Everything behind waits, also for clients of a form that is written: messages stay in
+        # order.
         if writing:
             self._is_writing = True
             asyncio.gather(*writing).add_done_callback(lambda _: self._written(envelope))
@@ -414,7 +447,10 @@ class Feed:
             return None
         if envelope.joiner is not None:
             return envelope
+        # From here on who joins does not get this one from what stands: it is on its way to all,
+        # and would come twice.
         self._handed = envelope.number
+        # What waited for the first client is not late for it.
         came = max(envelope.came, self._listened_since)
         envelope.is_late = self._backlog.lets_go(waiting, came, self._clock())
         if not self._waiting:
@@ -431,6 +467,7 @@ class Feed:
         place = self._listeners.get(envelope.joiner)
         return [] if place is None else [(envelope.joiner, place)]
 
+    # In the loop, after the encoder's thread. The listeners are looked up again: some have gone.
     def _written(self, envelope: Envelope) -> None:
         self._is_writing = False
         self._hand_one(envelope)

@@ -113,12 +113,17 @@ class FeedRegistry:
         self.encoder = Encoder()
         self.views = SharedViews(self.mailbox)
         self.role_views = RoleViews(lambda: robot.config)
+        # Feeds that may still be joined; taken out as soon as one has ended or failed, so that the
+        # next request opens anew.
         self._feeds: dict[FeedKey, Feed] = {}
         self._keys: dict[Feed, FeedKey] = {}
         self._by_id: dict[str, Feed] = {}
+        # How many clients have a feed, also while it is being opened; at none it is closed.
         self._claims: dict[Feed, int] = {}
         self._openings: dict[Feed, asyncio.Task[None]] = {}
+        # Connections that are being ended, so that a second kill waits for the same end.
         self._kills: dict[str, asyncio.Future[None]] = {}
+        # Ends under way by function: a bridge that hangs in closing must not collect threads.
         self._closings: Counter[str] = Counter()
         # Half of the threads, so that what can be had does not wait for what cannot.
         at_once = max(1, limits.openings // 2)
@@ -191,11 +196,15 @@ class FeedRegistry:
             feed = self._feeds[wanted] = Feed(self.mailbox, self.limits)
             self._keys[feed] = wanted
             opening = asyncio.ensure_future(self._open(wanted, feed))
+            # Reads the error also when every client has gone: asyncio would report it as never
+            # retrieved.
             opening.add_done_callback(lambda done: done.cancelled() or done.exception())
             self._openings[feed] = opening
+        # Claimed before the wait: an opening that no client claims is closed when it is done.
         self._claim(feed)
         try:
             if feed in self._openings:
+                # Shielded: a client that goes must not end the opening for others that wait for it.
                 await asyncio.shield(self._openings[feed])
         except BaseException:
             self.leave(feed)
@@ -210,6 +219,8 @@ class FeedRegistry:
         self._claims[feed] -= 1
         if not self._claims[feed]:
             del self._claims[feed]
+            # Forgotten first: a request from now on opens another connection instead of one that
+            # ends.
             self._forget(feed)
             if feed.connection is not None and not feed.connection.ended:
                 self.kill(feed.connection, cause or "no client uses it any more")
@@ -248,6 +259,7 @@ class FeedRegistry:
                 _log.warning("closing connection %s: %s", connection.id, error)
 
         kill = functools.partial(connection._kill, cause)  # noqa: SLF001 - of the house
+        # Entered before its callback is added, which takes it out.
         killing = self._kills[connection.id] = self.workers.free(kill)
         killing.add_done_callback(ended)
         return killing
@@ -343,6 +355,7 @@ class FeedRegistry:
             )
             self._after_stop = {}
             self._releasing = None  # who asks from now on wants this one released
+        # Taken before the wait, after which another stop may have begun with reports of its own.
         shared, after = self._stopping, self._after_stop
         report = await asyncio.shield(shared)
         if key not in after:
@@ -398,6 +411,7 @@ class FeedRegistry:
         self._types.close()
         self.views.close()
         for feed in list(self._claims):
+            # However many clients still have it: the server stops, and this is the last claim.
             self._claims[feed] = 1
             self.leave(feed, "the server stops")
         if self._kills:
@@ -409,6 +423,8 @@ class FeedRegistry:
         take = feed.take if wanted.receive else _ignore
 
         def request() -> Connection:
+            # Looked at in the worker, when its turn comes: those who asked may have gone while it
+            # waited. A stale look is harmless, for the loop looks again when it is open.
             if feed not in self._claims:
                 raise ConnectionClosedError("no client waits for it any more")
             return _request(self.robot, wanted, take, self.limits.request_seconds)
@@ -424,19 +440,25 @@ class FeedRegistry:
         if feed not in self._claims:  # everyone who asked has gone meanwhile
             self.kill(connection, "the client that asked for it has gone")
             return
+        # Found by its events from here on. One that ended before that has had its event: it is
+        # looked at once, or its clients would wait for an end for ever.
         self._by_id[connection.id] = feed
         if connection.ended:
             self._ended(feed)
 
     def _take_event(self, event: StatusEvent) -> None:
         kind, _, name = event.subject.partition(" ")
+        # What bridges and components are like decides what can be had: what is known is asked for
+        # again, and what waits is tried again.
         if kind != "connection":
             self._known.forget()
             self._pending.poke()
         elif event.change in _ENDS and name in self._by_id:
             self._ended(self._by_id[name])
+        # Before watchers are notified: one that asks for the past in there finds the event in it.
         self._past.append((time.monotonic(), event))
         announcement = ChangeNotice(event, self.role_views)
+        # A copy: a watcher may end its watch in there.
         for watcher in tuple(self._watchers):
             try:
                 foreign(watcher, announcement)

@@ -73,10 +73,12 @@ class InputSender:
         self._account = account
         self._limit = limit
         self._holder = holder or LeaseHolder(f"client {next(_numbers)} of {connection.id}")
+        # What a worker has now; the loop may still mark it as stopped.
         self._handing: list[_QueuedMessage] = []
         self._stops: deque[tuple[str | None, Done]] = deque()
         self._is_stopping_beside = False
         self._waiting: deque[_QueuedMessage] = deque()
+        # Whether a worker or a stop is under way: one at a time, so that messages stay in order.
         self._running = False
         self._closed = False
         self._flushing = False
@@ -106,6 +108,7 @@ class InputSender:
         """
         if len(self._waiting) >= self._limit:
             raise BusyError(f"{self._limit} messages to {self._connection.id} wait already")
+        # Charged before it is kept: a refusal leaves nothing behind.
         charge = self._account.charge(MemoryUse.SENDING, octets)
         self._waiting.append(_QueuedMessage(message, port, done, charge, take_over))
         if not self._running:
@@ -125,6 +128,8 @@ class InputSender:
         """
         if len(self._stops) >= self._limit:
             raise BusyError(f"{self._limit} stops of {self._connection.id} wait already")
+        # Those of the batch in the worker too: the worker looks at the mark of each before it hands
+        # it over, so that a stop overtakes what is not with the component yet.
         for queued in (*self._handing, *self._waiting):
             queued.is_stopped = queued.is_stopped or queued.port == port
         self._stops.append((port, done))
@@ -150,6 +155,7 @@ class InputSender:
         """Hand over nothing more; what waits fails with that, and is released. Idempotent."""
         if self._closed:
             return
+        # First: the worker looks at it before each message, and hands over nothing more.
         self._closed = True
         while self._stops:
             _conclude(self._stops.popleft()[1], self._has_ended())
@@ -195,6 +201,8 @@ class InputSender:
             stopping.add_done_callback(lambda ended: self._stopped(done, ended.result()))
             return
         batch = self._next_batch()
+        # May refuse when nothing runs: then nothing was taken from the queue yet, and `send` takes
+        # back what it added. What goes on is never refused.
         future = self._workers.start(
             lambda: [self._hand_over(queued) for queued in batch], always=self._running
         )
@@ -236,6 +244,7 @@ class InputSender:
         return any(policy is not None and policy.lease is not None for policy in policies)
 
     def _handed(self, batch: list[_QueuedMessage], outcomes: list[BaseException | None]) -> None:
+        # Before the callbacks, which may send or stop again.
         self._handing = []
         for queued, outcome in zip(batch, outcomes, strict=True):
             queued.charge.release()

@@ -51,6 +51,7 @@ class KnownStructures:
         self._workers = workers
         self._turns = asyncio.Semaphore(at_once)
         self._entries: dict[str, _Entry] = {}
+        # Counts changes of the robot: what was found before the last one is asked for again.
         self._generation = 0
 
     async def of(self, functions: Iterable[str]) -> dict[str, Mapping[str, MessageStructure]]:
@@ -84,6 +85,8 @@ class KnownStructures:
                 entry.asking.cancel()
 
     async def _ask(self, name: str, entry: _Entry) -> None:
+        # Read again when its turn comes, and before the look: a change during the look must make
+        # the answer stale, not be taken for a part of it.
         generation = self._generation
         try:
             async with self._turns:
@@ -130,6 +133,7 @@ class KnownTypes:
         if not name or len(name) > _LONGEST:
             return None
         if self._asked is not (bridges := self._bridges()):
+            # By identity: another configuration has another mapping, and may know other types.
             self._asked = bridges
             self._entries.clear()
         entry = self._entries.get(name)
@@ -137,6 +141,7 @@ class KnownTypes:
             if len(self._entries) >= _MOST_KEPT:
                 del self._entries[next(iter(self._entries))]
             entry = self._entries[name] = asyncio.ensure_future(self._ask(name))
+        # Shielded: one client that goes must not end the question for others.
         return await asyncio.shield(entry)
 
     def close(self) -> None:

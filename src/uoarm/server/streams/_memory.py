@@ -54,6 +54,8 @@ class Charge:
 
     def resize(self, octets: int) -> None:
         """Hold another amount, without regard to limits; nothing once it was released."""
+        # A charge that was released, or whose client has gone, counts as nothing: what runs on for
+        # it in a thread may resize it once more.
         if self in self._account.charges:
             self._account.add(octets - self.octets)
             self.octets = octets
@@ -80,11 +82,14 @@ class Account:
         self._is_closed = False
         self.held = 0
         self.charges: set[Charge] = set()
+        # Last: `hold` needs the fields above.
         self.arrived = self.hold(MemoryUse.ARRIVED)
 
     def has_room(self, octets: int) -> bool:
         """Say whether so much more may be held for this client."""
         held = self.held + octets
+        # Both bounds: of the client itself, and of all, save for who has less than its share: else
+        # one that hoards would have others refused.
         return held - self.arrived.octets <= self._memory.most_each and (
             self._memory.held + octets <= self._memory.most or held <= self._memory.fair_share
         )
@@ -132,6 +137,7 @@ class Account:
 
     def close(self) -> None:
         """Release everything; what is charged later counts as nothing. Idempotent."""
+        # First: a charge made while others are released must count as nothing.
         self._is_closed = True
         for charge in tuple(self.charges):
             charge.release()
@@ -224,6 +230,7 @@ class Shares:
 
     def admits(self, owner: Hashable, count: int = 1) -> bool:
         """Say whether an owner may take so much more."""
+        # With room for all there are no shares: who comes first may take it.
         if self.total + count <= self._most:
             return True
         owners = len(self._taken) + (owner not in self._taken)
@@ -232,5 +239,6 @@ class Shares:
     def take(self, owner: Hashable, count: int = 1) -> None:
         """Count what an owner takes; see `admits`. A negative count gives back."""
         self._taken[owner] += count
+        # Who has nothing is no owner: shares are divided among those who have something.
         if not self._taken[owner]:
             del self._taken[owner]

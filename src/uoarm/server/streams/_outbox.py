@@ -107,22 +107,34 @@ class Outbox:
         self.account = account or ServerMemory(sys.maxsize, sys.maxsize).open()
         self._replies_held = self.account.hold(MemoryUse.REPLIES)
         self._data_held = self.account.hold(MemoryUse.DATA)
+        # Replies and events, before any data.
         self._replies: deque[tuple[bytes, bool]] = deque()
+        # Streams with messages, the next one first: after its turn a stream goes to the end (round
+        # robin). A stream is in it if and only if something of it waits.
         self._turns: deque[Lane] = deque()
+        # What is left of a message that is being sent in pieces: nothing of the same stream may
+        # pass it.
         self._pieces: deque[tuple[bytes, bool]] = deque()
         self._in_pieces: Lane | None = None
         self._may_pass = False
         self._bytes = 0
         self._last_bytes = 0
         self._reply_bytes = 0
+        # Handed to the socket, and held until the next frames are asked for: only then was it
+        # written.
         self._written: dict[Charge, int] = {}
+        # Wakes the writer: something was added, or the window has room again.
         self._filled = asyncio.Event()
+        # Wakes who ends the connection when all is written.
         self._emptied = asyncio.Event()
+        # Wakes a reply that waits for room.
         self._has_gone = asyncio.Event()
         self.overflowed = False
         self.dropped = 0
         self._window = SendWindow()
         self._waits_since = math.inf
+        # Whether a message of a stream that wants the newest was sent: only then pings are worth
+        # it.
         self._has_streamed = False
 
     @property
@@ -144,6 +156,8 @@ class Outbox:
 
     def reply(self, frame: bytes, *, text: bool, first: bool = False) -> None:
         """Add a reply or an event; `first` before all that wait."""
+        # Replies are never dropped, so a client that lets too many wait can only be cut off; who
+        # waits for room is woken to see that.
         if self.overflowed or not self.has_room(len(frame)):
             self.overflowed = True
             self._has_gone.set()
@@ -172,10 +186,12 @@ class Outbox:
         Several frames are the pieces of one message: sent in order, or dropped whole. What the
         stream has after it waits for the last of them.
         """
+        # Added before others are dropped, so that the newest message is never the one that goes.
         self._add(lane, frames)
         if len(lane.waiting) > lane.length:
             self._drop(lane)
         self._drop_stale(lane)
+        # Each turn drops one message or finds none to drop, so this ends.
         while self._is_over() and self._drop_somewhere():
             pass
 
@@ -191,6 +207,7 @@ class Outbox:
             self.overflowed = True
             self._filled.set()
         else:
+            # From now on its last message is counted apart, and `_drop_somewhere` leaves it alone.
             lane.finished = True
             self._last_bytes += size
             self._add(lane, frames)
@@ -240,10 +257,13 @@ class Outbox:
         One, and those that wait behind it until they are this many octets together. Their memory
         counts as held until the next are asked for: then they have been written.
         """
+        # Who asks for more has written what it got: its memory is free.
         for held, size in self._written.items():
             _grow(held, -size)
         self._written.clear()
         while not (self._may_go() or self._window.is_stuck(self._clock())):
+            # Cleared before the wait and after the look: what is added in between sets it, and
+            # wakes.
             self._filled.clear()
             if self.empty:
                 self._emptied.set()
@@ -252,6 +272,7 @@ class Outbox:
         while octets > 0 and self._may_go():
             frame, text = self._take_frame()
             octets -= len(frame)
+            # Counted as under way when it is handed to the socket: a ping behind it covers it.
             self._window.sent(len(frame))
             frames.append((frame, text))
         if not self._turns:
@@ -275,6 +296,8 @@ class Outbox:
             self._has_gone.set()
             held = self._replies_held
         else:
+            # Between the pieces of a long message one short one of another stream passes, then a
+            # piece again: neither stops the other.
             passing = self._passing()
             if passing is not None:
                 self._begin_message(passing)
@@ -302,6 +325,7 @@ class Outbox:
         frames = [(piece, lane.text) for piece in self._take(lane)]
         self._pieces.extendleft(reversed(frames))
         lane.sent += 1
+        # Noted at the first message that leaves: before that there is nothing a ping could measure.
         self._has_streamed |= lane.is_for_new
         if lane.waiting:
             self._turns.append(lane)
@@ -328,6 +352,8 @@ class Outbox:
         if several:
             self._drop(max(several, key=_bytes_of))
             return True
+        # Every stream has one message. The largest stays: a picture that alone exceeds the bound
+        # passes once those before it are written, instead of never.
         largest = max(self._turns, key=_bytes_of, default=None)
         if largest is None or (
             self._bytes - largest.waiting_bytes <= self.max_bytes and self.account.has_room(0)
@@ -341,6 +367,7 @@ class Outbox:
         return bool(others)
 
     def _add(self, lane: Lane, frames: tuple[bytes, ...]) -> None:
+        # Keeps the invariant of `_turns`.
         if not lane.waiting:
             self._turns.append(lane)
         now = self._clock()

@@ -115,6 +115,8 @@ class PendingFeeds:
             on_absent(cause)
             return await waiter
         except asyncio.CancelledError:
+            # The feed was claimed for this client in the turn in which the client was cancelled:
+            # the claim would keep the feed open for ever.
             if waiter.done() and not waiter.cancelled() and waiter.exception() is None:
                 self._leave(waiter.result())  # it was handed over just before
             raise
@@ -130,8 +132,10 @@ class PendingFeeds:
         pause = _LEAST_SECONDS
         while True:
             begun = loop.time()
+            # In any case, so that changes that come in bursts do not make attempts without a pause.
             await asyncio.sleep(_LEAST_SECONDS)
             await event_by(search.changed, begun + pause)
+            # Before the attempt: a change during it calls for another one.
             search.changed.clear()
             pause = min(2 * pause, _MOST_SECONDS)
             try:
@@ -147,6 +151,9 @@ class PendingFeeds:
                 search.notify(str(error))
             else:
                 break
+        # Ended first: who asks from now on joins the open feed. Each that waits gets a claim of its
+        # own, and the claim of this search is given back last, so that the feed is never without
+        # one.
         self._end(wanted, search)
         for waiter in search.waiting:
             if not waiter.done():

@@ -36,7 +36,9 @@ class SendWindow:
     """
 
     def __init__(self) -> None:
+        # Octets handed to the socket since the beginning; differences of it are what is under way.
         self._sent = 0
+        # The bound. Infinite while the client keeps up, so that a fast one is never held back.
         self._octets = math.inf
         self._asked: tuple[float, float] = (-math.inf, -math.inf)  # the last ping, and what before
         self._pings: deque[tuple[float, int]] = deque()  # when they were sent, and what before
@@ -44,10 +46,12 @@ class SendWindow:
         self._read = 0
         self._answered_at = -math.inf
         self._took = 0.0
+        # The quickest answer: a round trip without waiting. Infinite until the first one.
         self._least = math.inf
         self._behind_at = -math.inf
         self._quick_at = -math.inf
         self._found_at = -math.inf
+        # Whether nothing goes until all is read, to measure a round trip behind nothing.
         self._is_draining = False
 
     def sent(self, octets: int) -> None:
@@ -60,9 +64,12 @@ class SendWindow:
         Whenever it is stuck.
         """
         at, before = self._asked
+        # An answer that is outstanding for long counts as an answer that came late: a client that
+        # stops reading answers nothing, and would pass for one that keeps up.
         if is_behind or self._is_slow(self.waited(now)):
             self._behind_at = now
         elif self._keeps_up(now):
+            # Rates of a time in which it did not keep up say nothing of the next one.
             self._answers.clear()
             self._octets = math.inf
             self._is_draining = False
@@ -80,11 +87,14 @@ class SendWindow:
         """Note the answer to the oldest ping."""
         if self.is_full(now):
             self._behind_at = now
+        # Answers come in the order of pings (RFC 6455, 5.5.3: only the newest may be left out, and
+        # the library settles those before it).
         at, read = self._pings.popleft()
         before, self._read = self._read, read
         was_behind_nothing = before == read and at >= self._answered_at
         self._answered_at = now
         self._took = now - at
+        # Read before `_least` is set below.
         is_first = self._least == math.inf
         if was_behind_nothing or self._took < self._least:
             self._least, self._found_at, self._is_draining = self._took, now, False
@@ -101,11 +111,15 @@ class SendWindow:
         if not self._answers:
             self._answers.append((at, before))
         self._answers.append((now, read))
+        # Two answers always stay: a rate needs both ends.
         while now - self._answers[1][0] >= _RATE_SECONDS + self._least:
             self._answers.popleft()
         since, start = self._answers[0]
+        # Not over less than the time between two pings: two answers that came together have no
+        # rate.
         rate = (read - start) / max(now - since, _PING_SECONDS)
         self._octets = max(_LEAST_OCTETS, rate * (_AIM_SECONDS + self._least))
+        # Only set here, and cleared by an answer behind nothing, which is what draining is for.
         self._is_draining |= (
             now - self._quick_at > _SLOW_SECONDS + 10 * self._least
             or now - self._found_at > _FOUND_SECONDS * (1 + self._least)
@@ -115,6 +129,7 @@ class SendWindow:
         """Say whether nothing more may go until the next answer."""
         if self._is_draining:
             return True
+        # Against what the last answer covers: all after that may be unread.
         if self._answers:
             return self._sent - self._answers[-1][1] >= self._octets
         return self._is_slow(self.waited(now))

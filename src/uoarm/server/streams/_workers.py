@@ -88,6 +88,8 @@ class LoopMailbox:
 
     def put(self, action: Callable[[], None]) -> None:
         """Have an action run in the loop. From any thread; after the loop's end it is lost."""
+        # Appended before the flag is looked at, and the flag is cleared before anything is taken:
+        # an action that comes in between wakes the loop once too often, never once too seldom.
         self._actions.append(action)
         if not self._woken:
             self._woken = True
@@ -100,7 +102,10 @@ class LoopMailbox:
     def _run(self) -> None:
         self._woken = False
         end = time.perf_counter() + _TURN_SECONDS
+        # As many as there are now: those that come meanwhile have the next turn.
         for _ in range(len(self._actions)):
+            # Set, since this turn is asked for here: who puts something need not wake the loop
+            # again.
             if time.perf_counter() >= end:
                 self._woken = True
                 self._loop.call_soon(self._run)
@@ -167,6 +172,8 @@ class Workers:
         owner = acting.get()
         if not always and not self._asked.admits(owner) and not self._asking.closed:
             raise BusyError(f"all {self._limit} workers are taken by requests that still wait")
+        # Taken before the submit: the thread may be done, and give it back, before `submit`
+        # returns.
         self._asked.take(owner)
         try:
             return self._submit(self._asking, action, lambda: self._asked.take(owner, -1))
@@ -214,6 +221,8 @@ class Workers:
         for waiting in self._to_open.values():
             for begin in waiting:
                 begin()
+        # Begun above, not dropped: their clients wait for an answer, and each ends by its own
+        # limit.
         self._to_open.clear()
         self._asking.close(drop=False)
         self._opening.close(drop=False)
@@ -238,6 +247,7 @@ class Workers:
         result: T,
         error: BaseException | None,
     ) -> None:
+        # Given back before the next begins, and before the client goes on, which may open at once.
         self._opened_by.take(owner, -1)
         self._turns.end(future)
         _finish(future, result, error)
@@ -246,6 +256,8 @@ class Workers:
     def _open_next(self) -> None:
         """Begin what may begin, and look again when some of it may be found to wait."""
         while self._turns.may_begin:
+            # The first in the order of clients that has less than its share; `self` stands for
+            # none.
             owner = next(filter(self._opened_by.admits, self._to_open), self)
             if owner is self:
                 break
@@ -342,6 +354,8 @@ class SharedViews:
             raise BusyError("the server is closing")
         future: asyncio.Future[A] = asyncio.get_running_loop().create_future()
         with self._lock:
+            # Under the lock with the question: two that ask at once must not both find it there
+            # already, or no view would be made.
             is_new = make not in self._asked
             self._asked.setdefault(make, {}).setdefault(question, []).append(future)
         if is_new:
@@ -350,6 +364,7 @@ class SharedViews:
 
     def close(self) -> None:
         """Make nothing more; who waits gets a BusyError."""
+        # Ends the rest that the thread takes after a long view.
         self._closed.set()
         self._pool.close()
         with self._lock:
@@ -375,6 +390,7 @@ class SharedViews:
     def _take(
         self, questions: Mapping[Any, list[asyncio.Future[Any]]], answers: Mapping[Any, Any]
     ) -> None:
+        # Looked at before the answers are added: what waits already has a turn of the loop coming.
         is_idle = not self._answered
         self._answered.extend(
             (future, answers[question])
