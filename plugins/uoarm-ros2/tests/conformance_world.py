@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from messages import default_of
-from peers import DOMAIN, MORTAL, Peer
+from peers import DOMAIN, MORTAL_CALM, Peer
 from uoarm_ros2._types import import_type
 
 from uoarm.model import BridgeSpec, Endpoint, Message, Role
@@ -54,7 +54,7 @@ class RosWorld(World):
         topic, native = f"/conformance/{kind}", KINDS[kind]
         if kind == "echoed" and self._breaks:
             if self._breakable is None:
-                self._breakable = self._start("breakable", "threads", **MORTAL)
+                self._breakable = self._start("breakable", "threads", **MORTAL_CALM)
                 self._breakable.do("echo", come="/asked_again", go="/echoed_again")
             return Pair(
                 at(Role.INPUT, "/asked_again", native, wait=FROZEN_SECONDS),
@@ -103,7 +103,7 @@ class RosWorld(World):
         return [self._victim(topic) for topic in ("/first_mortal", "/second_mortal")]
 
     def _victim(self, topic: str) -> Victim:
-        talker = self._start(topic.strip("/"), **MORTAL)
+        talker = self._start(topic.strip("/"), **MORTAL_CALM)
         talker.do("advertise", topic=topic)
         return Victim(there(Role.OUTPUT, topic, "std_msgs/msg/Int64"), talker.kill)
 
@@ -138,7 +138,7 @@ class RosWorld(World):
         return Retained(there(Role.OUTPUT, "/retained", "std_msgs/msg/Int64"), emit)
 
     def served(self) -> Served:
-        mortal = self._start("failing", **MORTAL)
+        mortal = self._start("failing", **MORTAL_CALM)
         mortal.do("fail", name="/failing")
         native: Any = import_type(SERVICE)
         request = {**default_of(native.Request), "int64_value": 2**62, "string_value": "abc"}

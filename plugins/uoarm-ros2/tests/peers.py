@@ -42,6 +42,8 @@ DOMAIN = _reserved_domain()
 
 MORTAL = {"FASTRTPS_DEFAULT_PROFILES_FILE": str(HERE / "mortal.xml")}
 """Others notice within a second or two that a process was killed."""
+MORTAL_CALM = {"FASTRTPS_DEFAULT_PROFILES_FILE": str(HERE / "mortal_calm.xml")}
+"""Within four seconds: for one that must not count as gone before, however busy the machine is."""
 
 
 class Peer:
