@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 import uoarm
-from uoarm._deadlines import result_within
+from uoarm._support.aio_deadlines import result_within
 
 
 def test_a_result_in_time_an_error_and_a_late_one() -> None:

@@ -14,13 +14,13 @@ import uoarm
 import uoarm._control
 import uoarm._host
 import uoarm._lock
-import uoarm._yaml
+import uoarm._support.yaml
 import uoarm.config
 import uoarm.schema
 from uoarm.testing import patience
 
 PACKAGES = [
-    uoarm, uoarm._control, uoarm._host, uoarm._lock, uoarm._yaml, uoarm.config, uoarm.schema
+    uoarm, uoarm._control, uoarm._host, uoarm._lock, uoarm._support.yaml, uoarm.config, uoarm.schema
 ]  # fmt: skip
 
 

@@ -16,8 +16,8 @@ from tests.disk import full_after
 from tests.harness._places import unmeasured
 
 from uoarm import RobotManager
-from uoarm._certificates import Authority
-from uoarm._whole_file import write_whole
+from uoarm._support.certificates import Authority
+from uoarm._support.files import write_whole
 from uoarm.cli import main
 from uoarm.config import loads
 from uoarm.errors import ConfigurationError, UoarmError, UsageError

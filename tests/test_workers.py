@@ -12,8 +12,8 @@ from typing import Any
 
 import pytest
 
-from uoarm import _workers
-from uoarm._workers import WorkerPool, WorkerPoolClosedError
+from uoarm._support import workers
+from uoarm._support.workers import WorkerPool, WorkerPoolClosedError
 from uoarm.testing import Census, patience, wait
 
 
@@ -155,7 +155,7 @@ def test_a_call_that_comes_when_a_thread_is_about_to_end_is_done(
                 raise Empty
             return super().get(block, timeout)
 
-    monkeypatch.setattr(_workers, "SimpleQueue", Ending)
+    monkeypatch.setattr(workers, "SimpleQueue", Ending)
     pool.submit(lambda: None)
     assert done.wait(patience())
     pool.close()
@@ -266,8 +266,8 @@ def _fail(text: str, *_: object) -> None:
 
 ENDS = """
 import threading
-from uoarm import _workers
-from uoarm._workers import WorkerPool
+from uoarm._support import workers
+from uoarm._support.workers import WorkerPool
 begun = threading.Event()
 pool = WorkerPool("test", 1)
 pool.submit(lambda: (begun.set(), threading.Event().wait()))

@@ -10,7 +10,7 @@ from enum import Enum
 from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
 
 from uoarm._spelling import Speller, any_of
-from uoarm._yaml import Path, clip
+from uoarm._support.yaml import Path, clip
 from uoarm.errors import UoarmError
 
 if TYPE_CHECKING:

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 from attrs import evolve
 
-from uoarm import _bounded
+from uoarm._support import deadlines
 from uoarm.bridge import (
     Bridge,
     BridgeType,
@@ -163,11 +163,11 @@ def test_an_inner_step_that_hangs_is_the_one_that_is_named() -> None:
     gate = threading.Event()
 
     def outer() -> None:
-        _bounded.run("the quick step", patience(), lambda: None)
-        _bounded.run("the stuck step", 0.05, lambda: gate.wait(patience()))
+        deadlines.run("the quick step", patience(), lambda: None)
+        deadlines.run("the stuck step", 0.05, lambda: gate.wait(patience()))
 
     with pytest.raises(BridgeTimeoutError, match="the stuck step"):
-        _bounded.run("the whole", 2 * patience(), outer)
+        deadlines.run("the whole", 2 * patience(), outer)
     gate.set()
 
 
@@ -195,9 +195,9 @@ def test_inner_steps_share_the_outer_thread() -> None:
 
     def outer() -> None:
         threads.append(threading.get_ident())
-        _bounded.run("inner", 5, lambda: threads.append(threading.get_ident()))
+        deadlines.run("inner", 5, lambda: threads.append(threading.get_ident()))
 
-    _bounded.run("outer", 5, outer)
+    deadlines.run("outer", 5, outer)
     assert len(set(threads)) == 1
     assert threads[0] != threading.get_ident()
 

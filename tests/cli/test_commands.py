@@ -404,7 +404,7 @@ def test_status_says_what_can_be_had_and_what_cannot(robot: str) -> None:
 @pytest.mark.parametrize(
     ("module", "extra", "command"),
     [
-        ("uoarm._certificates", "certificates", ["certificates", "--machine", "arm"]),
+        ("uoarm._support.certificates", "certificates", ["certificates", "--machine", "arm"]),
         ("uoarm.client", "server", ["status", "--url", "ws://127.0.0.1:1/"]),
         ("uoarm._host", "machines", ["host", "--join", "tcp/127.0.0.1:1", "--machine", "arm"]),
         ("uoarm.server", "server", ["token", "pad", "--role", "driver"]),

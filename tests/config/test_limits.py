@@ -193,7 +193,7 @@ def test_any_text_is_read_or_refused(text: str) -> None:
 @given(st.lists(LETTERS, max_size=40).map("".join))
 def test_without_libyaml_the_same_values_are_read(text: str) -> None:
     """The pure Python parser differs in a few corners of syntax, never in values."""
-    from uoarm._yaml import read
+    from uoarm._support.yaml import read
 
     fast = read(text)
     with pytest.MonkeyPatch.context() as patch:

@@ -270,7 +270,7 @@ class TestPublishedSchema:
 
 
 def _plain(text: str) -> object:
-    from uoarm._yaml import read
+    from uoarm._support.yaml import read
 
     return read(text).value
 

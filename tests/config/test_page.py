@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from attrs import astuple
 
-from uoarm._yaml import ReadBudget
+from uoarm._support.yaml import ReadBudget
 from uoarm.config import inspect, loads, published_schema
 
 PAGE = (Path(__file__).parents[2] / "docs" / "configuration.md").read_text(encoding="utf-8")

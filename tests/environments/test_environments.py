@@ -14,7 +14,7 @@ from click.testing import CliRunner
 import uoarm
 from uoarm import environments
 from uoarm.cli import main
-from uoarm.environments import _doctor
+from uoarm.environments import _environment
 from uoarm.errors import PluginError
 from uoarm.testing import patience
 
@@ -298,11 +298,13 @@ if [ "$1" = venv ]; then mkdir -p "$4/bin"; cp {asked} "$4/bin/python"; fi"""
 
 
 def test_extras_are_those_that_an_interpreter_reports(tmp_path: Path) -> None:
-    found = _doctor.extras_in(Path(sys.executable), ("uoarm", "absent-of-all"))
+    found = _environment.extras_in(Path(sys.executable), ("uoarm", "absent-of-all"))
     assert "hosts" in found.pop("uoarm")
     assert found == {}
     for said in ("", "[", "[1]"):
-        assert _doctor.extras_in(_executable(tmp_path / "p", f"echo '{said}'"), ("uoarm",)) == {}
+        assert (
+            _environment.extras_in(_executable(tmp_path / "p", f"echo '{said}'"), ("uoarm",)) == {}
+        )
 
 
 def test_a_plugin_that_lacks_its_middleware_in_an_environment_is_reported(
@@ -349,7 +351,7 @@ if [ "$1" = -m ]; then echo '{message}'; else exec {sys.executable} "$@"; fi"""
     [found] = map(environments.examine, environments.listed())
     assert found.problem == ""
     assert traces.read_text() == "-I /opt/mine  .\n-m /opt/mine  .\n"
-    _doctor.extras_in(folder / "bin" / "python", ("uoarm",))
+    _environment.extras_in(folder / "bin" / "python", ("uoarm",))
     assert traces.read_text().endswith("\n-I /opt/mine  .\n")
 
 

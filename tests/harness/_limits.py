@@ -17,7 +17,7 @@ __all__ = ["lengthen"]
 
 _LIMITS: dict[str, dict[str, tuple[str, ...]]] = {
     "uoarm._adapt._edge": {"check_edge": ("seconds", "suggest_seconds")},
-    "uoarm._host.process.settings": {"HostSettings": ("silence", "start")},
+    "uoarm._host.process_connection": {"HostSettings": ("silence", "start")},
     "uoarm._host.transport.zenoh_transport": {"ZenohTransport": ("timeout", "lease")},
     "uoarm.client": {
         "connect": ("timeout",),
@@ -58,7 +58,7 @@ _CONSTANTS = {
     "uoarm.cli._look": ("_SECONDS",),
     "uoarm.config._plugins": ("_PARAMETER_SECONDS",),
     "uoarm.config._suggestion": ("_PAIR_SECONDS",),
-    "uoarm.environments._doctor": ("_SECONDS",),
+    "uoarm.environments._environment": ("_SECONDS",),
     "uoarm.local._bridge": ("_HANDLER_SECONDS",),
     "uoarm.server._running": ("_START_SECONDS",),
     "uoarm.server.session._discoveries": ("_ASK_SECONDS", "_GRACE_SECONDS"),
@@ -86,7 +86,7 @@ _IDLE_SECONDS = 0.1
 
 def lengthen(seconds: float) -> None:
     """Have the limits that nobody states last so long, of what tests have imported."""
-    if (workers := sys.modules.get("uoarm._workers")) is not None:
+    if (workers := sys.modules.get("uoarm._support.workers")) is not None:
         _set_default(workers.WorkerPool.__init__, "idle_seconds", _IDLE_SECONDS)
     for module, constants in _CONSTANTS.items():
         for name in constants:

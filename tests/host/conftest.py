@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import pytest
 
 from uoarm._host import remote_bridge
-from uoarm._host.transport.link_sockets import LinkSockets
+from uoarm._host.transport.frames import LinkSockets
 from uoarm._host.transport.socket_transport import SocketTransport
 from uoarm._host.transport.transport import Transport
 from uoarm._host.transport.zenoh_transport import ZenohTransport

@@ -14,7 +14,7 @@ from tests.host import hosted
 from tests.processes import states, thread_names
 from typing_extensions import Self
 
-from uoarm._certificates import Authority
+from uoarm._support.certificates import Authority
 from uoarm.testing import patience, wait
 
 ROBOT = """

@@ -12,13 +12,13 @@ from pathlib import Path
 import pytest
 from tests.host.joined import Joined
 
-from uoarm._certificates import Authority
 from uoarm._host import Identity
 from uoarm._host.agent.host_agent import HostAgent
-from uoarm._host.machines.registry import MachineRegistry
+from uoarm._host.machines import MachineRegistry
 from uoarm._host.transport import keys
 from uoarm._host.transport.codec import pack
 from uoarm._host.transport.zenoh_transport import ZenohTransport
+from uoarm._support.certificates import Authority
 from uoarm.errors import BridgeError, FailureReason, UoarmError
 from uoarm.model import Listening
 from uoarm.testing import free_port, patience, wait

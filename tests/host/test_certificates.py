@@ -11,7 +11,7 @@ from click.testing import CliRunner
 from cryptography import x509
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
-from uoarm._certificates import Authority
+from uoarm._support.certificates import Authority
 from uoarm.cli import main
 from uoarm.errors import UsageError
 

@@ -11,9 +11,9 @@ from pathlib import Path
 import pytest
 
 from uoarm import RobotManager
-from uoarm._certificates import Authority
 from uoarm._host import Identity
 from uoarm._host.agent.host_agent import HostAgent
+from uoarm._support.certificates import Authority
 from uoarm.bridge import BridgeType, Registry
 from uoarm.config import loads
 from uoarm.errors import ConfigurationError

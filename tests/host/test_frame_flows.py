@@ -9,11 +9,10 @@ from queue import SimpleQueue
 
 import pytest
 
-from uoarm._host.transport import frame_flows, subscription
+from uoarm._host.transport import frame_flows
 from uoarm._host.transport.codec import Frame
-from uoarm._host.transport.frame_flows import FrameFlows
-from uoarm._host.transport.link_sockets import LinkSockets
-from uoarm._host.transport.subscription import FlowSubscription
+from uoarm._host.transport.frame_flows import FlowSubscription, FrameFlows
+from uoarm._host.transport.frames import LinkSockets
 from uoarm.testing import patience, wait
 
 LONG = bytes(2**16 + 1)
@@ -25,7 +24,7 @@ Ends = tuple[FrameFlows, FrameFlows]
 @pytest.fixture
 def flows(monkeypatch: pytest.MonkeyPatch) -> Iterator[Ends]:
     """Both ends; what is called quick here is what does not wait for a gate."""
-    monkeypatch.setattr(subscription, "_QUICK_SECONDS", patience())
+    monkeypatch.setattr(frame_flows, "_QUICK_SECONDS", patience())
     one, other = LinkSockets.make()
     near = FrameFlows(one.incoming, one.outgoing, "near", lambda: None)
     far = FrameFlows(other.incoming, other.outgoing, "far", lambda: None)
@@ -128,7 +127,7 @@ def test_who_takes_its_time_has_a_thread_of_its_own(
     flows: Ends, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     near, far = flows
-    monkeypatch.setattr(subscription, "_QUICK_SECONDS", 0.0)
+    monkeypatch.setattr(frame_flows, "_QUICK_SECONDS", 0.0)
     taker, other = _Taker(near), _Taker(near, "other")
     _send(far, *range(10))
     _send(far, 0, payload=LONG, key="other")  # long ones have one from the first on

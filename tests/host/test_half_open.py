@@ -13,8 +13,8 @@ from tests.host import hosted
 from tests.host.hosted import ANY, Events, at
 from tests.processes import lives
 
-from uoarm._host.process import process_connection
-from uoarm._host.transport.link_sockets import LinkSockets
+from uoarm._host import process_connection
+from uoarm._host.transport.frames import LinkSockets
 from uoarm.errors import BridgeError
 from uoarm.model import Health, Role
 from uoarm.testing import patience, slowness, wait

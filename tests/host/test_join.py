@@ -9,8 +9,7 @@ import pytest
 from uoarm._host import HostSettings
 from uoarm._host.agent import host_agent
 from uoarm._host.agent.host_agent import HostAgent
-from uoarm._host.machines.machine_connection import MachineConnection
-from uoarm._host.machines.registry import MachineRegistry
+from uoarm._host.machines import MachineConnection, MachineRegistry
 from uoarm._host.transport.zenoh_transport import ZenohTransport
 from uoarm.bridge import BridgeType, Registry
 from uoarm.model import BridgeSpec, Listening

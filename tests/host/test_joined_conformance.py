@@ -10,7 +10,7 @@ from tests.host.joined import Joined
 from tests.host.test_hosted_conformance import TESTS, HostedWorld
 
 from uoarm._host import RemoteBridge
-from uoarm._host.machines.registry import MachineRegistry
+from uoarm._host.machines import MachineRegistry
 from uoarm.bridge import Bridge
 from uoarm.model import BridgeSpec, Listening
 from uoarm.testing import free_port, patience, wait

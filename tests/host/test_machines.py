@@ -15,7 +15,7 @@ from click.testing import CliRunner
 from tests.host.joined import Joined, robot
 
 from uoarm import BridgeError, ResolutionError, RobotManager, UoarmError
-from uoarm._host.machines.registry import MachineRegistry
+from uoarm._host.machines import MachineRegistry
 from uoarm.cli import main
 from uoarm.config import loads
 from uoarm.model import ConnectionState, Health, MachineStatus, StatusEvent

@@ -5,7 +5,7 @@ from __future__ import annotations
 from hypothesis import given
 from hypothesis import strategies as st
 
-from uoarm._host.machines.registry import ClockOffset
+from uoarm._host.machines import ClockOffset
 
 _DELAYS = st.integers(0, 10**9)
 _OFFSETS = st.integers(-(10**18), 10**18)

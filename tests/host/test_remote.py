@@ -13,8 +13,7 @@ from tests.host import hosted
 from tests.host.hosted import ANY, Events, at
 from tests.processes import lives
 
-from uoarm._host.remote_bridge import RemoteBridge
-from uoarm._host.remote_channels import RemoteChannel
+from uoarm._host.remote_bridge import RemoteBridge, RemoteChannel
 from uoarm.errors import BridgeError, FailureReason, PluginError
 from uoarm.model import BridgeSpec, Health, Role
 from uoarm.testing import patience, wait

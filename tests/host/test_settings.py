@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from uoarm._host.process.settings import HostSettings
+from uoarm._host.process_connection import HostSettings
 from uoarm.config import loads
 from uoarm.errors import BridgeError, ConfigurationError, FailureReason
 

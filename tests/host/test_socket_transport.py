@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 from uoarm._host.transport import frames, socket_transport
 from uoarm._host.transport.codec import Frame
-from uoarm._host.transport.link_sockets import LinkSockets
+from uoarm._host.transport.frames import LinkSockets
 from uoarm._host.transport.socket_transport import SocketTransport
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason
 from uoarm.testing import patience, wait

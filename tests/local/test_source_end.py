@@ -13,10 +13,10 @@ from typing import ClassVar, TypedDict
 import pytest
 
 from uoarm import RobotManager
-from uoarm._workers import WorkerPool
+from uoarm._support.workers import WorkerPool
 from uoarm.config import loads
 from uoarm.local import PythonBridge
-from uoarm.local._source import IteratedSource
+from uoarm.local._instance import IteratedSource
 from uoarm.model import Endpoint, Message, MessageStructure, Role
 from uoarm.testing import Background, patience, wait
 

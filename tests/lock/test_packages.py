@@ -8,7 +8,7 @@ import pytest
 
 from uoarm import __version__
 from uoarm._lock import LockedBridge, differing_packages
-from uoarm._lock._packages import bridges_of
+from uoarm._lock._record import bridges_of
 from uoarm.config import loads
 from uoarm.model import Robot
 

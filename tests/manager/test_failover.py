@@ -11,12 +11,13 @@ from typing import Any
 import pytest
 from attrs import evolve
 
-from uoarm import ConnectionClosedError, RobotManager, _bounded
+from uoarm import ConnectionClosedError, RobotManager
 from uoarm._control import driver
 from uoarm._control.engine import actions as act
 from uoarm._control.engine import events as ev
 from uoarm._control.engine.state import State, names
 from uoarm._control.live.connection_runtime import LossAccount
+from uoarm._support import deadlines
 from uoarm.bridge import Channel
 from uoarm.config import loads
 from uoarm.model import (
@@ -191,7 +192,7 @@ def test_a_takeover_that_comes_too_late_takes_over_nothing(
     make: Make, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     limits = threading.local()
-    opens, run = driver.Driver._open, _bounded.run
+    opens, run = driver.Driver._open, deadlines.run
 
     def open_batch(made: driver.Driver, action: act.Open, state: State) -> ev.Event:
         limits.seconds = 0.2 if "next" in names(action.placement.plan) else patience()
@@ -201,7 +202,7 @@ def test_a_takeover_that_comes_too_late_takes_over_nothing(
         return run(step, getattr(limits, "seconds", patience()), action)
 
     monkeypatch.setattr(driver.Driver, "_open", open_batch)
-    monkeypatch.setattr(driver, "_bounded", SimpleNamespace(run=run_limited))
+    monkeypatch.setattr(driver, "deadlines", SimpleNamespace(run=run_limited))
     stage = make()
     one, two = stage.robot.request("camera"), stage.robot.request("face")
     opened = stage.two._open_source

@@ -17,8 +17,9 @@ from typing import Any, NoReturn
 import pytest
 from tests.manager.stage import FACE
 
-from uoarm import BridgeError, BridgeTimeoutError, RobotManager, _bounded, _interrupts
+from uoarm import BridgeError, BridgeTimeoutError, RobotManager, _interrupts
 from uoarm._interrupts import Uninterrupted
+from uoarm._support import deadlines
 from uoarm.bridge import HealthEvent, Source
 from uoarm.config import loads
 from uoarm.errors import FailureReason
@@ -403,7 +404,7 @@ def test_what_comes_of_a_step_whose_waiter_was_interrupted_is_put_away() -> None
         return "a bridge"
 
     with pytest.raises(KeyboardInterrupt):
-        _bounded.run("starting it", patience(), work, on_late=late.put)
+        deadlines.run("starting it", patience(), work, on_late=late.put)
     assert late.empty()
     is_active.set()
     assert late.get(timeout=patience()) == "a bridge"

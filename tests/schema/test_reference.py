@@ -14,7 +14,7 @@ from tests.schema._strategies import Body, schemas
 
 from uoarm.testing._choices import DrawnChoices
 from uoarm.testing._instance_builder import Builder
-from uoarm.testing._instance_mutations import mutate
+from uoarm.testing._instances import mutate
 
 if TYPE_CHECKING:
     from tests.schema._official import Group

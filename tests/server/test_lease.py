@@ -21,7 +21,7 @@ from uoarm.errors import CommandRefusedError
 from uoarm.model import LeaseHolder, LeaseStatus
 from uoarm.server import Server, hash_token, make_token
 from uoarm.testing import MemoryBridge, patience, wait
-from uoarm.testing._memory_components import Taker
+from uoarm.testing._components import Taker
 
 ROBOT = """
 version: 1

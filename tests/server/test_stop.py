@@ -25,7 +25,7 @@ from uoarm.config import loads
 from uoarm.model import Message
 from uoarm.server import Limits, Server, ServerOptions, hash_token, make_token
 from uoarm.testing import MemoryBridge, patience, wait
-from uoarm.testing._memory_components import Taker
+from uoarm.testing._components import Taker
 
 ROBOT = """
 version: 1

@@ -28,14 +28,12 @@ from uoarm.bridge import (
 from uoarm.errors import BridgeError, FailureReason, UoarmError
 from uoarm.model import Deliver, Endpoint, Health, Message, MessageStructure, Options, Role
 from uoarm.testing import MemoryBridge
-from uoarm.testing.conformance._breaking import Breaking
-from uoarm.testing.conformance._declaring import Declaring
-from uoarm.testing.conformance._describing import Describing
+from uoarm.testing.conformance._describing import Declaring, Describing
 from uoarm.testing.conformance._ending import EndingRules
+from uoarm.testing.conformance._failures import Breaking, DisturbanceRules
 from uoarm.testing.conformance._flow import Flow
-from uoarm.testing.conformance._rules import rule_of
 from uoarm.testing.conformance._services import ServiceRules
-from uoarm.testing.conformance._trouble import DisturbanceRules
+from uoarm.testing.conformance._world import rule_of
 
 __all__ = ["BUGS", "RULED_OUT", "BadWorld", "Bug", "table"]
 

@@ -15,8 +15,8 @@ from tests.testing.bad_bridges import BUGS, RULED_OUT, BadWorld, Bug, table
 
 from uoarm.errors import UoarmError
 from uoarm.testing import patience
-from uoarm.testing._limits import default_limits
-from uoarm.testing.conformance._rules import PAGE, rule_of
+from uoarm.testing._time import default_limits
+from uoarm.testing.conformance._world import PAGE, rule_of
 
 ROOT = Path(__file__).parents[2]
 NOTHING_COMES = 0.3  # seconds after which nothing comes of most bugs

@@ -10,7 +10,7 @@ import pytest
 
 from uoarm import ConnectionClosedError, RobotManager
 from uoarm.config import loads
-from uoarm.local import _source
+from uoarm.local import _instance
 from uoarm.testing import Background, Script, patience
 
 ROBOT = """
@@ -41,27 +41,27 @@ def robot() -> Iterator[RobotManager]:
         script.reset()
 
 
-def test_a_source_whose_thread_has_not_begun_takes_what_is_put(
+def test_a_instance_whose_thread_has_not_begun_takes_what_is_put(
     robot: RobotManager, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     first = robot.request("numbers", validate="always")
     script.put({"value": 1})
     assert first.get(patience()) == {"value": 1}
     first.kill()
-    work, gate = _source._Run.work, threading.Event()
+    work, gate = _instance._Run.work, threading.Event()
 
-    def late(run: _source._Run) -> None:
+    def late(run: _instance._Run) -> None:
         gate.wait(patience())
         work(run)
 
-    monkeypatch.setattr(_source._Run, "work", late)
+    monkeypatch.setattr(_instance._Run, "work", late)
     second = robot.request("numbers", validate="always")
     script.put({"value": 2})
     gate.set()
     assert second.get(patience()) == {"value": 2}
 
 
-def test_a_closed_source_takes_nothing_and_leaves_it_to_the_next() -> None:
+def test_a_closed_instance_takes_nothing_and_leaves_it_to_the_next() -> None:
     script.reset()
     source = numbers()
     messages = iter(source)
@@ -72,7 +72,7 @@ def test_a_closed_source_takes_nothing_and_leaves_it_to_the_next() -> None:
     assert list(numbers()) == [{"value": 3}]
 
 
-def test_after_another_has_opened_a_source_takes_nothing() -> None:
+def test_after_another_has_opened_a_instance_takes_nothing() -> None:
     script.reset()
     former = iter(numbers())
     waiting = Background(lambda: list(former))
@@ -82,7 +82,7 @@ def test_after_another_has_opened_a_source_takes_nothing() -> None:
     assert waiting.result() == []
 
 
-def test_an_exception_is_raised_by_the_source(robot: RobotManager) -> None:
+def test_an_exception_is_raised_by_the_instance(robot: RobotManager) -> None:
     with robot.request("numbers") as connection:
         script.put(RuntimeError("the cable is out"))
         with pytest.raises(ConnectionClosedError, match="the cable is out"):

@@ -10,8 +10,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 from jsonschema import Draft202012Validator
 
-from uoarm._wire._asked import ASKED, check_asked, protocol_schema, salvage_id
-from uoarm._wire._forms import BINARY_FORM, FORMS, TEXT_FORM, Form
+from uoarm._wire._forms import (
+    ASKED,
+    BINARY_FORM,
+    FORMS,
+    TEXT_FORM,
+    Form,
+    check_asked,
+    protocol_schema,
+    salvage_id,
+)
 from uoarm.errors import ControlMessageError
 from uoarm.model import Budget, Spending
 

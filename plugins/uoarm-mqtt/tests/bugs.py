@@ -12,13 +12,12 @@ from uoarm_mqtt import _bridge, _channels, _codec, _discovery, _link, _subscript
 from uoarm.bridge import Disconnection
 from uoarm.errors import BridgeError, MessageError
 from uoarm.model import Health
-from uoarm.testing.conformance._breaking import Breaking
 from uoarm.testing.conformance._describing import Describing
 from uoarm.testing.conformance._ending import EndingRules
+from uoarm.testing.conformance._failures import Breaking, DisturbanceRules
 from uoarm.testing.conformance._flow import Flow
-from uoarm.testing.conformance._rules import rule_of
 from uoarm.testing.conformance._services import ServiceRules
-from uoarm.testing.conformance._trouble import DisturbanceRules
+from uoarm.testing.conformance._world import rule_of
 
 __all__ = ["BUGS", "Bug", "table"]
 

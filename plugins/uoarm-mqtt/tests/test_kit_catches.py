@@ -16,8 +16,8 @@ from mqtt_world import KINDS, MqttWorld
 from uoarm_mqtt import _channels, _link
 
 from uoarm.errors import BridgeError
-from uoarm.testing._limits import default_limits
-from uoarm.testing.conformance._rules import PAGE, rule_of
+from uoarm.testing._time import default_limits
+from uoarm.testing.conformance._world import PAGE, rule_of
 
 PAGES = Path(__file__).parents[3] / "docs"
 

@@ -15,7 +15,7 @@ from uoarm.config import loads
 from uoarm.model import LeaseHolder
 from uoarm.server import Server, ServerOptions, hash_token, make_token, serve_in_thread
 from uoarm.testing import MemoryBridge, wait
-from uoarm.testing._memory_components import Taker
+from uoarm.testing._components import Taker
 
 ROBOT = """
 version: 1

@@ -21,10 +21,10 @@ from uoarm._arguments import arguments
 from uoarm._control.connection import Connection
 from uoarm._control.robot_manager import RobotManager
 from uoarm._dataplane import Clock
-from uoarm._deadlines import event_by
 from uoarm._hints.applications import T
 from uoarm._raised import foreign
 from uoarm._renewal import HeldCommand
+from uoarm._support.aio_deadlines import event_by
 from uoarm.bridge import Registry
 from uoarm.errors import ConnectionClosedError, UsageError
 from uoarm.model import (

@@ -12,11 +12,11 @@ from collections.abc import Callable, Mapping
 
 from attrs import define
 
-from uoarm import _bounded
 from uoarm._control.machines import Machines, StagedMachines
 from uoarm._dataplane import Clock
 from uoarm._origin import install_command
 from uoarm._raised import foreign, text_of
+from uoarm._support import deadlines
 from uoarm.bridge import Bridge, Channel, HealthEvent, Registry
 from uoarm.errors import BridgeError, ConnectionClosedError, FailureReason, PluginError
 from uoarm.model import BridgeSpec, BridgeStatus, Health, Listening, Options
@@ -374,7 +374,7 @@ class BridgeSet:
             raise BridgeError(f"there is no bridge {name!r}", FailureReason.NOT_FOUND)
         if spec.host is not None:
             return start_hosted(spec, spec.host, self._restarts, machines, self._origin)
-        return _bounded.run(
+        return deadlines.run(
             f"starting bridge {name!r}",
             _START_SECONDS,
             lambda: self._registry.create(spec),

@@ -9,12 +9,13 @@ from pathlib import Path
 
 from attrs import evolve
 
-from uoarm import _bounded, config
+from uoarm import config
 from uoarm._control.driver import Driver
 from uoarm._control.offers import Offers
 from uoarm._control.revisions import Revisions
 from uoarm._resolve import without_candidates
-from uoarm._whole_file import written_beside
+from uoarm._support import deadlines
+from uoarm._support.files import written_beside
 from uoarm.bridge import BridgeType
 from uoarm.errors import ConfigurationError, UsageError
 from uoarm.model import ConfigurationChange, Effect, Robot
@@ -156,7 +157,7 @@ class ConfigurationChanges:
             robot = config.with_code(
                 robot, self._revisions.current.robot, uuid.uuid4().hex if reloads_code else ""
             )
-            staged = _bounded.run(
+            staged = deadlines.run(
                 what,
                 timeout,
                 lambda: self._revisions.stage(

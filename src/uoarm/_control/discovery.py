@@ -12,9 +12,9 @@ from typing import TypeAlias, TypeVar
 
 from attrs import define, evolve
 
-from uoarm import _bounded
 from uoarm._resolve import StructureCache, Unavailable
-from uoarm._workers import WorkerPool
+from uoarm._support import deadlines
+from uoarm._support.workers import WorkerPool
 from uoarm.bridge import Bridge, Description, Discovered
 from uoarm.errors import ResolutionError, UoarmError
 from uoarm.model import (
@@ -151,7 +151,7 @@ class Discovery:
         def ask() -> tuple[Discovered, ...] | None:
             if rests:
                 self._get(name)
-            return _bounded.run(f"discovery by bridge {name!r}", timeout, see)
+            return deadlines.run(f"discovery by bridge {name!r}", timeout, see)
 
         def see() -> tuple[Discovered, ...] | None:
             bridge = self._get(name)

@@ -21,7 +21,6 @@ from collections.abc import Callable, Iterable
 from contextlib import AbstractContextManager
 from functools import partial
 
-from uoarm import _bounded
 from uoarm._control.bridges import BridgeSet
 from uoarm._control.engine import actions as act
 from uoarm._control.engine import events as ev
@@ -39,7 +38,8 @@ from uoarm._interrupts import Uninterrupted
 from uoarm._raised import foreign
 from uoarm._resolve import keep_candidates
 from uoarm._spans import current, span
-from uoarm._workers import WorkerPool
+from uoarm._support import deadlines
+from uoarm._support.workers import WorkerPool
 from uoarm.bridge import HealthEvent
 from uoarm.config import compare
 from uoarm.errors import BridgeTimeoutError, UoarmError
@@ -153,7 +153,7 @@ class Driver:
                 if is_quick:  # sharing what is open costs no hop
                     self._lanes.drive(event.waiter)
             if not is_quick:
-                _bounded.run(step_name, timeout, partial(self._lanes.drive, event.waiter))
+                deadlines.run(step_name, timeout, partial(self._lanes.drive, event.waiter))
         except BaseException as error:
             # Given up, by the limit or by Ctrl-C. A thread may be opening parts for it still; what
             # it has opened comes back as an event, and is closed since no plan uses it any more.
@@ -200,7 +200,7 @@ class Driver:
                 self._revisions.expect(staged)
                 self._lanes.reserve(event.waiter)
                 self.post(event)
-            _bounded.run(step_name, timeout, partial(self._lanes.drive, event.waiter))
+            deadlines.run(step_name, timeout, partial(self._lanes.drive, event.waiter))
         except BaseException:
             # The change stands; a worker thread does what this thread would have done for it.
             self._lanes.abandon(event.waiter)
@@ -495,7 +495,7 @@ class Driver:
                     open_parts()
                 else:
                     step_name = f"takeover of connection {action.connection}"
-                    _bounded.run(step_name, _OPEN_SECONDS, open_parts)
+                    deadlines.run(step_name, _OPEN_SECONDS, open_parts)
         except BaseException as error:  # noqa: BLE001 - the state learns of it whatever it is
             self._cancelled.add(action.batch)  # a thread that hangs in it opens nothing more
             return ev.Opened(action.batch, tuple(done), error)
@@ -521,7 +521,7 @@ class Driver:
     def _switch_inputs(self, action: act.SwitchInputs) -> ev.Event:
         try:
             step_name = "switchover to better components"
-            _bounded.run(step_name, _OPEN_SECONDS, partial(self.live.switch_inputs, action.edges))
+            deadlines.run(step_name, _OPEN_SECONDS, partial(self.live.switch_inputs, action.edges))
         except Exception as error:  # noqa: BLE001 - the state learns of it whatever it is
             if not isinstance(error, UoarmError):
                 _log.exception("changing over failed")

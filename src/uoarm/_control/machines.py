@@ -13,7 +13,7 @@ from uoarm.errors import BridgeError, FailureReason, PluginError
 from uoarm.model import BridgeSpec, Health, Listening, MachineStatus
 
 if TYPE_CHECKING:
-    from uoarm._host.machines.registry import MachineRegistry
+    from uoarm._host.machines import MachineRegistry
 
 __all__ = ["Machines", "StagedMachines"]
 
@@ -286,7 +286,7 @@ class _Listener:
             PluginError: likewise.
         """
         try:
-            from uoarm._host.machines.registry import (  # noqa: PLC0415 - needs an extra
+            from uoarm._host.machines import (  # noqa: PLC0415 - needs an extra
                 MachineRegistry,
             )
         except ImportError as error:

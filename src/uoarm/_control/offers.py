@@ -19,7 +19,7 @@ from uoarm._control.revisions import Revisions
 from uoarm._control.threads import EventDispatcher, Timer
 from uoarm._dataplane import Clock
 from uoarm._interrupts import Uninterrupted
-from uoarm._workers import WorkerPool
+from uoarm._support.workers import WorkerPool
 from uoarm.bridge import Bridge, HealthEvent
 from uoarm.errors import UoarmError
 from uoarm.model import Health, Offer, OfferState, OfferStatus, Robot, RouteStatus, StatusEvent

@@ -8,7 +8,6 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any
 
-from uoarm import _bounded
 from uoarm._control.candidates import CandidateWatch
 from uoarm._control.connection import Connection
 from uoarm._control.driver import Driver
@@ -22,6 +21,7 @@ from uoarm._dataplane import Clock, make_check
 from uoarm._hints.applications import MessageType, as_message
 from uoarm._raised import is_raised
 from uoarm._spans import span
+from uoarm._support import deadlines
 from uoarm.bridge import Bridge, ServiceStructures
 from uoarm.errors import (
     BridgeError,
@@ -83,7 +83,7 @@ class Requests:
             return known
         avoided = recently(self._driver.state.avoided, self._clock())
         with span("resolve", function=function):
-            return _bounded.run(
+            return deadlines.run(
                 f"resolving {function!r}",
                 left,
                 lambda: revision.resolve(function, avoided=avoided),

@@ -12,7 +12,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, final, overload
 
-from uoarm import _bounded, config
+from uoarm import config
 from uoarm._arguments import arguments
 from uoarm._control.bridges import BridgeSet
 from uoarm._control.candidates import CandidateWatch
@@ -33,6 +33,7 @@ from uoarm._hints.applications import MessageType, T
 from uoarm._interrupts import Uninterrupted
 from uoarm._mistakes import choose
 from uoarm._resolve import Unavailable
+from uoarm._support import deadlines
 from uoarm.bridge import Bridge, HealthEvent, Registry
 from uoarm.errors import (
     ConnectionClosedError,
@@ -296,7 +297,7 @@ class RobotManager:
             UsageError: the function is a stream, or a reply may be no `as_type`.
         """
         wanted = None if as_type is None else MessageType(as_type, f"the reply of {name!r}")
-        return _bounded.run(
+        return deadlines.run(
             f"call of {name!r}",
             timeout,
             lambda: self._services.call(
@@ -352,12 +353,14 @@ class RobotManager:
         if offer is not None:
             what = f"asking for the structures of the offer {component!r}"
             get = self._bridges.get
-            return _bounded.run(what, timeout, lambda: offered_structures(offer, get(offer.bridge)))
+            return deadlines.run(
+                what, timeout, lambda: offered_structures(offer, get(offer.bridge))
+            )
         found = next((item for item in revision.robot.components() if item.name == component), None)
         if found is None:
             raise ResolutionError(f"there is no component {component!r} in the configuration")
         what = f"asking for the structures of {component!r}"
-        answer = _bounded.run(what, timeout, lambda: revision.structures.structures(found))
+        answer = deadlines.run(what, timeout, lambda: revision.structures.structures(found))
         if isinstance(answer, Unavailable):
             raise ResolutionError(f"component {component!r} is not there: {answer.sentence}")
         return answer.by_port

@@ -14,7 +14,7 @@ from uoarm._dataplane._compiled_check import Accepts, compile_check
 from uoarm._dataplane._route import Watched
 from uoarm._mistakes import mistakes
 from uoarm._spelling import Speller
-from uoarm._yaml import Path, clip
+from uoarm._support.yaml import Path, clip
 from uoarm.errors import MessageError
 from uoarm.model import Message, MessageStructure, Schema, ValidationMode
 

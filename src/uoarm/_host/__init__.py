@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from uoarm._deferred import deferred
 
 if TYPE_CHECKING:
-    from uoarm._host.process.settings import HostSettings
+    from uoarm._host.process_connection import HostSettings
     from uoarm._host.remote_bridge import RemoteBridge
     from uoarm._host.transport.security import Identity
     from uoarm._host.xmlrpc_server import XmlRpcServer
@@ -25,7 +25,7 @@ if not TYPE_CHECKING:
     __getattr__, __dir__ = deferred(
         __name__,
         {
-            "process.settings": ("HostSettings",),
+            "process_connection": ("HostSettings",),
             "remote_bridge": ("RemoteBridge",),
             "transport.security": ("Identity",),
             "xmlrpc_server": ("XmlRpcServer",),

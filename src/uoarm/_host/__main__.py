@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import ctypes
 import faulthandler
 import json
 import logging
 import os
+import resource
 import signal
 import sys
 import threading
@@ -16,9 +18,8 @@ from typing import Any
 
 from uoarm._forks import default_in_children
 from uoarm._host.agent.dispatcher import RequestDispatcher
-from uoarm._host.process.limits import die_with_parent, limit_memory, outlive_parent
 from uoarm._host.transport import keys
-from uoarm._host.transport.link_sockets import LinkSockets
+from uoarm._host.transport.frames import LinkSockets
 from uoarm._host.transport.shared_counters import SharedCounters
 from uoarm._host.transport.socket_transport import SocketTransport
 from uoarm._host.transport.transport import Reply, Transport
@@ -31,6 +32,7 @@ from uoarm.model import BridgeSpec
 _REFUSED_SECONDS = 30.0
 _ORPHANED = 3
 _STOP_SECONDS = 1.0
+_PR_SET_PDEATHSIG = 1  # linux/prctl.h
 
 
 class _MainThread:
@@ -46,7 +48,7 @@ class _MainThread:
         if not self.must_stop:
             self.must_stop = True
             done = threading.Event()
-            self._calls.put(outlive_parent)
+            self._calls.put(_outlive_parent)
             self._calls.put(done.set)
             done.wait()
 
@@ -62,9 +64,9 @@ def main() -> int:
     """Run one bridge until the manager closes it or dies; return the exit status."""
     with open(0, "rb", buffering=0, closefd=False) as given:
         orders = json.loads(given.readline())
-    if not die_with_parent(orders["parent"]):
+    if not _die_with_parent(orders["parent"]):
         return _ORPHANED
-    limit_memory(orders["memory"])
+    _limit_memory(orders["memory"])
     faulthandler.enable(all_threads=False)
     _write_records(orders["log_level"])
     try:
@@ -143,6 +145,38 @@ def _watch_manager(main_thread: _MainThread) -> None:
                 main_thread.bridge.close(timeout=_STOP_SECONDS)
     finally:
         os._exit(_ORPHANED)
+
+
+def _die_with_parent(parent: int) -> bool:
+    """Ask the kernel for SIGKILL when the parent ends; False when it has ended already.
+
+    Linux only; elsewhere the host notices that its stdin was closed. The kernel means the
+    parent's thread that started this process, so that thread must live on (prctl(2)).
+    """
+    if sys.platform == "linux":
+        ctypes.CDLL(None, use_errno=True).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
+    return os.getppid() == parent
+
+
+def _outlive_parent() -> None:
+    """Have the kernel do nothing when the parent ends; of the thread that asked for the opposite.
+
+    For a host that has something to stop first. It then ends by itself, unless it hangs.
+    """
+    if sys.platform == "linux":
+        ctypes.CDLL(None, use_errno=True).prctl(_PR_SET_PDEATHSIG, 0, 0, 0, 0)
+
+
+def _limit_memory(octets: int | None) -> None:
+    """Limit what this process may write to: its heap, its threads' stacks, its private pages.
+
+    What it asks for beyond fails: Python raises MemoryError, native code may abort. Addresses
+    that are only reserved, libraries and shared memory do not count, since RLIMIT_DATA and not
+    RLIMIT_AS is set (getrlimit(2)): middleware such as Zenoh reserves ten times what it uses.
+    Linux only.
+    """
+    if octets is not None and sys.platform == "linux":
+        resource.setrlimit(resource.RLIMIT_DATA, (octets, octets))
 
 
 if __name__ == "__main__":

@@ -5,10 +5,16 @@ from typing import TYPE_CHECKING
 from uoarm._deferred import deferred
 
 if TYPE_CHECKING:
-    from uoarm._lock._compare import LockFinding, LockOutcome, compare
-    from uoarm._lock._guard import LockGuard, guard_of
-    from uoarm._lock._packages import LockedBridge, differing_packages
-    from uoarm._lock._record import Lock, LockError, read_lock, record, write_lock
+    from uoarm._lock._compare import LockFinding, LockGuard, LockOutcome, compare, guard_of
+    from uoarm._lock._record import (
+        Lock,
+        LockedBridge,
+        LockError,
+        differing_packages,
+        read_lock,
+        record,
+        write_lock,
+    )
     from uoarm._lock._schemas import read_schemas, uncompared_types
 
 __all__ = [
@@ -32,10 +38,16 @@ if not TYPE_CHECKING:
     __getattr__, __dir__ = deferred(
         __name__,
         {
-            "_compare": ("LockFinding", "LockOutcome", "compare"),
-            "_guard": ("LockGuard", "guard_of"),
-            "_packages": ("LockedBridge", "differing_packages"),
-            "_record": ("Lock", "LockError", "read_lock", "record", "write_lock"),
+            "_compare": ("LockFinding", "LockGuard", "LockOutcome", "compare", "guard_of"),
+            "_record": (
+                "Lock",
+                "LockError",
+                "LockedBridge",
+                "differing_packages",
+                "read_lock",
+                "record",
+                "write_lock",
+            ),
             "_schemas": ("read_schemas", "uncompared_types"),
         },
     )

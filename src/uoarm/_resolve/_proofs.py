@@ -203,7 +203,7 @@ def _read(
     lines: str, producer: MessageStructure, consumer: MessageStructure, seconds: float
 ) -> Adapted | None:
     """Return what suggested lines say, where the edge is proven with them."""
-    from uoarm._yaml import read  # noqa: PLC0415 - slow import
+    from uoarm._support.yaml import read  # noqa: PLC0415 - slow import
 
     written = read(lines, "").value if lines else None
     if not isinstance(written, dict) or "map" not in written:

@@ -5,13 +5,13 @@ from __future__ import annotations
 import json
 from collections.abc import Iterable, Iterator
 
-from uoarm._types._functions import RobotTypes
 from uoarm._types._shape import (
     Array,
     Literals,
     Named,
     Plain,
     RecordShape,
+    RobotTypes,
     Shape,
     Table,
     Union,

@@ -3,11 +3,19 @@
 Shared by the server and the client. Needs the packages of the extra `server`.
 """
 
-from uoarm._wire._asked import ASKED, check_asked, protocol_schema, salvage_id
 from uoarm._wire._binary import read_binary, write_binary
-from uoarm._wire._forms import BINARY_FORM, FORMS, TEXT_FORM, Form, write_or_error
-from uoarm._wire._skeleton import dump_parts, is_octets
-from uoarm._wire._text import read_text
+from uoarm._wire._forms import (
+    ASKED,
+    BINARY_FORM,
+    FORMS,
+    TEXT_FORM,
+    Form,
+    check_asked,
+    protocol_schema,
+    salvage_id,
+    write_or_error,
+)
+from uoarm._wire._text import dump_parts, is_octets, read_text
 
 __all__ = [
     "ASKED",

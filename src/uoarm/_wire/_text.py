@@ -17,14 +17,15 @@ from contextlib import suppress
 from typing import Any, TypeAlias
 
 import orjson
-from pybase64 import b64decode
+from pybase64 import b64decode, b64encode
 
-from uoarm._wire._skeleton import dump_parts
 from uoarm.errors import ControlMessageError, MessageError
 from uoarm.model import Message, Schema, Spending, count_names, read_json, scan_json
 
 __all__ = [
     "SAFE_INTEGER",
+    "dump_parts",
+    "is_octets",
     "make_reader",
     "read_text",
     "text_schema",
@@ -32,15 +33,72 @@ __all__ = [
     "write_text_parts",
 ]
 
+# No JSON text holds this character as it is: in a string it is written as an escape.
+_GAP = b"\0"
+_PLACE = orjson.Fragment(b'"' + _GAP + b'"')
 SAFE_INTEGER = 2**53 - 1
 _OPTIONS = orjson.OPT_STRICT_INTEGER
 _NUMPY = orjson.OPT_SERIALIZE_NUMPY
 _PIECE = 8192
 _AS_ZEROS = bytes.maketrans(b"123456789", b"000000000")
-_WIDE, _BELOW = b"0" * 20, b"-" + b"0" * 19
 _RUN = re.compile(b"0+")
 _WIDE_KINDS = "iu"
 _WIDE_SIZE = 8
+Reader: TypeAlias = Callable[[Message], Message]
+_MAX_DEPTH = 64
+_SHOWN = 100
+_DIGITS = re.compile(r"-?(0|[1-9][0-9]{0,999})\Z")
+_NO_BASE64 = re.compile(r"[^A-Za-z0-9+/]")
+_NAMES = {"NaN": float("nan"), "Infinity": float("inf"), "-Infinity": float("-inf")}
+_MAPS = ("properties", "patternProperties", "$defs", "dependentSchemas")
+_LISTS = ("prefixItems", "allOf", "anyOf", "oneOf")
+_ONES = ("items", "additionalProperties", "contains", "not", "if", "then", "else")
+
+
+def dump_parts(
+    message: Any, other: Callable[[Any], Any], option: int = 0
+) -> tuple[bytes, list[bytes]]:
+    """Return the skeleton of a message and the parts of its whole text, to be joined.
+
+    Args:
+        message: what to write.
+        other: returns what the encoder can write for anything but octets.
+        option: of orjson.
+
+    Raises:
+        TypeError: a value in it has no form.
+    """
+    octets: list[bytes] = []
+
+    def write(value: Any) -> Any:
+        if is_octets(value):
+            octets.append(b64encode(_in_one_piece(value)))
+            return _PLACE
+        return other(value)
+
+    skeleton = orjson.dumps(message, default=write, option=option)
+    if not octets:
+        return skeleton, [skeleton]
+    pieces = skeleton.split(_GAP)
+    parts = [pieces[0]]
+    for text, piece in zip(octets, pieces[1:], strict=True):
+        parts += (text, piece)
+    return skeleton, parts
+
+
+def is_octets(value: Any) -> bool:
+    """Say whether a value stands for octets: a buffer of bytes in one dimension."""
+    if isinstance(value, bytes | bytearray | memoryview):
+        return True
+    return hasattr(value, "__array_interface__") and value.dtype == "uint8" and value.ndim == 1
+
+
+def _in_one_piece(value: Any) -> Any:
+    view = memoryview(value)
+    return value if view.c_contiguous else view.tobytes()
+
+
+_WIDE, _BELOW = b"0" * 20, b"-" + b"0" * 19
 
 
 def read_text(text: str, spending: Spending) -> Any:
@@ -186,18 +244,6 @@ def _name(value: float) -> str:
     if math.isnan(value):
         return "NaN"
     return "Infinity" if value > 0 else "-Infinity"
-
-
-Reader: TypeAlias = Callable[[Message], Message]
-
-_MAX_DEPTH = 64
-_SHOWN = 100
-_DIGITS = re.compile(r"-?(0|[1-9][0-9]{0,999})\Z")
-_NO_BASE64 = re.compile(r"[^A-Za-z0-9+/]")
-_NAMES = {"NaN": float("nan"), "Infinity": float("inf"), "-Infinity": float("-inf")}
-_MAPS = ("properties", "patternProperties", "$defs", "dependentSchemas")
-_LISTS = ("prefixItems", "allOf", "anyOf", "oneOf")
-_ONES = ("items", "additionalProperties", "contains", "not", "if", "then", "else")
 
 
 def text_schema(schema: Schema, depth: int = 0) -> Schema:

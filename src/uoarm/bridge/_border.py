@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from uoarm._bounded import BoundedStep
 from uoarm._raised import ContainedError, contained, from_own_frames, text_of
+from uoarm._support.deadlines import BoundedStep
 from uoarm.errors import BridgeError, FailureReason, UoarmError
 from uoarm.model import Endpoint
 

@@ -14,9 +14,9 @@ from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager
 from typing import TypeVar, final
 
-from uoarm import _bounded
-from uoarm._bounded import BoundedStep
 from uoarm._raised import foreign
+from uoarm._support import deadlines
+from uoarm._support.deadlines import BoundedStep
 from uoarm.bridge._border import translated
 from uoarm.bridge._calls import CallsUnderWay, CallUnderWay
 from uoarm.bridge._channel import Channel, Sink, Source
@@ -333,7 +333,7 @@ class Bridge(ABC):
                 failures.append(error)
         step = f"bridge {self.name!r}: closing"
         with translated(step):
-            _bounded.run(step, timeout, self._close)
+            deadlines.run(step, timeout, self._close)
         if failures:
             raise failures[0]
 
@@ -506,7 +506,7 @@ class Bridge(ABC):
             raise BridgeError(text, FailureReason.CLOSED)
         step = BoundedStep(f"bridge {self.name!r}: ", what)
         with translated(step):
-            return _bounded.run(
+            return deadlines.run(
                 step,
                 timeout,
                 action,

@@ -7,8 +7,8 @@ import threading
 from collections.abc import Callable, Mapping
 from typing import final
 
-from uoarm import _bounded
-from uoarm._bounded import BoundedStep
+from uoarm._support import deadlines
+from uoarm._support.deadlines import BoundedStep
 from uoarm.bridge._border import translated
 from uoarm.bridge._gate import Gate
 from uoarm.bridge._watchdog import Watchdog
@@ -88,7 +88,7 @@ class Channel:
             self._gate.shut()
         step = BoundedStep(f"bridge {self.endpoint.bridge!r}: closing ", self.endpoint)
         with translated(step):
-            _bounded.run(step, timeout, self._close_native, keeps_time=self._is_quick)
+            deadlines.run(step, timeout, self._close_native, keeps_time=self._is_quick)
 
     def _overrides(self, step: str, base: type[Channel]) -> bool:
         return getattr(type(self), step) is not getattr(base, step)

@@ -23,7 +23,7 @@ from typing_extensions import Self
 from uoarm._mistakes import Mistake, mistakes
 from uoarm._quick_check import certainly_matches
 from uoarm._spelling import Speller
-from uoarm._yaml import write_path
+from uoarm._support.yaml import write_path
 from uoarm.bridge._border import reading_endpoint
 from uoarm.model import Endpoint, Options, Schema
 

@@ -6,13 +6,13 @@ import threading
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import TYPE_CHECKING
 
-from uoarm import _bounded
 from uoarm._mistakes import mistakes
 from uoarm._origin import install_command
 from uoarm._plugins import PluginProblem, cause_of, installed, values_of
 from uoarm._quick_check import certainly_matches
 from uoarm._spelling import Speller
-from uoarm._yaml import write_path
+from uoarm._support import deadlines
+from uoarm._support.yaml import write_path
 from uoarm.bridge._border import translated
 from uoarm.bridge._bridge import CONTRACT_VERSION, Bridge
 from uoarm.bridge._plugin import BridgeHooks, BridgeType
@@ -146,7 +146,7 @@ class Registry:
         options = kind.located(spec.options, spec.folder)
         ask, step = kind.structure_of_type, f"bridge {spec.name!r}: looking for type {name!r:.200}"
         with translated(step):
-            found: object = _bounded.run(step, timeout, lambda: ask(name, options))
+            found: object = deadlines.run(step, timeout, lambda: ask(name, options))
         if found is not None and not isinstance(found, MessageStructure):
             text = (
                 f"plugin {spec.plugin!r} breaks the contract: structure_of_type returned "

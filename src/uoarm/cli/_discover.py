@@ -12,7 +12,7 @@ import click
 from attrs import evolve
 
 from uoarm import RobotManager
-from uoarm._whole_file import write_whole
+from uoarm._support.files import write_whole
 from uoarm.bridge import Registry
 from uoarm.cli._file import STANDARD, Unnamed, takes_configuration
 from uoarm.cli._shared import BRIDGE, fitted, json_option, print_json, reporting

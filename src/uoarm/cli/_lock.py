@@ -29,8 +29,8 @@ from uoarm._lock import (
     uncompared_types,
     write_lock,
 )
+from uoarm._support.files import write_whole
 from uoarm._types import read_functions, write_document, write_python, write_typescript
-from uoarm._whole_file import write_whole
 from uoarm.bridge import Registry
 from uoarm.cli._file import takes_configuration
 from uoarm.cli._shared import REFUSED, print_warning, reporting

@@ -18,7 +18,7 @@ import click
 
 from uoarm import RobotManager
 from uoarm._forks import default_in_children
-from uoarm._whole_file import stamp_of
+from uoarm._support.files import stamp_of
 from uoarm.cli._file import takes_configuration
 from uoarm.cli._shared import (
     fail,

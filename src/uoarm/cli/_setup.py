@@ -142,7 +142,7 @@ def certificates(
         raise click.UsageError("say for whom: --manager ADDRESS, --machine NAME, or both")
     with reporting():
         with needing("certificates"):
-            from uoarm._certificates import Authority  # noqa: PLC0415 - needs an extra
+            from uoarm._support.certificates import Authority  # noqa: PLC0415 - needs an extra
         authority = Authority.of(Path(folder))
         if addresses:
             click.echo(f"the manager: {authority.certify_manager(addresses, days)}")

@@ -17,8 +17,8 @@ from websockets.typing import Subprotocol
 
 from uoarm import errors
 from uoarm._arguments import arguments
-from uoarm._deadlines import result_within
 from uoarm._hints.applications import MessageType, T, as_message
+from uoarm._support.aio_deadlines import result_within
 from uoarm._wire import BINARY_FORM, TEXT_FORM, Form
 from uoarm.client._link import LARGEST, Link, Open
 from uoarm.client._stream import RemoteStream

@@ -18,7 +18,7 @@ from websockets.asyncio.client import ClientConnection
 from websockets.exceptions import ConnectionClosed, InvalidHandshake, InvalidStatus
 from websockets.frames import CloseCode
 
-from uoarm._deadlines import result_within
+from uoarm._support.aio_deadlines import result_within
 from uoarm._wire import Form
 from uoarm.errors import ConnectionClosedError, ControlMessageError, UsageError
 from uoarm.model import Budget, Spending

@@ -13,9 +13,9 @@ from typing import Any, Generic, cast, final
 from typing_extensions import Self
 
 from uoarm._arguments import arguments
-from uoarm._deadlines import event_by
 from uoarm._hints.applications import MessageType, T, as_message
 from uoarm._renewal import HeldCommand, renewal_period, renewed_in_task
+from uoarm._support.aio_deadlines import event_by
 from uoarm.errors import ConnectionClosedError
 from uoarm.model import Message
 

@@ -3,7 +3,7 @@
 from typing import TYPE_CHECKING
 
 from uoarm._deferred import deferred
-from uoarm._yaml import Place, Problem
+from uoarm._support.yaml import Position, Problem
 
 if TYPE_CHECKING:
     from uoarm.config._difference import ConfigurationDifference, compare, fed_by, with_code
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 __all__ = [
     "ASSIGN",
     "ConfigurationDifference",
-    "Place",
+    "Position",
     "Problem",
     "Report",
     "add_functions",

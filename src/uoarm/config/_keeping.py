@@ -8,7 +8,7 @@ from typing import Any
 
 from attrs import evolve, frozen
 
-from uoarm._yaml import Document, Path, read
+from uoarm._support.yaml import Document, Path, read
 from uoarm.config._load import loads
 from uoarm.errors import ConfigurationError
 from uoarm.model import Robot

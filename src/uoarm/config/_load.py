@@ -14,7 +14,7 @@ from attrs import evolve, frozen
 
 from uoarm._arguments import arguments
 from uoarm._spelling import Speller
-from uoarm._yaml import Document, Place, Problem, read, read_file
+from uoarm._support.yaml import Document, Position, Problem, read, read_file
 from uoarm.bridge import BridgeType
 from uoarm.config._build import build
 from uoarm.config._meaning import MeaningChecker
@@ -30,7 +30,7 @@ Types: TypeAlias = Mapping[str, BridgeType]
 _SHOWN = 50
 _NOT_THERE = os.strerror(errno.ENOENT)
 _ABSENT = "`uoarm suggest > robot.yaml` writes one of what bridges see; FILE names another"
-_START = Place(1, 1)
+_START = Position(1, 1)
 _NO_TYPES: Types = MappingProxyType({})
 
 

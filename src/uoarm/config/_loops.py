@@ -15,7 +15,7 @@ from typing import TypeAlias
 
 from attrs import frozen
 
-from uoarm._yaml import Path
+from uoarm._support.yaml import Path
 from uoarm.config._parts import ComponentPart, PortPart
 
 __all__ = ["Needs", "SharedTopic", "avoidable_cycles", "feedback_loops", "unavoidable_cycles"]

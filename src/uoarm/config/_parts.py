@@ -11,7 +11,7 @@ from typing import Any, TypeAlias
 
 from attrs import frozen
 
-from uoarm._yaml import Path, clip
+from uoarm._support.yaml import Path, clip
 from uoarm.model import place_problem
 
 __all__ = [

@@ -7,12 +7,12 @@ from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from typing import Any
 
-from uoarm import _bounded
 from uoarm._mistakes import mistakes
 from uoarm._quick_check import certainly_matches
 from uoarm._raised import foreign, text_of
 from uoarm._spelling import Speller
-from uoarm._yaml import Document, Path, Problem, clip, write_path
+from uoarm._support import deadlines
+from uoarm._support.yaml import Document, Path, Problem, clip, write_path
 from uoarm.bridge import BridgeType
 from uoarm.bridge._endpoint_options import option_mistakes
 from uoarm.config._build import bridge_options, folder_of
@@ -138,7 +138,7 @@ class PluginChecker:
                     options=port.value.get("options", {}),
                     parameters=component.value.get("parameters", {}),
                 )
-                description = _bounded.run(
+                description = deadlines.run(
                     f"looking at the structures of {address}",
                     _PARAMETER_SECONDS,
                     partial(kind.describe, endpoint, options),
@@ -163,7 +163,7 @@ class PluginChecker:
         check = kind.check_parameters
         if check is None:
             return {}
-        return _bounded.run(
+        return deadlines.run(
             f"looking at the parameters of {address}",
             _PARAMETER_SECONDS,
             lambda: check(address, given, options),
@@ -209,7 +209,7 @@ class PluginChecker:
         step = f"looking at the addresses of bridge {bridge}"
         ask = partial(check, written, frozenset(places))
         try:
-            found = dict(foreign(_bounded.run, step, _PARAMETER_SECONDS, ask))
+            found = dict(foreign(deadlines.run, step, _PARAMETER_SECONDS, ask))
         except Exception as error:  # noqa: BLE001 - a plugin may raise anything
             sentence = str(error) if isinstance(error, UoarmError) else text_of(error)
             found = {(): f"its addresses cannot be looked at here: {sentence}"}

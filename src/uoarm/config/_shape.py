@@ -26,7 +26,7 @@ from uoarm._meaning import unit_mistake
 from uoarm._mistakes import TYPES, Mistake, mistakes, near
 from uoarm._quick_check import certainly_matches
 from uoarm._spelling import Speller, any_of
-from uoarm._yaml import Document, Path, Problem, clip, write_path
+from uoarm._support.yaml import Document, Path, Problem, clip, write_path
 from uoarm.bridge import BridgeType
 from uoarm.errors import ConfigurationError
 from uoarm.model import BridgeSpec, Options, Robot

@@ -1,16 +1,17 @@
 """Python environments for bridge hosts: made, listed, examined and removed by name."""
 
-from uoarm.environments._doctor import EnvironmentFinding, examine
-from uoarm.environments._make import create, requirements
-from uoarm.environments._place import (
+from uoarm.environments._environment import (
     Environment,
+    EnvironmentFinding,
     environment_folder,
     environment_python,
+    examine,
     installed,
     listed,
     passed_on,
     remove,
 )
+from uoarm.environments._make import create, requirements
 
 __all__ = [
     "Environment",

@@ -21,12 +21,12 @@ from pathlib import Path, PurePosixPath
 from tempfile import TemporaryDirectory
 
 from uoarm._origin import installed, origin_of
-from uoarm._whole_file import write_whole
-from uoarm.environments._doctor import extras_in
-from uoarm.environments._place import (
+from uoarm._support.files import write_whole
+from uoarm.environments._environment import (
     MARK,
     environment_folder,
     environment_python,
+    extras_in,
     passed_on,
 )
 from uoarm.errors import PluginError
@@ -35,6 +35,16 @@ __all__ = ["create", "extras_of", "handed_on", "repack", "requirements", "unknow
 
 # Written by what installs a wheel, not part of one.
 _LEFT_OUT = frozenset({"RECORD", "INSTALLER", "REQUESTED", "direct_url.json"})
+_GROUP = "uoarm.bridges"
+_CORE = "uoarm"
+# `ros-jazzy-rclpy; extra == 'jazzy'`: the middleware that an extra brings in this version.
+_BROUGHT = re.compile(r"([A-Za-z0-9._-]+)[^;]*;.*\bextra == ['\"]([^'\"]+)")
+_WITH_EXTRAS = re.compile(r"([A-Za-z0-9._-]+)\[([^\]]*)\]")
+_PINNED = re.compile(r"([A-Za-z0-9._-]+)(\[[^\]]*\])?==([^ ;]+)")
+_LIMIT_SECONDS = 1800.0
+_SHOWN = 15
+Progress = Callable[[str], None]
+"""Takes one line of progress."""
 
 
 def repack(found: Distribution, folder: Path) -> Path | None:
@@ -71,14 +81,6 @@ def _belongs(entry: PurePosixPath) -> bool:
     if first == ".." or entry.is_absolute() or "__pycache__" in entry.parts:
         return False
     return not (first.endswith(".dist-info") and entry.name in _LEFT_OUT)
-
-
-_GROUP = "uoarm.bridges"
-_CORE = "uoarm"
-# `ros-jazzy-rclpy; extra == 'jazzy'`: the middleware that an extra brings in this version.
-_BROUGHT = re.compile(r"([A-Za-z0-9._-]+)[^;]*;.*\bextra == ['\"]([^'\"]+)")
-_WITH_EXTRAS = re.compile(r"([A-Za-z0-9._-]+)\[([^\]]*)\]")
-_PINNED = re.compile(r"([A-Za-z0-9._-]+)(\[[^\]]*\])?==([^ ;]+)")
 
 
 def requirements(plugin: str, version: str | None, more: tuple[str, ...] = ()) -> tuple[str, ...]:
@@ -173,13 +175,6 @@ def _names(requirement: str, project: str) -> bool:
     """Say whether a requirement names a project or is the path of its folder or of its wheel."""
     longer = "(?![A-Za-z0-9]|-[A-Za-z])"  # uoarm-ros2 does not stand for uoarm-ros
     return re.search(re.escape(project) + longer, requirement.replace("_", "-")) is not None
-
-
-_LIMIT_SECONDS = 1800.0
-_SHOWN = 15
-
-Progress = Callable[[str], None]
-"""Takes one line of progress."""
 
 
 def create(

@@ -16,9 +16,9 @@ from typing import Any
 
 from uoarm._arguments import arguments
 from uoarm._control import RobotManager
-from uoarm._deadlines import result_within
 from uoarm._forks import at_exit, default_in_children
 from uoarm._raised import ContainedError, foreign
+from uoarm._support.aio_deadlines import result_within
 from uoarm._switch_interval import short_switch_interval
 from uoarm.server._options import ServerOptions
 from uoarm.server._server import Server

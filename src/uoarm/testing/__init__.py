@@ -4,18 +4,13 @@ The conformance kit for bridge authors is `uoarm.testing.conformance`, which nee
 `instances` needs hypothesis. Nothing else here needs more than uoarm itself.
 """
 
-from uoarm.testing._census import Census, hold_idle
-from uoarm.testing._clock import ManualClock
-from uoarm.testing._collector import Background, Collector
+from uoarm.testing._collector import Background, Collector, copies, losses, plain, same
+from uoarm.testing._components import Emitter, Loop, MemoryService, Script, Taker
 from uoarm.testing._faults import Hang, hanging, lying, raising
 from uoarm.testing._instances import find_instance, instances
-from uoarm.testing._losses import copies, losses
 from uoarm.testing._memory import MemoryBridge
-from uoarm.testing._memory_components import Emitter, Loop, MemoryService, Taker
-from uoarm.testing._patience import patience, slowness, wait
-from uoarm.testing._ports import free_port
-from uoarm.testing._same import plain, same
-from uoarm.testing._script import Script
+from uoarm.testing._resources import Census, free_port, hold_idle
+from uoarm.testing._time import ManualClock, patience, slowness, wait
 
 __all__ = [
     "Background",

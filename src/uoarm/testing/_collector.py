@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import math
 import threading
-from collections.abc import Callable, Iterator
+from array import array
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from typing import Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 from uoarm._arguments import arguments
-from uoarm.model import Message
-from uoarm.testing._patience import patience
+from uoarm.model import Message, StatusMap
+from uoarm.testing._time import patience
 
-__all__ = ["Background", "Collector"]
+__all__ = ["Background", "Collector", "copies", "losses", "plain", "same"]
 
 T = TypeVar("T")
 
@@ -154,3 +157,73 @@ class Background(Generic[T]):
         if self._error is not None:
             raise self._error
         return self._result
+
+
+def plain(value: Any) -> Any:
+    """Return the same message with lists in the place of buffers and arrays."""
+    if isinstance(value, Mapping):
+        return {key: plain(item) for key, item in value.items()}
+    if isinstance(value, (bytes, bytearray)):
+        return list(value)
+    if isinstance(value, (memoryview, array)) or hasattr(value, "__array__"):
+        return value.tolist()
+    if isinstance(value, (list, tuple)):
+        return [plain(item) for item in value]
+    return value
+
+
+def same(one: Any, other: Any) -> bool:
+    """Whether two messages are equal by value: buffers as lists, NaN as itself, 1.0 as 1.
+
+    True and 1 differ, as they do in JSON.
+    """
+    return _equal(plain(one), plain(other))
+
+
+def _equal(one: Any, other: Any) -> bool:
+    if isinstance(one, dict) and isinstance(other, dict):
+        return one.keys() == other.keys() and all(_equal(one[key], other[key]) for key in one)
+    if isinstance(one, list) and isinstance(other, list):
+        return len(one) == len(other) and all(map(_equal, one, other))
+    if isinstance(one, bool) or isinstance(other, bool):
+        return one is other
+    if isinstance(one, float) and isinstance(other, float) and math.isnan(one):
+        return math.isnan(other)
+    return bool(one == other)
+
+
+@arguments()
+def losses(status: StatusMap) -> Counter[str]:
+    """Return how many messages were lost, by reason; 0 for each reason that is not there.
+
+    Counts what routes dropped, those of plans that were replaced included, what was lost with
+    components that died or were let go, as `lost`, what living links lost, as `lost_on_link`, and
+    what living components emitted while no consumer took it, as `undelivered`. What is still under
+    way is not lost: compare when nothing moves. What several routes of an output got may be lost on
+    one and received on another: see `copies`. Routes that several connections shared when they
+    ended are counted once for each of them.
+    """
+    found: Counter[str] = Counter()
+    for connection in status.connections:
+        found["lost"] += connection.lost
+        for route in connection.ended:
+            found.update(dict(route.dropped))
+    for route in status.routes:
+        found.update(dict(route.dropped))
+    for component in status.components:
+        for channel in component.channels:
+            for reason in ("lost_on_link", "undelivered"):
+                lost = dict(channel.facts).get(reason, 0)
+                found[reason] += lost if isinstance(lost, int) else 0
+    return +found
+
+
+@arguments()
+def copies(status: StatusMap) -> int:
+    """Return how many messages were given to one more route of the output that emitted them.
+
+    Each of them is received or lost a second time, so what was sent and the copies are what was
+    received or lost. Routes that several connections shared count as for `losses`.
+    """
+    ended = (route for connection in status.connections for route in connection.ended)
+    return sum(route.copies for route in (*ended, *status.routes))

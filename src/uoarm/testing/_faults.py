@@ -14,7 +14,7 @@ from typing import Any
 
 from uoarm._arguments import arguments
 from uoarm.bridge import Bridge, Channel
-from uoarm.testing._patience import patience
+from uoarm.testing._time import patience
 
 __all__ = ["Hang", "hanging", "lying", "raising"]
 

@@ -2,20 +2,49 @@
 
 from __future__ import annotations
 
+import math
 import re
-from collections.abc import Mapping
-from typing import TYPE_CHECKING
+import sys
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from fractions import Fraction
+from urllib.parse import unquote
 
-from uoarm.testing._choices import CHARACTERS, chance, text
-from uoarm.testing._instance_numbers import draw_number
-from uoarm.testing._instance_parts import InstanceDocument, choose_type
+from uoarm.testing._choices import CHARACTERS, Choices, chance, text
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Sequence
-
-    from uoarm.testing._choices import Choices
-    from uoarm.testing._instance_parts import Keywords
-
+_LANDMARKS = (0, 1, -1, 127, 128, 255, 256, -128, 2**31, 2**53, 2**53 + 1, -(2**63), 2**63, 2**64)
+_LOWER, _UPPER = ("minimum", "exclusiveMinimum"), ("maximum", "exclusiveMaximum")
+_STEPS = (Fraction(0), Fraction(1), Fraction(-1), Fraction(1, 2), Fraction(-1, 2), Fraction(1, 10))
+Keywords = Mapping[str, object]
+_MOST_PARTS = 400
+_GUESSED_TYPE = {
+    "properties": "object",
+    "required": "object",
+    "patternProperties": "object",
+    "additionalProperties": "object",
+    "propertyNames": "object",
+    "minProperties": "object",
+    "maxProperties": "object",
+    "dependentRequired": "object",
+    "unevaluatedProperties": "object",
+    "items": "array",
+    "prefixItems": "array",
+    "minItems": "array",
+    "maxItems": "array",
+    "uniqueItems": "array",
+    "contains": "array",
+    "unevaluatedItems": "array",
+    "pattern": "string",
+    "minLength": "string",
+    "maxLength": "string",
+    "x-max-utf8": "string",
+    "x-max-utf16": "string",
+    "minimum": "number",
+    "maximum": "number",
+    "exclusiveMinimum": "number",
+    "exclusiveMaximum": "number",
+    "multipleOf": "number",
+}
+_TYPES = ("object", "array", "string", "integer", "number", "boolean", "null")
 _MOST_DEPTH = 12
 _DEEPEST = 60
 _MOST_NODES = 4_000
@@ -23,6 +52,185 @@ _LONG_TEXT = 300
 _LONG_ARRAY = 12
 _MOST_COUNT = 2_000
 _UNITS = (("x-max-utf8", "utf-8", 1), ("x-max-utf16", "utf-16-le", 2))
+
+
+def exact(number: float) -> Fraction:
+    """The number that the JSON text of ``number`` denotes, not the binary approximation of it."""
+    return Fraction(number) if isinstance(number, int) else Fraction(repr(number))
+
+
+def as_json(number: Fraction) -> int | float:
+    """``number`` as Python reads it from JSON: the nearest double when it is no integer."""
+    if number.denominator == 1 or abs(number) >= sys.float_info.max:
+        return int(number)
+    return float(number)
+
+
+def draw_number(
+    choices: Choices, schemas: Sequence[Mapping[str, object]], *, integer: bool
+) -> int | float:
+    """A number at, or a step beside, a bound, a multiple or a landmark of ``schemas``."""
+    bounds = list(_bounds(schemas))
+    anchors = (
+        [*bounds, *(Fraction(mark) for mark in _LANDMARKS)]
+        if bounds
+        else list(map(Fraction, _LANDMARKS))
+    )
+    value = (
+        anchors[choices.integer(0, len(anchors) - 1)]
+        if not (bounds and chance(choices, 75))
+        else choices.item(bounds)
+    )
+    value += choices.item(_STEPS)
+    if chance(choices, 30):
+        value += choices.integer(-12, 12)
+    value = _inside(value, schemas)
+    lattice = _lattice(schemas, integer=integer)
+    if lattice is not None:
+        rounding = choices.item((math.floor, math.ceil))
+        value = rounding(value / lattice) * lattice
+    number = as_json(value)
+    if isinstance(number, int) and abs(number) < 2**53 and chance(choices, 10):
+        return float(number)
+    return number
+
+
+def _inside(value: Fraction, schemas: Sequence[Mapping[str, object]]) -> Fraction:
+    """The value mirrored at the bound that it passed: an object of 20 numbers needs all to fit."""
+    low = max(_bounds(schemas, _LOWER), default=None)
+    high = min(_bounds(schemas, _UPPER), default=None)
+    if low is not None and value < low:
+        value = 2 * low - value
+        return value if high is None else min(value, high)
+    if high is not None and value > high:
+        value = 2 * high - value
+        return value if low is None else max(value, low)
+    return value
+
+
+def _bounds(
+    schemas: Sequence[Mapping[str, object]], keywords: Sequence[str] = (*_LOWER, *_UPPER)
+) -> Iterator[Fraction]:
+    for schema in schemas:
+        for keyword in keywords:
+            bound = schema.get(keyword)
+            if isinstance(bound, (int, float)):
+                yield exact(bound)
+
+
+def _lattice(schemas: Sequence[Mapping[str, object]], *, integer: bool) -> Fraction | None:
+    steps = [Fraction(1)] if integer else []
+    for schema in schemas:
+        step = schema.get("multipleOf")
+        if isinstance(step, (int, float)) and step > 0:
+            steps.append(exact(step))
+    if not steps:
+        return None
+    common = steps[0]
+    for step in steps[1:]:
+        common = Fraction(
+            math.lcm(common.numerator, step.numerator),
+            math.gcd(common.denominator, step.denominator),
+        )
+    return common
+
+
+class InstanceDocument:
+    """A schema document in which local references are followed."""
+
+    def __init__(self, root: object) -> None:
+        self._root = root
+        self._anchors = dict(_anchors(root))
+
+    def parts(self, choices: Choices, schemas: Iterable[object]) -> list[Keywords] | None:
+        """The keyword sets that ``schemas`` ask for together, one branch of each union chosen.
+
+        None when one of them allows nothing, or when references lead round in a circle.
+        """
+        waiting = list(schemas)
+        found: list[Keywords] = []
+        steps = 0
+        while waiting:
+            schema = waiting.pop()
+            steps += 1
+            if schema is False or steps > _MOST_PARTS:
+                return None
+            if isinstance(schema, Mapping):
+                found.append(schema)
+                waiting.extend(self._implied(choices, schema))
+        return found
+
+    def _implied(self, choices: Choices, schema: Keywords) -> Iterator[object]:
+        reference = schema.get("$ref")
+        if isinstance(reference, str):
+            yield self._target(reference)
+        all_of = schema.get("allOf")
+        if isinstance(all_of, list):
+            yield from all_of
+        for keyword in ("anyOf", "oneOf"):
+            branches = schema.get(keyword)
+            if isinstance(branches, list) and branches:
+                yield choices.item(branches)
+                if keyword == "anyOf" and chance(choices, 15):
+                    yield choices.item(branches)
+        if "if" in schema:
+            if chance(choices, 50):
+                yield schema["if"]
+                yield schema.get("then", True)
+            else:
+                yield schema.get("else", True)
+
+    def _target(self, reference: str) -> object:
+        fragment = unquote(reference.partition("#")[2])
+        if not fragment.startswith("/"):
+            return self._anchors.get(fragment, True) if fragment else self._root
+        node = self._root
+        for step in fragment[1:].split("/"):
+            name = step.replace("~1", "/").replace("~0", "~")
+            if isinstance(node, Mapping):
+                node = node.get(name, True)
+            elif isinstance(node, list) and name.isdigit() and int(name) < len(node):
+                node = node[int(name)]
+            else:
+                return True
+        return node
+
+
+def choose_type(choices: Choices, parts: Iterable[Keywords]) -> str | None:
+    """One type that every part allows, preferring types which the other keywords speak of."""
+    allowed = set(_TYPES)
+    spoken: list[str] = []
+    for part in parts:
+        declared = part.get("type")
+        if declared is not None:
+            names = {declared} if isinstance(declared, str) else set(_strings(declared))
+            if "number" in names:
+                names.add("integer")
+            allowed &= names
+        spoken += [_GUESSED_TYPE[keyword] for keyword in part if keyword in _GUESSED_TYPE]
+    likely = [name for name in spoken if name in allowed]
+    if likely and chance(choices, 85):
+        return choices.item(likely)
+    ordered = [name for name in _TYPES if name in allowed]
+    return choices.item(ordered) if ordered else None
+
+
+def _strings(value: object) -> Iterator[str]:
+    if isinstance(value, list):
+        yield from (name for name in value if isinstance(name, str))
+
+
+def _anchors(root: object) -> Iterator[tuple[str, object]]:
+    waiting = [root]
+    while waiting:
+        node = waiting.pop()
+        if isinstance(node, Mapping):
+            anchor = node.get("$anchor")
+            if isinstance(anchor, str):
+                yield anchor, node
+            waiting.extend(node.values())
+        elif isinstance(node, list):
+            waiting.extend(node)
 
 
 class TooLargeError(ValueError):

@@ -24,7 +24,7 @@ from uoarm.bridge import (
 )
 from uoarm.errors import BridgeError, FailureReason
 from uoarm.model import Deliver, Endpoint, Health, Message, MessageStructure, Options, Role, Schema
-from uoarm.testing._memory_components import CLEARED, Emitter, Loop, MemoryService, Taker
+from uoarm.testing._components import CLEARED, Emitter, Loop, MemoryService, Taker
 from uoarm.testing._native import PAIRS, ROWS, codec
 
 __all__ = ["MemoryBridge"]

@@ -20,7 +20,7 @@ from typing import TypeVar
 
 from uoarm._dataplane import Clock
 from uoarm._raised import foreign, text_of
-from uoarm._whole_file import write_whole
+from uoarm._support.files import write_whole
 from uoarm.bridge import Bridge, Sink, boot_seconds
 from uoarm.errors import BridgeError, CommandRefusedError, FailureReason, UoarmError
 from uoarm.model import (

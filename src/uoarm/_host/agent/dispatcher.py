@@ -13,11 +13,10 @@ from uoarm._host.agent.flows import OpenFlows, packable_facts
 from uoarm._host.transport import keys
 from uoarm._host.transport.codec import pack, unpack
 from uoarm._host.transport.flow import FlowEnding
-from uoarm._host.transport.request_workers import RequestWorkers
 from uoarm._host.transport.shared_counters import SharedCounters
-from uoarm._host.transport.transport import ANSWER_SECONDS, Reply, Transport
+from uoarm._host.transport.transport import ANSWER_SECONDS, Reply, RequestWorkers, Transport
+from uoarm._support.workers import WorkerPool
 from uoarm._version import __version__
-from uoarm._workers import WorkerPool
 from uoarm.bridge import CONTRACT_VERSION, Bridge, Channel, HealthEvent, ServiceStructures
 from uoarm.errors import BridgeError, FailureReason, UoarmError
 from uoarm.model import Endpoint, Health, Message, MessageStructure, from_json, to_json

@@ -13,9 +13,8 @@ from typing import Any
 
 from uoarm._host.agent.dispatcher import RequestDispatcher
 from uoarm._host.transport import keys
-from uoarm._host.transport.request_workers import RequestWorkers
 from uoarm._host.transport.security import Identity
-from uoarm._host.transport.transport import Reply
+from uoarm._host.transport.transport import Reply, RequestWorkers
 from uoarm._host.transport.zenoh_transport import ZenohTransport
 from uoarm._version import __version__
 from uoarm.bridge import CONTRACT_VERSION, Registry

@@ -18,8 +18,7 @@ from typing import Any, final
 
 from uoarm._host.transport.codec import Frame, pack
 from uoarm._host.transport.frame_flows import FrameFlows
-from uoarm._host.transport.frames import FrameReader, FrameWriter, Received
-from uoarm._host.transport.link_sockets import LinkSockets
+from uoarm._host.transport.frames import FrameReader, FrameWriter, LinkSockets, Received
 from uoarm._host.transport.transport import (
     ANSWER_SECONDS,
     LinkLostError,

@@ -12,6 +12,7 @@ from typing import Any
 
 from uoarm._host.transport.codec import Frame, from_failure, pack, to_failure, unpack
 from uoarm._raised import foreign
+from uoarm._support.workers import WorkerPool
 from uoarm.bridge import boot_seconds
 from uoarm.errors import BridgeError, FailureReason, MessageError
 
@@ -19,6 +20,7 @@ __all__ = [
     "ANSWER_SECONDS",
     "LinkLostError",
     "Reply",
+    "RequestWorkers",
     "Transport",
     "answer_of",
     "answer_to",
@@ -30,6 +32,7 @@ ANSWER_SECONDS = 120.0
 
 Reply = Callable[[Any], None]
 """Takes the value to answer with, or the exception to answer with; from any thread, once."""
+_AT_ONCE = 64
 
 
 class LinkLostError(BridgeError):
@@ -170,3 +173,30 @@ def _same_clock() -> int:
 
 def _boot_nanoseconds() -> int:
     return int(boot_seconds() * 1e9)
+
+
+class RequestWorkers:
+    """Answers at most 64 requests at a time; more are refused at once."""
+
+    def __init__(self, name: str) -> None:
+        self._pool = WorkerPool(name, _AT_ONCE)
+
+    def answer(self, reply: Reply, action: Callable[[], Any]) -> None:
+        """Reply with what the action returns or raises; returns at once.
+
+        Raises:
+            BridgeError: every thread is busy, or it is closed.
+        """
+
+        def done(answer: object, error: BaseException | None) -> None:
+            reply(answer if error is None else error)
+
+        if not self._pool.submit(action, done=done, queue=False):
+            if self._pool.closed:
+                raise BridgeError("requests are not answered any more", FailureReason.CLOSED)
+            text = f"{_AT_ONCE} requests are being answered already"
+            raise BridgeError(text, FailureReason.UNAVAILABLE)
+
+    def close(self) -> None:
+        """Take no more; what is under way is answered still."""
+        self._pool.close()

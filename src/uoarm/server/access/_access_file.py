@@ -8,7 +8,7 @@ from datetime import datetime
 from pathlib import Path as File
 from typing import Any
 
-from uoarm._yaml import Document, Path, Problem, ReadBudget, clip, read_file, write_path
+from uoarm._support.yaml import Document, Path, Problem, ReadBudget, clip, read_file, write_path
 from uoarm.errors import ConfigurationError
 from uoarm.server.access._role import OF_NO_FUNCTION, AccessPolicy, AccessRole, Grant, Operation
 

@@ -16,7 +16,7 @@ from attrs import define, frozen
 from websockets.datastructures import Headers
 from websockets.http11 import Request
 
-from uoarm._whole_file import stamp_of
+from uoarm._support.files import stamp_of
 from uoarm.errors import ConfigurationError, UoarmError
 from uoarm.model import is_loopback
 from uoarm.server.access._access_file import read_access

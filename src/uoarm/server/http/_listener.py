@@ -19,7 +19,7 @@ from types import ModuleType
 from typing import Any
 
 from uoarm._origin import install_command
-from uoarm._whole_file import write_whole
+from uoarm._support.files import write_whole
 from uoarm.errors import ConfigurationError
 
 __all__ = [
@@ -248,9 +248,9 @@ def _is_usable(path: Path, wanted: Sequence[str], now: datetime) -> bool:
 
 def _maker() -> ModuleType:
     try:
-        from uoarm._certificates import _authority  # noqa: PLC0415 - its package is slow to import
+        from uoarm._support import certificates  # noqa: PLC0415 - slow to import
     except ImportError as error:
         command = install_command("uoarm", "server")
         text = f"making a certificate needs the package {error.name!r}: {command}"
         raise ConfigurationError(text) from error
-    return _authority
+    return certificates

@@ -13,8 +13,8 @@ from typing import Protocol
 from websockets.exceptions import ConnectionClosed
 from websockets.frames import CloseCode
 
-from uoarm._deadlines import result_within
 from uoarm._raised import foreign
+from uoarm._support.aio_deadlines import result_within
 from uoarm.model import Spending, StopReport
 from uoarm.server._limits import Limits
 from uoarm.server.access import AccessRole, Audit, Credentials, Operation

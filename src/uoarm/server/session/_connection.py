@@ -23,7 +23,7 @@ from websockets.http11 import Request
 from websockets.protocol import State
 from websockets.typing import BytesLike
 
-from uoarm._deadlines import result_within
+from uoarm._support.aio_deadlines import result_within
 from uoarm.server._limits import Limits
 from uoarm.server.session._incoming import IncomingError, IncomingFrames, ParsingTurns, Turn
 from uoarm.server.streams import Account

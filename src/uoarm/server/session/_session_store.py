@@ -12,7 +12,7 @@ from typing import Protocol
 
 from attrs import define, field
 
-from uoarm._deadlines import result_within
+from uoarm._support.aio_deadlines import result_within
 from uoarm.errors import UsageError
 from uoarm.model import ControlMessage
 from uoarm.server._failures import LimitError, UnknownError

@@ -12,7 +12,7 @@ from typing import Any
 
 from uoarm._control import Connection
 from uoarm._dataplane import Clock
-from uoarm._deadlines import result_within
+from uoarm._support.aio_deadlines import result_within
 from uoarm._wire import Form
 from uoarm.errors import BridgeTimeoutError, MessageError, UsageError
 from uoarm.model import LeaseHolder, Message, OverflowPolicy, QueuePolicy, ValidationMode

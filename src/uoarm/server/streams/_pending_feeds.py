@@ -8,8 +8,8 @@ from typing import TypeAlias
 
 from attrs import define, field
 
-from uoarm._deadlines import event_by
 from uoarm._resolve import NoPlanError
+from uoarm._support.aio_deadlines import event_by
 from uoarm.errors import BridgeError, FailureReason
 from uoarm.server._failures import BusyError
 from uoarm.server.streams._feed import Feed, FeedKey

@@ -11,7 +11,7 @@ from collections.abc import Callable, Collection, Hashable, Mapping
 from typing import Any, TypeAlias, TypeVar
 
 from uoarm._raised import foreign
-from uoarm._workers import WorkerPool
+from uoarm._support.workers import WorkerPool
 from uoarm.server._failures import BusyError
 from uoarm.server.streams._memory import Shares, acting
 

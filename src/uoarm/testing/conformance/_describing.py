@@ -3,20 +3,22 @@
 from __future__ import annotations
 
 import re
+from typing import Any
 
 import pytest
 from attrs import evolve
 from jsonschema import Draft202012Validator
 
-from uoarm.bridge import Bridge
-from uoarm.errors import BridgeError, FailureReason
-from uoarm.testing.conformance._line import example_of, structure_of
-from uoarm.testing.conformance._rules import rules
-from uoarm.testing.conformance._world import World
+from uoarm.bridge import CONTRACT_VERSION, Bridge, BridgeType
+from uoarm.errors import BridgeError, ConfigurationError, FailureReason
+from uoarm.model import BridgeSpec
+from uoarm.testing.conformance._world import World, example_of, rules, structure_of
 
-__all__ = ["Describing"]
+__all__ = ["Declaring", "Describing"]
 
 _ABSENT = (FailureReason.NOT_FOUND, FailureReason.UNAVAILABLE)
+_ODD: tuple[Any, ...] = (None, True, -1, 0.5, "no such value", [None], {"no such": "thing"})
+_ADDRESSES: tuple[tuple[str, ...], ...] = ((), ("",), ("",) * 12)
 
 
 @rules("the-steps")
@@ -71,3 +73,92 @@ class Describing:
                 assert report == description, (
                     f"{endpoint} is described by {report}, not {description}"
                 )
+
+
+@rules("the-declaration")
+class Declaring:
+    """The plugin behind the entry point: its options and what it checks without the framework."""
+
+    @pytest.fixture
+    def spec(self, world: World) -> BridgeSpec:
+        """The bridge as a configuration has it, or a skip where the world does not say."""
+        found = world.spec()
+        if found is None:
+            pytest.skip("the world does not say what a configuration would: `spec`")
+        return found
+
+    @pytest.fixture
+    def declared(self, world: World, spec: BridgeSpec) -> BridgeType:
+        """The declaration of the plugin."""
+        registry = world.registry()
+        assert spec.plugin in registry.types, registry.missing(spec.plugin)
+        return registry.types[spec.plugin]
+
+    def test_the_plugin_states_the_contract_of_this_uoarm(self, declared: BridgeType) -> None:
+        assert declared.contract == CONTRACT_VERSION
+        assert declared.summary
+        Draft202012Validator.check_schema(declared.options_schema)
+
+    def test_no_attribute_hides_a_step(self, bridge: Bridge) -> None:
+        steps = {name for name in dir(Bridge) if callable(getattr(Bridge, name))}
+        hidden = [
+            name for name in vars(bridge) if name in steps and not callable(vars(bridge)[name])
+        ]
+        assert not hidden, f"attributes hide what `Bridge` has under these names: {hidden}"
+
+    def test_the_options_reach_the_bridge(self, world: World, spec: BridgeSpec) -> None:
+        made = world.registry().create(spec)
+        try:
+            assert made.name == spec.name
+            for name, value in spec.options.items():
+                got = made.options.get(name, "nothing")
+                assert got == value, f"of the option {name!r} came {got!r}, not {value!r}"
+        finally:
+            made.close()
+
+    def test_an_option_that_is_not_known_is_refused(self, world: World, spec: BridgeSpec) -> None:
+        unknown = evolve(spec, options={**spec.options, "no_such_option": 1})
+        with pytest.raises(ConfigurationError, match="no_such_option"):
+            _create(world, unknown)
+
+    def test_an_option_of_a_wrong_type_is_refused(
+        self, world: World, spec: BridgeSpec, declared: BridgeType
+    ) -> None:
+        schema: Any = declared.options_schema
+        for name in schema.get("properties", {}):
+            for value in _ODD:
+                try:
+                    _create(world, evolve(spec, options={**spec.options, name: value}))
+                except ConfigurationError:
+                    break
+            else:
+                raise AssertionError(f"the option {name!r} takes whatever it is given")
+
+    def test_an_option_that_is_required_is_missed(
+        self, world: World, spec: BridgeSpec, declared: BridgeType
+    ) -> None:
+        schema: Any = declared.options_schema
+        for name in schema.get("required", ()):
+            left = {key: value for key, value in spec.options.items() if key != name}
+            with pytest.raises(ConfigurationError, match=name):
+                _create(world, evolve(spec, options=left))
+
+    def test_addresses_are_checked_in_words_without_the_framework(
+        self, world: World, declared: BridgeType, kind: str
+    ) -> None:
+        check = declared.check_endpoint
+        if check is None:
+            pytest.skip("the plugin does not check addresses")
+        for address in _ADDRESSES:
+            assert isinstance(check(address, {}), str)
+        assert check((), {}), "an address without parts is taken for right"
+        pair = world.pair(kind)
+        for endpoint in (pair.sink, pair.source):
+            assert check(endpoint.address, endpoint.options) == ""
+
+
+def _create(world: World, spec: BridgeSpec) -> Bridge:
+    """Make a bridge that is expected to be refused; what is made all the same is closed."""
+    made = world.registry().create(spec)
+    made.close()
+    return made

@@ -12,11 +12,9 @@ import pytest
 from uoarm.bridge import Bridge, Channel
 from uoarm.errors import BridgeError, FailureReason, UoarmError
 from uoarm.model import Message
-from uoarm.testing._census import Census
 from uoarm.testing._collector import Background, Collector
-from uoarm.testing.conformance._line import line, structure_of
-from uoarm.testing.conformance._rules import rules
-from uoarm.testing.conformance._world import World
+from uoarm.testing._resources import Census
+from uoarm.testing.conformance._world import World, line, rules, structure_of
 
 __all__ = ["EndingRules"]
 

@@ -10,13 +10,10 @@ from hypothesis import strategies as st
 
 from uoarm.bridge import Bridge
 from uoarm.model import Message
-from uoarm.testing._collector import Collector
+from uoarm.testing._collector import Collector, same
 from uoarm.testing._instances import instances
-from uoarm.testing._same import same
-from uoarm.testing.conformance._line import hold_idle, hold_idle_between, line
-from uoarm.testing.conformance._rules import rules
 from uoarm.testing.conformance._types import find_other_type, with_integers, with_length
-from uoarm.testing.conformance._world import World
+from uoarm.testing.conformance._world import World, hold_bridge_idle, hold_idle_between, line, rules
 
 __all__ = ["Flow"]
 
@@ -144,10 +141,10 @@ class Flow:
     def test_what_waits_takes_hardly_any_processor_time(self, world: World, bridge: Bridge) -> None:
         """Before the first message, while few pass, after them, and after channels were closed."""
         with line(world, bridge, self.kinds[0]):
-            hold_idle(world, bridge, "before the first message")
+            hold_bridge_idle(world, bridge, "before the first message")
             with line(world, bridge, self.kinds[0]) as through:
                 world.await_receivers(self.kinds[0], 2)
                 through.carries(through.example())
                 hold_idle_between(through, bridge)
-                hold_idle(world, bridge, "after the last message")
-            hold_idle(world, bridge, "after channels were closed")
+                hold_bridge_idle(world, bridge, "after the last message")
+            hold_bridge_idle(world, bridge, "after channels were closed")

@@ -9,11 +9,8 @@ import pytest
 from uoarm.bridge import Bridge
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason
 from uoarm.model import Message
-from uoarm.testing._collector import Background
-from uoarm.testing._same import same
-from uoarm.testing.conformance._line import example_of
-from uoarm.testing.conformance._rules import rules
-from uoarm.testing.conformance._world import Served, World
+from uoarm.testing._collector import Background, same
+from uoarm.testing.conformance._world import Served, World, example_of, rules
 
 __all__ = ["ServiceRules"]
 

@@ -10,15 +10,12 @@ import pytest
 from attrs import evolve
 
 from uoarm.bridge import Bridge
-from uoarm.testing._limits import default_limits
-from uoarm.testing._patience import patience
-from uoarm.testing.conformance._breaking import Breaking
-from uoarm.testing.conformance._declaring import Declaring
-from uoarm.testing.conformance._describing import Describing
+from uoarm.testing._time import default_limits, patience
+from uoarm.testing.conformance._describing import Declaring, Describing
 from uoarm.testing.conformance._ending import EndingRules
+from uoarm.testing.conformance._failures import Breaking, DisturbanceRules
 from uoarm.testing.conformance._flow import Flow
 from uoarm.testing.conformance._services import ServiceRules
-from uoarm.testing.conformance._trouble import DisturbanceRules
 from uoarm.testing.conformance._world import World
 
 __all__ = ["BridgeConformance"]

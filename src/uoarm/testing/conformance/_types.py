@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from uoarm.model import Schema
-from uoarm.testing._same import plain
+from uoarm.testing._collector import plain
 
 __all__ = ["find_other_type", "with_integers", "with_length", "with_octets"]
 

@@ -2,16 +2,46 @@
 
 from __future__ import annotations
 
+import copy
+import functools
+import threading
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any, TypeVar
 
+import pytest
 from attrs import frozen
 
-from uoarm.bridge import Bridge, Registry
-from uoarm.model import BridgeSpec, Endpoint, Message
-from uoarm.testing._patience import patience
+from uoarm.bridge import Bridge, Registry, Sink, Source
+from uoarm.errors import MessageError
+from uoarm.model import BridgeSpec, Endpoint, Message, MessageStructure
+from uoarm.schema import check
+from uoarm.testing._collector import Background, Collector, same
+from uoarm.testing._resources import hold_idle
+from uoarm.testing._time import patience
+from uoarm.testing.conformance._types import with_octets
 
-__all__ = ["Pair", "Retained", "Served", "Victim", "World"]
+__all__ = [
+    "PAGE",
+    "Line",
+    "Pair",
+    "Retained",
+    "Served",
+    "Victim",
+    "World",
+    "example_of",
+    "hold_bridge_idle",
+    "hold_idle_between",
+    "line",
+    "rule_of",
+    "rules",
+    "structure_of",
+]
+
+_TRICKLE_SECONDS = 0.2
+PAGE = "docs/writing-a-bridge.md"
+T = TypeVar("T")
 
 
 @frozen
@@ -166,3 +196,154 @@ class World(ABC):
     def linkable(self) -> Pair | None:
         """Return two endpoints that the bridge can link; `source` feeds `sink`."""
         return None
+
+
+@frozen
+class Line:
+    """Messages go in at `sink` and arrive at `collector`."""
+
+    world: World
+    kind: str
+    structure: MessageStructure
+    sink: Sink
+    source: Source
+    collector: Collector
+
+    def send(self, message: Message) -> None:
+        """Send one message, its octets as bytes."""
+        given = with_octets(self.structure.schema, message)
+        before = copy.deepcopy(given)
+        self.sink.send(given)
+        assert same(given, before), f"sending changed the message from {before!r} to {given!r}"
+
+    def example(self) -> Message:
+        """Return a simple message of the structure."""
+        return example_of(self.structure)
+
+    def carries_or_refuses(self, message: Message) -> None:
+        """Hold that a message comes out, or is refused in words where it cannot be sent."""
+        if self.world.takes(self.kind, message):
+            self.carries(message)
+            return
+        with pytest.raises(MessageError):
+            self.send(message)
+
+    def carries(self, *messages: Message) -> list[Message]:
+        """Send messages, hold that they come out, each once and in order, and return them."""
+        before = len(self.collector.messages)
+        for message in messages:
+            self.send(message)
+        came = self.collector.wait(before + len(messages), self.world.patience)[before:]
+        wanted = [self.world.carried(self.kind, message) for message in messages]
+        for sent, got in zip(wanted, came, strict=False):
+            assert same(got, sent), f"sent {sent!r}, came {got!r}"
+        assert len(came) == len(wanted), f"{len(wanted)} were sent, {len(came)} came"
+        return came
+
+
+@contextmanager
+def line(world: World, bridge: Bridge, kind: str) -> Iterator[Line]:
+    """Open both ends, the receiving one first, and close them at the end."""
+    pair = world.pair(kind)
+    collector = Collector()
+    structure = structure_of(bridge, pair, incoming=False)
+    source = bridge.open_source(pair.source, structure, collector.deliver)
+    try:
+        sink = bridge.open_sink(pair.sink, structure_of(bridge, pair, incoming=True))
+        try:
+            yield Line(world, kind, structure, sink, source, collector)
+        finally:
+            sink.close()
+    finally:
+        source.close()
+
+
+def hold_bridge_idle(world: World, bridge: Bridge, moment: str) -> None:
+    """Hold that the bridge takes hardly any processor time, in this process and in its host."""
+    others = () if bridge.process_id is None else (bridge.process_id,)
+    hold_idle(moment, *others, timeout=world.patience)
+
+
+def hold_idle_between(through: Line, bridge: Bridge) -> None:
+    """Hold the same while a message passes every now and then."""
+    stop = threading.Event()
+
+    def send() -> None:
+        message = through.example()
+        while not stop.wait(_TRICKLE_SECONDS):
+            through.send(message)
+
+    trickling = Background(send)
+    try:
+        hold_bridge_idle(through.world, bridge, "between messages")
+    finally:
+        stop.set()
+    trickling.result(through.world.patience)
+
+
+def structure_of(bridge: Bridge, pair: Pair, *, incoming: bool) -> MessageStructure:
+    """Return what the bridge says of one end of a pair.
+
+    Raises:
+        AssertionError: it describes no message there.
+    """
+    endpoint = pair.sink if incoming else pair.source
+    description = bridge.describe(endpoint)
+    assert description.message is not None, f"{endpoint} is described without a message"
+    return description.message
+
+
+def example_of(structure: MessageStructure) -> Message:
+    """Return a simple message of a structure: the one that shows that some message fits it.
+
+    Raises:
+        AssertionError: none does, or none is found.
+    """
+    verdict = check(structure.schema, False)
+    assert verdict.compatible is False, f"no message fits {structure.schema}: {verdict}"
+    return verdict.build_counterexample()
+
+
+def rules(section: str) -> Callable[[type[T]], type[T]]:
+    """Have the failures of a class of tests name the endpoint, the rule and its section.
+
+    A test's name is its rule.
+
+    Args:
+        section: anchor on the page on writing bridges.
+    """
+
+    def mark(tests: type[T]) -> type[T]:
+        for name, test in list(vars(tests).items()):
+            if name.startswith("test_"):
+                setattr(tests, name, _naming(test, section))
+        return tests
+
+    return mark
+
+
+def rule_of(test: Callable[..., None]) -> str:
+    """Return the rule that a test holds, as a sentence."""
+    return test.__name__.removeprefix("test_").replace("_", " ")
+
+
+def _naming(test: Callable[..., None], section: str) -> Callable[..., None]:
+    @functools.wraps(test)
+    def run(*given: Any, **named: Any) -> None:
+        try:
+            test(*given, **named)
+        except (Exception, pytest.fail.Exception) as error:
+            text = f"{_place(named)}: the rule is: {rule_of(test)} ({PAGE}#{section})"
+            raise AssertionError(f"{text}\n{error}") from error
+
+    return run
+
+
+def _place(named: dict[str, Any]) -> str:
+    """Say what a test was about, as far as its arguments say so."""
+    if "served" in named:
+        return str(named["served"].endpoint)
+    if "kind" in named:
+        pair = named["world"].pair(named["kind"])
+        return f"{pair.sink} to {pair.source}"
+    return f"bridge {named['bridge'].name!r}" if "bridge" in named else "the bridge"

@@ -1,27 +1,100 @@
-"""One host process from start to end: its transport, process and heartbeat."""
+"""One host process from start to end: its settings, transport, process and heartbeat."""
 
 from __future__ import annotations
 
 import logging
 import os
+import sys
 import time
 from collections.abc import Callable, Mapping
 from contextlib import closing
+from pathlib import Path
 from typing import IO, Any
 
+from attrs import field, frozen
+
 from uoarm._forks import at_exit
-from uoarm._host.process.host_process import HostProcess, host_command
-from uoarm._host.process.settings import HostSettings
+from uoarm._host.host_process import HostProcess, host_command
 from uoarm._host.transport import keys
-from uoarm._host.transport.link_sockets import LinkSockets
+from uoarm._host.transport.frames import LinkSockets
 from uoarm._host.transport.liveness import Heartbeat, LivenessMonitor
 from uoarm._host.transport.shared_counters import SharedCounters
 from uoarm._host.transport.socket_transport import SocketTransport
 from uoarm.bridge import CONTRACT_VERSION
+from uoarm.environments import environment_python, passed_on
 from uoarm.errors import BridgeError, FailureReason, UoarmError
-from uoarm.model import BridgeSpec
+from uoarm.model import BridgeSpec, Options
 
-__all__ = ["ProcessConnection"]
+__all__ = ["HostSettings", "ProcessConnection"]
+
+_UNITS = {"MiB": 2**20, "GiB": 2**30}
+
+
+@frozen
+class HostSettings:
+    """Settings of one bridge host.
+
+    Attributes:
+        machine: name of another machine, where the host was started and joins by itself; of the
+            others, only `silence` and `start` go with it.
+        environment: name of an environment made with `uoarm env create`.
+        python: path of an interpreter; where neither is given, the application's own.
+        variables: environment variables to set, or with None to take away.
+        silence: seconds without an answer after which the host counts as dead.
+        start: seconds within which it must be ready.
+        restarts: deaths in a row after which the manager gives it up.
+        memory: how much memory it may have, `512 MiB` or `2 GiB`; None: all there is. Linux.
+    """
+
+    machine: str | None = None
+    environment: str | None = None
+    python: str | None = None
+    variables: Mapping[str, str | None] = field(factory=dict, hash=False)
+    silence: float = 3.0
+    start: float = 30.0
+    restarts: int = 5
+    memory: str | None = None
+
+    @classmethod
+    def read(cls, options: Options) -> HostSettings:
+        """Return the settings of a `host:` mapping, whose keys the configuration has checked."""
+        given: dict[str, Any] = dict(options)
+        return cls(**given)
+
+    @property
+    def memory_bytes(self) -> int | None:
+        """How much memory it may have; None: all there is."""
+        if self.memory is None:
+            return None
+        return int(self.memory[:-3]) * _UNITS[self.memory[-3:]]
+
+    def interpreter(self) -> Path:
+        """Return the interpreter that runs the host.
+
+        Raises:
+            BridgeError: it is not there; the text says how to make it.
+        """
+        if self.environment is not None:
+            found = environment_python(self.environment)
+            hint = f"make it: uoarm env create {self.environment} --plugin ..."
+        elif self.python is not None:
+            found, hint = Path(self.python).expanduser(), "check the path under `python`"
+        else:
+            return Path(sys.executable)
+        if not os.access(found, os.X_OK):
+            text = f"there is no Python interpreter at {found}; {hint}"
+            raise BridgeError(text, FailureReason.NOT_FOUND)
+        return found
+
+    def process_variables(self, inherited: Mapping[str, str]) -> dict[str, str]:
+        """Return the variables of the host's process, without what belongs to another Python."""
+        left = passed_on(inherited, is_environment=self.environment is not None)
+        for name, value in self.variables.items():
+            left.pop(name, None)
+            if value is not None:
+                left[name] = value
+        return left
+
 
 _log = logging.getLogger("uoarm")
 _POLITE_SECONDS = 1.5

@@ -20,7 +20,7 @@ from collections.abc import Callable
 from typing import Any, Generic, TypeVar
 
 from uoarm._raised import contained
-from uoarm._workers import WorkerPool
+from uoarm._support.workers import WorkerPool
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason
 
 __all__ = ["BoundedStep", "run"]

@@ -17,10 +17,10 @@ from typing import Any
 import yaml
 from attrs import frozen
 
-from uoarm._yaml._document import (
+from uoarm._support.yaml._document import (
     Document,
     Path,
-    Place,
+    Position,
     Problem,
     ScalarError,
     Spot,
@@ -34,7 +34,7 @@ __all__ = ["ReadBudget", "read", "read_file"]
 _FORBIDDEN = re.compile(r"[^\t\n\r\x20-\x7e\x85\xa0-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 _STRING_TAGS = frozenset({None, "!", "tag:yaml.org,2002:str"})
 _TAG_PREFIX = "tag:yaml.org,2002:"
-_START = Place(1, 1)
+_START = Position(1, 1)
 
 
 @frozen
@@ -58,7 +58,7 @@ _ROBOT = ReadBudget()
 class _StopError(Exception):
     """Reading cannot go on."""
 
-    def __init__(self, place: Place, sentence: str, hint: str = "", path: Path = ()) -> None:
+    def __init__(self, place: Position, sentence: str, hint: str = "", path: Path = ()) -> None:
         super().__init__(sentence)
         self.place, self.sentence, self.hint, self.path = place, sentence, hint, path
 
@@ -75,7 +75,7 @@ class _Frame:
         self.anchor = anchor
         self.before = before
         self.key: str | None = None
-        self.key_place: Place | None = None
+        self.key_place: Position | None = None
 
 
 def read_file(path: File, budget: ReadBudget = _ROBOT) -> Document:
@@ -84,7 +84,7 @@ def read_file(path: File, budget: ReadBudget = _ROBOT) -> Document:
     try:
         return read(_octets(path, budget.octets).decode("utf-8"), str(path), budget)
     except UnicodeDecodeError as error:
-        place = Place(error.object[: error.start].count(b"\n") + 1, 1)
+        place = Position(error.object[: error.start].count(b"\n") + 1, 1)
         sentence = f"the file is not UTF-8: byte {error.start + 1:,} cannot be decoded"
         path_in_data, hint = "$", "save it as UTF-8"
     except OSError as error:
@@ -137,7 +137,7 @@ def _refuse_size_and_characters(text: str, limit: int) -> None:
     bad = _FORBIDDEN.search(text)
     if bad is not None:
         before = text[: bad.start()]
-        place = Place(before.count("\n") + 1, bad.start() - before.rfind("\n"))
+        place = Position(before.count("\n") + 1, bad.start() - before.rfind("\n"))
         raise _StopError(place, f"the character U+{ord(bad.group()):04X} is not allowed in YAML")
 
 
@@ -176,7 +176,7 @@ class _Builder:
             if action is not None:
                 action(event)
 
-    def complain(self, place: Place, sentence: str, hint: str = "", path: Path = ()) -> None:
+    def complain(self, place: Position, sentence: str, hint: str = "", path: Path = ()) -> None:
         """Note a problem and go on."""
         self.problems.append(
             Problem(
@@ -227,7 +227,7 @@ class _Builder:
         elif event.implicit[0] and event.tag is None:
             self._check_plain_key(key, place, frame.path)
 
-    def _check_plain_key(self, key: str, place: Place, path: Path) -> None:
+    def _check_plain_key(self, key: str, place: Position, path: Path) -> None:
         if key == "<<":
             self.complain(
                 place, "merge keys (<<) are not part of YAML 1.2", "write the keys out", path
@@ -317,14 +317,14 @@ class _Builder:
             )
 
 
-def _place(event: Any) -> Place:
+def _place(event: Any) -> Position:
     mark = event.start_mark
-    return Place(mark.line + 1, mark.column + 1)
+    return Position(mark.line + 1, mark.column + 1)
 
 
-def _syntax(error: yaml.YAMLError, text: str) -> tuple[Place, str, str]:
+def _syntax(error: yaml.YAMLError, text: str) -> tuple[Position, str, str]:
     mark = getattr(error, "problem_mark", None) or getattr(error, "context_mark", None)
-    place = Place(mark.line + 1, mark.column + 1) if mark is not None else _START
+    place = Position(mark.line + 1, mark.column + 1) if mark is not None else _START
     what = getattr(error, "problem", None) or "it cannot be parsed"
     context = getattr(error, "context", None)
     begun = getattr(error, "context_mark", None)

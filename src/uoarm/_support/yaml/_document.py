@@ -13,7 +13,7 @@ from attrs import define, field, frozen
 __all__ = [
     "Document",
     "Path",
-    "Place",
+    "Position",
     "Problem",
     "ScalarError",
     "Spot",
@@ -27,7 +27,7 @@ _PLAIN = re.compile(r"[A-Za-z_][A-Za-z0-9_-]*")
 
 
 @frozen(order=True)
-class Place:
+class Position:
     """A place in a file, counted from one."""
 
     line: int
@@ -47,7 +47,7 @@ class Problem:
         file: the file, empty for text that was not read from one.
     """
 
-    place: Place
+    place: Position
     path: str
     sentence: str
     hint: str = ""
@@ -90,8 +90,8 @@ class Spot:
     A tree beside the values costs the same memory at every depth, where a table by path does not.
     """
 
-    place: Place
-    key: Place | None = None
+    place: Position
+    key: Position | None = None
     parts: dict[str, Spot] | list[Spot] | None = None
 
 
@@ -113,11 +113,11 @@ class Document:
     whole: bool = True
     text: str = field(default="", eq=False, repr=False)
 
-    def place(self, path: Path) -> Place:
+    def place(self, path: Path) -> Position:
         """Return the place of the value at a path, or of the nearest value around it."""
         return self._spot(path)[0].place
 
-    def key_place(self, path: Path) -> Place:
+    def key_place(self, path: Path) -> Position:
         """Return the place of the key at the end of a path, or of its value where it has none."""
         spot, found = self._spot(path)
         return spot.key if found and spot.key is not None else spot.place

@@ -1,4 +1,4 @@
-"""The process of a host: started, heard, and ended for certain."""
+"""The process of a host: started, its output read, and ended for certain."""
 
 from __future__ import annotations
 

@@ -1,4 +1,11 @@
-"""The authority of a robot, in a folder."""
+"""Certificates for bridge hosts on other machines: a small authority of the robot's own.
+
+A folder holds the authority (`ca.pem`, `ca.key`) and for every name `NAME.pem` and `NAME.key`.
+The manager's certificate is good for listening only, a machine's for joining only, so that no
+machine can stand in for the manager.
+
+Needs the extra `uoarm[certificates]`.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +27,7 @@ from cryptography.hazmat.primitives.serialization import (
 )
 from cryptography.x509.oid import ExtendedKeyUsageOID
 
-from uoarm._whole_file import write_whole
+from uoarm._support.files import write_whole
 from uoarm.errors import UsageError
 
 __all__ = [
@@ -36,6 +43,15 @@ __all__ = [
     "read",
     "secret_pem",
 ]
+
+MANAGER = "manager"
+"""The name of the manager's certificate."""
+_AUTHORITY = "ca"
+_SUBJECT = "uoarm robot"
+_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_-]{0,63}")  # 64: the longest common name of X.509
+_AUTHORITY_DAYS = 3650
+_CLOCKS_DIFFER = dt.timedelta(hours=1)
+_COMMON_NAME = "uoarm serve"
 
 
 def new_key() -> ec.EllipticCurvePrivateKey:
@@ -114,16 +130,6 @@ def _general_name(name: str) -> x509.GeneralName:
         return x509.IPAddress(ipaddress.ip_address(name))
     except ValueError:
         return x509.DNSName(name)
-
-
-MANAGER = "manager"
-"""The name of the manager's certificate."""
-
-_AUTHORITY = "ca"
-_SUBJECT = "uoarm robot"
-_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_-]{0,63}")  # 64: the longest common name of X.509
-_AUTHORITY_DAYS = 3650
-_CLOCKS_DIFFER = dt.timedelta(hours=1)
 
 
 @frozen
@@ -238,9 +244,6 @@ def _write(
     except BaseException:
         key_file.unlink(missing_ok=True)
         raise
-
-
-_COMMON_NAME = "uoarm serve"
 
 
 @frozen

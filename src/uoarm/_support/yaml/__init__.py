@@ -3,15 +3,15 @@
 from typing import TYPE_CHECKING
 
 from uoarm._deferred import deferred
-from uoarm._yaml._document import Document, Path, Place, Problem, clip, write_path
+from uoarm._support.yaml._document import Document, Path, Position, Problem, clip, write_path
 
 if TYPE_CHECKING:
-    from uoarm._yaml._reader import ReadBudget, read, read_file
+    from uoarm._support.yaml._reader import ReadBudget, read, read_file
 
 __all__ = [
     "Document",
     "Path",
-    "Place",
+    "Position",
     "Problem",
     "ReadBudget",
     "clip",

@@ -1,15 +1,18 @@
-"""How long a test waits for what is to happen: one limit, longer on a machine that is slow."""
+"""Time in tests: limits that grow on a slow machine, a clock that a test moves."""
 
 from __future__ import annotations
 
+import inspect
 import os
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 
 from uoarm._arguments import arguments
+from uoarm.bridge import Bridge, Channel
 
-__all__ = ["patience", "slowness", "wait"]
+__all__ = ["ManualClock", "default_limits", "patience", "slowness", "wait"]
 
 _IDLE_SECONDS = 60.0
 _SLOWEST = 10.0
@@ -73,3 +76,59 @@ def _crowd() -> float:
     """Return how many processes there are for each core; 1 where the system does not tell."""
     load = getattr(os, "getloadavg", lambda: (1.0,))()[0]
     return max(1.0, float(load) / (os.cpu_count() or 1))
+
+
+class ManualClock:
+    """Seconds that only a test moves; callable, so that it fits wherever a clock is injected."""
+
+    @arguments()
+    def __init__(self, start: float = 0.0) -> None:
+        self._now = start
+
+    def __call__(self) -> float:
+        """Return the seconds that it shows."""
+        return self._now
+
+    def now(self) -> float:
+        """Return the seconds that it shows."""
+        return self._now
+
+    def advance(self, seconds: float) -> float:
+        """Move it forward and return what it shows then.
+
+        Raises:
+            ValueError: the step is negative; time only grows.
+        """
+        if not seconds >= 0:
+            raise ValueError(f"a clock cannot be advanced by {seconds} s")
+        self._now += seconds
+        return self._now
+
+
+@contextmanager
+def default_limits(seconds: float, *, closing: bool = True) -> Iterator[None]:
+    """Have calls of bridges, channels and managers that are given no `timeout` last so long.
+
+    What an application waits for a framework is nothing that a test is about, unless it says so.
+
+    Args:
+        seconds: the limit.
+        closing: whether it holds for closing, too. What hangs as it is closed is given up after its
+            limit, and nothing fails: a long one keeps whoever closes it.
+    """
+    from uoarm import AsyncRobotManager, RobotManager  # noqa: PLC0415 - slow to import
+
+    methods = (
+        inspect.unwrap(method).__kwdefaults__ or {}
+        for owner in (Bridge, Channel, RobotManager, AsyncRobotManager)
+        for name, method in inspect.getmembers(owner, inspect.isfunction)
+        if closing or name != "close"
+    )
+    found = [(item, item["timeout"]) for item in methods if isinstance(item.get("timeout"), float)]
+    for defaults, _ in found:
+        defaults["timeout"] = seconds
+    try:
+        yield
+    finally:
+        for defaults, before in found:
+            defaults["timeout"] = before

@@ -1,0 +1,1 @@
+"""What every layer uses: worker threads, deadlines, YAML with places, certificates, files."""
