@@ -216,7 +216,10 @@ def doctor(*, file: str | None, as_json: bool) -> None:
 @click.group(invoke_without_command=True)
 @click.pass_context
 def schema(context: click.Context) -> None:
-    """Print the JSON Schema of robot.yaml and of all installed plugins, for editors."""
+    """Print the JSON Schema of robot.yaml, for editors.
+
+    It has the options of the bridges and endpoints of all installed plugins.
+    """
     if context.invoked_subcommand is None:
         print_json(completed_schema(Registry().types))
 
