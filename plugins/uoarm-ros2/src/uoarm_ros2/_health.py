@@ -37,6 +37,10 @@ class SimulatedClock:
 class TopicHealth:
     """Counters and health of one channel.
 
+    It has no lock: everything happens in the runner's thread, in which messages, events and ticks
+    come one after another. `count` of a sink is the exception, which the sink guards; `facts` reads
+    from any thread, and may see one counter newer than another.
+
     Args:
         report: takes each change of health with its cause.
         stale_after: seconds without a message that make the channel lost; None: never.

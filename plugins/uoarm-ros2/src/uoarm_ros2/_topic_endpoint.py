@@ -71,7 +71,7 @@ class TopicEndpoint(ABC):
         self._is_differing = False
         self._has_other_types = False
         self._unreached = ""
-        self._closed = False
+        self._closed = False  # set by any thread; a tick under way may still report
         self.departures = 0
         self.policies = self._fitting(self.peers())
         self.native = self._create()
