@@ -20,7 +20,7 @@ from bench.structure import (
 # How many names of an area hold a word of the table: lower a number with what it counts, and
 # never raise one. What is not here is zero. `tell` is a method of files, and a pulse one of hearts.
 LIMITS: dict[str, dict[str, int]] = {
-    "core": {"told": 11},
+    "core": {"told": 1},
     "plugins": {"told": 90, "heard": 25, "pulse": 31, "outage": 13},
     "tests": {"told": 26, "heard": 24, "nobody": 10, "pulse": 19},
     "examples": {"told": 1, "pulse": 5},

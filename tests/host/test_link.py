@@ -86,7 +86,7 @@ def test_an_answer_that_cannot_be_written_is_an_error(ends: Ends) -> None:
 
 
 def test_no_host_there_is_unavailable(ends: Ends) -> None:
-    with pytest.raises(BridgeError, match="nobody answers") as caught:
+    with pytest.raises(BridgeError, match="there is no answer") as caught:
         ends[0].ask("test/nothing", None, timeout=patience())
     assert caught.value.reason is FailureReason.UNAVAILABLE
 

@@ -1159,7 +1159,7 @@ BUGS: tuple[Bug, ...] = (
         "says that all is lost when one component dies",
         reporting(whole_bridge),
         DisturbanceRules.test_each_death_is_reported_of_its_own_component,
-        "was told to be lost while it lived",
+        "was reported to be lost while it lived",
     ),
     Bug(
         HEALTH,
@@ -1194,7 +1194,7 @@ BUGS: tuple[Bug, ...] = (
         "reports the break with each retry",
         step("cut", each_retry),
         Breaking.test_a_break_is_reported_with_its_cause_and_so_is_its_end,
-        "told again",
+        "reported again",
     ),
     Bug(
         LINKS,

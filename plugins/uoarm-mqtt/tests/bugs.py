@@ -201,7 +201,7 @@ BUGS: tuple[Bug, ...] = (
         "_down",
         reported_twice,
         Breaking.test_a_break_is_reported_with_its_cause_and_so_is_its_end,
-        "told again",
+        "reported again",
     ),
     Bug(
         "does not report that the broker is back",

@@ -41,7 +41,7 @@ class EdgeVerdict:
         warnings: what a careful reader should know.
         unstated: paths of numbers and octets of whose meaning one side says nothing.
         differences: what both sides state of the meaning and do not agree on.
-        is_undecided: whether it is refused only since nobody knows, for want of time mostly.
+        is_undecided: whether it is refused only since it is not known, for want of time mostly.
     """
 
     compatible: bool

@@ -284,7 +284,7 @@ def _unit_of(name: str, schema: Any) -> str | None:
 
 
 def _convert(one: str | None, other: str | None) -> Conversion | None:
-    """Return how numbers in a unit become those in another; None: not, or nobody knows."""
+    """Return how numbers in a unit become those in another; None: not, or it is not known."""
     if one == other:
         return Conversion()
     try:

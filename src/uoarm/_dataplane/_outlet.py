@@ -45,10 +45,15 @@ class _Turn:
         self.route = route
         self.number = 0
         self.joined = 0
+        # Guards `number` and `joined`, and is held while the route takes a message: from the
+        # threads of the source against `attach` and `letting_through`. Re-entrant, since a consumer
+        # may emit at the same output in the thread in which it takes a message.
         self.lock = threading.RLock()
 
     def deliver(self, number: int, message: Message, *, is_copy: bool) -> None:
         with self.lock:
+            # Numbers are given out under the outlet's lock, this one is taken later: two threads
+            # may come here in the other order. The older message is left out, never delivered late.
             if number > self.number:
                 self.number = number
                 self.route.copies += is_copy
@@ -68,6 +73,8 @@ class _Standing:
         self.messages: dict[int, tuple[str, Message, int]] = {}
         self._by_writer: dict[str, deque[int]] = {}
         self._octets = 0
+        # The number of a message that is not measured, as it stood alone so far: measuring walks
+        # over a whole message, and most outputs that retain have one at a time.
         self._uncounted: int | None = None
 
     def add(self, number: int, message: Message, writer: str) -> None:
@@ -79,6 +86,7 @@ class _Standing:
         if len(self.messages) == 1:
             self._uncounted, self._octets = number, 0
             return
+        # The first is measured only now, when there is a second to bound it with.
         for uncounted in (self._uncounted, number):
             if uncounted in self.messages:
                 self._count(uncounted)
@@ -86,7 +94,7 @@ class _Standing:
         while len(self.messages) > 1 and (
             self._octets > _MOST_OCTETS or len(self._by_writer) > _MOST_WRITERS
         ):
-            oldest = next(iter(self.messages))
+            oldest = next(iter(self.messages))  # a dict keeps the order in which they came
             of = self.messages[oldest][0]
             self._by_writer[of].popleft()
             if not self._by_writer[of]:
@@ -144,8 +152,16 @@ class Outlet:
     def __init__(self, reader: Reader | None = None) -> None:
         self._reader = reader
         self._is_suspected = False  # written by the source alone, which has one thread at a time
+        # Replaced as a whole and never changed, so that `deliver` reads it without a lock: a
+        # message goes to the routes from before a change, or to those from after it, and to each
+        # once.
         self._routes: tuple[Route, ...] = ()
+        # Guards all that follows, and the replacing of `_routes`: from `attach` and `detach` in
+        # threads of the manager against the source's. It is never held while a route takes a
+        # message, which may block. Where a turn's lock is needed too, that one is taken first.
         self._lock = threading.Lock()
+        # None while the source opens. Read without the lock on the way of every message: once it is
+        # False it stays, and a reader that saw None before looks again under the lock.
         self._retains: bool | None = None
         self._turns: dict[Route, _Turn] = {}
         self._last: tuple[int, Message] = 0, None
@@ -177,6 +193,7 @@ class Outlet:
             kept = [(n, standing.newest_of(w), m) for n, (w, m, _) in standing.messages.items()]
         if not retains:
             return
+        # Outside of the lock, since turns come first in the order of locks, and routes may block.
         for turn in turns:
             with turn.lock:
                 joined, turn.joined = turn.joined, 0
@@ -196,7 +213,7 @@ class Outlet:
             self.readable()
         if self._retains is not False and self._deliver_kept(message, writer):
             return
-        routes = self._routes
+        routes = self._routes  # read once: it may be replaced while a route takes the message
         for route in routes:
             route.deliver(message)
         for other in routes[1:]:
@@ -241,6 +258,7 @@ class Outlet:
             self._last = number, message
             self._standing.add(number, message, writer)
             turns = tuple(self._turns.values())
+        # Without the lock: a slow route holds up its own turn only, and a consumer may emit here.
         for place, turn in enumerate(turns):
             turn.deliver(number, message, is_copy=place > 0)
         if not turns:
@@ -270,6 +288,8 @@ class Outlet:
                     turn.joined = self._last[0]
                     return
                 standing = tuple(self._standing.messages.items())
+            # With the lock of the turn: a live message of a later number waits, or came before and
+            # is in `standing` already.
             for number, (_, message, _) in standing:
                 self._hand_standing(turn, number, message)
 
@@ -288,6 +308,8 @@ class Outlet:
             if not self._retains:
                 return
             with self._lock:
+                # What came until now is in `standing` or is gone: a thread that still brings one
+                # of these waits for the turn, and finds that its number is not above this one.
                 turn.number = self._last[0]
                 standing = tuple(self._standing.messages.items())
             for number, (_, message, _) in standing:
@@ -296,11 +318,12 @@ class Outlet:
     def detach(self, route: Route) -> None:
         """Feed a route no more; a message under way may still reach it."""
         with self._lock:
-            self._routes = tuple(other for other in self._routes if other is not route)
+            self._routes = tuple(kept for kept in self._routes if kept is not route)
             self._turns.pop(route, None)
 
     def _hand_standing(self, turn: _Turn, number: int, message: Message) -> None:
         """Hand on what counts for another route already, or as undelivered, if it stands still."""
+        # Read without the lock: one that goes as this looks was standing when the route joined.
         if number in self._standing.messages:
             turn.route.copies += 1
             turn.route.deliver(message)

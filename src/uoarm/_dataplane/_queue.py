@@ -52,8 +52,14 @@ class BoundedQueue(Generic[T]):
         self._octets = 0
         self._unfinished = 0
         self._closed = False
+        # Guards every field here, from the producer's threads against the reader's and `close`. It
+        # is held for a few lines only, apart from waits, which give it up, and from measuring.
         self._lock = threading.Lock()
+        # One condition for all that is waited for (an item, room, the end of work): there are few
+        # who wait, and each looks at its own condition again when it is woken.
         self._changed = threading.Condition(self._lock)
+        # How many wait. A message that no thread waits for costs no notification; it is counted
+        # under the lock, so no waiter can be missed.
         self._waiting = 0
 
     def __len__(self) -> int:
@@ -72,16 +78,20 @@ class BoundedQueue(Generic[T]):
             size = self._measure(item) if self._items and self._length > 1 else 0
             if not self._has_room(size) and not self._closed:
                 self._make_room(size)
+            # Looked at after the wait for room, which gives the lock up: it may be closed by now.
             if self._closed:
                 self._on_drop("closed")
                 return
             if not self._has_room(size):
                 self._on_drop("blocked-too-long")
                 return
+            # What is put into an empty queue has no size yet: `_sizes` is one shorter than
+            # `_items`.
             if self._items:
                 self._sizes.append(size)
                 self._octets += size
             self._items.append(item)
+            # From here, and not from `get` on: else a drain could end between the two.
             self._unfinished += 1
             if self._waiting:
                 self._changed.notify_all()
@@ -125,7 +135,9 @@ class BoundedQueue(Generic[T]):
                 self._items.clear()
                 self._sizes.clear()
                 self._octets = 0
-            self._changed.notify_all()
+            self._changed.notify_all()  # always: a producer or a reader may wait, and `drain` too
+
+    # The methods below are called with the lock held.
 
     def _pop(self) -> T:
         if len(self._sizes) == len(self._items):
@@ -153,7 +165,7 @@ class BoundedQueue(Generic[T]):
         while not self._has_room(size):
             full = len(self._items) >= self._length
             self._pop()
-            self._unfinished -= 1
+            self._unfinished -= 1  # no reader will call `done` for it, and `drain` waits for none
             if self._policy is OverflowPolicy.LATEST:
                 self._on_drop("replaced")
             else:
@@ -163,6 +175,7 @@ class BoundedQueue(Generic[T]):
         deadline = None if timeout is None else time.monotonic() + timeout
         self._waiting += 1
         try:
+            # In a loop: all who wait are woken for anything, and another may have been faster.
             while not ready():
                 left = None if deadline is None else deadline - time.monotonic()
                 if left is not None and left <= 0:
@@ -194,18 +207,24 @@ class Inbox:
         self._queue: BoundedQueue[Message] = BoundedQueue(policy, on_drop)
         self._on_drop = on_drop
         self._on_raised = on_raised
+        # Replaced as a whole, so that `put` may look at it without the lock.
         self._callbacks: tuple[Deliver, ...] = ()
         self._wake: Callable[[], None] | None = None
+        # Held while callbacks run: from the route's thread against `subscribe`, so that what waits
+        # comes before what arrives, and no two messages are in a callback at a time. Re-entrant,
+        # since a callback may subscribe, end its own subscription, or cause the next message.
         self._lock = threading.RLock()
         self._records = LimitedLog(_log)
 
     def put(self, message: Message) -> None:
         """Take one message from the route, in the route's thread."""
-        if self._callbacks and self._tell(message):
+        if self._callbacks and self._notify(message):
             return
         self._queue.put(message)
-        if self._callbacks:  # the first one came meanwhile, and may have missed this
-            self._tell_waiting()
+        # The first callback may have come between the look and the queue, after it had emptied
+        # that: the message would be left behind until the next one comes.
+        if self._callbacks:
+            self._notify_of_waiting()
         wake = self._wake
         if wake is not None:
             wake()
@@ -233,7 +252,7 @@ class Inbox:
         """
         with self._lock:
             self._callbacks = (*self._callbacks, callback)
-            self._tell_waiting()
+            self._notify_of_waiting()
 
         def end() -> None:
             with self._lock:
@@ -252,16 +271,18 @@ class Inbox:
         if wake is not None:
             wake()
 
-    def _tell_waiting(self) -> None:
+    def _notify_of_waiting(self) -> None:
         with self._lock:
             while self._callbacks:
+                # One at a time, and only while there is a callback: the last may leave in its call,
+                # and what waits is then for `get` again.
                 try:
                     waiting = self._queue.get(0)
                 except (Empty, QueueClosed):
                     break
-                self._tell(waiting)
+                self._notify(waiting)
 
-    def _tell(self, message: Message) -> bool:
+    def _notify(self, message: Message) -> bool:
         """Hand a message to the callbacks; False where the last one has just left."""
         failed = False
         with self._lock:
@@ -273,7 +294,7 @@ class Inbox:
                 except Exception as error:  # noqa: BLE001 - a callback may raise anything
                     failed = True
                     self._complain(callback, error)
-        if failed:
+        if failed:  # once, however many callbacks raised: it is one message
             self._on_drop("failed")
         return True
 

@@ -127,7 +127,13 @@ class Route:
         self.failures = 0
         self.last_error = self.refusal = ""
         self.last_time: float | None = None
+        # `received`, `invalid`, `failures` and the window are written by the thread that brings the
+        # messages, of which an output has one at a time; `_handed` by that which calls the
+        # consumer. So they need no lock, and `status` reads what may be a message behind.
         self._dropped: dict[str, int] = {}
+        # Guards `_dropped`, `_loss` and `_taken_back`, which any thread counts up (the source's,
+        # the worker's, a queue's `close`), and the making of the queue against `stop`. Taken within
+        # a queue's lock, so no queue is called while it is held.
         self._dropping = threading.Lock()
         self._hand: Deliver | None = hand
         self._transfer = transfer
@@ -162,14 +168,14 @@ class Route:
             self._turn_window(now)
         is_checked = is_adapted = False
         try:
-            check = self.check
+            check = self.check  # read once: it may be replaced at any time
             if check is not None:
                 check(message)
             is_checked = True
             if self._transfer is not None:
                 message = self._transfer(message)
                 is_adapted = True
-            put = self._put
+            put = self._put  # likewise: `close` takes it away
             if put is not None:
                 put(message)
             elif self._queue_policy is None:
@@ -180,6 +186,7 @@ class Route:
             failure = contained(error)
             if is_checked:
                 failure = self._judged(failure, message, is_adapted=is_adapted)
+            # What fails as the route is closed is the closing's doing, and no one's failure.
             if not self._fail(failure):
                 failure = None
         if self._loss:
@@ -223,14 +230,17 @@ class Route:
     def stop(self) -> None:
         """Hand over nothing more; what is queued is lost and counted. Waits for nothing."""
         with self._dropping:
+            # With the lock: `_queue_first` makes no queue after this, whose worker would stay.
             self._closed = True
             queue = self._queue
+        # Without it: the queue counts what it discards with `drop`, which takes the lock.
         if queue is not None:
             queue.close(discard=True)
 
     def close(self) -> None:
         """Stop, and wait a second at most for a message that the worker has in hand."""
         self.stop()
+        # A consumer may close its own route, in the worker: that would wait for itself.
         if self._worker is not None and self._worker is not threading.current_thread():
             self._worker.join(_WORKER_SECONDS)
         # They refer back to the route, which is to be gone with its last user.
@@ -245,6 +255,7 @@ class Route:
             consumer=self.consumer,
             received=self.received,
             delivered=self._handed - self._taken_back,
+            # Copied in one step, which no other thread can come between.
             dropped=tuple(sorted(self._dropped.copy().items())),
             invalid=self.invalid,
             rate=self._rate(now),
@@ -268,9 +279,11 @@ class Route:
                 )
                 self._worker.start()
             queue = self._queue
-        if queue is None:
+        if queue is None:  # it was closed before its first message
             self.drop("closed")
             return
+        # From now on `deliver` calls the queue itself. One that is closed meanwhile counts what
+        # comes.
         self._put = queue.put
         queue.put(message)
 
@@ -280,7 +293,7 @@ class Route:
             self.drop("closed")
             return
         hand(message)
-        self._handed += 1
+        self._handed += 1  # after the call: what raised, or hangs still, is not delivered
         if self.refusal:
             self.refusal = ""
         watch = self._watch
@@ -299,7 +312,7 @@ class Route:
                 is_adapted = self._transfer is not None
                 self._fail(self._judged(contained(error), message, is_adapted=is_adapted))
             finally:
-                queue.done()
+                queue.done()  # also of one that failed, or `drain` would wait for it for ever
 
     def _count(self, reason: str) -> None:
         self._dropped[reason] = self._dropped.get(reason, 0) + 1

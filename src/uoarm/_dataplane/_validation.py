@@ -31,7 +31,7 @@ _LONG = 10**40  # of these Python writes no more than 4,300 digits
 
 
 class Producer(Protocol):
-    """Told by a check what it found, so that who gives what does not match is blamed."""
+    """Takes what a check found, so that the component that gave a mismatch is judged by it."""
 
     @property
     def component(self) -> Watched:
@@ -66,7 +66,7 @@ def make_check(
         return None
     check = _make_whole_check(structure, place)
     if watch is not None:
-        check = _telling(check, watch)
+        check = _reporting(check, watch)
     if mode is ValidationMode.ALWAYS:
         return check
     suspected = _SAMPLE_EVERY if is_suspected else 0
@@ -90,22 +90,24 @@ def _make_whole_check(structure: MessageStructure, place: str) -> Callable[[Mess
     return check
 
 
-def _telling(check: Callable[[Message], None], watch: Producer) -> Callable[[Message], None]:
-    def check_and_tell(message: Message) -> None:
+def _reporting(check: Callable[[Message], None], watch: Producer) -> Callable[[Message], None]:
+    def check_and_report(message: Message) -> None:
         try:
             check(message)
         except MessageError as error:
             watch.mismatched(error)
             raise
+        # Only while something may be amiss: a report for each message would be a cost of each.
         if watch.component.is_alert:
             watch.took()
 
-    return check_and_tell
+    return check_and_report
 
 
 def _sampling(
     check: Callable[[Message], None], suspected: int, *, samples: bool
 ) -> Callable[[Message], None]:
+    # Written by the thread that brings the messages alone; no two are checked at a time.
     count = -1
 
     def check_sample(message: Message) -> None:

@@ -1,6 +1,6 @@
 """Hints of numpy: which numbers in which shape, as a structure and as values.
 
-numpy is never imported here: whoever writes such a hint has done it.
+numpy is never imported here: the module with such a hint has done it.
 """
 
 from __future__ import annotations
@@ -176,7 +176,7 @@ def _shape(lengths: tuple[int | None, ...]) -> str:
 
 
 def _numpy(name: str) -> Any:
-    """Return a class of numpy; None where nobody has imported it.
+    """Return a class of numpy; None where it was not imported.
 
     Nor has one who is at it: another thread may be in the middle, and then no hint is of numpy yet.
     """

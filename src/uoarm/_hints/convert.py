@@ -90,7 +90,7 @@ def writer(hint: Any, place: str) -> Callable[[Any], Message] | None:
 
 
 def _path_to_fault(hint: Any, value: Any) -> list[str]:
-    """Return the fields that lead to what cannot be written, which cattrs does not tell."""
+    """Return the fields that lead to what cannot be written, which cattrs does not name."""
     parts: dict[str, tuple[Any, Any]] = {}
     if is_record(value.__class__) and not is_model(value.__class__):
         hints = get_type_hints(value.__class__, include_extras=True)

@@ -1,4 +1,4 @@
-"""The bridge host: `python -m uoarm._host`, started by a manager, which tells it all on stdin."""
+"""The bridge host: `python -m uoarm._host`, started by a manager, which orders on stdin."""
 
 from __future__ import annotations
 

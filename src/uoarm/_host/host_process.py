@@ -37,7 +37,7 @@ class HostProcess:
         name: name of the bridge.
         command: program and arguments.
         variables: the environment variables of the process.
-        exited: told how the process ended, in the waiting thread.
+        exited: called with how the process ended, in the waiting thread.
         passed: descriptors that the process inherits under their numbers.
 
     Raises:
@@ -95,7 +95,7 @@ class HostProcess:
             stdin.write(json.dumps(orders).encode() + b"\n")
             stdin.flush()
         except OSError:
-            self._log.debug("it ended at once")  # how, is told by the waiting thread
+            self._log.debug("it ended at once")  # how, is reported by the waiting thread
 
     def wait(self, timeout: float) -> bool:
         """Wait for the process to end; False when it has not within `timeout` seconds."""
@@ -109,7 +109,7 @@ class HostProcess:
         """See the process end: by itself, after SIGTERM, after SIGKILL; at last free its pipes.
 
         Args:
-            patience: seconds that it has for ending by itself; 0: nobody asked it to.
+            patience: seconds that it has for ending by itself; 0: it was not asked to.
 
         Raises:
             BridgeError: it did not end even then.
@@ -142,7 +142,7 @@ class HostProcess:
         try:
             os.killpg(session, number)
         except (ProcessLookupError, PermissionError):
-            self._log.debug("signal %d finds nobody", number)
+            self._log.debug("signal %d finds no process", number)
 
     def _run(self, started: SimpleQueue[subprocess.Popen[bytes] | OSError]) -> None:
         try:
@@ -167,7 +167,7 @@ class HostProcess:
         )
         reader.start()
         if sys.platform == "linux":
-            # The number of a process that nobody has waited for is not given to another one,
+            # The number of a process that was not waited for is not given to another one,
             # so children that it left behind can be ended safely.
             os.waitid(os.P_PID, process.pid, os.WEXITED | os.WNOWAIT)
             self._send(process.pid, signal.SIGKILL)
@@ -207,7 +207,7 @@ def _how(status: int) -> str:
 def host_command(python: Path, bridge: str, origin: str = "") -> list[str]:
     """Return the command that runs a host with this interpreter.
 
-    The host is told everything on its stdin; the bridge and the configuration file stand in the
+    The host gets all orders on its stdin; the bridge and the configuration file stand in the
     command for people who list processes.
     """
     robot = ["--robot", origin] if origin else []

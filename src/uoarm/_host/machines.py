@@ -29,8 +29,8 @@ _JOIN_SECONDS = 2.0
 class MachineConnection:
     """Has a host on another machine take up a bridge, and returns when it has.
 
-    The host was started there and stays there: nothing here starts, kills or restarts it. What it
-    is told to do with `close` is to let the bridge go.
+    The host was started there and stays there: nothing here starts, kills or restarts it. With
+    `close` it is asked to let the bridge go.
 
     Args:
         registry: knows which hosts are there.
@@ -167,9 +167,9 @@ _KEPT = 16
 class MachineRegistry:
     """Waits for hosts on other machines at one address, from its making until it is closed.
 
-    The link itself keeps out whoever has no certificate, and everybody from the keys of others. It
-    knows the machines that are watched at first, and those that had a certificate in the folder
-    then: only these can be watched later.
+    The link itself keeps out clients without a certificate, and each machine from the keys of
+    others. It knows the machines that are watched at first, and those that had a certificate in
+    the folder then: only these can be watched later.
 
     Args:
         listening: the address, and the folder of the manager's certificate.
@@ -226,7 +226,7 @@ class MachineRegistry:
         return self._admitted is None or self._admitted.issuperset(machines)
 
     def watch(self, machines: Iterable[str]) -> None:
-        """Let these machines join and no others: what others say is read by nobody.
+        """Let these machines join and no others: what others say is not read.
 
         Raises:
             BridgeError: the link is closed.
@@ -292,7 +292,7 @@ class MachineRegistry:
         return self._transport.part(prefix)
 
     def measure_clock(self, machine: str, host: str, timeout: float) -> None:
-        """Ask a host for its time, which one that hangs does not tell.
+        """Ask a host for its time, to which one that hangs does not answer.
 
         Raises:
             BridgeError: UNAVAILABLE when the host has gone.
@@ -357,7 +357,9 @@ class MachineRegistry:
             with self._news:
                 present = {name: value[-1][1] for name, value in self._hosts.items() if value}
             for machine, host in present.items():
-                with suppress(UoarmError):  # whoever uses the machine notices that it is silent
+                with suppress(
+                    UoarmError
+                ):  # the connections to the machine notice that it is silent
                     self.measure_clock(machine, host, _ANSWER_SECONDS)
 
 

@@ -236,7 +236,7 @@ class ProcessConnection:
                     self.counters.close()
 
     def _end_with_python(self) -> None:
-        """End a host that nobody closed before the interpreter ends."""
+        """End a host that was not closed before the interpreter ends."""
         try:
             self.close(None)
         except UoarmError as error:
@@ -271,7 +271,7 @@ class ProcessConnection:
         self._liveness.die(self._given_up or how)
 
     def _give_up(self, silent: float) -> None:
-        """End it before anybody is told: what it took after that would be counted as lost, too."""
+        """End it before its death is reported: what it took later would be counted as lost, too."""
         assert self._started is not None, "it has a heartbeat"
         self._given_up = f"it has not answered for {silent:.1f} s"
         self._started.kill()

@@ -450,7 +450,7 @@ class RemoteBridge(Bridge):
         self._report_death()
 
     def _report_death(self) -> None:
-        """Report the death once, when there is somebody to hear it."""
+        """Report the death once, when there is a listener."""
         if self._listener is not None and self._reported_death.acquire(blocking=False):
             self.report(Health.LOST, f"its bridge host died: {self._host.dead}")
 

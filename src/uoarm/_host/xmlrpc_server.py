@@ -136,7 +136,9 @@ class _Server(ThreadingMixIn, SimpleXMLRPCServer):
     """
 
     daemon_threads = True
-    request_queue_size = _CONNECTIONS  # beyond it, whoever connects waits for a second or more
+    request_queue_size = (
+        _CONNECTIONS  # beyond it, a client that connects waits for a second or more
+    )
 
     def __init__(self, address: tuple[str, int]) -> None:
         self._ends: dict[Any, float] = {}

@@ -98,7 +98,7 @@ def _in_schemas(schemas: Mapping[str, Any]) -> Find:
             if name in schemas:
                 after = schemas[name]
                 if declared and name_of_type(after.get("x-type")) == "":
-                    after = {**after, "x-type": schema["x-type"]}  # type: ignore[index] # told
+                    after = {**after, "x-type": schema["x-type"]}  # type: ignore[index] # checked above
                 return MessageStructure(after, native_type=before.native_type)
         return before
 
@@ -209,7 +209,7 @@ class LockGuard:
     def differences(self, component: str, ports: Mapping[str, MessageStructure]) -> tuple[str, ...]:
         """Say for each port of a component that is not as it was locked what is different.
 
-        What is told is counted, too.
+        What is reported is counted, too.
         """
         return tuple(
             self._differs(component, port, self._ports.get((component, port)))

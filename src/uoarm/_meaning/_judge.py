@@ -217,7 +217,7 @@ class _Walk:
         found: _Found,
     ) -> None:
         """Compare two schemas and all within them."""
-        # What is read from JSON is a dict, and told from others faster.
+        # What is read from JSON is a dict, and recognised faster.
         if not (one.__class__ is dict or isinstance(one, Mapping)) or not (
             other.__class__ is dict or isinstance(other, Mapping)
         ):

@@ -1,6 +1,6 @@
 """Units: UCUM codes and common names, read by pint, compared and converted exactly.
 
-What UCUM spells otherwise than pint does is told here. Angles are kept apart from ratios, so that
+What UCUM spells otherwise than pint does is listed here. Angles are kept apart from ratios, so that
 `rad/s` is not `Hz` and `deg` is not `%`.
 """
 
@@ -109,7 +109,7 @@ hecto deca deka deci centi milli micro nano pico femto atto zepto yocto kibi meb
 _PREFIXES = tuple(_PREFIX_WORDS.split())
 _NEAR = 0.75
 _SHORTEST = 4  # letters; shorter ones are near to too much
-# An annotation says nothing in UCUM; but a turn is an angle to whoever writes it.
+# An annotation says nothing in UCUM; but a turn is an angle to its author.
 _TURNS = frozenset({"{rev}", "{revolution}", "{revolutions}", "{turn}", "{turns}"})
 _TOKEN = re.compile(
     r"(?P<note>\{[^{}]*\})|(?P<operator>\*(?!\*)|[./·()])|(?P<ten>10(?:\*|\^)[+-]?\d+)"

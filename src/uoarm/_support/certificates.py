@@ -139,7 +139,7 @@ class Authority:
     Attributes:
         folder: where all its files are.
         certificate: its own.
-        key: signs; whoever has it can make machines and managers.
+        key: signs; its owner can make machines and managers.
     """
 
     folder: Path

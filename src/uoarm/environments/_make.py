@@ -198,7 +198,7 @@ def create(
     Raises:
         PluginError: the name is taken or cannot be one, a step failed, or what was installed has
             no extra of a name that the requirements give; the text has the step, and its last lines
-            where nobody was told them.
+            where they were not announced.
     """
     folder = environment_folder(name)
     if folder.exists():
@@ -244,7 +244,7 @@ def _normal(extra: str) -> str:
 
 
 def _run(step: list[str], progress: Progress | None) -> None:
-    """Run one step, telling what it prints as it prints it."""
+    """Run one step, handing on what it prints as it prints it."""
     variables = passed_on(os.environ, is_environment=True)
     lines: deque[str] = deque(maxlen=_SHOWN)
     take = lines.append if progress is None else progress

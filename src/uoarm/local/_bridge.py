@@ -281,7 +281,7 @@ class PythonBridge(Bridge):
         return target
 
     def _enter(self, endpoint: Endpoint, target: Target) -> tuple[_Slot, Instance]:
-        """Use the component's instance; one that is slow to build holds up nobody else."""
+        """Use the component's instance; one that is slow to build holds up no other."""
         key = _key(endpoint)
         with self._counting:
             slot = self._slots.get(key)
@@ -333,7 +333,7 @@ class PythonBridge(Bridge):
 
 
 def _key(endpoint: Endpoint) -> _Key:
-    """Tell a component from the one of its name in another revision of the configuration."""
+    """Distinguish a component from the one of its name in another revision of the configuration."""
     given = endpoint.parameters
     return endpoint.component, endpoint.address, json.dumps(given, default=id) if given else ""
 

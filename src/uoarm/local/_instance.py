@@ -31,7 +31,7 @@ class IteratedSource:
     Args:
         iterate: makes the iterator; called in the listener's thread, so that it may refuse.
         emitter: returns what takes the next message; called in the source's thread before it is
-            known whether somebody listens still, so that no message is lost between.
+            known whether there is a subscriber still, so that no message is lost between.
         name: of the thread meanwhile.
         workers: give the thread.
 
@@ -58,8 +58,8 @@ class IteratedSource:
     def add_listener(self, key: Hashable, finished: Finished) -> None:
         """Start iterating unless it does already.
 
-        `finished` hears of the end, with the exception if there was one, unless `key` was removed
-        before.
+        `finished` is called at the end, with the exception if there was one, unless `key` was
+        removed before.
 
         Raises:
             BridgeError: the workers were closed.
@@ -83,7 +83,7 @@ class IteratedSource:
                 self._stop()
 
     def stop(self) -> None:
-        """Tell the iteration to end, and nobody of it."""
+        """Ask the iteration to end, without a report."""
         with self._changing:
             self._listeners.clear()
             self._stop()
@@ -315,7 +315,7 @@ class Instance:
     def _emit(self, before: Receivers, write: Write, message: Any) -> None:
         """Hand over what the component emits.
 
-        Where nobody receives it, those who did as it was begun get it: their channels were closed
+        Where there is no subscriber, those from its beginning get it: their channels were closed
         meanwhile, and count it.
         """
         port = "default"

@@ -180,7 +180,7 @@ class Coroutines:
                         raise
 
     def cancel(self) -> None:
-        """Cancel what runs; whoever waits for it gets a BridgeError."""
+        """Cancel what runs; a caller that waits for it gets a BridgeError."""
         self._cancels += 1
         for future in tuple(self._running):
             future.cancel()

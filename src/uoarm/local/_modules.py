@@ -2,7 +2,7 @@
 
 `kitchen.py` in `/home/robot` is imported as `uoarm.local._modules._2fhome_2frobot.kitchen`, and so
 is what it imports from there, by `import helper` as by `from . import helper`. The name says where
-the module is, so that whoever looks it up by name finds it, another process, too (pickle,
+the module is, so that a lookup by name finds it, in another process, too (pickle,
 multiprocessing).
 
 What the program could import itself, from the same file, is imported as the program does it: there
@@ -96,7 +96,7 @@ class Modules:
         return place
 
     def close(self) -> None:
-        """Forget the modules, where nobody else has this version of them; else they stay. Once."""
+        """Forget the modules, where no other bridge has this version of them. Once."""
         if not self._is_version:
             return
         with _lock:

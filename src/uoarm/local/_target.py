@@ -150,7 +150,7 @@ class Target:
             known = Description(read("output"))
             unknown = ["output"] if known.message is None else []
         else:
-            return Description()  # of what is emitted for a named output no hint can tell
+            return Description()  # what is emitted for a named output is in no hint
         hints = [] if method is None else [self._wanted(part, endpoint) for part in unknown]
         return attrs.evolve(known, hint=", and ".join(dict.fromkeys(hints)))
 

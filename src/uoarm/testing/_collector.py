@@ -64,7 +64,7 @@ class Collector:
             self._changed.notify_all()
 
     def __call__(self, message: Message, writer: str = "") -> None:
-        """Keep one message, whoever wrote it."""
+        """Keep one message, of any writer."""
         del writer
         self.deliver(message)
 
@@ -141,7 +141,7 @@ class Background(Generic[T]):
     def _run(self) -> None:
         try:
             self._result = self._action()
-        except BaseException as error:  # noqa: BLE001 - handed to whoever asks for the result
+        except BaseException as error:  # noqa: BLE001 - raised where the result is asked for
             self._error = error
 
     def result(self, timeout: float | None = None) -> T:

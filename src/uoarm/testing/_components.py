@@ -183,7 +183,7 @@ class Script:
     """What a source of the `python` bridge emits, put there by the test while the robot runs.
 
     What is put waits for the newest source of the script that opens, and for no other. A source
-    takes from the moment in which it opens, before its connection is told as running: not only
+    takes from the moment in which it opens, before its connection is reported as running: not only
     once its thread has begun. One that is closed takes nothing, though its thread may be
     waiting still, and neither does one after which another opened.
 

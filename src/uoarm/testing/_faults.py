@@ -37,7 +37,7 @@ class Hang:
     def wait(self) -> None:
         """Hang here; for use as a step."""
         self.entered.set()
-        self._released.wait(2 * patience())  # longer than whoever waits for what hangs here
+        self._released.wait(2 * patience())  # longer than the test waits for what hangs here
 
 
 @arguments()

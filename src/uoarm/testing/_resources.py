@@ -31,7 +31,7 @@ def hold_idle(moment: str, *others: int, timeout: float | None = None) -> None:
 
     Args:
         moment: when that is, for the failure.
-        others: ids of processes that are counted, too, where the system tells of them: Linux.
+        others: ids of processes that are counted, too, where the system lists them: Linux.
         timeout: seconds in which it is looked again; `patience`, unless given.
 
     Raises:
@@ -81,7 +81,7 @@ class Census:
             if time.monotonic() >= deadline:
                 raise AssertionError(f"{len(names)} threads are left over: {', '.join(names[:8])}")
             pause.wait(_GLANCE_SECONDS)
-            gc.collect()  # a pool's threads end when nobody refers to it any more
+            gc.collect()  # a pool's threads end with the last reference to it
         gc.collect()
         while (extra := _count_descriptors() - self._descriptors) > 0:
             if time.monotonic() >= deadline:
@@ -94,7 +94,7 @@ class Census:
             for thread in threading.enumerate()
             if thread not in self._threads
             and thread.name != _OF_THE_CORE
-            and not isinstance(thread, threading._DummyThread)  # noqa: SLF001 - nobody joins these
+            and not isinstance(thread, threading._DummyThread)  # noqa: SLF001 - these are never joined
         ]
 
 
@@ -109,7 +109,7 @@ def _processor_seconds(others: tuple[int, ...]) -> float:
 
 
 def _count_descriptors() -> int:
-    """Return how many descriptors are open, 0 where the system does not tell."""
+    """Return how many descriptors are open, 0 where the system does not say."""
     for folder in _DESCRIPTORS:
         try:
             return sum(1 for _ in Path(folder).iterdir())
@@ -125,7 +125,7 @@ _TRIES = 100
 
 @arguments()
 def free_port(address: str = "127.0.0.1") -> int:
-    """Return a TCP port that is free, and that the system gives to nobody who does not ask for it.
+    """Return a TCP port that is free, and that the system gives only to a process that asks for it.
 
     One that the system chose itself may be given to the next connection of any process before a
     server listens on it, or while one is restarted.

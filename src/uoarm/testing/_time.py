@@ -49,7 +49,7 @@ def wait(
     never: str = "it did not come to pass",
     timeout: float | None = None,
 ) -> None:
-    """Wait until something is true that no event tells of, looking every five milliseconds.
+    """Wait until something is true of which there is no event, looking every five milliseconds.
 
     Raises:
         AssertionError: with the text of `never`, after `timeout` or else `patience` seconds.
@@ -73,7 +73,7 @@ def _sample() -> float:
 
 
 def _crowd() -> float:
-    """Return how many processes there are for each core; 1 where the system does not tell."""
+    """Return how many processes there are for each core; 1 where the system does not say."""
     load = getattr(os, "getloadavg", lambda: (1.0,))()[0]
     return max(1.0, float(load) / (os.cpu_count() or 1))
 
@@ -114,7 +114,7 @@ def default_limits(seconds: float, *, closing: bool = True) -> Iterator[None]:
     Args:
         seconds: the limit.
         closing: whether it holds for closing, too. What hangs as it is closed is given up after its
-            limit, and nothing fails: a long one keeps whoever closes it.
+            limit, and nothing fails: a long one keeps the caller that closes it.
     """
     from uoarm import AsyncRobotManager, RobotManager  # noqa: PLC0415 - slow to import
 

@@ -55,7 +55,7 @@ class RequestDispatcher:
         self._transport = transport
         self._flows = OpenFlows(transport, counters)
         self._workers = RequestWorkers("uoarm-ask")
-        self._reporter = WorkerPool("uoarm-tell", 1)
+        self._reporter = WorkerPool("uoarm-report", 1)
         self._looker = WorkerPool("uoarm-look", 1)
         self._looking = Event()
         self._facts: Mapping[str, object] = {}
@@ -228,7 +228,7 @@ class RequestDispatcher:
         try:
             self._transport.ask(keys.HEALTH, report, timeout=5.0)
         except UoarmError as error:
-            _log.warning("the manager was not told of %s: %s", report, error)
+            _log.warning("the manager has no report of %s: %s", report, error)
 
 
 def _port(request: Request) -> tuple[Endpoint, MessageStructure]:

@@ -74,7 +74,7 @@ class OutboundFlow:
             self._outgoing.let_go(writer)
         except BridgeError as error:
             if not self._closed:
-                _log.warning("%s: it was not told what stands no more: %s", self.endpoint, error)
+                _log.warning("%s: what stands no more was not sent: %s", self.endpoint, error)
 
     def unreadable(self, why: str) -> None:
         """Have the manager take in that a message could not be read, as far as there is room."""
@@ -101,11 +101,11 @@ class OutboundFlow:
             HANDLING.answered()
 
     def finish(self, ending: FlowEnding) -> None:
-        """Have the manager told, behind the last message, that the source has ended."""
+        """Send to the manager, behind the last message, that the source has ended."""
         try:
             self._outgoing.finish(ending)
         except BridgeError as error:
-            _log.warning("%s: its end was not told: %s", self.endpoint, error)
+            _log.warning("%s: its end was not sent: %s", self.endpoint, error)
 
     def close(self) -> None:
         """Send nothing more."""
@@ -283,6 +283,6 @@ def packable_facts(look: Callable[[], Mapping[str, object]]) -> Mapping[str, obj
 
 
 def _facts(one: _Open) -> Mapping[str, object]:
-    """Return the facts last looked at, and what an input that moves something was told by now."""
+    """Return the facts last looked at, and the status of commands as it is now."""
     command = one.channel.command_status() if isinstance(one.channel, Sink) else None
     return one.facts if command is None else {**one.facts, keys.COMMAND: to_json(command)}

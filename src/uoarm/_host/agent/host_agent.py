@@ -81,8 +81,8 @@ class HostAgent:
                 if self._is_asked(whole):
                     self._closed.wait()
                     return
-                # A link that went while it was made, as the manager listened anew, may never tell
-                # it of us.
+                # Where the manager listened anew while the link was made, it may never see the
+                # token of this host.
             finally:
                 with self._lock:
                     hosted = list(self._hosted)
@@ -119,7 +119,7 @@ class HostAgent:
         return is_asked
 
     def _connect(self) -> ZenohTransport | None:
-        """Try until the manager is there; what is in the way is told once, not at each try."""
+        """Try until the manager is there; what is in the way is logged once, not at each try."""
         text = ""
         while not self._closed.is_set():
             try:

@@ -24,7 +24,7 @@ from uoarm.model import Message
 __all__ = ["Frame", "check_claims", "from_failure", "pack", "to_failure", "unpack"]
 
 Frame: TypeAlias = bytes | bytearray
-"""What `unpack` reads; nobody changes one that it was given."""
+"""What `unpack` reads; the caller changes it no more."""
 
 _LENGTH = struct.Struct("<I")
 _BUFFER, _BIG = 1, 2
@@ -204,7 +204,7 @@ def check_claims(frame: Frame, start: int, end: int) -> None:
     The decoder makes a list as long as it claims to be before it reads the first item, so nested
     claims that nothing stands behind would cost a thousand times the frame. Most long trees are
     octets with a few heads before them, which are walked over, head by head. Of others a few passes
-    in C tell that their claims cannot matter; only what is left is walked over as a whole.
+    in C show that their claims cannot matter; only what is left is walked over as a whole.
 
     Raises:
         MessageError: it claims too much.

@@ -100,11 +100,15 @@ class FlowSender:
         self._transport = transport
         self._key = key
         self.patience = patience
+        # Written by the one thread that sends, and read by that which takes confirmations.
         self._number = 0
         self._skipped = 0
         self._handled = 0
         self._next_try: float | None = None
         self._cut = ""
+        # Guards what confirmations change, and `_cut`: from the thread that sends against the
+        # link's, which confirms, and the one that finds the other end dead. Confirmations come by
+        # two ways, at once and with heartbeats, in two threads.
         self._room = threading.Condition()
         self._taken = 0
         self._raised = 0
@@ -135,6 +139,7 @@ class FlowSender:
         """
         sent_at = self._now()  # before the wait for room, so that its end knows how old it is
         frame = pack(message)
+        # Without the lock: `_handled` only grows, so there is at least as much room as this sees.
         if self._number - self._handled >= _WINDOW or self._cut:
             self._wait_for_room()
         self._put(frame, (_WRITER, writer, True) if writer else None, sent_at)
@@ -162,7 +167,7 @@ class FlowSender:
         self._report = report
 
     def skip(self) -> None:
-        """Give up one message; the other end counts it as lost when it hears the next one."""
+        """Give up one message; the other end counts it as lost when the next one arrives."""
         self._skipped += 1
 
     def finish(self, ending: FlowEnding) -> None:
@@ -196,6 +201,7 @@ class FlowSender:
         *,
         must_arrive: bool = False,
     ) -> None:
+        # Before it is published: its confirmation may come before `publish` returns.
         self._number += 1
         header = _HEADER.pack(_IS_HEADER, self._number, self._skipped, sent_at)
         if more is not None:
@@ -213,6 +219,8 @@ class FlowSender:
         confirmations were lost on the way.
         """
         with self._room:
+            # The whole patience is waited once; after that the other end is known to hang, and only
+            # a try goes out now and then, so that the producer is not held up by each message.
             if self._next_try is None:
                 self._room.wait_for(self._has_room, self.patience)
             if self._cut:
@@ -246,11 +254,13 @@ class FlowSender:
             self._taken += taken
             self._next_try = None
             self._room.notify_all()
+        # Outside of the lock: a report may close the flow.
         if self._report is not None and (taken or raised or wrong):
             self._report(taken, raised, wrong, handled.last_error)
 
     def _read_confirmation(self, header: bytes) -> None:
         match _plain(header):
+            # One that claims more than was sent would open the window for ever.
             case [int(number), int(failed), str(error), int(lost), int(raised), int(wrong)] if (
                 number <= self._number
             ):
@@ -266,12 +276,12 @@ class FlowReceiver:
     Args:
         transport: carries it.
         key: name of the flow on the link.
-        name: of whoever takes, for records and for a thread of its own.
+        name: of the consumer, for records and for a thread of its own.
         take: the consumer, also of the writer's name where the sending end said one; what it
-            raises is counted and told to the sending end.
-        ended: told, after the last message, how the flow ended.
+            raises is counted and reported to the sending end.
+        ended: called, after the last message, with how the flow ended.
         counter: where how many messages the consumer has taken is written down.
-        let_go: told whose messages stand no more.
+        let_go: called with the writer whose messages stand no more.
         read: takes why a message could not be read at the sending end, nothing where one could.
     """
 
@@ -296,6 +306,8 @@ class FlowReceiver:
         self._ended = ended
         self._counter = counter
         self._closed = False
+        # All counts are written by the thread in which frames are taken, one after the other; the
+        # heartbeat's reads them, and may see a message counted whose number is not written yet.
         self._number = 0
         self._skipped = 0
         self._confirmed = 0
@@ -308,6 +320,7 @@ class FlowReceiver:
         self.last_error = ""
         self._records = LimitedLog(_log)
         self.latency = 0.0
+        # Last: frames may come before this returns. Twice the window, since tries exceed it.
         self._end = transport.subscribe(key, 2 * _WINDOW, self._receive, f"uoarm-from-{name}")
 
     def handled(self) -> Handled:
@@ -324,6 +337,7 @@ class FlowReceiver:
     def drain(self, number: int, timeout: float) -> bool:
         """Wait until the message of this number is handled; False when time ran out."""
         deadline = time.monotonic() + timeout
+        # By looking: to notify would cost each message a lock, for a wait that comes once.
         pause = threading.Event()
         while self._number < number and time.monotonic() < deadline:
             pause.wait(_GLANCE_SECONDS)
@@ -340,14 +354,14 @@ class FlowReceiver:
 
     def _handle(self, frame: Frame, header: bytes) -> None:
         read = _header(header)
-        if (
-            read is None or read[0] <= self._number
-        ):  # damaged, or sent once more by whoever heard it
+        # Damaged, or sent once more by another client that received it.
+        if read is None or read[0] <= self._number:
             self.failed += 1
             self.last_error = "a frame without a header of its own, or one that came before"
             return
         number, skipped, sent_at, more = read
         before = self.raised, self.wrong
+        # A gap in the numbers was lost on the link; what was skipped never had a number.
         self.lost += number - self._number - 1 + skipped - self._skipped
         self._skipped = skipped
         now = self._transport.clock() + self._transport.ahead()
@@ -368,6 +382,8 @@ class FlowReceiver:
             HANDLING.counter = None
             if self._counter is not None:
                 self._counter.set(self.received)
+        # After the call: a message counts as handled when its consumer is through with it, so a
+        # death in between leaves it among those under way.
         self._number = number
         # The first of each kind at once: a component is degraded, or a producer looked at.
         after = self.raised, self.wrong
@@ -385,7 +401,7 @@ class FlowReceiver:
         self._records.write(logging.INFO, f"{self._name} raised {self.last_error}", trace)
 
     def _confirm(self, *, at_once: bool) -> None:
-        """Tell how far it is: every few messages or moments, and the first failure at once."""
+        """Send how far it is: every few messages or moments, and the first failure at once."""
         now = time.monotonic()
         few = self._number - self._confirmed < _CONFIRM_EACH
         if few and not at_once and now - self._confirmed_at < _CONFIRM_SECONDS:

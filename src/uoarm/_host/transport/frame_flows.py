@@ -55,9 +55,13 @@ class FlowSubscription:
         self._length = length
         self._name = name
         self._waiting: SimpleQueue[tuple[Frame, bytes] | None] = SimpleQueue()
+        # Guards `_has_thread`, `_ended` and the order of `_waiting`: from the thread that reads
+        # against that of the flow. Without it a frame could be put behind the last look of a thread
+        # that gives the taking back, or be taken by both.
         self._lock = threading.Lock()
         self._has_thread = False
         self._ended = False
+        # Written by the thread whose turn it is; `hand_over` only takes it away, which may be lost.
         self._credit = _CREDIT
 
     def begin(self, payload: Frame, header: bytes) -> bool:
@@ -73,6 +77,7 @@ class FlowSubscription:
                 except RuntimeError:  # there are too many
                     return True
                 self._has_thread = True
+            # The reader of the queue may be faster, which is as good: there is room then.
             if self._waiting.qsize() >= self._length:
                 with suppress(Empty):
                     self._waiting.get_nowait()
@@ -108,11 +113,13 @@ class FlowSubscription:
         """Begin no other `take`; one under way finishes alone. Idempotent."""
         with self._lock:
             self._ended = True
-            self._waiting.put(None)
+            self._waiting.put(None)  # wakes the flow's thread, where there is one
 
     def _return(self) -> bool:
         """Give the taking back to the thread that reads, unless more waits."""
         with self._lock:
+            # With the lock, in which `begin` puts: what comes after this look finds no thread, and
+            # is taken by the one that reads, behind all that this one took.
             if not self._waiting.empty():
                 return False
             self._has_thread = False
@@ -126,7 +133,7 @@ class FrameFlows:
         incoming: the socket that is read here, and nowhere else.
         outgoing: the socket that is written.
         name: for its threads.
-        ended: told when no more comes, in the thread that read.
+        ended: called when no more comes, in the thread that read.
     """
 
     def __init__(
@@ -142,6 +149,9 @@ class FrameFlows:
         self._name = name
         self._on_end = ended
         self._subscriptions: dict[str, FlowSubscription] = {}
+        # Guards who reads: `_taking`, `_taken` and `_reading`, from the thread that reads against
+        # the one that watches it, one that writes in a `take`, and `close`. So exactly one thread
+        # reads.
         self._lock = threading.Lock()
         self._taking: FlowSubscription | None = None  # what the thread that reads takes just now
         self._taken = 0  # how often it has begun to take something
@@ -151,7 +161,7 @@ class FrameFlows:
             target=self._watch, name=f"uoarm-watch-{name}", daemon=True
         )
         self._watching.start()
-        with self._lock:
+        with self._lock:  # the new thread waits for it, so `_reading` is set before it reads
             self._reading = self._start_reading()
 
     def write(self, key: str, header: bytes, payload: Frame, seconds: float) -> None:
@@ -163,7 +173,7 @@ class FrameFlows:
             OSError: the link is closed.
         """
         if threading.get_ident() == self._reading.ident:
-            # While it waits nobody reads; if the other end does the same, both wait in vain.
+            # While it waits no thread reads; if the other end does the same, neither wait ends.
             if len(payload) <= _SHORT_OCTETS:
                 with suppress(BridgeTimeoutError):
                     self._writer.write(
@@ -174,7 +184,7 @@ class FrameFlows:
         self._writer.write(_FRAME, key, 0, header, payload, seconds)
 
     def write_on(self) -> None:
-        """Write of a frame that was begun what the kernel takes now. Waits for nobody."""
+        """Write of a frame that was begun what the kernel takes now. Does not wait."""
         self._writer.write_on()
 
     def subscribe(self, key: str, length: int, take: Take, name: str) -> Callable[[], None]:
@@ -199,13 +209,15 @@ class FrameFlows:
         self.shut()
         with self._lock:
             self._closing.set()
-            self._is_watched.set()
+            self._is_watched.set()  # or the thread that watches would sleep on
+            # One that is in a `take` is not waited for: that may hang.
             reading = None if self._taking is not None else self._reading
         for thread in (reading, self._watching):
             if thread is not None and thread is not threading.current_thread():
                 thread.join(_JOIN_SECONDS)
         for subscription in list(self._subscriptions.values()):
             subscription.end()
+        # After the thread that reads: a descriptor that is closed under it may be given out anew.
         self._writer.close()
         self._incoming.close()
 
@@ -217,7 +229,7 @@ class FrameFlows:
 
     def _read(self) -> None:
         """Read, and take what is read, until the end, or until another thread reads on."""
-        with self._lock:
+        with self._lock:  # until it is written down that this is the thread that reads
             pass
         try:
             while (frame := self._reader.read()) is not None:
@@ -239,10 +251,13 @@ class FrameFlows:
         with self._lock:
             self._taking = subscription
             self._taken += 1
+        # After `_taken` is counted: `_watch` clears first and looks at the count then, so one of
+        # the two sees the other.
         if not self._is_watched.is_set():
             self._is_watched.set()
         subscription.take(frame.payload, frame.header)
         with self._lock:
+            # Another thread reads on already: this one is that of the flow from now on.
             if self._taking is not subscription:
                 return subscription
             self._taking = None
@@ -261,6 +276,8 @@ class FrameFlows:
                 self._reading = self._start_reading()
             except RuntimeError:  # there are too many threads
                 return
+            # Before the new thread can read, which waits for this lock: what it reads of this flow
+            # then queues behind the frame that is being taken.
             self._taking.hand_over()
             self._taking = None
 

@@ -1,7 +1,7 @@
 """Frames over a connected socket: a head of fixed layout, a key, a header and a payload.
 
-A frame that has begun to be written is always written to its end, if need be by whoever writes
-next.
+A frame that has begun to be written is always written to its end, if need be by the next
+thread that writes.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ _AT_ONCE = _NO_SIGNAL | getattr(socket, "MSG_DONTWAIT", 0)
 
 
 class Received(NamedTuple):
-    """One frame. `payload` is a bytearray where it is long; nobody else holds it."""
+    """One frame. `payload` is a bytearray where it is long; no one else holds it."""
 
     kind: int
     key: str
@@ -49,7 +49,7 @@ class FrameWriter:
     """Writes frames to a socket, from any thread.
 
     Args:
-        connected: the socket, which somebody else may read.
+        connected: the socket, which another thread may read.
     """
 
     def __init__(self, connected: socket.socket) -> None:
@@ -60,8 +60,13 @@ class FrameWriter:
         # The kernel waits for room a short while, then we look at the time; reading has no limit.
         limit = struct.pack("ll", 0, _STEP_MICROSECONDS)  # a `struct timeval`
         connected.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, limit)
+        # Guards the socket's outgoing side, `_rest` and `_is_torn`, from all threads that send: a
+        # frame is never mixed with another. It is waited for within the time of the write only.
         self._writing = threading.Lock()
+        # What the kernel has not taken of the frame before. Its sender has returned already, as the
+        # frame will arrive; the next write begins with it, in any thread.
         self._rest = memoryview(b"")
+        # Whether it is not known how much of a frame was written: nothing may follow it.
         self._is_torn = False
 
     def write(
@@ -97,10 +102,14 @@ class FrameWriter:
         if not self._writing.acquire(timeout=seconds):
             raise _full(key, seconds)
         try:
+            # An exception of a signal's handler ended a write midway: the other end could not tell
+            # where the next frame begins, so the link ends.
             if self._is_torn:
                 self.shut()
                 raise OSError("a write was interrupted")
             self._is_torn = True  # until it is known what is left: a signal's handler may raise
+            # Time may run out only before a frame is begun: then none of it was written, and its
+            # sender may count it as not sent. One that was begun is sent, whenever its end follows.
             has_begun = self._write_rest(deadline) and self._begin(start, payload, deadline)
             if has_begun:
                 self._write_rest(deadline)
@@ -111,13 +120,16 @@ class FrameWriter:
             raise _full(key, seconds)
 
     def write_on(self) -> None:
-        """Write of a frame that was begun what the kernel takes now. Waits for nobody."""
+        """Write of a frame that was begun what the kernel takes now. Does not wait."""
+        # Looked at without the lock: what is written now is another thread's to finish.
         if not self._rest or not self._writing.acquire(blocking=False):
             return
         try:
             if self._rest and not self._is_torn:
                 self._is_torn = True
-                with suppress(OSError):  # there is no room, or who reads the link tells its end
+                with suppress(
+                    OSError
+                ):  # there is no room, or the reader of the link reports its end
                     self._rest = self._rest[self._socket.send(self._rest, _AT_ONCE) :]
                 self._is_torn = False
         finally:
@@ -129,7 +141,7 @@ class FrameWriter:
             self._socket.shutdown(socket.SHUT_RDWR)
 
     def close(self) -> None:
-        """Close the socket, which was shut: nobody waits in it."""
+        """Close the socket, which was shut: no thread waits in it."""
         # A write that a starved thread begins now must not reach who gets this descriptor next.
         with self._writing:
             self._is_torn = True
@@ -149,6 +161,7 @@ class FrameWriter:
                 if time.monotonic() >= deadline:
                     return False
         if written < len(start) + len(payload):
+            # The rest keeps the payload, which its sender does not change any more, without a copy.
             whole = start + payload if written < len(start) else payload
             gone = written if written < len(start) else written - len(start)
             self._rest = memoryview(whole)[gone:]
@@ -194,6 +207,7 @@ class FrameReader:
         kind, _, key_length, number, header_length, length = _HEAD.unpack_from(
             self._buffer, self._start
         )
+        # Before any memory is taken for what the frame claims.
         if length > _MOST_OCTETS or header_length > _MOST_HEADER:
             text = f"a frame says that it is {length:,} octets long, its header {header_length:,}"
             raise ValueError(text)
@@ -206,7 +220,7 @@ class FrameReader:
         return Received(kind, key, number, header, payload)
 
     def _take(self, length: int) -> Frame | None:
-        """Return so many octets; long ones as a bytearray, which nobody else holds."""
+        """Return so many octets; long ones as a bytearray, which no one else holds."""
         if length <= _READ_OCTETS:
             if not self._have(length):
                 return None
@@ -218,6 +232,7 @@ class FrameReader:
         taken[:got] = self._view[self._start : self._end]
         self._start = self._end
         while got < length:
+            # Grown by what has come, twofold at most: a claim alone takes no memory.
             if got == len(taken):
                 taken.extend(bytes(min(got, length - got)))
             with memoryview(taken) as whole, whole[got:] as rest:
@@ -233,6 +248,7 @@ class FrameReader:
             return True
         if self._start == self._end:
             self._start = self._end = 0
+        # What is left is moved only where the buffer would end before the octets do.
         elif self._start + length > _READ_OCTETS:
             left = bytes(self._view[self._start : self._end])
             self._start, self._end = 0, len(left)
@@ -271,7 +287,7 @@ class LinkSockets:
         """
         with ExitStack() as made:
             (asks, answers), (here, there), (from_here, to_there) = (_pair(made) for _ in range(3))
-            made.pop_all()
+            made.pop_all()  # all three pairs are there: from now on their owners close them
         close_in_children(asks, here, from_here)
         return cls(asks, here, from_here), cls(answers, to_there, there)
 

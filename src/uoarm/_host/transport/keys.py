@@ -30,7 +30,7 @@ HEALTH = "uoarm/manager/health"
 MANAGED = "uoarm/manager/alive"
 
 COMMAND = "command"
-"""Names, among the facts of an input that moves something, what it was told last."""
+"""Names, among the facts of an input that moves something, the status of its commands."""
 BRIDGE = 0
 """Stands where the answer to a heartbeat has a channel's number, before the facts of the bridge."""
 
@@ -62,7 +62,7 @@ def attach(machine: str, host: str) -> str:
 
 
 def clock(machine: str, host: str) -> str:
-    """Name the place where such a host tells its time; behind `MACHINES`."""
+    """Name the key at which such a host answers with its time; behind `MACHINES`."""
     return f"{machine}/clock/{host}"
 
 

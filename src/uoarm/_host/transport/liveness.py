@@ -44,6 +44,9 @@ class LivenessMonitor:
         self._host = f"bridge host {name!r}"
         self._on_doubt = on_doubt
         self._on_death = on_death
+        # Guards the fields below, from the link's thread, the heartbeat's and the one that waits
+        # for the process, against callers that ask. It is not held while `on_death` runs, which
+        # cuts flows and reports, in whatever locks these take.
         self._news = threading.Condition()
         self._present = False
         self._ending = False
@@ -62,6 +65,8 @@ class LivenessMonitor:
     def die(self, cause: str) -> None:
         """Note that the host died; the first cause counts."""
         with self._news:
+            # The end of the process, the link's and the silence come in any order, in three
+            # threads: the first one wins, and reports once.
             if self.dead or self._ending:
                 return
             self.dead = cause
@@ -195,6 +200,7 @@ class Heartbeat:
         self._on_doubt = on_doubt
         self._on_silence = on_silence
         self._silence = Silence(silence, time.monotonic())
+        # All else is this thread's alone: other threads hand it answers and the end here.
         self._answers: SimpleQueue[Any] = SimpleQueue()
         self._stopped = False
         self._thread = threading.Thread(
@@ -207,7 +213,7 @@ class Heartbeat:
 
     def stop(self) -> None:
         """Ask no more, from any thread. Returns at once."""
-        self._stopped = True
+        self._stopped = True  # before it is woken, which is what it looks at then
         self._answers.put(None)
 
     def join(self, timeout: float) -> None:
@@ -219,6 +225,7 @@ class Heartbeat:
         while self._take_answers(time.monotonic() + _INTERVAL_SECONDS):
             now = time.monotonic()
             self._report_doubt(now)
+            # After all answers that are there were taken: a late one still saves the host.
             if self._silence.is_over(now):
                 self._on_silence(self._silence.seconds(now))
                 return

@@ -87,15 +87,15 @@ def certified(folder: str | Path) -> frozenset[str]:
 
 
 def access_list(machines: Iterable[str] | None) -> Mapping[str, object]:
-    """Return Zenoh's settings under which each machine reaches its own keys, and nobody any other.
+    """Return Zenoh's settings under which each machine reaches its own keys, and no other.
 
     Args:
-        machines: their names, as in their certificates; None where nobody has one, as on a
-            loopback without TLS: whoever connects may touch the keys of every machine.
+        machines: their names, as in their certificates; None where there are none, as on a
+            loopback without TLS: a client that connects may touch the keys of every machine.
     """
     if machines is None:
-        rules = [_rule("anybody", f"{keys.MACHINES}/**")]
-        subjects: list[dict[str, object]] = [{"id": "anybody"}]
+        rules = [_rule("any-client", f"{keys.MACHINES}/**")]
+        subjects: list[dict[str, object]] = [{"id": "any-client"}]
     else:
         names = sorted(machines)
         rules = [_rule(name, f"{keys.MACHINES}/{name}/**") for name in names]

@@ -24,9 +24,12 @@ class SharedCounters:
     """
 
     def __init__(self, file: int, *, gives: bool) -> None:
+        # A slot has one writer, and is aligned, so that its number is read whole without a lock
+        # that two processes would have to share, and a death could leave held.
         shared = mmap.mmap(file, _SLOTS * _WIDTH)
         self.numbers: memoryview | array[int] = memoryview(shared).cast("q")
         self._free = deque(SharedCounter(self, slot) for slot in range(_SLOTS if gives else 0))
+        # Guards the free counters, from the threads that open and close channels of one bridge.
         self._lock = threading.Lock()
 
     @staticmethod
@@ -36,7 +39,7 @@ class SharedCounters:
         Raises:
             OSError: there is no room for it.
         """
-        file = tempfile.TemporaryFile()  # noqa: SIM115 - whoever asked closes it
+        file = tempfile.TemporaryFile()  # noqa: SIM115 - the caller closes it
         try:
             file.write(bytes(_SLOTS * _WIDTH))
             file.flush()
@@ -50,6 +53,8 @@ class SharedCounters:
         with self._lock:
             if not self._free:
                 return None
+            # The one that has been free for longest: its last reader has the best chance to be
+            # gone.
             before = self._free.popleft()
             before.end()
             counter = SharedCounter(self, before.slot)
@@ -64,6 +69,7 @@ class SharedCounters:
 
     def close(self) -> None:
         """Let go of the memory; counters stand still from now on."""
+        # A copy first: readers may come at any time, and must not find the map closed.
         self.numbers = array("q", self.numbers)  # the map ends with its last reader
 
 
@@ -92,7 +98,7 @@ class SharedCounter:
 
     Args:
         counters: that it is part of.
-        slot: where; the end that gave it out has told the other.
+        slot: where; the end that gave it out has sent it to the other.
     """
 
     __slots__ = ("_counters", "_last", "slot")

@@ -1,8 +1,8 @@
 """The transport between a manager and a host that it started: connected sockets.
 
 Nothing listens and nothing lies in a folder: the host inherits its end. Requests, answers and signs
-of life have a socket and a thread of their own, so that they wait for no message and for nobody who
-takes one. Whoever sends writes by itself.
+of life have a socket and a thread of their own, so that they wait for no message and for no
+consumer of one. A thread that sends writes by itself.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, UoarmEr
 
 __all__ = ["SocketTransport"]
 
-_ASK, _ANSWER, _TELL, _TOKEN = range(4)
+_ASK, _ANSWER, _NOTIFY, _TOKEN = range(4)
 _FULL_SECONDS = 0.2
 _MUST_ARRIVE_SECONDS = 5.0
 _JOIN_SECONDS = 2.0
@@ -53,7 +53,11 @@ class SocketTransport(Transport):
         self._reader = FrameReader(sockets.requests)
         self._writer = FrameWriter(sockets.requests)
         self._numbers = itertools.count(1)
+        # Guards `_tokens` and `_watching` together, from the thread that reads against callers: a
+        # token that comes as its watcher does is reported by one of them, and one that goes once.
         self._lock = threading.Lock()
+        # The other tables are changed in single steps (set, pop), which need no lock: an answer and
+        # the end of its wait may both take an entry, and only one gets it.
         self._asked: dict[int, Callable[[Frame | None], object]] = {}
         self._late: dict[int, float] = {}
         self._answering: dict[str, Callable[[Any, Reply], None]] = {}
@@ -68,7 +72,7 @@ class SocketTransport(Transport):
         """Send a request and return the answer."""
         answered: SimpleQueue[Frame | None] = SimpleQueue()
         deadline = time.monotonic() + timeout
-        number = self._expect(answered.put)
+        number = self._expect(answered.put)  # before it is sent: the answer may be faster
         try:
             self._write(_ASK, key, number, b"", pack(request), _MUST_ARRIVE_SECONDS)
             answer = answered.get(timeout=max(0.0, deadline - time.monotonic()))
@@ -131,10 +135,10 @@ class SocketTransport(Transport):
 
     def notify(self, key: str, header: bytes) -> None:
         """Send a header to who listens at a key."""
-        self._write(_TELL, key, 0, header, b"", _MUST_ARRIVE_SECONDS)
+        self._write(_NOTIFY, key, 0, header, b"", _MUST_ARRIVE_SECONDS)
 
     def listen(self, key: str, take: Callable[[bytes], None]) -> Callable[[], None]:
-        """Have headers that are told at a key handed to `take`, in the transport's thread."""
+        """Have headers that are sent to a key handed to `take`, in the transport's thread."""
         self._listening[key] = take
         return lambda: self._end(self._listening, key, take)
 
@@ -143,21 +147,21 @@ class SocketTransport(Transport):
         self._write(_TOKEN, key, 0, b"", b"", _MUST_ARRIVE_SECONDS)
 
     def watch_alive(self, key: str, seen: Callable[[bool], None]) -> None:
-        """Have the coming and going of a token told; one that is there is told at once."""
+        """Have the coming and going of a token reported; one that is there is reported at once."""
         with self._lock:
             self._watching[key] = seen
             is_there = key in self._tokens
-        if is_there:
+        if is_there:  # outside of the lock, as below: what it calls is not known here
             seen(True)
 
     def close(self) -> None:
-        """End everything of this end; the other one is told that its tokens have gone."""
+        """End everything of this end; at the other one its tokens are seen to go."""
         with self._lock:
-            self._watching.clear()
+            self._watching.clear()  # first: who closes the link wants no report of a death
         self._shut()
         if threading.current_thread() is not self._thread:
             self._thread.join(_JOIN_SECONDS)
-        self._lose()
+        self._lose()  # also where the thread hangs in a `take` and was not waited for
         self._flows.close()
         self._writer.close()
 
@@ -187,7 +191,7 @@ class SocketTransport(Transport):
         """
         if threading.current_thread() is self._thread:
             seconds = _FULL_SECONDS  # it must go on reading, or both ends might wait for each other
-        self._flows.write_on()  # nobody else may come to write there for long
+        self._flows.write_on()  # no other thread may come to write there for long
         try:
             self._writer.write(kind, key, number, header, payload, seconds)
         except BridgeTimeoutError:  # which is an OSError, too
@@ -211,7 +215,7 @@ class SocketTransport(Transport):
 
     def _take(self, frame: Received) -> None:
         key = frame.key
-        if frame.kind == _TELL:
+        if frame.kind == _NOTIFY:
             listener = self._listening.get(key)
             if listener is not None:
                 listener(frame.header)
@@ -233,21 +237,22 @@ class SocketTransport(Transport):
             try:
                 self._write(_ANSWER, "", number, b"", answer_of(value), _MUST_ARRIVE_SECONDS)
             except BridgeError as error:
-                _log.debug("the answer at %s reached nobody: %s", key, error)
+                _log.debug("the answer at %s could not be sent: %s", key, error)
 
         take = self._answering.get(key)
         if take is None:
-            reply(BridgeError(f"nobody answers at {key}", FailureReason.UNAVAILABLE))
+            reply(BridgeError(f"there is no answer at {key}", FailureReason.UNAVAILABLE))
         else:
             answer_to(take, request, reply)
 
     def _lose(self) -> None:
-        """Have whoever waits for the other end know that it is gone. Idempotent."""
+        """End every wait for the other end, which is gone. Idempotent."""
         with self._lock:
             gone = [seen for key, seen in self._watching.items() if key in self._tokens]
             self._tokens.clear()
+        # Again and again: a caller may begin to wait as this goes on, before its write fails.
         while self._asked:
-            with suppress(KeyError):
+            with suppress(KeyError):  # it was answered, or given up, between the two looks
                 self._asked.popitem()[1](None)
         for seen in gone:
             seen(False)

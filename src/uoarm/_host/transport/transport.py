@@ -48,7 +48,7 @@ class Transport(ABC):
     Attributes:
         ahead: by how many nanoseconds the clock at the other end is ahead of this one.
         clock: the clock by which both ends say when a message was sent, nanoseconds. One that
-            nobody sets where both are on one machine; else that of the calendar.
+            which is never set where both are on one machine; else that of the calendar.
     """
 
     def __init__(self) -> None:
@@ -61,7 +61,7 @@ class Transport(ABC):
 
         Raises:
             UoarmError: what the other end answered with.
-            LinkLostError: nobody answers.
+            LinkLostError: there is no other end.
             BridgeTimeoutError: no answer in time.
         """
 
@@ -71,7 +71,7 @@ class Transport(ABC):
     ) -> None:
         """Send a request, and have the answer handed to `take` in the transport's thread.
 
-        An error, or no answer within `timeout` seconds, is told to nobody. `take` must not block.
+        An error, or no answer within `timeout` seconds, is not reported. `take` must not block.
 
         Raises:
             LinkLostError: the link is closed.
@@ -103,9 +103,9 @@ class Transport(ABC):
         """Have payload and header of each frame at a key handed to `take`; returns what ends it.
 
         One frame after the other, in order, in a thread of the transport's, which has this name if
-        it serves nobody else. `take` may block: no other subscription waits long for it. At most
-        `length` frames wait; the oldest are lost first. After the end no `take` begins; one under
-        way finishes alone. It must not raise.
+        it serves no other subscription. `take` may block: no other subscription waits long for
+        it. At most `length` frames wait; the oldest are lost first. After the end no `take`
+        begins; one under way finishes alone. It must not raise.
         """
 
     @abstractmethod
@@ -119,7 +119,7 @@ class Transport(ABC):
 
     @abstractmethod
     def listen(self, key: str, take: Callable[[bytes], None]) -> Callable[[], None]:
-        """Have headers that are told at a key handed to `take`, in the transport's thread.
+        """Have headers that are sent to a key handed to `take`, in the transport's thread.
 
         `take` must not block.
         """
@@ -130,7 +130,7 @@ class Transport(ABC):
 
     @abstractmethod
     def watch_alive(self, key: str, seen: Callable[[bool], None]) -> None:
-        """Have the coming and going of a token told; `seen` must not block."""
+        """Have the coming and going of a token reported; `seen` must not block."""
 
     @abstractmethod
     def close(self) -> None:

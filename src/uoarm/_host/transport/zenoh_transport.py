@@ -95,7 +95,7 @@ class ZenohTransport(Transport):
         if late and (not replies or replies[0].ok is None):
             raise BridgeTimeoutError(f"no answer at {key} within {timeout:g} s")
         if not replies:
-            raise LinkLostError(f"nobody answers at {key}")
+            raise LinkLostError(f"there is no answer at {key}")
         return _answer_in(replies[0], key)
 
     def ask_later(
@@ -171,7 +171,7 @@ class ZenohTransport(Transport):
         self.publish(key, b"", header, must_arrive=True)
 
     def listen(self, key: str, take: Callable[[bytes], None]) -> Callable[[], None]:
-        """Have headers that are told at a key handed to `take`, in Zenoh's thread."""
+        """Have headers that are sent to a key handed to `take`, in Zenoh's thread."""
 
         def handle(sample: zenoh.Sample) -> None:
             header = sample.attachment
@@ -188,13 +188,13 @@ class ZenohTransport(Transport):
             self._keep(self._session.liveliness().declare_token(self._prefix + key))
 
     def watch_alive(self, key: str, seen: Callable[[bool], None]) -> None:
-        """Have the coming and going of a token told, in Zenoh's thread."""
+        """Have the coming and going of a token reported, in Zenoh's thread."""
         self.watch_tokens(key, lambda _, alive: seen(alive))
 
     def watch_tokens(self, keys: str, seen: Callable[[str, bool], None]) -> Callable[[], None]:
-        """Have the coming and going of every token that matches told, each with its key.
+        """Have the coming and going of every token that matches reported, each with its key.
 
-        Those that are there are told first. Returns what ends it.
+        Those that are there are reported first. Returns what ends it.
         """
 
         def handle(sample: zenoh.Sample) -> None:
@@ -253,7 +253,7 @@ def _reply_to(query: zenoh.Query) -> Reply:
             query.reply(key, answer_of(value))
             query.drop()  # type: ignore[no-untyped-call] # zenoh's stub says no more
         except zenoh.ZError as error:
-            _log.debug("nobody waits for the answer at %s any more: %s", key, error)
+            _log.debug("no one waits for the answer at %s any more: %s", key, error)
 
     return reply
 

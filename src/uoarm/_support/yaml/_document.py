@@ -41,7 +41,7 @@ class Problem:
     Attributes:
         place: where it stands.
         path: where it stands in the data, `$.functions.camera.components[0].priority`; empty where
-            it is about the whole file, and no place in it is told.
+            it is about the whole file, and no place in it is named.
         sentence: what is wrong: what was expected and what came.
         hint: what to do, empty where the sentence says it.
         file: the file, empty for text that was not read from one.

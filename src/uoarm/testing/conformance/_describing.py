@@ -1,4 +1,4 @@
-"""Does the bridge tell the truth about its endpoints, and say no in the right words?"""
+"""Does the bridge describe its endpoints truly, and refuse with the right reasons?"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Does everything end when it is told to, from wherever it is told, and leave nothing behind?"""
+"""Does everything end when it is closed, from any thread, and leave nothing behind?"""
 
 from __future__ import annotations
 

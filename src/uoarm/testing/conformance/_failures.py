@@ -160,7 +160,7 @@ class Breaking:
 
 
 def _worse(log: HealthLog, through: Line) -> HealthEvent:
-    """Wait until a break was told of either end."""
+    """Wait until a break of either end was reported."""
     bad = {Health.DEGRADED, Health.LOST}
     wait(
         lambda: any(health_event.health in bad for health_event in _about(log, through)),
@@ -171,7 +171,7 @@ def _worse(log: HealthLog, through: Line) -> HealthEvent:
 
 
 def _well(log: HealthLog, through: Line) -> None:
-    """Wait until all that was degraded of a line is told to be well."""
+    """Wait until all that was degraded of a line is reported to be well."""
 
     def all_well() -> bool:
         last = {
@@ -179,12 +179,12 @@ def _well(log: HealthLog, through: Line) -> None:
         }
         return all(health is Health.OK for health in last.values())
 
-    never = f"what was degraded was not told to be well again: {log.events}"
+    never = f"what was degraded was not reported to be well again: {log.events}"
     wait(all_well, never, log.patience)
 
 
 def _end(log: HealthLog, through: Line) -> tuple[Endpoint, Channel]:
-    """Return the end of a line of which a break was told."""
+    """Return the end of a line of which a break was reported."""
     for channel in (through.source, through.sink):
         if log.of(channel.endpoint, channel):
             return channel.endpoint, channel
@@ -199,10 +199,10 @@ def _about(log: HealthLog, through: Line) -> list[HealthEvent]:
 
 
 def _once(log: HealthLog) -> None:
-    """Hold that nothing was told twice in a row of one subject."""
+    """Hold that nothing was reported twice in a row of one subject."""
     last: dict[object, Health] = {}
     for event in log.events:
-        assert last.get(_subject(event)) is not event.health, f"told again: {event}"
+        assert last.get(_subject(event)) is not event.health, f"reported again: {event}"
         last[_subject(event)] = event.health
 
 
@@ -274,7 +274,7 @@ class DisturbanceRules:
                 for health_event in report.of(victim.source, channel)
                 if health_event.health is Health.LOST
             ]
-            assert not early, f"{victim.source} was told to be lost while it lived: {early}"
+            assert not early, f"{victim.source} was reported to be lost while it lived: {early}"
             victim.kill()
             report.wait(victim.source, channel, lambda item: item.health is Health.LOST)
         for channel in channels:

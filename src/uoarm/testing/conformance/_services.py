@@ -72,7 +72,7 @@ class ServiceRules:
             Background(lambda: bridge.call(silent, served.request, timeout=_SHORT_SECONDS)).result(
                 limit
             )
-        # The framework may not have answered yet, and holds up nobody else.
+        # The framework may not have answered yet, and holds up no other call.
         reply = Background(lambda: bridge.call(served.endpoint, served.request)).result(
             world.patience
         )

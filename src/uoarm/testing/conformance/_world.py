@@ -133,7 +133,7 @@ class World(ABC):
         """Return once what comes out at a pair's source reaches so many receivers.
 
         Override where a part of this world, such as a node in another process, sends it on and
-        learns of a receiver in its own time, of which nobody tells the bridge.
+        learns of a receiver in its own time, which is not reported to the bridge.
         """
 
     def carried(self, kind: str, message: Message) -> Message:
