@@ -62,13 +62,13 @@ def _timed(action: Callable[[], object]) -> list[float]:
 
 def _codec() -> Callable[[], object]:
     from uoarm_rocos import XmlCodec  # noqa: PLC0415
-    from uoarm_rocos._messages import Call, Result  # noqa: PLC0415
+    from uoarm_rocos._messages import CallMessage, ResultMessage  # noqa: PLC0415
 
     codec, values = XmlCodec(), {"text": TEXT}
 
     def once() -> None:
-        codec.read(codec.write(Call(1, 1, "echo", values)))
-        codec.read(codec.write(Result(1, 1, values)))
+        codec.read(codec.write(CallMessage(1, 1, "echo", values)))
+        codec.read(codec.write(ResultMessage(1, 1, values)))
 
     return once
 
@@ -77,9 +77,9 @@ def _codec() -> Callable[[], object]:
 def _echoing(kind: str) -> Iterator[Callable[[], object]]:
     """A process that sends back what it gets; one round of a request's length."""
     from uoarm_rocos import XmlCodec  # noqa: PLC0415
-    from uoarm_rocos._messages import Call  # noqa: PLC0415
+    from uoarm_rocos._messages import CallMessage  # noqa: PLC0415
 
-    octets = XmlCodec().write(Call(1, 1, "echo", {"text": TEXT}))
+    octets = XmlCodec().write(CallMessage(1, 1, "echo", {"text": TEXT}))
     command = [sys.executable, "-m", "bench.rocos_line", "echo", kind]
     with _ended_by(signal.SIGTERM, command) as (where, _):
         if kind == "tcp":

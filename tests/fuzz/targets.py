@@ -295,9 +295,8 @@ def _devices() -> Mapping[str, Target]:
     from uoarm_rocos._codec import XmlCodec
     from uoarm_rocos._errors import WireError
     from uoarm_rocos._framing import LengthFramer, StuffedFramer
-    from uoarm_rocos.devices._contec import ContecDecoder
-    from uoarm_rocos.devices._nonin import Nonin1Decoder, Nonin2Decoder
-    from uoarm_rocos.devices._ua767 import Ua767Decoder
+    from uoarm_rocos.devices._blood_pressure import Ua767Decoder
+    from uoarm_rocos.devices._oximeters import ContecDecoder, Nonin1Decoder, Nonin2Decoder
 
     codec = XmlCodec()
 

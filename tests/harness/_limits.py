@@ -66,7 +66,7 @@ _CONSTANTS = {
     "uoarm_mqtt._link": ("_STEP_SECONDS", "_CONNECT_SECONDS", "_GOODBYE_SECONDS"),
     "uoarm_rocos._bridge": ("_OPEN_SECONDS",),
     "uoarm_rocos._line": ("_OPEN_SECONDS",),
-    "uoarm_rocos._talk": ("_CATALOGUE_SECONDS",),
+    "uoarm_rocos._conversation": ("_CATALOGUE_SECONDS",),
     "uoarm_ros1._bridge": ("_HEADER_SECONDS",),
     "uoarm_ros1._node": ("_ASK_SECONDS",),
     "uoarm_ros1._server": ("_ARRIVAL_SECONDS",),

@@ -11,7 +11,16 @@ from typing import Any
 
 from lines import LIMIT, fresh_link
 from uoarm_rocos._framing import LengthFramer, StuffedFramer
-from uoarm_rocos.simulate import End, Faults, Model, ProfileServer, PtyEnd, Simulated, TcpEnd, run
+from uoarm_rocos.simulate import (
+    LineEnd,
+    LineFaults,
+    Model,
+    ProfileServer,
+    PtyEnd,
+    Simulated,
+    TcpEnd,
+    run,
+)
 
 from uoarm.bridge import Bridge, HealthEvent, Registry
 from uoarm.model import BridgeSpec, Endpoint, Health, Role
@@ -82,7 +91,7 @@ def bridged(**devices: dict[str, object]) -> Iterator[tuple[Bridge, Events]]:
 
 
 @contextmanager
-def running(device: Simulated, end: End, faults: Faults | None = None) -> Iterator[str]:
+def running(device: Simulated, end: LineEnd, faults: LineFaults | None = None) -> Iterator[str]:
     """A device that runs in a thread; its URL."""
     stop = threading.Event()
     thread = threading.Thread(target=run, args=(device, end, stop, faults), daemon=True)
@@ -96,7 +105,7 @@ def running(device: Simulated, end: End, faults: Faults | None = None) -> Iterat
         assert not thread.is_alive()
 
 
-def unplugged_by(end: End, pulled: threading.Event) -> End:
+def unplugged_by(end: LineEnd, pulled: threading.Event) -> LineEnd:
     """The same end, whose cable is out and in again, once, each time that the event is set."""
     read = end.read
 
@@ -112,9 +121,9 @@ def unplugged_by(end: End, pulled: threading.Event) -> End:
 
 
 @contextmanager
-def served(model: Model, kind: str = "tcp", faults: Faults | None = None) -> Iterator[str]:
+def served(model: Model, kind: str = "tcp", faults: LineFaults | None = None) -> Iterator[str]:
     """A device that speaks the profile for a model, on this kind of line; its URL."""
-    end: End = TcpEnd() if kind == "tcp" else PtyEnd(fresh_link())
+    end: LineEnd = TcpEnd() if kind == "tcp" else PtyEnd(fresh_link())
     framer = LengthFramer if end.framed else StuffedFramer
     with ExitStack() as stack:
         yield stack.enter_context(running(ProfileServer(model, framer), end, faults))

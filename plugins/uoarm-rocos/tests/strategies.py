@@ -5,31 +5,33 @@ from __future__ import annotations
 from typing import Any
 
 from hypothesis import strategies as st
-from uoarm_rocos._catalogue import Api, Catalogue, Kind
-from uoarm_rocos._fields import (
+from uoarm_rocos._catalogue import (
+    Api,
+    ApiKind,
     BooleanField,
+    DeviceCatalogue,
     Field,
     Fields,
     IntegerField,
     ListField,
-    Member,
+    NamedField,
     NumberField,
     OctetsField,
     StringField,
     StructField,
 )
 from uoarm_rocos._messages import (
-    Call,
+    CallMessage,
     CatalogueMessage,
-    Close,
-    Data,
-    Describe,
+    CloseMessage,
+    DataMessage,
+    DescribeMessage,
     Direction,
     ErrorCode,
     ErrorMessage,
-    Heartbeat,
-    Open,
-    Result,
+    HeartbeatMessage,
+    OpenMessage,
+    ResultMessage,
     WireMessage,
 )
 
@@ -91,9 +93,9 @@ simple: st.SearchStrategy[Field] = st.one_of(
 )
 
 
-def fields_of(inner: st.SearchStrategy[Field]) -> st.SearchStrategy[dict[str, Member]]:
+def fields_of(inner: st.SearchStrategy[Field]) -> st.SearchStrategy[dict[str, NamedField]]:
     """Return dictionaries of named fields of these types."""
-    return st.dictionaries(names, st.builds(Member, inner, st.booleans()), max_size=3)
+    return st.dictionaries(names, st.builds(NamedField, inner, st.booleans()), max_size=3)
 
 
 fields: st.SearchStrategy[Field] = st.recursive(
@@ -105,33 +107,33 @@ fields: st.SearchStrategy[Field] = st.recursive(
     max_leaves=4,
 )
 members = fields_of(fields)
-services = st.builds(Api, names, st.just(Kind.SERVICE), members, members, st.none(), texts)
+services = st.builds(Api, names, st.just(ApiKind.SERVICE), members, members, st.none(), texts)
 flows = st.builds(
     Api,
     names,
-    st.just(Kind.FLOW),
+    st.just(ApiKind.FLOW),
     members,
     members.filter(bool),
     st.none() | st.floats(0.001, 1000),
     texts,
 )
 catalogues = st.builds(
-    Catalogue,
+    DeviceCatalogue,
     texts,
     st.lists(services | flows, max_size=3).map(lambda apis: {api.name: api for api in apis}),
     texts,
     st.floats(0.05, 60),
 )
 messages: st.SearchStrategy[WireMessage] = st.one_of(
-    st.builds(Describe, seqs, ids, st.integers(0, 99)),
+    st.builds(DescribeMessage, seqs, ids, st.integers(0, 99)),
     st.builds(CatalogueMessage, seqs, ids, catalogues),
-    st.builds(Call, seqs, ids, names, structs),
-    st.builds(Result, seqs, ids, structs),
-    st.builds(Open, seqs, ids, names, st.sampled_from(Direction)),
-    st.builds(Data, seqs, ids, structs, st.none() | numbers),
-    st.builds(Close, seqs, ids),
+    st.builds(CallMessage, seqs, ids, names, structs),
+    st.builds(ResultMessage, seqs, ids, structs),
+    st.builds(OpenMessage, seqs, ids, names, st.sampled_from(Direction)),
+    st.builds(DataMessage, seqs, ids, structs, st.none() | numbers),
+    st.builds(CloseMessage, seqs, ids),
     st.builds(ErrorMessage, seqs, st.integers(0, 2**32 - 1), st.sampled_from(ErrorCode), texts),
-    st.builds(Heartbeat, seqs),
+    st.builds(HeartbeatMessage, seqs),
 )
 
 

@@ -14,10 +14,10 @@ from attrs import evolve
 from lines import LIMIT
 from rigs import Events, bridged, endpoint, served
 from uoarm_rocos import _bridge
-from uoarm_rocos._catalogue import Catalogue
+from uoarm_rocos._catalogue import DeviceCatalogue
 from uoarm_rocos._device import Device
 from uoarm_rocos._errors import LineError
-from uoarm_rocos.simulate import Faults, Robot
+from uoarm_rocos.simulate import LineFaults, SimulatedRobot
 
 from uoarm import RobotManager
 from uoarm.bridge import Bridge, Registry
@@ -31,7 +31,7 @@ ROBOT_XML = Path(uoarm_rocos.__file__).parent / "simulate" / "robot.xml"
 
 @pytest.fixture(params=["tcp", "pty"])
 def robot(request: pytest.FixtureRequest) -> Iterator[tuple[Bridge, Events]]:
-    with served(Robot(), request.param) as url, bridged(robot={"url": url}) as made:
+    with served(SimulatedRobot(), request.param) as url, bridged(robot={"url": url}) as made:
         yield made
 
 
@@ -119,8 +119,8 @@ def test_a_receiver_may_call_the_same_device_and_close_its_own_flow(
     assert bridge.call(echo, {"text": "still there"}) == {"text": "still there"}
 
 
-def test_a_late_call_is_given_up_and_the_device_is_told() -> None:
-    model = Robot()
+def test_a_late_call_is_given_up_and_the_device_is_notified() -> None:
+    model = SimulatedRobot()
     with served(model) as url, bridged(robot={"url": url}) as (bridge, _):
         drive = endpoint("robot", "driveStraight", "service")
         bridge.describe(drive)  # the device is there
@@ -168,15 +168,15 @@ def test_a_device_that_is_not_there_is_unavailable_within_its_limit() -> None:
 
 def test_a_catalogue_from_a_file_is_used_without_asking() -> None:
     device = {"catalogue": str(ROBOT_XML)}
-    with served(Robot()) as url, bridged(robot={"url": url, **device}) as (bridge, _):
+    with served(SimulatedRobot()) as url, bridged(robot={"url": url, **device}) as (bridge, _):
         echo = endpoint("robot", "echo", "service")
         assert bridge.call(echo, {"text": "file"}) == {"text": "file"}
 
 
 def test_two_devices_of_one_bridge_keep_apart() -> None:
     with (
-        served(Robot(), "tcp") as one,
-        served(Robot(), "pty") as two,
+        served(SimulatedRobot(), "tcp") as one,
+        served(SimulatedRobot(), "pty") as two,
         bridged(one={"url": one}, two={"url": two}) as (bridge, _),
     ):
         assert {found.name for found in bridge.discover()} == {"one", "two"}
@@ -191,8 +191,11 @@ def test_two_devices_of_one_bridge_keep_apart() -> None:
 
 
 def test_frames_lost_and_damaged_on_a_serial_line_are_counted_and_survived() -> None:
-    faults = Faults(drop=0.1, garble=0.1, seed=7)
-    with served(Robot(), "pty", faults) as url, bridged(robot={"url": url}) as (bridge, events):
+    faults = LineFaults(drop=0.1, garble=0.1, seed=7)
+    with (
+        served(SimulatedRobot(), "pty", faults) as url,
+        bridged(robot={"url": url}) as (bridge, events),
+    ):
         got = Events()
         opened = None
         while opened is None:  # the answer to `open` itself may be what is lost
@@ -211,7 +214,7 @@ def test_frames_lost_and_damaged_on_a_serial_line_are_counted_and_survived() -> 
 
 
 def test_the_manager_resolves_and_runs_a_flow(tmp_path: Path) -> None:
-    with served(Robot()) as url:
+    with served(SimulatedRobot()) as url:
         file = tmp_path / "robot.yaml"
         file.write_text(
             f"""
@@ -234,7 +237,7 @@ functions:
 
 
 @pytest.mark.parametrize("driver", ["profile", "and-ua767pbt", "contec-cms50dplus"])
-def test_a_device_that_is_told_to_stop_lets_go_of_its_line(driver: str) -> None:
+def test_a_device_that_is_asked_to_stop_lets_go_of_its_line(driver: str) -> None:
     with bridged(it={"driver": driver, "url": "tcp://127.0.0.1:1"}) as (bridge, _):
         device = bridge._named("it")  # type: ignore[attr-defined]  # no public way to it
         device.stop()
@@ -249,7 +252,7 @@ def test_devices_end_together_and_not_one_after_the_other(monkeypatch: pytest.Mo
     class Dark(Device):
         """Waited for when it is closed, as one that is being connected."""
 
-        def catalogue(self, timeout: float) -> Catalogue:
+        def catalogue(self, timeout: float) -> DeviceCatalogue:
             raise LineError("dark")
 
         def stop(self) -> None:
@@ -266,27 +269,27 @@ def test_devices_end_together_and_not_one_after_the_other(monkeypatch: pytest.Mo
     assert at_close == [3, 3, 3]
 
 
-class _Noting(Robot):
-    """A robot that notes what it is told."""
+class _Recording(SimulatedRobot):
+    """A robot that records the commands that it receives."""
 
     def __init__(self) -> None:
         super().__init__()
-        self.told = Events()
+        self.report = Events()
 
     def take(self, api: str, values: dict[str, Any], now: float) -> None:
         super().take(api, values, now)
-        self.told(values["linear"])
+        self.report(values["linear"])
 
 
 @pytest.mark.parametrize("kind", ["tcp", "pty"])
-def test_a_command_that_nobody_renews_is_followed_by_the_stop(kind: str) -> None:
-    model = _Noting()
+def test_a_command_that_is_not_renewed_is_followed_by_the_stop(kind: str) -> None:
+    model = _Recording()
     policy = CommandPolicy(0.1, StopMessage({"linear": 0, "angular": 0}))
     at = evolve(endpoint("robot", "velocity", "input"), command=policy)
     with served(model, kind) as url, bridged(robot={"url": url}) as (bridge, _):
         sink = bridge.open_sink(at, ANY)
         sink.send({"linear": 0.5, "angular": 0})
-        assert [model.told.get(), model.told.get()] == [0.5, 0.0]
+        assert [model.report.get(), model.report.get()] == [0.5, 0.0]
         status = sink.command_status()
         assert status is not None
         assert status.dropped == ()

@@ -15,8 +15,8 @@ from rigs import QUICK, Events, bridged, endpoint, served
 from test_faults import Scripted
 from uoarm_rocos import LengthFramer, TcpTransport, Wire, XmlCodec
 from uoarm_rocos._bridge import RocosBridge
-from uoarm_rocos._messages import Call, Close, Result, WireMessage
-from uoarm_rocos.simulate import Robot
+from uoarm_rocos._messages import CallMessage, CloseMessage, ResultMessage, WireMessage
+from uoarm_rocos.simulate import SimulatedRobot
 
 from uoarm.bridge import Bridge
 from uoarm.errors import BridgeError, BridgeTimeoutError
@@ -36,13 +36,13 @@ class NotingCodec(XmlCodec):
         self.threads: set[tuple[str, threading.Thread]] = set()
 
     def write(self, message: WireMessage) -> bytes:
-        if isinstance(message, Call):
+        if isinstance(message, CallMessage):
             self.threads.add(("call", threading.current_thread()))
         return super().write(message)
 
     def read(self, data: bytes) -> WireMessage:
         message = super().read(data)
-        if isinstance(message, Result):
+        if isinstance(message, ResultMessage):
             self.threads.add(("result", threading.current_thread()))
         return message
 
@@ -75,7 +75,7 @@ def made(wire: Wire) -> Iterator[Bridge]:
 @pytest.mark.parametrize("is_prompt", [True, False])
 def test_a_prompt_line_is_written_and_read_by_who_calls(is_prompt: bool) -> None:
     codec, here = NotingCodec(), threading.current_thread()
-    with served(Robot()) as url:
+    with served(SimulatedRobot()) as url:
         port = int(url.rpartition(":")[2])
         wire = Wire(lambda: TcpTransport("127.0.0.1", port), LengthFramer, codec, prompt=is_prompt)
         with made(wire) as bridge:
@@ -91,7 +91,7 @@ def test_a_prompt_line_is_written_and_read_by_who_calls(is_prompt: bool) -> None
 @pytest.mark.parametrize("kind", ["tcp", "pty"])
 def test_many_callers_and_a_flow_on_one_line_get_what_is_theirs(kind: str) -> None:
     got = Events()
-    with served(Robot(), kind) as url, bridged(robot={"url": url}) as (bridge, _):
+    with served(SimulatedRobot(), kind) as url, bridged(robot={"url": url}) as (bridge, _):
         bridge.describe(ECHO)
         source = bridge.open_source(ODOMETRY, ANY, got)
 
@@ -122,20 +122,20 @@ def test_a_call_ends_in_its_time_though_the_line_takes_nothing() -> None:
                 with pytest.raises(BridgeTimeoutError, match="robot"):
                     bridge.call(ECHO, {"text": text}, timeout=slowness() / 2)
             transport.may_go_on.set()
-            first, close = device.hear(Call), device.hear(Close)
-            assert isinstance(first, Call)
-            assert isinstance(close, Close)
+            first, close = device.receive(CallMessage), device.receive(CloseMessage)
+            assert isinstance(first, CallMessage)
+            assert isinstance(close, CloseMessage)
             assert (first.values["text"], close.id) == ("half is on the line", first.id)
             asked = pool.submit(bridge.call, ECHO, {"text": "whole"}, timeout=LIMIT)
-            again = device.hear(Call)
-            assert isinstance(again, Call)
-            device.say(lambda seq: Result(seq, again.id, again.values))
+            again = device.receive(CallMessage)
+            assert isinstance(again, CallMessage)
+            device.say(lambda seq: ResultMessage(seq, again.id, again.values))
             assert asked.result(LIMIT) == {"text": "whole"}
             device.connection.close()
 
 
 @contextmanager
-def serving(answer: Callable[[Scripted, Call], None]) -> Iterator[str]:
+def serving(answer: Callable[[Scripted, CallMessage], None]) -> Iterator[str]:
     """A device that takes any number of connections, one after the other."""
     over = threading.Event()
 
@@ -146,8 +146,8 @@ def serving(answer: Callable[[Scripted, Call], None]) -> Iterator[str]:
             with connection, suppress(OSError, AssertionError):  # the host has gone
                 device.begin()
                 while True:
-                    asked = device.hear(Call)
-                    assert isinstance(asked, Call)
+                    asked = device.receive(CallMessage)
+                    assert isinstance(asked, CallMessage)
                     answer(device, asked)
 
     with listening() as (listener, port), ThreadPoolExecutor(1) as pool:
@@ -160,8 +160,8 @@ def serving(answer: Callable[[Scripted, Call], None]) -> Iterator[str]:
         served.result(LIMIT)
 
 
-def echo(device: Scripted, asked: Call) -> None:
-    device.say(lambda seq: Result(seq, asked.id, asked.values))
+def echo(device: Scripted, asked: CallMessage) -> None:
+    device.say(lambda seq: ResultMessage(seq, asked.id, asked.values))
 
 
 class Interrupted(BaseException):
@@ -183,7 +183,7 @@ def test_a_caller_that_is_interrupted_leaves_nothing_behind() -> None:
     caller = threading.main_thread().ident
     assert caller == threading.get_ident()
 
-    def answer(device: Scripted, asked: Call) -> None:
+    def answer(device: Scripted, asked: CallMessage) -> None:
         if asked.values["text"] == "interrupt me":
             signal.pthread_kill(caller, signal.SIGUSR1)
         else:

@@ -14,18 +14,17 @@ from hypothesis import strategies as st
 from lxml import etree
 from strategies import messages
 from uoarm_rocos._catalogue_xml import load_catalogue
-from uoarm_rocos._codec import XmlCodec
+from uoarm_rocos._codec import WrittenForm, XmlCodec
 from uoarm_rocos._errors import WireError
-from uoarm_rocos._limits import Limits
 from uoarm_rocos._messages import (
-    Call,
+    CallMessage,
     CatalogueMessage,
-    Data,
-    Heartbeat,
-    Result,
+    DataMessage,
+    HeartbeatMessage,
+    ResultMessage,
     WireMessage,
 )
-from uoarm_rocos._written_form import WrittenForm
+from uoarm_rocos._parse import MessageLimits
 
 from uoarm.errors import ConfigurationError
 
@@ -41,8 +40,8 @@ def test_every_message_comes_back_the_same(message: WireMessage) -> None:
     if isinstance(message, CatalogueMessage):
         assert isinstance(again, CatalogueMessage)
         assert again.catalogue.apis == message.catalogue.apis
-    elif isinstance(message, Call | Data):
-        assert isinstance(again, Call | Data)
+    elif isinstance(message, CallMessage | DataMessage):
+        assert isinstance(again, CallMessage | DataMessage)
         assert again.values == message.values
         assert repr(again.values) == repr(message.values)  # 1, 1.0 and True are equal, not the same
 
@@ -77,8 +76,10 @@ def test_a_changed_octet_gives_a_message_or_a_wire_error(
 @given(messages)
 def test_what_the_codec_writes_needs_no_xml_parser_and_reads_the_same(message: WireMessage) -> None:
     written = CODEC.write(message)
-    quick = WrittenForm(Limits()).read(written)
-    if isinstance(message, Data | Call | Result) and not re.search(rb"/>|&|base64=", written):
+    quick = WrittenForm(MessageLimits()).read(written)
+    if isinstance(message, DataMessage | CallMessage | ResultMessage) and not re.search(
+        rb"/>|&|base64=", written
+    ):
         assert quick is not None
     if quick is not None:
         assert repr(quick) == repr(CODEC._read_any(written))
@@ -86,8 +87,8 @@ def test_what_the_codec_writes_needs_no_xml_parser_and_reads_the_same(message: W
 
 @pytest.mark.parametrize("time", [0.0, -1.5e300, math.inf, -math.inf, math.nan])
 def test_every_time_is_read_without_the_parser(time: float) -> None:
-    quick = WrittenForm(Limits()).read(CODEC.write(Data(0, 1, {}, time)))
-    assert isinstance(quick, Data)
+    quick = WrittenForm(MessageLimits()).read(CODEC.write(DataMessage(0, 1, {}, time)))
+    assert isinstance(quick, DataMessage)
     assert repr(quick.time) == repr(time)
 
 
@@ -101,7 +102,7 @@ def test_what_is_read_without_the_parser_is_what_the_parser_reads(
         place = data.draw(st.integers(0, len(written) - 1))
         end = place + data.draw(st.integers(0, 12))
         written[place:end] = data.draw(st.sampled_from(pieces))
-    quick = WrittenForm(Limits()).read(bytes(written))
+    quick = WrittenForm(MessageLimits()).read(bytes(written))
     if quick is not None:
         assert repr(quick) == repr(CODEC._read_any(bytes(written)))
 
@@ -128,7 +129,7 @@ def test_what_is_read_without_the_parser_is_what_the_parser_reads(
     ],
 )
 def test_what_only_the_parser_may_judge_is_left_to_it(written: bytes) -> None:
-    assert WrittenForm(Limits(elements=40)).read(written) is None
+    assert WrittenForm(MessageLimits(elements=40)).read(written) is None
 
 
 @given(st.binary(max_size=200))
@@ -138,8 +139,10 @@ def test_garbage_is_refused(data: bytes) -> None:
 
 
 def test_nonfinite_numbers_cross() -> None:
-    read = CODEC.read(CODEC.write(Data(0, 1, {"a": math.nan, "b": math.inf, "c": -math.inf})))
-    assert isinstance(read, Data)
+    read = CODEC.read(
+        CODEC.write(DataMessage(0, 1, {"a": math.nan, "b": math.inf, "c": -math.inf}))
+    )
+    assert isinstance(read, DataMessage)
     assert math.isnan(read.values["a"])
     assert (read.values["b"], read.values["c"]) == (math.inf, -math.inf)
 
@@ -255,21 +258,21 @@ def test_a_wrong_catalogue_is_refused_with_its_place(inside: str, said: str) -> 
 )
 def test_what_cannot_be_sent_is_refused_with_its_path(value: dict[str, object], said: str) -> None:
     with pytest.raises(WireError, match=said):
-        CODEC.write(Call(0, 1, "x", value))
+        CODEC.write(CallMessage(0, 1, "x", value))
 
 
 def test_a_value_that_holds_itself_is_refused() -> None:
     loop: dict[str, object] = {}
     loop["again"] = loop
     with pytest.raises(WireError, match="deep"):
-        CODEC.write(Call(0, 1, "x", loop))
+        CODEC.write(CallMessage(0, 1, "x", loop))
 
 
 def test_limits_are_the_callers() -> None:
-    small = XmlCodec(Limits(octets=100))
+    small = XmlCodec(MessageLimits(octets=100))
     with pytest.raises(WireError, match="100 are allowed"):
-        small.write(Call(0, 1, "x", {"text": "a" * 100}))
-    assert small.read(b'<heartbeat seq="7"/>') == Heartbeat(7)
+        small.write(CallMessage(0, 1, "x", {"text": "a" * 100}))
+    assert small.read(b'<heartbeat seq="7"/>') == HeartbeatMessage(7)
 
 
 def test_a_catalogue_without_end_is_refused(tmp_path: Path) -> None:

@@ -9,14 +9,16 @@ from typing import Any
 
 import pytest
 from rigs import QUICK, endpoint, served
-from uoarm_rocos._catalogue import Api, Catalogue, Kind
-from uoarm_rocos._fields import (
+from uoarm_rocos._catalogue import (
+    Api,
+    ApiKind,
     BooleanField,
+    DeviceCatalogue,
     Field,
     Fields,
     IntegerField,
     ListField,
-    Member,
+    NamedField,
     NumberField,
     OctetsField,
     StringField,
@@ -30,7 +32,9 @@ from uoarm.model import BridgeSpec, Endpoint, Message
 from uoarm.testing import patience
 from uoarm.testing.conformance import BridgeConformance, Pair, Served, Victim, World
 
-POINT = StructField({"x": Member(NumberField(-1e9, 1e9, "m")), "on": Member(BooleanField())})
+POINT = StructField(
+    {"x": NamedField(NumberField(-1e9, 1e9, "m")), "on": NamedField(BooleanField())}
+)
 KINDS: dict[str, dict[str, Field]] = {
     "integers": {
         "small": IntegerField(-128, 127),
@@ -42,21 +46,21 @@ KINDS: dict[str, dict[str, Field]] = {
     "octets": {"image": OctetsField(2000)},
     "nested": {"points": ListField(POINT, 0, 4), "list": ListField(ListField(IntegerField(0, 9)))},
 }
-VALUE: Fields = {"value": Member(IntegerField(-1000, 1000))}
+VALUE: Fields = {"value": NamedField(IntegerField(-1000, 1000))}
 
 
 def fields_of(kind: str) -> Fields:
-    return {name: Member(field, name != "short") for name, field in KINDS[kind].items()}
+    return {name: NamedField(field, name != "short") for name, field in KINDS[kind].items()}
 
 
 class Mirror:
     """What comes in on a flow goes out on it; `double` doubles, `broken` fails, `silent` waits."""
 
     def __init__(self) -> None:
-        apis = {kind: Api(kind, Kind.FLOW, fields_of(kind), fields_of(kind)) for kind in KINDS}
+        apis = {kind: Api(kind, ApiKind.FLOW, fields_of(kind), fields_of(kind)) for kind in KINDS}
         for name in ("double", "broken", "silent"):
-            apis[name] = Api(name, Kind.SERVICE, VALUE, VALUE)
-        self.catalogue = Catalogue("mirror", apis)
+            apis[name] = Api(name, ApiKind.SERVICE, VALUE, VALUE)
+        self.catalogue = DeviceCatalogue("mirror", apis)
         self._came: list[tuple[str, dict[str, Any]]] = []
 
     def call(self, api: str, values: dict[str, Any], now: float) -> dict[str, Any] | Job:

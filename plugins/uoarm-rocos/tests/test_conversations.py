@@ -15,15 +15,15 @@ from rigs import bridged, endpoint
 from test_faults import GOOD, Scripted, scripted
 from uoarm_rocos._bridge import RocosBridge
 from uoarm_rocos._messages import (
-    Call,
-    Close,
-    Data,
-    Describe,
+    CallMessage,
+    CloseMessage,
+    DataMessage,
+    DescribeMessage,
     ErrorCode,
     ErrorMessage,
-    Heartbeat,
-    Open,
-    Result,
+    HeartbeatMessage,
+    OpenMessage,
+    ResultMessage,
 )
 from uoarm_rocos._profile import ProfileDevice
 
@@ -52,21 +52,21 @@ def answering(
             return asked.result(LIMIT)
 
 
-def test_a_call_that_is_given_up_is_closed_and_its_late_result_harms_nobody() -> None:
+def test_a_call_that_is_given_up_is_closed_and_its_late_result_does_no_harm() -> None:
     ids = []
 
     def script(device: Scripted) -> None:
         device.begin()
-        late = device.hear(Call)
-        assert isinstance(late, Call)
-        closed = device.hear(Close)
-        assert isinstance(closed, Close)
+        late = device.receive(CallMessage)
+        assert isinstance(late, CallMessage)
+        closed = device.receive(CloseMessage)
+        assert isinstance(closed, CloseMessage)
         ids.append((late.id, closed.id))
-        device.say(lambda seq: Result(seq, late.id, {"text": "too late"}))
-        again = device.hear(Call)
-        assert isinstance(again, Call)
+        device.say(lambda seq: ResultMessage(seq, late.id, {"text": "too late"}))
+        again = device.receive(CallMessage)
+        assert isinstance(again, CallMessage)
         ids.append((again.id, again.id))
-        device.say(lambda seq: Result(seq, again.id, again.values))
+        device.say(lambda seq: ResultMessage(seq, again.id, again.values))
 
     def call(bridge: Bridge) -> object:
         bridge.describe(ECHO)  # the device is there
@@ -93,8 +93,8 @@ def test_a_call_that_is_given_up_is_closed_and_its_late_result_harms_nobody() ->
 def test_an_error_of_the_device_has_its_reason(code: ErrorCode, reason: FailureReason) -> None:
     def script(device: Scripted) -> None:
         device.begin()
-        asked = device.hear(Call)
-        assert isinstance(asked, Call)
+        asked = device.receive(CallMessage)
+        assert isinstance(asked, CallMessage)
         device.say(lambda seq: ErrorMessage(seq, asked.id, code, "the reason"))
 
     def call(bridge: Bridge) -> object:
@@ -108,9 +108,9 @@ def test_an_error_of_the_device_has_its_reason(code: ErrorCode, reason: FailureR
 def test_a_result_that_breaks_the_catalogue_is_an_error() -> None:
     def script(device: Scripted) -> None:
         device.begin()
-        asked = device.hear(Call)
-        assert isinstance(asked, Call)
-        device.say(lambda seq: Result(seq, asked.id, {"words": "hello"}))
+        asked = device.receive(CallMessage)
+        assert isinstance(asked, CallMessage)
+        device.say(lambda seq: ResultMessage(seq, asked.id, {"words": "hello"}))
 
     def call(bridge: Bridge) -> object:
         with pytest.raises(BridgeError, match="result of echo: there is no field 'words'"):
@@ -126,7 +126,7 @@ def test_a_device_of_another_profile_says_so() -> None:
     profiles: set[int] = set()
 
     def refuse(listener: socket.socket, over: threading.Event) -> None:
-        """Answer so each time that it is asked: whoever is silent then is given up for that."""
+        """Answer so each time that it is asked: a silent device is given up for its silence."""
         while True:
             connection = listener.accept()[0]
             # A bridge that is closed while it connects anew goes before it asks, or is answered.
@@ -134,8 +134,8 @@ def test_a_device_of_another_profile_says_so() -> None:
                 if over.is_set():
                     return
                 device = Scripted(connection)
-                asked = device.hear(Describe)
-                assert isinstance(asked, Describe)
+                asked = device.receive(DescribeMessage)
+                assert isinstance(asked, DescribeMessage)
                 profiles.add(asked.profile)
                 device.say(partial(_refusal, asked.id, text))
                 while connection.recv(4096):  # until the bridge has read it, and gone
@@ -159,26 +159,26 @@ def test_a_device_of_another_profile_says_so() -> None:
     assert profiles == {1}
 
 
-def _refusal(asked: int, told: str, seq: int) -> ErrorMessage:
-    return ErrorMessage(seq, asked, ErrorCode.PROFILE, told)
+def _refusal(asked: int, report: str, seq: int) -> ErrorMessage:
+    return ErrorMessage(seq, asked, ErrorCode.PROFILE, report)
 
 
 def test_the_host_numbers_what_it_says() -> None:
     def script(device: Scripted) -> None:
         device.begin(heartbeat=2.0)
-        asked = device.hear(Call)
-        assert isinstance(asked, Call)
+        asked = device.receive(CallMessage)
+        assert isinstance(asked, CallMessage)
         assert asked.seq == 1
-        assert device.hear(Heartbeat).seq == 2
-        device.say(lambda seq: Result(seq, asked.id, {"text": ""}))
+        assert device.receive(HeartbeatMessage).seq == 2
+        device.say(lambda seq: ResultMessage(seq, asked.id, {"text": ""}))
 
     answering(script, lambda bridge: bridge.call(ECHO, {"text": ""}))
 
 
 def test_a_flow_that_the_device_ends_has_finished() -> None:
     with scripted() as (device, got, events):
-        device.say(lambda seq: Data(seq, device.flow, GOOD))
-        device.say(lambda seq: Close(seq, device.flow))
+        device.say(lambda seq: DataMessage(seq, device.flow, GOOD))
+        device.say(lambda seq: CloseMessage(seq, device.flow))
         ended = events.until(lambda item: item.channel is not None)
         assert (ended.health, ended.cause) == (Health.FINISHED, "the device ended the flow")
         assert got.get() == GOOD
@@ -202,8 +202,8 @@ def test_an_error_of_the_whole_line_ends_it() -> None:
 def test_a_refused_flow_is_not_open() -> None:
     def script(device: Scripted) -> None:
         device.begin()
-        asked = device.hear(Open)
-        assert isinstance(asked, Open)
+        asked = device.receive(OpenMessage)
+        assert isinstance(asked, OpenMessage)
         device.say(lambda seq: ErrorMessage(seq, asked.id, ErrorCode.BUSY, "one flow only"))
 
     def call(bridge: Bridge) -> object:
@@ -218,8 +218,8 @@ def test_a_refused_flow_is_not_open() -> None:
 
 def test_data_of_a_conversation_that_is_over_are_ignored() -> None:
     with scripted() as (device, got, _):
-        device.say(lambda seq: Data(seq, 4_000_000_000, GOOD))
-        device.say(lambda seq: Data(seq, device.flow, {**GOOD, "x": 2.0}))
+        device.say(lambda seq: DataMessage(seq, 4_000_000_000, GOOD))
+        device.say(lambda seq: DataMessage(seq, device.flow, {**GOOD, "x": 2.0}))
         assert got.get()["x"] == 2.0
 
 

@@ -9,21 +9,24 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from uoarm_rocos._errors import WireError
-from uoarm_rocos._fit import fit
-from uoarm_rocos.devices._contec import ContecDecoder, contec_frame
-from uoarm_rocos.devices._marked import MARK, MarkedFrames
-from uoarm_rocos.devices._nonin import (
-    Nonin1Decoder,
-    Nonin2Decoder,
-    nonin1_frame,
-    nonin2_packet,
-)
-from uoarm_rocos.devices._oximetry import Decoder, oximeter_catalogue
-from uoarm_rocos.devices._ua767 import (
+from uoarm_rocos._structure import fit
+from uoarm_rocos.devices._blood_pressure import (
     Measurement,
     Ua767Decoder,
     blood_pressure_catalogue,
     ua767_frame,
+)
+from uoarm_rocos.devices._oximeters import (
+    MARK,
+    ContecDecoder,
+    MarkedFrames,
+    Nonin1Decoder,
+    Nonin2Decoder,
+    OximeterDecoder,
+    contec_frame,
+    nonin1_frame,
+    nonin2_packet,
+    oximeter_catalogue,
 )
 
 DECODERS = [ContecDecoder, Nonin1Decoder, Nonin2Decoder]
@@ -146,7 +149,7 @@ def test_nonin_round_trips(rate: int, spo2: int) -> None:
 @pytest.mark.parametrize("kind", DECODERS)
 @given(data=st.binary(max_size=300), cuts=st.lists(st.integers(0, 300), max_size=5))
 def test_any_octets_give_messages_that_fit_however_they_are_cut(
-    kind: type[Decoder], data: bytes, cuts: list[int]
+    kind: type[OximeterDecoder], data: bytes, cuts: list[int]
 ) -> None:
     whole = kind().feed(data)
     for message in whole:
@@ -161,7 +164,7 @@ def test_any_octets_give_messages_that_fit_however_they_are_cut(
 @pytest.mark.parametrize("kind", DECODERS)
 @given(garbage=st.binary(max_size=40))
 def test_a_decoder_finds_its_frames_again_after_garbage(
-    kind: type[Decoder], garbage: bytes
+    kind: type[OximeterDecoder], garbage: bytes
 ) -> None:
     frames = {
         ContecDecoder: [contec_frame(pulse=61, spo2=95, strength=4)] * 3,

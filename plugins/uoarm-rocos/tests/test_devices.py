@@ -9,16 +9,20 @@ from typing import Any
 import pytest
 from lines import LIMIT, PseudoTerminal, fresh_link
 from rigs import Events, bridged, endpoint, running, unplugged_by
-from uoarm_rocos._catalogue import Catalogue
+from uoarm_rocos._catalogue import DeviceCatalogue
 from uoarm_rocos._errors import LineError
-from uoarm_rocos._line import Backoff
-from uoarm_rocos._options import DRIVER_NAMES
-from uoarm_rocos._profile import Timing
-from uoarm_rocos._settings import DRIVERS, DeviceSettings, devices_of
-from uoarm_rocos._transport import LineSettings, Transport
-from uoarm_rocos.devices._contec import contec_frame
-from uoarm_rocos.devices._monitor import Monitor
-from uoarm_rocos.devices._ua767 import Measurement, ua767_frame
+from uoarm_rocos._options import (
+    DRIVER_NAMES,
+    DRIVERS,
+    DeviceOptions,
+    LineBackoff,
+    LineOptions,
+    Timing,
+    devices_of,
+)
+from uoarm_rocos._transport import LineTransport
+from uoarm_rocos.devices._blood_pressure import Measurement, Monitor, ua767_frame
+from uoarm_rocos.devices._oximeters import contec_frame
 from uoarm_rocos.simulate import (
     BloodPressureMonitor,
     Oximeter,
@@ -64,12 +68,12 @@ def test_an_oximeter_says_finger_out_then_searching_then_numbers(driver: str, ki
         assert int(str(source.facts()["discarded"])) < 5  # opening a port may cut one frame in two
 
 
-@pytest.mark.parametrize(("driver", "settings"), list(DRIVERS.items()))
-def test_line_settings_are_the_makers_own(driver: str, settings: LineSettings | None) -> None:
-    url = {} if settings is None else {"url": "/dev/ttyS0"}
-    made: DeviceSettings = devices_of({"devices": {"d": {"driver": driver, **url}}})["d"]
-    if settings is not None:
-        assert made.line == settings
+@pytest.mark.parametrize(("driver", "options"), list(DRIVERS.items()))
+def test_line_settings_are_the_makers_own(driver: str, options: LineOptions | None) -> None:
+    url = {} if options is None else {"url": "/dev/ttyS0"}
+    made: DeviceOptions = devices_of({"devices": {"d": {"driver": driver, **url}}})["d"]
+    if options is not None:
+        assert made.line == options
     if driver.startswith("contec"):
         assert (made.line.baud, made.line.parity, made.line.xonxoff) == (19200, "O", False)
     if driver.startswith("nonin"):
@@ -81,8 +85,8 @@ def test_what_the_options_say_of_drivers_and_limits_is_so() -> None:
     usual: dict[str, object] = {"url": "tcp://robot:1"}
     given: dict[str, object] = {**usual, "wait": 1, "grace": 2, "backoff": [0.3, 0.4]}
     made = devices_of({"devices": {"usual": usual, "given": given}})
-    assert made["usual"].timing == Timing(3.0, 5.0, Backoff(0.1, 2.0))
-    assert made["given"].timing == Timing(1, 2, Backoff(0.3, 0.4))
+    assert made["usual"].timing == Timing(3.0, 5.0, LineBackoff(0.1, 2.0))
+    assert made["given"].timing == Timing(1, 2, LineBackoff(0.3, 0.4))
 
 
 def test_octets_that_look_like_flow_control_are_numbers() -> None:
@@ -168,7 +172,7 @@ def test_an_unplugged_oximeter_comes_back() -> None:
         assert events.until(lambda item: item.channel is source).health is Health.OK
 
 
-def test_a_call_waits_for_a_measurement_and_the_monitor_hears_that_it_was_taken() -> None:
+def test_a_call_waits_for_a_measurement_and_the_monitor_gets_its_acknowledgement() -> None:
     monitor = BloodPressureMonitor(Person(systolic=120, diastolic=80), interval=0.3)
     with (
         running(monitor, PtyEnd(fresh_link())) as url,
@@ -186,9 +190,7 @@ def test_a_call_waits_for_a_measurement_and_the_monitor_hears_that_it_was_taken(
     assert set(monitor.answers) == {b"PWA1"}
 
 
-def test_a_measurement_that_nobody_asked_for_is_not_acknowledged_and_a_broken_one_is_refused() -> (
-    None
-):
+def test_a_measurement_without_a_call_is_not_acknowledged_and_a_broken_one_is_refused() -> None:
     frame = ua767_frame(Measurement(105, 76, 82, 65))
     with PseudoTerminal() as device:
         cuff: dict[str, object] = {"driver": "and-ua767pbt", "url": device.path}
@@ -208,7 +210,7 @@ def test_a_measurement_that_nobody_asked_for_is_not_acknowledged_and_a_broken_on
             call.join(LIMIT)
 
 
-def test_a_call_ends_when_nobody_measures_and_when_the_cable_is_out() -> None:
+def test_a_call_ends_without_a_measurement_and_when_the_cable_is_out() -> None:
     with PseudoTerminal() as device:
         cuff: dict[str, object] = {"driver": "and-ua767pbt", "url": device.path}
         with bridged(cuff=cuff) as (bridge, _):
@@ -232,7 +234,7 @@ def test_a_call_ends_when_nobody_measures_and_when_the_cable_is_out() -> None:
             call.join(LIMIT)
 
 
-class DeafTransport(Transport):
+class DeafTransport(LineTransport):
     """Brings octets and takes none."""
 
     def __init__(self, brings: bytes) -> None:
@@ -288,7 +290,7 @@ def test_a_call_that_is_made_while_the_monitor_is_closed_does_not_wait(
     monitor, _ = deaf
     (api,) = monitor.catalogue(LIMIT).apis.values()
 
-    def closed_after(timeout: float) -> Catalogue:
+    def closed_after(timeout: float) -> DeviceCatalogue:
         found = Monitor.catalogue(monitor, timeout)
         monitor.close()
         return found

@@ -13,25 +13,23 @@ import pytest
 from attrs import evolve
 from lines import LIMIT, PseudoTerminal, fresh_link, listening
 from rigs import Events, bridged, endpoint, running, unplugged_by
-from uoarm_rocos._catalogue import Catalogue
+from uoarm_rocos._catalogue import BooleanField, DeviceCatalogue, NamedField
 from uoarm_rocos._codec import XmlCodec
 from uoarm_rocos._errors import LineError
-from uoarm_rocos._fields import BooleanField, Member
 from uoarm_rocos._framing import Framer, LengthFramer, StuffedFramer
-from uoarm_rocos._line import Backoff
 from uoarm_rocos._messages import (
-    Call,
+    CallMessage,
     CatalogueMessage,
-    Data,
-    Describe,
-    Open,
-    Result,
+    DataMessage,
+    DescribeMessage,
+    OpenMessage,
+    ResultMessage,
     WireMessage,
 )
-from uoarm_rocos._profile import Timing
-from uoarm_rocos._transport import Transport
-from uoarm_rocos.devices._monitor import Monitor
-from uoarm_rocos.simulate import Job, ProfileServer, PtyEnd, Robot, TcpEnd, robot_catalogue
+from uoarm_rocos._options import LineBackoff, Timing
+from uoarm_rocos._transport import LineTransport
+from uoarm_rocos.devices._blood_pressure import Monitor
+from uoarm_rocos.simulate import Job, ProfileServer, PtyEnd, SimulatedRobot, TcpEnd, robot_catalogue
 
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason
 from uoarm.model import Health, MessageStructure
@@ -43,11 +41,11 @@ ECHO = endpoint("robot", "echo", "service")
 CODEC = XmlCodec()
 
 
-def other_catalogue() -> Catalogue:
+def other_catalogue() -> DeviceCatalogue:
     """The robot's catalogue with another odometry and another echo."""
     apis = dict(robot_catalogue().apis)
     for name in ("odometry", "echo"):
-        more = {**apis[name].output, "more": Member(BooleanField(), required=False)}
+        more = {**apis[name].output, "more": NamedField(BooleanField(), required=False)}
         apis[name] = evolve(apis[name], output=more)
     return evolve(robot_catalogue(), apis=apis)
 
@@ -56,8 +54,8 @@ def port_of(url: str) -> int:
     return int(url.rpartition(":")[2])
 
 
-def server(catalogue: Catalogue | None = None) -> ProfileServer:
-    return ProfileServer(Robot(catalogue), LengthFramer)
+def server(catalogue: DeviceCatalogue | None = None) -> ProfileServer:
+    return ProfileServer(SimulatedRobot(catalogue), LengthFramer)
 
 
 def test_a_device_that_comes_back_goes_on_with_its_flows() -> None:
@@ -112,8 +110,8 @@ class Garbling:
 def test_an_answer_that_cannot_be_read_is_named_where_it_is_waited_for(
     monkeypatch: pytest.MonkeyPatch, what: str
 ) -> None:
-    device = ProfileServer(Robot(), StuffedFramer)
-    device._codec = Garbling(Result, Open)  # type: ignore[assignment] # what is used of it
+    device = ProfileServer(SimulatedRobot(), StuffedFramer)
+    device._codec = Garbling(ResultMessage, OpenMessage)  # type: ignore[assignment] # what is used of it
     with (
         running(device, PtyEnd(fresh_link())) as url,
         bridged(robot={"url": url}) as (bridge, _),
@@ -136,8 +134,8 @@ def test_an_answer_that_cannot_be_read_is_named_where_it_is_waited_for(
 def test_a_catalogue_that_cannot_be_read_is_named_where_none_comes(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr("uoarm_rocos._talk._CATALOGUE_SECONDS", 0.2 * slowness())
-    device = ProfileServer(Robot(), StuffedFramer)
+    monkeypatch.setattr("uoarm_rocos._conversation._CATALOGUE_SECONDS", 0.2 * slowness())
+    device = ProfileServer(SimulatedRobot(), StuffedFramer)
     device._codec = Garbling(CatalogueMessage)  # type: ignore[assignment] # as above
     with (
         running(device, PtyEnd(fresh_link())) as url,
@@ -150,7 +148,7 @@ def test_a_catalogue_that_cannot_be_read_is_named_where_none_comes(
 def test_a_call_under_way_fails_at_once_when_the_cable_is_out() -> None:
     pulled = Event()
 
-    class Driving(Robot):
+    class Driving(SimulatedRobot):
         """Has its cable pulled out when it begins to drive."""
 
         def call(self, api: str, values: dict[str, Any], now: float) -> dict[str, Any] | Job:
@@ -197,7 +195,7 @@ def test_another_catalogue_after_reconnecting_is_refused_with_the_difference() -
 def test_a_serial_device_may_be_unplugged_and_plugged_in_elsewhere(tmp_path: Path) -> None:
     link = str(tmp_path / "robot-port")
     got, pulled = Events(), Event()
-    device = ProfileServer(Robot(), StuffedFramer)
+    device = ProfileServer(SimulatedRobot(), StuffedFramer)
     with (
         running(device, unplugged_by(PtyEnd(link), pulled)) as url,
         bridged(robot={"url": url}) as (bridge, events),
@@ -224,7 +222,7 @@ class Scripted:
         self.connection.sendall(self.framer.frame(CODEC.write(build(self.seq))))
         self.seq += 1
 
-    def hear(self, kind: type[WireMessage]) -> WireMessage:
+    def receive(self, kind: type[WireMessage]) -> WireMessage:
         """Return the first message of a kind; others wait for their turn."""
         while True:
             for place, message in enumerate(self._read):
@@ -236,15 +234,15 @@ class Scripted:
 
     def begin(self, heartbeat: float = 20.0) -> None:
         """Give the robot's catalogue, with time to think on a busy machine."""
-        asked = self.hear(Describe)
-        assert isinstance(asked, Describe)
+        asked = self.receive(DescribeMessage)
+        assert isinstance(asked, DescribeMessage)
         catalogue = evolve(robot_catalogue(), heartbeat=heartbeat)
         self.say(lambda seq: CatalogueMessage(seq, asked.id, catalogue))
 
     def opened(self) -> int:
         """Confirm a flow and return its id."""
-        asked = self.hear(Open)
-        assert isinstance(asked, Open)
+        asked = self.receive(OpenMessage)
+        assert isinstance(asked, OpenMessage)
         self.say(lambda seq: evolve(asked, seq=seq))
         return asked.id
 
@@ -303,7 +301,7 @@ def test_a_call_on_a_line_that_is_lost_before_it_is_ready_again_fails_at_once(
         api = robot.catalogue(LIMIT).apis["echo"]
         first.connection.close()
         second = Scripted(listener.accept()[0])
-        second.hear(Describe)
+        second.receive(DescribeMessage)
         # A call that saw the device there a moment before it was lost.
         monkeypatch.setattr(robot, "_await_ready", lambda timeout: None)
 
@@ -315,20 +313,20 @@ def test_a_call_on_a_line_that_is_lost_before_it_is_ready_again_fails_at_once(
 
         call = Thread(target=ask, daemon=True)
         call.start()
-        second.hear(Call)
+        second.receive(CallMessage)
         second.connection.close()
         assert "was lost" in failures.get()
         call.join(LIMIT)
 
 
-def test_a_transport_that_cannot_be_made_is_tried_again_and_its_cause_is_told() -> None:
+def test_a_transport_that_cannot_be_made_is_tried_again_and_its_cause_is_reported() -> None:
     attempts = Events()
 
-    def made() -> Transport:
+    def made() -> LineTransport:
         attempts("tried")
         raise ImportError("no module named vendor")
 
-    line = Monitor("cuff", made, Timing(backoff=Backoff(0.001, 0.001)), lambda *_: None)
+    line = Monitor("cuff", made, Timing(backoff=LineBackoff(0.001, 0.001)), lambda *_: None)
     attempts.get()
     attempts.get()
     with pytest.raises(LineError, match="ImportError: no module named vendor"):
@@ -339,8 +337,8 @@ def test_a_transport_that_cannot_be_made_is_tried_again_and_its_cause_is_told() 
 def test_data_that_break_the_catalogue_are_dropped_and_shown() -> None:
     with scripted() as (device, got, events):
         flow = device.flow
-        device.say(lambda seq: Data(seq, flow, {"x": "far", "y": 0.0, "heading": 0.0}))
-        device.say(lambda seq: Data(seq, flow, GOOD))
+        device.say(lambda seq: DataMessage(seq, flow, {"x": "far", "y": 0.0, "heading": 0.0}))
+        device.say(lambda seq: DataMessage(seq, flow, GOOD))
         assert got.get() == GOOD
         [said] = got.unread
         assert said.startswith("the device breaks its catalogue: data of odometry.x: expected a ")
@@ -371,7 +369,7 @@ def test_a_device_that_begins_anew_on_the_same_line_is_greeted_anew() -> None:
     with scripted() as (device, _, events):
         device.seq = 0
         flow = device.flow
-        device.say(lambda seq: Data(seq, flow, GOOD))
+        device.say(lambda seq: DataMessage(seq, flow, GOOD))
         assert "begun anew" in events.until(lambda item: item.channel is not None).cause
 
 
@@ -385,7 +383,7 @@ def test_garbage_and_a_flood_on_a_serial_line_harm_no_later_frame() -> None:
         while not received:
             received = framer.feed(device.read(1))
         asked = CODEC.read(received[0])
-        assert isinstance(asked, Describe)
+        assert isinstance(asked, DescribeMessage)
         for _ in range(50):
             device.write(b"\x7e<half a frame \xff\x00\x7d" + b"noise" * 700)
         answer = CatalogueMessage(0, asked.id, robot_catalogue())

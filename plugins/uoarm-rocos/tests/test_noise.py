@@ -1,4 +1,4 @@
-"""Noise on a real tty: random octets, cut and interleaved frames, messages that nobody awaits."""
+"""Noise on a real tty: random octets, cut and interleaved frames, unexpected messages."""
 
 from __future__ import annotations
 
@@ -19,21 +19,20 @@ from typing_extensions import Self
 from uoarm_rocos._codec import XmlCodec
 from uoarm_rocos._framing import StuffedFramer
 from uoarm_rocos._messages import (
-    Call,
+    CallMessage,
     CatalogueMessage,
-    Close,
-    Data,
-    Describe,
+    CloseMessage,
+    DataMessage,
+    DescribeMessage,
     Direction,
     ErrorCode,
     ErrorMessage,
-    Heartbeat,
-    Open,
-    Result,
+    HeartbeatMessage,
+    OpenMessage,
+    ResultMessage,
     WireMessage,
 )
-from uoarm_rocos.devices._contec import contec_frame
-from uoarm_rocos.devices._nonin import nonin1_frame, nonin2_packet
+from uoarm_rocos.devices._oximeters import contec_frame, nonin1_frame, nonin2_packet
 from uoarm_rocos.simulate import robot_catalogue
 
 from uoarm.model import MessageStructure
@@ -107,7 +106,7 @@ def test_an_oximeter_is_read_again_after_noise_that_is_counted_and_not_kept(
     no_traceback(caplog)
 
 
-def test_a_device_of_the_profile_is_understood_after_noise_and_messages_nobody_awaits(
+def test_a_device_of_the_profile_is_understood_after_noise_and_unexpected_messages(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
     got = Events()
@@ -118,7 +117,7 @@ def test_a_device_of_the_profile_is_understood_after_noise_and_messages_nobody_a
                 device.write(part)
 
             def understood() -> bool:
-                peer.say(lambda seq: Data(seq, peer.flow, GOOD))
+                peer.say(lambda seq: DataMessage(seq, peer.flow, GOOD))
                 return not got.queue.empty() and got.get() == GOOD
 
             until(understood)
@@ -132,19 +131,23 @@ def unawaited() -> list[WireMessage]:
     """Messages that are whole, and that no device may send now."""
     ids = (0, 1, 2, 3, 77, 2**32 - 1)
     return [
-        *(Result(seq, id_, {}) for seq, id_ in enumerate(ids)),
-        *(Data(seq, id_, {}) for seq, id_ in enumerate(ids) if id_ > 3),
-        *(Open(seq, id_, "odometry", Direction.INPUT) for seq, id_ in enumerate(ids) if id_ > 3),
-        *(Close(seq, id_) for seq, id_ in enumerate(ids) if id_ > 3),
+        *(ResultMessage(seq, id_, {}) for seq, id_ in enumerate(ids)),
+        *(DataMessage(seq, id_, {}) for seq, id_ in enumerate(ids) if id_ > 3),
+        *(
+            OpenMessage(seq, id_, "odometry", Direction.INPUT)
+            for seq, id_ in enumerate(ids)
+            if id_ > 3
+        ),
+        *(CloseMessage(seq, id_) for seq, id_ in enumerate(ids) if id_ > 3),
         *(ErrorMessage(seq, id_, ErrorCode.BUSY, "x") for seq, id_ in enumerate(ids) if id_ > 3),
-        Call(5, 77, "odometry", {}),
-        Describe(6, 77),
-        Heartbeat(7),
+        CallMessage(5, 77, "odometry", {}),
+        DescribeMessage(6, 77),
+        HeartbeatMessage(7),
     ]
 
 
 class Peer:
-    """A device that greets whoever asks, again and again, and says what it is told beside."""
+    """A device that answers each greeting, and says beside what the test has it say."""
 
     def __init__(self, device: PseudoTerminal) -> None:
         self._device = device
@@ -169,9 +172,9 @@ class Peer:
                 continue
             for frame in self._framer.feed(self._device.read_some()):
                 asked = CODEC.read(frame)
-                if isinstance(asked, Describe):
+                if isinstance(asked, DescribeMessage):
                     self.say(partial(_answer, CATALOGUE, asked.id))
-                elif isinstance(asked, Open):
+                elif isinstance(asked, OpenMessage):
                     self.say(partial(_answer, asked, asked.id))
                     self.flow = asked.id
 
@@ -184,7 +187,7 @@ class Peer:
         self._thread.join(LIMIT)
 
 
-def _answer(message: CatalogueMessage | Open, number: int, seq: int) -> WireMessage:
+def _answer(message: CatalogueMessage | OpenMessage, number: int, seq: int) -> WireMessage:
     return evolve(message, id=number, seq=seq)
 
 

@@ -17,8 +17,14 @@ from hypothesis import strategies as st
 from lines import LIMIT, listening
 from rigs import endpoint
 from uoarm_rocos import LengthFramer, TcpTransport, Wire, WireError, bridge_type
-from uoarm_rocos._messages import Call, CatalogueMessage, Describe, Result, WireMessage
-from uoarm_rocos._session import Ids, Incoming, Watch
+from uoarm_rocos._health import ConversationIds, HeartbeatWatch, SequenceCheck
+from uoarm_rocos._messages import (
+    CallMessage,
+    CatalogueMessage,
+    DescribeMessage,
+    ResultMessage,
+    WireMessage,
+)
 from uoarm_rocos.simulate import robot_catalogue
 
 from uoarm.bridge import Registry
@@ -27,13 +33,13 @@ from uoarm.model import BridgeSpec
 
 @given(st.integers(0, 2**32 - 1), st.lists(st.integers(0, 5), max_size=20))
 def test_lost_messages_are_counted_across_the_largest_number(first: int, gaps: list[int]) -> None:
-    incoming, seq = Incoming(), first
+    incoming, seq = SequenceCheck(), first
     incoming.take(seq)
     expected = 0
     for gap in gaps:
         seq = (seq + 1 + gap) % 2**32
         begun_anew = incoming.take(seq)
-        if begun_anew:  # a gap that ends at 0 cannot be told from a device that restarted
+        if begun_anew:  # a gap that ends at 0 is the same as a device that restarted
             assert seq == 0
             assert gap > 0
         else:
@@ -42,25 +48,25 @@ def test_lost_messages_are_counted_across_the_largest_number(first: int, gaps: l
 
 
 def test_a_sequence_that_begins_anew_is_noticed() -> None:
-    incoming = Incoming()
+    incoming = SequenceCheck()
     assert [incoming.take(seq) for seq in (0, 1, 2, 0, 1)] == [False, False, False, True, False]
 
 
 def test_ids_go_round_without_zero() -> None:
-    ids = Ids()
+    ids = ConversationIds()
     assert [ids.next() for _ in range(3)] == [1, 2, 3]
     ids._count = iter([2**32 - 2, 2**32 - 1])  # type: ignore[assignment]  # far ahead
     assert [ids.next(), ids.next()] == [2**32 - 1, 1]
 
 
 def test_the_watch_speaks_after_a_period_and_gives_up_after_three_and_a_half() -> None:
-    watch = Watch(2.0, sent=10.0, heard=10.0)
-    assert [watch.must_speak(now) for now in (11.9, 12.0)] == [False, True]
+    watch = HeartbeatWatch(2.0, sent=10.0, received_at=10.0)
+    assert [watch.is_heartbeat_due(now) for now in (11.9, 12.0)] == [False, True]
     assert [watch.dead(now) for now in (17.0, 17.5)] == [0.0, 7.5]
 
 
 class JsonCodec:
-    """Another codec, as somebody with a vendor's documents might write one."""
+    """Another codec, as a holder of a vendor's documents might write one."""
 
     def write(self, message: WireMessage) -> bytes:
         fields = asdict(message, recurse=False)
@@ -70,8 +76,8 @@ class JsonCodec:
         kind, fields = json.loads(data)
         if kind == "CatalogueMessage":
             return CatalogueMessage(catalogue=robot_catalogue(), **fields)
-        if kind == "Result":
-            return Result(**fields)
+        if kind == "ResultMessage":
+            return ResultMessage(**fields)
         raise WireError(f"unexpected {kind}")
 
 
@@ -84,11 +90,11 @@ def serve_json(listener: socket.socket) -> None:
             for part in framer.feed(data):
                 kind, fields = json.loads(part)
                 answer: list[Any]
-                if kind == Describe.__name__:
+                if kind == DescribeMessage.__name__:
                     answer = ["CatalogueMessage", {"seq": seq, "id": fields["id"]}]
-                elif kind == Call.__name__:
+                elif kind == CallMessage.__name__:
                     values = fields["values"]
-                    answer = ["Result", {"seq": seq, "id": fields["id"], "values": values}]
+                    answer = ["ResultMessage", {"seq": seq, "id": fields["id"], "values": values}]
                 else:
                     continue
                 seq += 1
@@ -100,8 +106,8 @@ def test_codec_framer_and_transport_may_be_others() -> None:
         thread = threading.Thread(target=serve_json, args=(listener,))
         thread.start()
 
-        def wire(settings: object) -> Wire:
-            del settings
+        def wire(options: object) -> Wire:
+            del options
             return Wire(lambda: TcpTransport("127.0.0.1", port), LengthFramer, JsonCodec())
 
         registry = Registry([])

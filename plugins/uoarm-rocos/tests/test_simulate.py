@@ -10,13 +10,13 @@ import threading
 import pytest
 from lines import LIMIT
 from rigs import running
-from uoarm_rocos.devices._contec import ContecDecoder
+from uoarm_rocos.devices._oximeters import ContecDecoder
 from uoarm_rocos.simulate import (
     BloodPressureMonitor,
-    Faults,
+    LineFaults,
     Oximeter,
     Person,
-    Robot,
+    SimulatedRobot,
     Story,
     TcpEnd,
 )
@@ -35,7 +35,7 @@ def test_the_pulse_wave_has_the_persons_rate_and_keeps_its_bounds() -> None:
     assert rising == pytest.approx(75, abs=2)
 
 
-def test_the_rate_that_is_told_is_the_rate_at_which_the_heart_beats() -> None:
+def test_the_rate_that_is_reported_is_the_rate_at_which_the_heart_beats() -> None:
     person = Person()
     for start in (3.0, 17.5, 40.2):
         step = 0.001
@@ -80,7 +80,7 @@ def test_a_reading_is_sent_until_it_is_accepted() -> None:
 
 
 def test_the_robot_drives_a_circle() -> None:
-    robot = Robot()
+    robot = SimulatedRobot()
     robot.sample("odometry", 0.0)
     for step in range(629):
         robot.take("velocity", {"linear": 0.5, "angular": 1.0}, step / 100)
@@ -90,7 +90,7 @@ def test_the_robot_drives_a_circle() -> None:
 
 
 def test_the_robot_stops_half_a_second_after_the_last_command() -> None:
-    robot = Robot()
+    robot = SimulatedRobot()
     robot.sample("odometry", 0.0)
     robot.take("velocity", {"linear": 0.5, "angular": 0.0}, 0.0)
     end = robot.sample("odometry", 10.0)
@@ -99,7 +99,7 @@ def test_the_robot_stops_half_a_second_after_the_last_command() -> None:
 
 
 def test_a_new_command_interrupts_a_drive() -> None:
-    robot = Robot()
+    robot = SimulatedRobot()
     job = robot.call("driveStraight", {"distance": 1.0, "speed": 0.5}, 0.0)
     assert callable(job)
     assert job(1.0) is None
@@ -115,7 +115,7 @@ class _Sent:
         self.frames.append(data)
 
 
-def sent_with(faults: Faults, count: int) -> tuple[list[bytes], _Way, _Sent]:
+def sent_with(faults: LineFaults, count: int) -> tuple[list[bytes], _Way, _Sent]:
     end = _Sent()
     way = _Way(end, faults)  # type: ignore[arg-type]  # an end of which only write is used
     for number in range(count):
@@ -124,28 +124,28 @@ def sent_with(faults: Faults, count: int) -> tuple[list[bytes], _Way, _Sent]:
 
 
 def test_faults_are_as_frequent_as_asked_and_the_same_again() -> None:
-    dropped, _, _ = sent_with(Faults(drop=0.3, seed=1), 200)
+    dropped, _, _ = sent_with(LineFaults(drop=0.3, seed=1), 200)
     assert 110 < len(dropped) < 170
-    assert dropped == sent_with(Faults(drop=0.3, seed=1), 200)[0]
-    garbled, _, _ = sent_with(Faults(garble=0.5, seed=2), 200)
+    assert dropped == sent_with(LineFaults(drop=0.3, seed=1), 200)[0]
+    garbled, _, _ = sent_with(LineFaults(garble=0.5, seed=2), 200)
     broken = [frame for frame in garbled if len(set(frame)) > 1]
     assert 70 < len(broken) < 130
 
 
 def test_delayed_frames_come_later_and_in_order() -> None:
-    frames, way, end = sent_with(Faults(delay=2.5), 10)
+    frames, way, end = sent_with(LineFaults(delay=2.5), 10)
     assert [frame[0] for frame in frames] == list(range(7))
     way.send([], 20.0)
     assert [frame[0] for frame in end.frames] == list(range(10))
 
 
 def test_the_cable_is_pulled_out_when_asked_and_put_in_again() -> None:
-    _, way, _ = sent_with(Faults(disconnect=2.5), 1)
+    _, way, _ = sent_with(LineFaults(disconnect=2.5), 1)
     assert not way.cut_due(2.4)
     assert way.cut_due(2.5)
     device, end = _Numbered(), TcpEnd()
     where = ("127.0.0.1", int(end.where.rpartition(":")[2]))
-    with running(device, end, Faults(disconnect=0.0)):
+    with running(device, end, LineFaults(disconnect=0.0)):
         for _ in range(2):
             with socket.create_connection(where, LIMIT) as host:
                 assert host.recv(1) == b""
@@ -174,7 +174,7 @@ def test_what_is_late_for_a_host_that_has_gone_never_reaches_the_next() -> None:
     device = _Numbered()
     end = TcpEnd()
     where = ("127.0.0.1", int(end.where.rpartition(":")[2]))
-    with running(device, end, Faults(delay=0.2)):
+    with running(device, end, LineFaults(delay=0.2)):
         with socket.create_connection(where, LIMIT) as first:
             first.sendall(b"?")
             assert device.asked.wait(LIMIT)

@@ -16,11 +16,9 @@ from typing import Any
 import pytest
 from lines import LIMIT
 from rigs import bridged, endpoint
-from uoarm_rocos.speech import _device, _espeak
+from uoarm_rocos.speech import _device, _engines
 from uoarm_rocos.speech._device import Speech
-from uoarm_rocos.speech._engine import Engine, Sound
-from uoarm_rocos.speech._espeak import EspeakEngine
-from uoarm_rocos.speech._festival import FestivalEngine
+from uoarm_rocos.speech._engines import Engine, EspeakEngine, FestivalEngine, Sound
 
 from uoarm._control import RobotManager
 from uoarm.bridge import ServiceStructures
@@ -76,7 +74,7 @@ def test_files_in_a_directory_of_their_own_stay(tmp_path: Path) -> None:
 
 
 class Slow(Engine):
-    """Makes one sound at once and the others when it is told to."""
+    """Makes one sound at once and the others when it is allowed to."""
 
     name = "slow"
     voice = "any"
@@ -100,7 +98,7 @@ class Slow(Engine):
 FORKED = """
 import os, sys
 from uoarm_rocos.speech._device import Speech
-from uoarm_rocos.speech._engine import Sound
+from uoarm_rocos.speech._engines import Sound
 
 class Engine:
     name = voice = "quick"
@@ -162,8 +160,8 @@ def test_a_call_that_was_stalled_past_its_limit_is_out_of_time() -> None:
 
 def test_a_voice_that_does_not_exist_is_refused() -> None:
     with bridged(voice={"driver": "espeak", "play": "never"}) as (bridge, _):
-        with pytest.raises(BridgeError, match="no voice 'nobody'") as raised:
-            bridge.call(SAY, {"text": "x", "voice": "nobody"})
+        with pytest.raises(BridgeError, match="no voice 'unknown'") as raised:
+            bridge.call(SAY, {"text": "x", "voice": "unknown"})
         assert raised.value.reason is FailureReason.BAD_MESSAGE
         with pytest.raises(BridgeError, match=r"text: expected at most 1000 characters"):
             bridge.call(SAY, {"text": "x" * 1001})
@@ -185,7 +183,7 @@ def test_a_missing_engine_is_unavailable_with_what_to_install(
         assert raised.value.reason is FailureReason.UNAVAILABLE
     monkeypatch.setitem(sys.modules, "espeakng_loader", None)
     with pytest.raises(BridgeError, match=r"pip install .*uoarm-rocos\[speech\]"):
-        _espeak._library.__wrapped__()
+        _engines._library.__wrapped__()
 
 
 def test_priorities_choose_the_engine_that_is_there(

@@ -11,36 +11,38 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from jsonschema import Draft202012Validator
 from strategies import catalogues, fitting, members, values
-from uoarm_rocos._catalogue import Api, Catalogue, Kind, differences
-from uoarm_rocos._classes import api_classes
-from uoarm_rocos._errors import WireError
-from uoarm_rocos._fields import (
+from uoarm_rocos._catalogue import (
+    Api,
+    ApiKind,
     BooleanField,
+    DeviceCatalogue,
     Fields,
     IntegerField,
     ListField,
-    Member,
+    NamedField,
     NumberField,
     OctetsField,
     StringField,
     StructField,
+    differences,
 )
-from uoarm_rocos._fit import fit
+from uoarm_rocos._classes import api_classes
+from uoarm_rocos._errors import WireError
 from uoarm_rocos._messages import Direction
-from uoarm_rocos._structure import describe, structure_of
+from uoarm_rocos._structure import describe, fit, structure_of
 
-POINT: Fields = {"x": Member(NumberField(unit="m")), "y": Member(NumberField(unit="m"))}
+POINT: Fields = {"x": NamedField(NumberField(unit="m")), "y": NamedField(NumberField(unit="m"))}
 FIELDS: Fields = {
-    "on": Member(BooleanField()),
-    "spo2": Member(IntegerField(0, 100, "%"), required=False),
-    "rate": Member(NumberField(0.5, 2.0)),
-    "any": Member(NumberField(nonfinite=True), required=False),
-    "mode": Member(StringField(("slow", "fast"))),
-    "text": Member(StringField(max_length=5), required=False),
-    "image": Member(OctetsField(4), required=False),
-    "pose": Member(StructField(POINT), required=False),
-    "path": Member(ListField(StructField(POINT), 1, 2), required=False),
-    "levels": Member(ListField(IntegerField(-1, 1)), required=False),
+    "on": NamedField(BooleanField()),
+    "spo2": NamedField(IntegerField(0, 100, "%"), required=False),
+    "rate": NamedField(NumberField(0.5, 2.0)),
+    "any": NamedField(NumberField(nonfinite=True), required=False),
+    "mode": NamedField(StringField(("slow", "fast"))),
+    "text": NamedField(StringField(max_length=5), required=False),
+    "image": NamedField(OctetsField(4), required=False),
+    "pose": NamedField(StructField(POINT), required=False),
+    "path": NamedField(ListField(StructField(POINT), 1, 2), required=False),
+    "levels": NamedField(ListField(IntegerField(-1, 1)), required=False),
 }
 GOOD: dict[str, Any] = {"on": True, "rate": 1.0, "mode": "slow"}
 
@@ -121,12 +123,12 @@ def test_what_does_not_fit_is_named(change: dict[str, object], said: str) -> Non
 
 
 def test_octets_fit_a_list_of_numbers_and_no_other() -> None:
-    levels = {"levels": Member(ListField(IntegerField(0, 3)))}
+    levels = {"levels": NamedField(ListField(IntegerField(0, 3)))}
     assert fit(levels, {"levels": b"\x01\x02"}, "m") == {"levels": [1, 2]}
     with pytest.raises(WireError, match=r"m\.levels\[1\]: expected 0 to 3"):
         fit(levels, {"levels": b"\x01\x04"}, "m")
     with pytest.raises(WireError, match="true or false"):
-        fit({"on": Member(ListField(BooleanField()))}, {"on": b"\x01"}, "m")
+        fit({"on": NamedField(ListField(BooleanField()))}, {"on": b"\x01"}, "m")
 
 
 def test_buffers_and_numpy_fit() -> None:
@@ -146,7 +148,9 @@ def test_buffers_and_numpy_fit() -> None:
 
 
 def test_one_class_for_each_api() -> None:
-    catalogue = Catalogue("d", {"go-to": Api("go-to", Kind.SERVICE, FIELDS, POINT, text="Go.")})
+    catalogue = DeviceCatalogue(
+        "d", {"go-to": Api("go-to", ApiKind.SERVICE, FIELDS, POINT, text="Go.")}
+    )
     made: Any = api_classes(catalogue)["go-to"]
     assert (made.__name__, made.__doc__) == ("Go_to", "Go.")
     request = made.Input(on=True, rate=1, mode="slow", path=[made.Input.Path(x=1, y=2)])
@@ -162,7 +166,7 @@ def test_one_class_for_each_api() -> None:
 
 @given(catalogues, st.data())
 @settings(suppress_health_check=[HealthCheck.too_slow, HealthCheck.filter_too_much])
-def test_classes_carry_every_message(catalogue: Catalogue, data: st.DataObject) -> None:
+def test_classes_carry_every_message(catalogue: DeviceCatalogue, data: st.DataObject) -> None:
     for api in catalogue.apis.values():
         message = data.draw(fitting(api.output))
         output: Any = api_classes(catalogue)[api.name].Output
@@ -170,10 +174,10 @@ def test_classes_carry_every_message(catalogue: Catalogue, data: st.DataObject) 
 
 
 def test_descriptions_follow_the_kind() -> None:
-    flow = Api("f", Kind.FLOW, FIELDS, POINT)
+    flow = Api("f", ApiKind.FLOW, FIELDS, POINT)
     assert describe(flow, Direction.INPUT).message == structure_of(FIELDS, "f.input")
     assert describe(flow, Direction.OUTPUT).message == structure_of(POINT, "f.output")
-    service = describe(Api("s", Kind.SERVICE, FIELDS, POINT), None)
+    service = describe(Api("s", ApiKind.SERVICE, FIELDS, POINT), None)
     assert (service.request, service.reply) == (
         structure_of(FIELDS, "s.input"),
         structure_of(POINT, "s.output"),
@@ -181,10 +185,12 @@ def test_descriptions_follow_the_kind() -> None:
 
 
 def test_differences_name_what_changed() -> None:
-    one = Api("a", Kind.FLOW, {}, POINT, 0.1, "text")
-    two = Api("a", Kind.FLOW, {}, {**POINT, "x": Member(BooleanField())}, 0.2)
-    before = Catalogue("d", {"a": one, "b": one, "c": one})
-    after = Catalogue("d", {"a": two, "c": Api("c", Kind.FLOW, {}, POINT, 0.1, "new"), "e": one})
+    one = Api("a", ApiKind.FLOW, {}, POINT, 0.1, "text")
+    two = Api("a", ApiKind.FLOW, {}, {**POINT, "x": NamedField(BooleanField())}, 0.2)
+    before = DeviceCatalogue("d", {"a": one, "b": one, "c": one})
+    after = DeviceCatalogue(
+        "d", {"a": two, "c": Api("c", ApiKind.FLOW, {}, POINT, 0.1, "new"), "e": one}
+    )
     found = differences(before, after)
     assert found.keys() == {"a", "b", "e"}
     assert "period was 0.1, is 0.2" in found["a"]

@@ -15,10 +15,11 @@ import serial
 import serial.rfc2217
 from lines import LIMIT, PseudoTerminal, listening
 from uoarm_rocos._errors import LineError
-from uoarm_rocos._transport import LineSettings, SerialTransport, Transport, transport_for
+from uoarm_rocos._options import LineOptions
+from uoarm_rocos._transport import LineTransport, SerialTransport, transport_for
 
 
-def read_until(transport: Transport, count: int) -> bytes:
+def read_until(transport: LineTransport, count: int) -> bytes:
     """Read so many octets, or fail at the limit."""
     found, end = b"", time.monotonic() + LIMIT
     while len(found) < count and time.monotonic() < end:
@@ -29,7 +30,7 @@ def read_until(transport: Transport, count: int) -> bytes:
 @pytest.mark.parametrize("scheme", ["tcp", "socket"])
 def test_octets_cross_a_socket_both_ways_until_it_is_cut(scheme: str) -> None:
     with listening() as (server, port):
-        transport = transport_for(f"{scheme}://127.0.0.1:{port}", LineSettings())()
+        transport = transport_for(f"{scheme}://127.0.0.1:{port}", LineOptions())()
         transport.open(LIMIT)
         device = server.accept()[0]
         device.settimeout(LIMIT)
@@ -46,7 +47,7 @@ def test_octets_cross_a_socket_both_ways_until_it_is_cut(scheme: str) -> None:
 
 def test_octets_cross_a_tty_until_the_cable_is_out() -> None:
     with PseudoTerminal() as device:
-        transport = transport_for(device.path, LineSettings())()
+        transport = transport_for(device.path, LineOptions())()
         transport.open(LIMIT)
         transport.write(b"to device")
         assert device.read(9) == b"to device"
@@ -61,13 +62,13 @@ def test_octets_cross_a_tty_until_the_cable_is_out() -> None:
 @pytest.mark.parametrize(
     ("settings", "speed", "flags"),
     [
-        (LineSettings(19200, 8, "O", 1, xonxoff=True), termios.B19200, {"CS8", "PARODD", "IXON"}),
-        (LineSettings(9600, 8, "N", 1), termios.B9600, {"CS8"}),
-        (LineSettings(115200, 8, "E", 2), termios.B115200, {"CS8", "CSTOPB"}),
+        (LineOptions(19200, 8, "O", 1, xonxoff=True), termios.B19200, {"CS8", "PARODD", "IXON"}),
+        (LineOptions(9600, 8, "N", 1), termios.B9600, {"CS8"}),
+        (LineOptions(115200, 8, "E", 2), termios.B115200, {"CS8", "CSTOPB"}),
     ],
 )
 def test_the_tty_has_the_settings_asked_for(
-    settings: LineSettings, speed: int, flags: set[str]
+    settings: LineOptions, speed: int, flags: set[str]
 ) -> None:
     with PseudoTerminal() as device:
         transport = SerialTransport(device.path, settings)
@@ -93,7 +94,7 @@ def test_parity_is_asked_of_the_port(monkeypatch: pytest.MonkeyPatch) -> None:
 
     monkeypatch.setattr(termios, "tcsetattr", seen)
     with PseudoTerminal() as device:
-        transport = SerialTransport(device.path, LineSettings(19200, 8, "O"))
+        transport = SerialTransport(device.path, LineOptions(19200, 8, "O"))
         transport.open(LIMIT)
         transport.close()
     assert asked
@@ -106,7 +107,7 @@ def test_rfc2217_works() -> None:
     with listening() as (server, port):
         thread = threading.Thread(target=serve_rfc2217, args=(server,))
         thread.start()
-        transport = transport_for(f"rfc2217://127.0.0.1:{port}", LineSettings(19200))()
+        transport = transport_for(f"rfc2217://127.0.0.1:{port}", LineOptions(19200))()
         transport.open(LIMIT)
         transport.write(b"there and back")
         assert read_until(transport, 14) == b"there and back"
@@ -149,7 +150,7 @@ def serve_rfc2217(server: socket.socket) -> None:
 
 @pytest.mark.parametrize("url", ["tcp://127.0.0.1:1", "/dev/not-there", "socket://127.0.0.1:1"])
 def test_what_cannot_be_reached_is_a_line_error_and_can_be_closed(url: str) -> None:
-    transport = transport_for(url, LineSettings())()
+    transport = transport_for(url, LineOptions())()
     with pytest.raises(LineError, match=r"not-there|127"):
         transport.open(LIMIT)
     transport.close()
@@ -160,13 +161,13 @@ def test_what_cannot_be_reached_is_a_line_error_and_can_be_closed(url: str) -> N
 )
 def test_a_tcp_url_without_host_or_port_is_refused(url: str) -> None:
     with pytest.raises(ValueError, match="tcp://host:port"):
-        transport_for(url, LineSettings())
+        transport_for(url, LineOptions())
 
 
 def test_a_device_that_takes_nothing_is_a_line_error(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("uoarm_rocos._transport._WRITE_SECONDS", 0.1)
     with listening() as (server, port):
-        transport = transport_for(f"tcp://127.0.0.1:{port}", LineSettings())()
+        transport = transport_for(f"tcp://127.0.0.1:{port}", LineOptions())()
         transport.open(LIMIT)
         device = server.accept()[0]
         with pytest.raises(LineError, match="writing"):

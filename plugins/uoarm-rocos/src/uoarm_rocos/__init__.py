@@ -1,7 +1,7 @@
 """uoarm-rocos: devices and robots with an XML catalogue as components of uoarm.
 
 The wire is replaceable: `bridge_type` makes a bridge type of another codec, framer or transport,
-for whoever holds a vendor's documents.
+for those who have a vendor's documents.
 """
 
 from __future__ import annotations
@@ -12,43 +12,43 @@ from typing import TYPE_CHECKING
 
 from uoarm.bridge import Bridge, BridgeType, hookimpl
 from uoarm.model import Options
-from uoarm_rocos._doctor import doctor
+from uoarm_rocos._discovery import doctor
 from uoarm_rocos._options import BRIDGE_OPTIONS, mistake
 
 if TYPE_CHECKING:
-    from uoarm_rocos._catalogue import Api, Catalogue, Kind, differences
+    from uoarm_rocos._bridge import MakeWire, xml_wire
+    from uoarm_rocos._catalogue import Api, ApiKind, DeviceCatalogue, differences
     from uoarm_rocos._catalogue_xml import load_catalogue
-    from uoarm_rocos._classes import ApiClass, Record, api_classes
-    from uoarm_rocos._codec import Codec, XmlCodec
-    from uoarm_rocos._drivers import MakeWire, xml_wire
+    from uoarm_rocos._classes import ApiClass, ApiRecord, api_classes
+    from uoarm_rocos._codec import MessageCodec, XmlCodec
+    from uoarm_rocos._conversation import Wire
     from uoarm_rocos._errors import LineError, WireError
     from uoarm_rocos._framing import Framer, LengthFramer, StuffedFramer
-    from uoarm_rocos._limits import SERIAL_LIMITS, TCP_LIMITS, Limits
-    from uoarm_rocos._settings import DeviceSettings
+    from uoarm_rocos._options import DeviceOptions, LineOptions
+    from uoarm_rocos._parse import SERIAL_LIMITS, TCP_LIMITS, MessageLimits
     from uoarm_rocos._structure import structure_of
-    from uoarm_rocos._talk import Wire
-    from uoarm_rocos._transport import LineSettings, SerialTransport, TcpTransport, Transport
+    from uoarm_rocos._transport import LineTransport, SerialTransport, TcpTransport
 
 __all__ = [
     "SERIAL_LIMITS",
     "TCP_LIMITS",
     "Api",
     "ApiClass",
-    "Catalogue",
-    "Codec",
-    "DeviceSettings",
+    "ApiKind",
+    "ApiRecord",
+    "DeviceCatalogue",
+    "DeviceOptions",
     "Framer",
-    "Kind",
     "LengthFramer",
-    "Limits",
     "LineError",
-    "LineSettings",
+    "LineOptions",
+    "LineTransport",
     "MakeWire",
-    "Record",
+    "MessageCodec",
+    "MessageLimits",
     "SerialTransport",
     "StuffedFramer",
     "TcpTransport",
-    "Transport",
     "Wire",
     "WireError",
     "XmlCodec",
@@ -62,18 +62,18 @@ __all__ = [
 ]
 
 _MODULES = {
-    "_catalogue": "Api Catalogue Kind differences",
+    "_bridge": "MakeWire xml_wire",
+    "_catalogue": "Api ApiKind DeviceCatalogue differences",
     "_catalogue_xml": "load_catalogue",
-    "_classes": "ApiClass Record api_classes",
-    "_codec": "Codec XmlCodec",
-    "_drivers": "MakeWire xml_wire",
+    "_classes": "ApiClass ApiRecord api_classes",
+    "_codec": "MessageCodec XmlCodec",
     "_errors": "LineError WireError",
     "_framing": "Framer LengthFramer StuffedFramer",
-    "_limits": "SERIAL_LIMITS TCP_LIMITS Limits",
-    "_settings": "DeviceSettings",
+    "_options": "DeviceOptions LineOptions",
+    "_parse": "SERIAL_LIMITS TCP_LIMITS MessageLimits",
     "_structure": "structure_of",
-    "_talk": "Wire",
-    "_transport": "LineSettings SerialTransport TcpTransport Transport",
+    "_conversation": "Wire",
+    "_transport": "LineTransport SerialTransport TcpTransport",
 }
 _HOMES = {name: module for module, names in _MODULES.items() for name in names.split()}
 
@@ -84,7 +84,7 @@ def bridge_type(name: str, summary: str, wire: MakeWire | None = None) -> Bridge
     Args:
         name: what a configuration's `plugin:` says.
         summary: one line for people.
-        wire: makes transport, framer and codec from a device's settings; None: the profile's.
+        wire: makes transport, framer and codec from a device's options; None: the profile's.
     """
     return BridgeType(
         name=name,
@@ -113,8 +113,7 @@ def __getattr__(name: str) -> object:
 
 def _maker(wire: MakeWire | None) -> Callable[[str, Options], Bridge]:
     def make(name: str, options: Options) -> Bridge:
-        from uoarm_rocos._bridge import RocosBridge  # noqa: PLC0415 - imports pyserial
-        from uoarm_rocos._drivers import xml_wire  # noqa: PLC0415 - the same
+        from uoarm_rocos._bridge import RocosBridge, xml_wire  # noqa: PLC0415 - loads pyserial
 
         return RocosBridge(name, options, wire or xml_wire)
 

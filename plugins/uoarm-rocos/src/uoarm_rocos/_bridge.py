@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import threading
 import time
+from collections.abc import Callable
 
 from uoarm.bridge import (
     Bridge,
@@ -18,15 +20,73 @@ from uoarm.bridge import (
 )
 from uoarm.errors import BridgeError, FailureReason
 from uoarm.model import Endpoint, Health, Message, MessageStructure, Options, Role
-from uoarm_rocos._catalogue import Api, Kind
+from uoarm_rocos._catalogue import Api, ApiKind
+from uoarm_rocos._catalogue_xml import load_catalogue
 from uoarm_rocos._channels import SinkChannel, SourceChannel
+from uoarm_rocos._codec import XmlCodec
+from uoarm_rocos._conversation import Wire
 from uoarm_rocos._device import Device, find
-from uoarm_rocos._drivers import MakeWire, make_device, xml_wire
+from uoarm_rocos._framing import LengthFramer, StuffedFramer
 from uoarm_rocos._messages import Direction
-from uoarm_rocos._settings import DeviceSettings, address_of, devices_of
+from uoarm_rocos._options import DeviceOptions, address_of, devices_of
+from uoarm_rocos._parse import SERIAL_LIMITS, TCP_LIMITS
+from uoarm_rocos._profile import Changed, ProfileDevice
 from uoarm_rocos._structure import describe
+from uoarm_rocos._transport import transport_for
+from uoarm_rocos.devices._blood_pressure import Monitor
+from uoarm_rocos.devices._oximeters import (
+    CONTEC_PERIOD,
+    NONIN_1_PERIOD,
+    NONIN_2_PERIOD,
+    ContecDecoder,
+    Nonin1Decoder,
+    Nonin2Decoder,
+    OximeterDecoder,
+    oximeter_catalogue,
+)
+from uoarm_rocos.devices._stream import StreamDevice
+from uoarm_rocos.speech._device import Speech
+from uoarm_rocos.speech._engines import Engine, EspeakEngine, FestivalEngine
 
-__all__ = ["RocosBridge"]
+__all__ = ["MakeWire", "RocosBridge", "make_device", "xml_wire"]
+
+_OXIMETERS: dict[str, tuple[str, float, Callable[[], OximeterDecoder]]] = {
+    "contec-cms50dplus": ("Contec CMS50D+", CONTEC_PERIOD, ContecDecoder),
+    "nonin-1": ("Nonin, serial format 1", NONIN_1_PERIOD, Nonin1Decoder),
+    "nonin-2": ("Nonin, serial format 2", NONIN_2_PERIOD, Nonin2Decoder),
+}
+_ENGINES: dict[str, Callable[[], Engine]] = {"espeak": EspeakEngine, "festival": FestivalEngine}
+_IS_POSIX = os.name == "posix"
+MakeWire = Callable[[DeviceOptions], Wire]
+
+
+def xml_wire(options: DeviceOptions) -> Wire:
+    """Return the profile's own parts: lengths over TCP, stuffing and CRC on every other line."""
+    transport = transport_for(options.url, options.line)
+    if options.url.startswith("tcp://"):
+        return Wire(transport, LengthFramer, XmlCodec(TCP_LIMITS), prompt=_IS_POSIX)
+    is_port = "://" not in options.url
+    return Wire(transport, StuffedFramer, XmlCodec(SERIAL_LIMITS), prompt=_IS_POSIX and is_port)
+
+
+def make_device(options: DeviceOptions, wire: MakeWire, changed: Changed) -> Device:
+    """Make a device and begin to connect it.
+
+    Raises:
+        UoarmError: its catalogue cannot be read, or its driver lacks a package.
+    """
+    if options.driver == "profile":
+        catalogue = load_catalogue(options.catalogue) if options.catalogue else None
+        return ProfileDevice(options.name, wire(options), options.timing, catalogue, changed)
+    if options.driver in _ENGINES:
+        return Speech(options.name, _ENGINES[options.driver](), options.options)
+    transport = transport_for(options.url, options.line)
+    if options.driver == "and-ua767pbt":
+        return Monitor(options.name, transport, options.timing, changed)
+    text, period, decoder = _OXIMETERS[options.driver]
+    catalogue = oximeter_catalogue(text, period)
+    return StreamDevice(options.name, catalogue, decoder, transport, options.timing)
+
 
 _OPEN_SECONDS = 5.0
 _DISCOVER_SECONDS = 2.0
@@ -49,8 +109,10 @@ class RocosBridge(Bridge):
 
     def __init__(self, name: str, options: Options, wire: MakeWire = xml_wire) -> None:
         super().__init__(name, options)
-        self._settings = devices_of(options)
+        self._device_options = devices_of(options)
         self._wire = wire
+        # Guards the devices between callers of the bridge and `close`: each is made once, and none
+        # after the bridge was closed. Reading the dictionary needs no lock.
         self._making = threading.Lock()
         self._devices: dict[str, Device] = {}
         self._described: dict[tuple[str, ...], Api] = {}
@@ -68,15 +130,15 @@ class RocosBridge(Bridge):
         self, endpoint: Endpoint, structure: MessageStructure, deliver: Delivery
     ) -> Source:
         api = self._checked(endpoint, structure)
-        channel = SourceChannel(endpoint, self._told)
+        channel = SourceChannel(endpoint, self._report_flow)
         device = self._device(endpoint)
-        channel.attach(device.open_output(api, deliver, channel.told, _OPEN_SECONDS))
+        channel.attach(device.open_output(api, deliver, channel.report_health, _OPEN_SECONDS))
         return channel
 
     def _open_sink(self, endpoint: Endpoint, structure: MessageStructure) -> Sink:
         api = self._checked(endpoint, structure)
-        channel = SinkChannel(endpoint, self._told)
-        channel.attach(self._device(endpoint).open_input(api, channel.told, _OPEN_SECONDS))
+        channel = SinkChannel(endpoint, self._report_flow)
+        channel.attach(self._device(endpoint).open_input(api, channel.report_health, _OPEN_SECONDS))
         return channel
 
     def _call(
@@ -99,7 +161,7 @@ class RocosBridge(Bridge):
 
     def _discover(self) -> tuple[Discovered, ...]:
         end = time.monotonic() + _DISCOVER_SECONDS
-        devices = {name: self._named(name) for name in self._settings}
+        devices = {name: self._named(name) for name in self._device_options}
         found = []
         for name, device in devices.items():
             try:
@@ -123,7 +185,7 @@ class RocosBridge(Bridge):
             device.close()
 
     def _endpoints(self, device: str, api: Api) -> list[Endpoint]:
-        if api.kind is Kind.SERVICE:
+        if api.kind is ApiKind.SERVICE:
             return [Endpoint(self.name, device, Role.SERVICE, (device, api.name), api.name)]
         sides = ((Role.INPUT, api.input), (Role.OUTPUT, api.output))
         return [
@@ -136,9 +198,9 @@ class RocosBridge(Bridge):
         return self._named(address_of(endpoint)[0])
 
     def _named(self, name: str) -> Device:
-        settings = self._settings.get(name)
-        if settings is None:
-            known = ", ".join(self._settings)
+        options = self._device_options.get(name)
+        if options is None:
+            known = ", ".join(self._device_options)
             text = f"bridge {self.name!r} has no device {name!r}; its options name {known}"
             raise BridgeError(text, FailureReason.NOT_FOUND)
         device = self._devices.get(name)
@@ -149,18 +211,18 @@ class RocosBridge(Bridge):
                 raise BridgeError(f"bridge {self.name!r} is closed", FailureReason.CLOSED)
             device = self._devices.get(name)
             if device is None:
-                device = self._devices[name] = self._make(settings)
+                device = self._devices[name] = self._make(options)
             return device
 
-    def _make(self, settings: DeviceSettings) -> Device:
+    def _make(self, options: DeviceOptions) -> Device:
         def changed(health: Health, cause: str, apis: dict[str, str]) -> None:
-            self._device_changed(settings.name, health, cause, apis)
+            self._device_changed(options.name, health, cause, apis)
 
-        return make_device(settings, self._wire, changed)
+        return make_device(options, self._wire, changed)
 
     def _find(self, endpoint: Endpoint, timeout: float | None = None) -> Api:
         name, api, direction = address_of(endpoint)
-        wait = self._settings[name].timing.wait if name in self._settings else 0.0
+        wait = self._device_options[name].timing.wait if name in self._device_options else 0.0
         limit = wait if timeout is None else min(wait, timeout)
         return find(self._device(endpoint).catalogue(limit), api, direction)
 
@@ -175,13 +237,13 @@ class RocosBridge(Bridge):
             raise BridgeError(text, FailureReason.CONTRACT)
         return api
 
-    def _told(self, channel: Channel, health: Health, cause: str) -> None:
+    def _report_flow(self, channel: Channel, health: Health, cause: str) -> None:
         self.report(health, cause, channel=channel)
 
     def _device_changed(
         self, device: str, health: Health, cause: str, apis: dict[str, str]
     ) -> None:
-        """Tell of services: flows tell of themselves."""
+        """Report what holds for services: flows report their own health."""
         for (name, api), components in list(self._services.items()):
             if name != device:
                 continue

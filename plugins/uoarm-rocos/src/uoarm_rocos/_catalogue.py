@@ -2,19 +2,112 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from enum import Enum
+from typing import TypeAlias
 
 from attrs import field, frozen
 
-from uoarm_rocos._fields import Fields
+__all__ = [
+    "INT64",
+    "NAME",
+    "PROFILE",
+    "Api",
+    "ApiKind",
+    "BooleanField",
+    "DeviceCatalogue",
+    "Field",
+    "Fields",
+    "IntegerField",
+    "ListField",
+    "NamedField",
+    "NumberField",
+    "OctetsField",
+    "StringField",
+    "StructField",
+    "differences",
+]
 
-__all__ = ["PROFILE", "Api", "Catalogue", "Kind", "differences"]
+NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_.\-]{0,63}", re.ASCII)
+INT64 = (-(2**63), 2**63 - 1)
+
+
+@frozen
+class BooleanField:
+    """True or false."""
+
+
+@frozen
+class IntegerField:
+    """A whole number within inclusive bounds; `unit` as UCUM writes it."""
+
+    minimum: int = INT64[0]
+    maximum: int = INT64[1]
+    unit: str = ""
+
+
+@frozen
+class NumberField:
+    """A 64-bit float; None is no bound; `nonfinite` admits NaN and infinities."""
+
+    minimum: float | None = None
+    maximum: float | None = None
+    unit: str = ""
+    nonfinite: bool = False
+
+
+@frozen
+class StringField:
+    """Text of at most `max_length` code points, or one of `choices` where there are any."""
+
+    choices: tuple[str, ...] = ()
+    max_length: int | None = None
+
+
+@frozen
+class OctetsField:
+    """At most `max_length` octets."""
+
+    max_length: int | None = None
+
+
+@frozen
+class StructField:
+    """Named members, in the catalogue's order."""
+
+    members: Fields = field(factory=dict, hash=False)
+
+
+@frozen
+class ListField:
+    """Items of one type."""
+
+    items: Field
+    min_items: int = 0
+    max_items: int | None = None
+
+
+Field: TypeAlias = (
+    BooleanField | IntegerField | NumberField | StringField | OctetsField | StructField | ListField
+)
+
+
+@frozen
+class NamedField:
+    """A field with its name's rules: whether a message may leave it out."""
+
+    type: Field
+    required: bool = True
+
+
+Fields: TypeAlias = Mapping[str, NamedField]
+
 
 PROFILE = 1
 
 
-class Kind(Enum):
+class ApiKind(Enum):
     """How an API is used."""
 
     SERVICE = "service"
@@ -35,7 +128,7 @@ class Api:
     """
 
     name: str
-    kind: Kind
+    kind: ApiKind
     input: Fields = field(factory=dict, hash=False)
     output: Fields = field(factory=dict, hash=False)
     period: float | None = None
@@ -43,7 +136,7 @@ class Api:
 
 
 @frozen
-class Catalogue:
+class DeviceCatalogue:
     """What one device offers; `heartbeat` is its period in seconds."""
 
     device: str
@@ -52,7 +145,7 @@ class Catalogue:
     heartbeat: float = 1.0
 
 
-def differences(before: Catalogue, after: Catalogue) -> dict[str, str]:
+def differences(before: DeviceCatalogue, after: DeviceCatalogue) -> dict[str, str]:
     """Return a sentence for each API that is gone, new, or not what it was.
 
     Descriptions and the order of fields are no difference.
@@ -64,7 +157,7 @@ def differences(before: Catalogue, after: Catalogue) -> dict[str, str]:
             found[name] = f"API {name!r} is {'gone' if new is None else 'new'}"
             continue
         parts = [
-            f"{part} was {_told(getattr(old, part))}, is {_told(getattr(new, part))}"
+            f"{part} was {_shown(getattr(old, part))}, is {_shown(getattr(new, part))}"
             for part in ("kind", "period")
             if getattr(old, part) != getattr(new, part)
         ]
@@ -87,5 +180,5 @@ def _changed(part: str, old: Fields, new: Fields) -> list[str]:
     return sentences
 
 
-def _told(value: object) -> str:
+def _shown(value: object) -> str:
     return str(value.value if isinstance(value, Enum) else value)

@@ -8,19 +8,18 @@ from typing import Any, ClassVar
 
 import attrs
 
-from uoarm_rocos._catalogue import Api, Catalogue
-from uoarm_rocos._fields import Field, Fields, ListField, StructField
-from uoarm_rocos._fit import fit
+from uoarm_rocos._catalogue import Api, DeviceCatalogue, Field, Fields, ListField, StructField
+from uoarm_rocos._structure import fit
 
-__all__ = ["ApiClass", "Record", "api_classes"]
+__all__ = ["ApiClass", "ApiRecord", "api_classes"]
 
 
-class Record:
+class ApiRecord:
     """What every generated record of fields can do; fields left out are None."""
 
     _fields: ClassVar[Fields] = {}
     _spelling: ClassVar[Mapping[str, str]] = {}
-    _inner: ClassVar[Mapping[str, type[Record]]] = {}
+    _inner: ClassVar[Mapping[str, type[ApiRecord]]] = {}
 
     @classmethod
     def of(cls, message: object) -> Any:
@@ -59,7 +58,7 @@ class ApiClass:
     Output: ClassVar[type[Any]]
 
 
-def api_classes(catalogue: Catalogue) -> dict[str, type[ApiClass]]:
+def api_classes(catalogue: DeviceCatalogue) -> dict[str, type[ApiClass]]:
     """Return a class for each API, by the API's name.
 
     `api_classes(catalogue)["speechGeneration"].Input(text="hello").message()` is a request.
@@ -79,9 +78,9 @@ def _class(api: Api) -> type[ApiClass]:
     return type(title, (ApiClass,), body)
 
 
-def _record(title: str, fields: Fields) -> type[Record]:
+def _record(title: str, fields: Fields) -> type[ApiRecord]:
     spelling: dict[str, str] = {}
-    inner: dict[str, type[Record]] = {}
+    inner: dict[str, type[ApiRecord]] = {}
     for name, member in fields.items():
         spelt = _identifier(name)
         while spelt in spelling.values():
@@ -98,10 +97,10 @@ def _record(title: str, fields: Fields) -> type[Record]:
     body.update(
         _fields=fields, _spelling=spelling, _inner=inner, __qualname__=title, __module__=__name__
     )
-    made: type[Record] = attrs.make_class(
+    made: type[ApiRecord] = attrs.make_class(
         title.rpartition(".")[2],
         attributes,
-        bases=(Record,),
+        bases=(ApiRecord,),
         class_body=body,
         frozen=True,
         slots=False,
@@ -115,7 +114,7 @@ def _struct_of(kind: Field) -> StructField | None:
     return kind if isinstance(kind, StructField) else None
 
 
-def _wrapped(kind: Field, value: Any, inner: type[Record] | None) -> Any:
+def _wrapped(kind: Field, value: Any, inner: type[ApiRecord] | None) -> Any:
     if inner is None:
         return value
     if isinstance(kind, ListField):
@@ -124,7 +123,7 @@ def _wrapped(kind: Field, value: Any, inner: type[Record] | None) -> Any:
 
 
 def _plain(value: Any) -> Any:
-    if isinstance(value, Record):
+    if isinstance(value, ApiRecord):
         return value.message()
     if isinstance(value, list | tuple):
         return [_plain(item) for item in value]

@@ -16,14 +16,14 @@ from uoarm_rocos._framing import LengthFramer, StuffedFramer
 from uoarm_rocos.simulate import (
     FORMATS,
     BloodPressureMonitor,
-    End,
-    Faults,
+    LineEnd,
+    LineFaults,
     Oximeter,
     Person,
     ProfileServer,
     PtyEnd,
-    Robot,
     Simulated,
+    SimulatedRobot,
     Story,
     TcpEnd,
     run,
@@ -72,7 +72,7 @@ def _line_options(command: F) -> F:
 def robot(catalogue: str, **line: Any) -> None:
     """A robot on two wheels that speaks the plain-XML profile."""
     try:
-        model = Robot(load_catalogue(catalogue) if catalogue else None)
+        model = SimulatedRobot(load_catalogue(catalogue) if catalogue else None)
     except UoarmError as error:
         raise click.ClickException(str(error)) from error
     end = _end(line)
@@ -150,7 +150,7 @@ def oximeter(
 def blood_pressure(*, interval: float, systolic: float, diastolic: float, **line: Any) -> None:
     """A blood-pressure monitor that measures now and then.
 
-    It keeps what nobody has acknowledged.
+    It keeps what no host has acknowledged.
     """
     if systolic <= diastolic:
         raise click.UsageError("--systolic must be above --diastolic")
@@ -159,7 +159,7 @@ def blood_pressure(*, interval: float, systolic: float, diastolic: float, **line
     _serve(BloodPressureMonitor(person, interval), end, _raw(end), line)
 
 
-def _end(line: dict[str, Any]) -> End:
+def _end(line: dict[str, Any]) -> LineEnd:
     if line["pty"] == (line["tcp"] is not None):
         raise click.UsageError("say where: --pty, or --tcp PORT")
     if line["link"] and not line["pty"]:
@@ -170,18 +170,18 @@ def _end(line: dict[str, Any]) -> End:
         raise click.ClickException(f"cannot open the line: {error}") from error
 
 
-def _raw(end: End) -> str:
+def _raw(end: LineEnd) -> str:
     """Return the URL for octets without the profile's frames."""
     return end.where.replace("tcp://", "socket://")
 
 
-def _serve(device: Simulated, end: End, url: str, line: dict[str, Any]) -> None:
+def _serve(device: Simulated, end: LineEnd, url: str, line: dict[str, Any]) -> None:
     stop = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: threading.Thread(target=stop.set).start())
     click.echo(url)
     names = ("drop", "garble", "delay", "disconnect", "seed")
-    run(device, end, stop, Faults(**{name: line[name] for name in names}))
+    run(device, end, stop, LineFaults(**{name: line[name] for name in names}))
 
 
 @hookimpl

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from typing import Any, Protocol
@@ -9,15 +10,24 @@ from typing import Any, Protocol
 from uoarm.bridge import Delivery
 from uoarm.errors import BridgeError, FailureReason
 from uoarm.model import Health
-from uoarm_rocos._catalogue import Api, Catalogue, Kind
-from uoarm_rocos._messages import Direction
+from uoarm_rocos._catalogue import Api, ApiKind, DeviceCatalogue
+from uoarm_rocos._messages import Direction, ErrorCode, ErrorMessage
 
-__all__ = ["Device", "Feed", "Flow", "Told", "find"]
+__all__ = [
+    "Answer",
+    "Device",
+    "DeviceFlow",
+    "InputFlow",
+    "PendingAnswers",
+    "ReportHealth",
+    "find",
+    "refusal",
+]
 
-Told = Callable[[Health, str], None]
+ReportHealth = Callable[[Health, str], None]
 
 
-class Flow(Protocol):
+class DeviceFlow(Protocol):
     """An open flow from a device."""
 
     def facts(self) -> Mapping[str, object]:
@@ -27,7 +37,7 @@ class Flow(Protocol):
         """End the flow; does not wait for a delivery under way, begins no other."""
 
 
-class Feed(Flow, Protocol):
+class InputFlow(DeviceFlow, Protocol):
     """An open flow into a device."""
 
     def send(self, message: object) -> None:
@@ -50,14 +60,16 @@ class Device(ABC):
     is_prompt = False
 
     @abstractmethod
-    def catalogue(self, timeout: float) -> Catalogue:
+    def catalogue(self, timeout: float) -> DeviceCatalogue:
         """Return what the device offers now, waiting so many seconds for it to be there.
 
         Raises:
             BridgeError: UNAVAILABLE with the cause.
         """
 
-    def open_output(self, api: Api, deliver: Delivery, told: Told, timeout: float) -> Flow:
+    def open_output(
+        self, api: Api, deliver: Delivery, report: ReportHealth, timeout: float
+    ) -> DeviceFlow:
         """Open a flow from the device; it is open when this returns.
 
         Raises:
@@ -65,7 +77,7 @@ class Device(ABC):
         """
         raise NotImplementedError
 
-    def open_input(self, api: Api, told: Told, timeout: float) -> Feed:
+    def open_input(self, api: Api, report: ReportHealth, timeout: float) -> InputFlow:
         """Open a flow into the device; it is open when this returns.
 
         Raises:
@@ -91,7 +103,7 @@ class Device(ABC):
         """Let go of the device; bounded, once."""
 
 
-def find(catalogue: Catalogue, name: str, direction: Direction | None) -> Api:
+def find(catalogue: DeviceCatalogue, name: str, direction: Direction | None) -> Api:
     """Return an API that is a service (None), or a flow of this direction.
 
     Raises:
@@ -103,14 +115,128 @@ def find(catalogue: Catalogue, name: str, direction: Direction | None) -> Api:
         text = f"device {catalogue.device!r} has no API {name!r}; it has {known}"
         raise BridgeError(text, FailureReason.NOT_FOUND)
     if direction is None:
-        if api.kind is Kind.FLOW:
+        if api.kind is ApiKind.FLOW:
             text = f"API {name!r} is a flow: use it as an output or input, not as a service"
             raise BridgeError(text, FailureReason.BAD_ENDPOINT)
         return api
-    if api.kind is Kind.SERVICE:
+    if api.kind is ApiKind.SERVICE:
         text = f"API {name!r} is a service: it has no {direction.value}"
         raise BridgeError(text, FailureReason.BAD_ENDPOINT)
     if not (api.output if direction is Direction.OUTPUT else api.input):
         text = f"the flow {name!r} has no {direction.value}"
         raise BridgeError(text, FailureReason.BAD_ENDPOINT)
     return api
+
+
+_MOST = 1000
+_REASONS = {
+    ErrorCode.PROFILE: FailureReason.UNSUPPORTED,
+    ErrorCode.UNKNOWN_API: FailureReason.NOT_FOUND,
+    ErrorCode.BAD_INPUT: FailureReason.BAD_MESSAGE,
+    ErrorCode.BUSY: FailureReason.REFUSED,
+    ErrorCode.CANCELLED: FailureReason.REFUSED,
+    ErrorCode.FAILED: FailureReason.RAISED,
+    ErrorCode.LIMIT: FailureReason.BAD_MESSAGE,
+}
+
+
+class Answer:
+    """Waited for by one thread, given once by another."""
+
+    def __init__(self) -> None:
+        # Held until the answer is given: acquiring it waits. Value and error are set before.
+        self._given = threading.Lock()
+        self._given.acquire()
+        self._value: Any = None
+        self._error: BridgeError | None = None
+
+    def give(self, value: Any) -> None:
+        """Answer."""
+        self._value = value
+        self._given.release()
+
+    def fail(self, error: BridgeError) -> None:
+        """Answer that there is none."""
+        self._error = error
+        self._given.release()
+
+    def is_given(self) -> bool:
+        """Say whether there is an answer, or an error in its place."""
+        return not self._given.locked()
+
+    def wait(self, timeout: float) -> bool:
+        """Wait so many seconds, once; return whether there is an answer."""
+        return self._given.acquire(timeout=timeout)
+
+    def value(self) -> Any:
+        """Return the answer that was given.
+
+        Raises:
+            BridgeError: there is none; the text says why.
+        """
+        if self._error is not None:
+            raise self._error
+        return self._value
+
+
+class PendingAnswers:
+    """What one device is asked now, by the id of the conversation; any thread.
+
+    Args:
+        name: of the device, for errors.
+    """
+
+    def __init__(self, name: str) -> None:
+        self._name = name
+        # Guards `_waiting` between callers and the line's thread: each answer is given once, by
+        # whichever takes it out.
+        self._lock = threading.Lock()
+        self._waiting: dict[int, tuple[Answer, str]] = {}
+
+    def expect(self, identity: int, what: str) -> Answer:
+        """Wait for an answer from now on; `what` is asked.
+
+        Raises:
+            BridgeError: too many wait already.
+        """
+        answer = Answer()
+        with self._lock:
+            if len(self._waiting) >= _MOST:
+                text = f"{what}: {_MOST} questions already wait for {self._name}"
+                raise BridgeError(text, FailureReason.REFUSED)
+            self._waiting[identity] = (answer, what)
+        return answer
+
+    def forget(self, identity: int) -> bool:
+        """Wait no longer; return whether a caller did."""
+        with self._lock:
+            return self._waiting.pop(identity, None) is not None
+
+    def give(self, identity: int, value: Any) -> bool:
+        """Answer; return whether a caller waited."""
+        with self._lock:
+            found = self._waiting.pop(identity, None)
+        if found is not None:
+            found[0].give(value)
+        return found is not None
+
+    def refuse(self, message: ErrorMessage) -> bool:
+        """Answer with the device's error; return whether a caller waited."""
+        with self._lock:
+            found = self._waiting.pop(message.id, None)
+        if found is not None:
+            found[0].fail(refusal(message, found[1]))
+        return found is not None
+
+    def fail(self, error: BridgeError) -> None:
+        """Answer everything with an error."""
+        with self._lock:
+            waiting, self._waiting = list(self._waiting.values()), {}
+        for answer, _ in waiting:
+            answer.fail(error)
+
+
+def refusal(message: ErrorMessage, what: str) -> BridgeError:
+    """Return the error that a device's `error` message is."""
+    text = f"{what}: the device says {message.code.value}: {message.text or 'no reason given'}"
+    return BridgeError(text, _REASONS[message.code])

@@ -7,7 +7,7 @@ import zlib
 from typing import Protocol
 
 from uoarm_rocos._errors import WireError
-from uoarm_rocos._limits import SERIAL_LIMITS, TCP_LIMITS
+from uoarm_rocos._parse import SERIAL_LIMITS, TCP_LIMITS
 
 __all__ = ["Framer", "LengthFramer", "StuffedFramer"]
 

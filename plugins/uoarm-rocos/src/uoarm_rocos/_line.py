@@ -9,31 +9,51 @@ import time
 from collections.abc import Callable
 from typing import Protocol
 
-from attrs import frozen
-
 from uoarm.errors import BridgeError, BridgeTimeoutError
 from uoarm_rocos._errors import LineError
-from uoarm_rocos._readiness import Readiness
-from uoarm_rocos._transport import TICK_SECONDS, Transport
+from uoarm_rocos._options import LineBackoff
+from uoarm_rocos._transport import TICK_SECONDS, LineTransport
 
-__all__ = ["Backoff", "Line", "LineUser"]
+__all__ = ["DeviceLine", "DeviceLineUser", "Readiness"]
+
+
+class Readiness:
+    """Watches a descriptor for the line's own thread; on Linux.
+
+    While another thread reads what comes, `ignore` keeps the watching one asleep: epoll takes that
+    in while it waits, so that no thread has to be woken for it.
+    """
+
+    def __init__(self, descriptor: int) -> None:
+        self._descriptor = descriptor
+        self._epoll = select.epoll()
+        self._epoll.register(descriptor, select.EPOLLIN)
+
+    def wait(self, timeout: float) -> bool:
+        """Wait at most so many seconds; return whether there is something to read, or an end."""
+        return bool(self._epoll.poll(timeout))
+
+    def ignore(self) -> None:
+        """Have `wait` not return for what comes, but for an end."""
+        self._epoll.modify(self._descriptor, 0)
+
+    def heed(self) -> None:
+        """Have `wait` return for what comes, or is there, again."""
+        self._epoll.modify(self._descriptor, select.EPOLLIN)
+
+    def close(self) -> None:
+        """End; no thread waits any more."""
+        self._epoll.close()
+
 
 _OPEN_SECONDS = 3.0
 _log = logging.getLogger("uoarm")
 
 
-@frozen
-class Backoff:
-    """Seconds before the first new attempt, doubled each time up to the last."""
+class DeviceLineUser(Protocol):
+    """What uses a line. Every method is called in the line's own thread, one at a time.
 
-    first: float = 0.1
-    last: float = 2.0
-
-
-class LineUser(Protocol):
-    """Who uses a line. Every method is called in the line's own thread, one at a time.
-
-    `received` may be called in that of who has a turn instead.
+    `received` may be called in the thread of a caller that has a turn instead.
 
     Any of them may raise BridgeError to have the line dropped and opened again.
     """
@@ -51,7 +71,7 @@ class LineUser(Protocol):
         """The line is gone, or could not be opened. It is tried again after a pause."""
 
 
-class Line:
+class DeviceLine:
     """Keeps one line open in a thread of its own, from `start` to `close`.
 
     Args:
@@ -65,9 +85,9 @@ class Line:
     def __init__(
         self,
         name: str,
-        make: Callable[[], Transport],
-        user: LineUser,
-        backoff: Backoff,
+        make: Callable[[], LineTransport],
+        user: DeviceLineUser,
+        backoff: LineBackoff,
         *,
         is_shared: bool = False,
     ) -> None:
@@ -77,14 +97,16 @@ class Line:
         self._backoff = backoff
         self._is_shared = is_shared
         self._stop = threading.Event()
+        # Guards transport and `_broken` between senders and the line's thread: whole messages stay
+        # whole. Where `send_within` has left a rest, the thread that sends it releases it.
         self._sending = threading.Lock()
-        # Held by who reads and calls the user. The line's thread waits for it, others only try, and
-        # not while that waits, so that the clock is looked at however many there are.
+        # Held by the thread that reads and calls the user. The line's thread waits for it; others
+        # only try, and not while that waits, so that `tick` is called however many there are.
         self._reading = threading.Lock()
         self._is_wanted = False
         self._turns = 0
         self._readiness: Readiness | None = None
-        self._transport: Transport | None = None
+        self._transport: LineTransport | None = None
         self._broken = ""
         self._cause = "not open yet"
         self._thread = threading.Thread(target=self._run, name=f"uoarm-{name}", daemon=True)
@@ -147,7 +169,7 @@ class Line:
             if not is_handed_over:
                 self._sending.release()
 
-    def _send_rest(self, transport: Transport, rest: bytes) -> None:
+    def _send_rest(self, transport: LineTransport, rest: bytes) -> None:
         """Send what is left of a message, in a thread that holds what every sender needs."""
         try:
             transport.write(rest)
@@ -159,9 +181,9 @@ class Line:
     def begin_turn(self) -> bool:
         """Have the caller's thread read instead of the line's, over a prompt transport.
 
-        Who sends and waits for the answer within a turn need not be woken by the line's thread. A
-        turn is to be short, and not begun in a user's method. Returns whether it is one: not where
-        another thread reads, or the line is not open.
+        A caller that sends and waits for the answer within a turn need not be woken by the line's
+        thread. A turn is to be short, and not begun in a user's method. Returns whether it is one:
+        not where another thread reads, or the line is not open.
         """
         if self._is_wanted or not self._reading.acquire(blocking=False):
             return False
@@ -179,14 +201,14 @@ class Line:
         self._reading.release()
 
     def read_for(self, is_over: Callable[[], bool], until: float) -> None:
-        """Read within a turn until somebody has what he waits for, but no longer than 50 ms.
+        """Read within a turn until a caller has what it waits for, but no longer than 50 ms.
 
         Args:
             is_over: says whether there is no more to wait for.
             until: monotonic time at which to return at the latest, but for 50 ms.
         """
         transport = self._transport
-        assert transport is not None, "closed only by who has the turn"
+        assert transport is not None, "closed only by the thread that has the turn"
         until = min(until, time.monotonic() + TICK_SECONDS)
         try:
             while not self._is_wanted and not self._stop.is_set():
@@ -211,7 +233,7 @@ class Line:
         if self._thread.is_alive() and threading.current_thread() is not self._thread:
             self._thread.join(timeout)
 
-    def _watched(self, transport: Transport) -> Readiness | None:
+    def _watched(self, transport: LineTransport) -> Readiness | None:
         """Return what lets other threads read as well; None: the line's own alone does."""
         descriptor = transport.descriptor() if self._is_shared else None
         if descriptor is None or not hasattr(select, "epoll"):
@@ -233,7 +255,7 @@ class Line:
 
     def _use_once(self) -> str:
         """Open, read until the line is lost, close; return why it was lost."""
-        transport: Transport | None = None
+        transport: LineTransport | None = None
         try:
             transport = self._make()
             transport.open(_OPEN_SECONDS)
@@ -249,7 +271,7 @@ class Line:
                 self._is_wanted = True
                 with self._reading:
                     self._is_wanted = False
-                    # Who had a turn meanwhile may have read it.
+                    # A caller that had a turn meanwhile may have read it.
                     if readiness is not None and turns != self._turns:
                         is_ready = readiness.wait(0)
                     if is_ready:

@@ -8,27 +8,27 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 from attrs import define, field
 
-from uoarm_rocos._catalogue import PROFILE, Catalogue
+from uoarm_rocos._catalogue import PROFILE, DeviceCatalogue
 
 __all__ = [
-    "Call",
+    "CallMessage",
     "CatalogueMessage",
-    "Close",
-    "Data",
-    "Describe",
+    "CloseMessage",
+    "DataMessage",
+    "DescribeMessage",
     "Direction",
     "ErrorCode",
     "ErrorMessage",
-    "Heartbeat",
-    "Open",
-    "Result",
+    "HeartbeatMessage",
+    "OpenMessage",
+    "ResultMessage",
     "Values",
     "WireMessage",
 ]
 
 if TYPE_CHECKING:
     from attrs import frozen as message
-else:  # frozen for whoever writes code: one that is at run time, too, takes thrice as long to make
+else:  # frozen for type checkers: one that is at run time, too, takes thrice as long to make
     message = define(unsafe_hash=True)
 
 Values: TypeAlias = Mapping[str, Any]
@@ -54,7 +54,7 @@ class ErrorCode(Enum):
 
 
 @message
-class Describe:
+class DescribeMessage:
     """The host asks for the catalogue."""
 
     seq: int
@@ -64,15 +64,15 @@ class Describe:
 
 @message
 class CatalogueMessage:
-    """The device answers `Describe`."""
+    """The device answers `DescribeMessage`."""
 
     seq: int
     id: int
-    catalogue: Catalogue
+    catalogue: DeviceCatalogue
 
 
 @message
-class Call:
+class CallMessage:
     """The host asks a service."""
 
     seq: int
@@ -82,8 +82,8 @@ class Call:
 
 
 @message
-class Result:
-    """The device answers `Call`."""
+class ResultMessage:
+    """The device answers `CallMessage`."""
 
     seq: int
     id: int
@@ -91,7 +91,7 @@ class Result:
 
 
 @message
-class Open:
+class OpenMessage:
     """The host begins a flow; the device says the same again when it is open."""
 
     seq: int
@@ -101,7 +101,7 @@ class Open:
 
 
 @message
-class Data:
+class DataMessage:
     """One message of an open flow; `time` in seconds of the sender's clock."""
 
     seq: int
@@ -111,7 +111,7 @@ class Data:
 
 
 @message
-class Close:
+class CloseMessage:
     """A flow ends in good order, or a call is given up."""
 
     seq: int
@@ -129,12 +129,20 @@ class ErrorMessage:
 
 
 @message
-class Heartbeat:
+class HeartbeatMessage:
     """I am here."""
 
     seq: int
 
 
 WireMessage: TypeAlias = (
-    Describe | CatalogueMessage | Call | Result | Open | Data | Close | ErrorMessage | Heartbeat
+    DescribeMessage
+    | CatalogueMessage
+    | CallMessage
+    | ResultMessage
+    | OpenMessage
+    | DataMessage
+    | CloseMessage
+    | ErrorMessage
+    | HeartbeatMessage
 )

@@ -5,16 +5,39 @@ from __future__ import annotations
 import xml.etree.ElementTree as ET
 from typing import Any
 
+from attrs import frozen
 from defusedxml import DefusedXmlException
 from defusedxml.ElementTree import DefusedXMLParser
 
 from uoarm_rocos._errors import WireError
-from uoarm_rocos._limits import Limits
 
-__all__ = ["parse"]
+__all__ = ["SERIAL_LIMITS", "TCP_LIMITS", "MessageLimits", "parse"]
 
 
-def parse(data: bytes, limits: Limits) -> ET.Element:
+@frozen
+class MessageLimits:
+    """Bounds of one message, as section 7 of the profile has them.
+
+    Attributes:
+        octets: most octets of a message before framing.
+        depth: most elements inside each other.
+        elements: most elements in a message.
+        attribute_octets: most octets of one attribute.
+        attributes: most attributes of one element.
+    """
+
+    octets: int = 1_048_576
+    depth: int = 32
+    elements: int = 100_000
+    attribute_octets: int = 1024
+    attributes: int = 16
+
+
+TCP_LIMITS = MessageLimits()
+SERIAL_LIMITS = MessageLimits(octets=65_536)
+
+
+def parse(data: bytes, limits: MessageLimits) -> ET.Element:
     """Parse one message.
 
     Raises:
@@ -49,7 +72,7 @@ def _check_declaration(text: str) -> None:
 class _Builder(ET.TreeBuilder):
     """Counts while the tree grows, so that nothing beyond the limits is ever built."""
 
-    def __init__(self, limits: Limits) -> None:
+    def __init__(self, limits: MessageLimits) -> None:
         super().__init__()
         self._limits = limits
         self._depth = 0

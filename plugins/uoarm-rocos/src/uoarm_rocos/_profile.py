@@ -8,50 +8,32 @@ from collections import deque
 from collections.abc import Callable
 from typing import Any
 
-from attrs import field, frozen
-
 from uoarm.bridge import Delivery
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason
 from uoarm.model import Health
-from uoarm_rocos._answer import Answer, Answers, refusal
-from uoarm_rocos._catalogue import Api, Catalogue, differences
-from uoarm_rocos._courier import Courier
-from uoarm_rocos._device import Device, Told
+from uoarm_rocos._catalogue import Api, DeviceCatalogue, differences
+from uoarm_rocos._channels import DeliveryThread, ProfileFlow, ProfileInput, ProfileOutput
+from uoarm_rocos._conversation import Conversation, Wire
+from uoarm_rocos._device import Answer, Device, PendingAnswers, ReportHealth, refusal
 from uoarm_rocos._errors import LineError
-from uoarm_rocos._fit import fit
-from uoarm_rocos._flows import OutputFlow, ProfileFeed, ProfileFlow
-from uoarm_rocos._line import Backoff, Line
+from uoarm_rocos._health import LineDisconnection
+from uoarm_rocos._line import DeviceLine
 from uoarm_rocos._messages import (
-    Call,
-    Close,
-    Data,
+    CallMessage,
+    CloseMessage,
+    DataMessage,
     ErrorMessage,
-    Open,
-    Result,
+    OpenMessage,
+    ResultMessage,
     WireMessage,
 )
-from uoarm_rocos._outage import Outage
-from uoarm_rocos._talk import Talk, Wire
+from uoarm_rocos._options import Timing
+from uoarm_rocos._structure import fit
 
-__all__ = ["Changed", "ProfileDevice", "Timing"]
+__all__ = ["Changed", "ProfileDevice"]
 
 _MOST_UNSAID = 1000
 Changed = Callable[[Health, str, "dict[str, str]"], None]
-
-
-@frozen
-class Timing:
-    """How long things may take, in seconds.
-
-    Attributes:
-        wait: for a device that is asked for and not there.
-        grace: for a fault to pass before what needs the device is told that it is lost.
-        backoff: pauses between attempts to connect.
-    """
-
-    wait: float = 3.0
-    grace: float = 5.0
-    backoff: Backoff = field(factory=Backoff)
 
 
 class ProfileDevice(Device):
@@ -68,7 +50,7 @@ class ProfileDevice(Device):
         wire: the replaceable parts: transport, framer, codec.
         timing: limits.
         catalogue: what the device offers, where it is not to be asked.
-        changed: told of the line's health, and of APIs that changed, from the line's thread.
+        changed: called with the line's health, and APIs that changed, from the line's thread.
     """
 
     def __init__(
@@ -76,7 +58,7 @@ class ProfileDevice(Device):
         name: str,
         wire: Wire,
         timing: Timing,
-        catalogue: Catalogue | None,
+        catalogue: DeviceCatalogue | None,
         changed: Changed,
     ) -> None:
         self.name = name
@@ -84,22 +66,26 @@ class ProfileDevice(Device):
         self._timing = timing
         self._changed = changed
         self._known = catalogue
+        # Guards readiness, catalogue and flows between callers and the line's thread, and wakes
+        # callers that wait for the device.
         self._state = threading.Condition()
         self._ready = False
         self._cause = "not connected yet"
-        self._outage = Outage(timing.grace)
+        self._disconnection = LineDisconnection(timing.grace)
         self._closed = False
-        self._answers = Answers(name)
+        self._answers = PendingAnswers(name)
         self._flows: set[ProfileFlow] = set()
         self._by_id: dict[int, ProfileFlow] = {}
-        self._unsaid: deque[int] = deque(maxlen=_MOST_UNSAID)
-        self._courier = Courier(f"{name}-deliver")
-        self._talk = Talk(wire, catalogue, self)
-        self._line = Line(name, wire.transport, self._talk, timing.backoff, is_shared=wire.prompt)
-        self._talk.line = self._line
+        self._unsent_closes: deque[int] = deque(maxlen=_MOST_UNSAID)
+        self._delivery_thread = DeliveryThread(f"{name}-deliver")
+        self._conversation = Conversation(wire, catalogue, self)
+        self._line = DeviceLine(
+            name, wire.transport, self._conversation, timing.backoff, is_shared=wire.prompt
+        )
+        self._conversation.line = self._line
         self._line.start()
 
-    def catalogue(self, timeout: float) -> Catalogue:
+    def catalogue(self, timeout: float) -> DeviceCatalogue:
         """Return what the device offers now."""
         self._await_ready(timeout)
         assert self._known is not None
@@ -107,7 +93,7 @@ class ProfileDevice(Device):
 
     def facts(self) -> dict[str, object]:
         """Return counters of the line."""
-        return self._talk.facts()
+        return self._conversation.facts()
 
     def call(self, api: Api, message: object, timeout: float) -> dict[str, Any]:
         """Ask a service; gives the call up, with a word to the device, when time is up."""
@@ -116,32 +102,36 @@ class ProfileDevice(Device):
         self._await_ready(min(timeout, self._timing.wait))
         self._check_same(api)
         what = f"calling {api.name} of {self.name}"
-        identity, refused = self._talk.ids.next(), self._talk.refused
+        identity, refused = self._conversation.ids.next(), self._conversation.refused
         answer = self._answers.expect(identity, what)
         is_answered = False
         try:
-            self._send_call(lambda seq: Call(seq, identity, api.name, values), answer, end)
+            self._send_call(lambda seq: CallMessage(seq, identity, api.name, values), answer, end)
             is_answered = answer.wait(max(0.0, end - time.monotonic()))
         except BridgeError:
             self._answers.forget(identity)  # nothing was sent
             raise
         finally:  # also where the caller's thread is interrupted
             if not is_answered and self._answers.forget(identity):
-                self._say_close(identity, 0.0 if self.is_prompt else None)
+                self._send_close(identity, 0.0 if self.is_prompt else None)
         if not is_answered:
             text = f"{what}: no answer within {timeout:g} s; it was given up"
-            raise BridgeTimeoutError(text + self._talk.refused_since(refused))
+            raise BridgeTimeoutError(text + self._conversation.refused_since(refused))
         return fit(api.output, answer.value(), f"result of {api.name}")
 
-    def open_output(self, api: Api, deliver: Delivery, told: Told, timeout: float) -> OutputFlow:
+    def open_output(
+        self, api: Api, deliver: Delivery, report: ReportHealth, timeout: float
+    ) -> ProfileOutput:
         """Open a flow from the device."""
-        flow = OutputFlow(api, told, self._end, deliver, self._courier, self._timing.grace)
+        flow = ProfileOutput(
+            api, report, self._end, deliver, self._delivery_thread, self._timing.grace
+        )
         self._open(flow, timeout)
         return flow
 
-    def open_input(self, api: Api, told: Told, timeout: float) -> ProfileFeed:
+    def open_input(self, api: Api, report: ReportHealth, timeout: float) -> ProfileInput:
         """Open a flow into the device."""
-        feed = ProfileFeed(api, told, self._end, self._send_data)
+        feed = ProfileInput(api, report, self._end, self._send_data)
         self._open(feed, timeout)
         return feed
 
@@ -150,22 +140,22 @@ class ProfileDevice(Device):
         self._line.stop()
 
     def close(self) -> None:
-        """End the line; what waits is told so."""
+        """End the line; what waits fails."""
         with self._state:
             self._closed = True
             self._state.notify_all()
         self._line.close()
-        self._courier.close()
+        self._delivery_thread.close()
         self._answers.fail(BridgeError(f"{self.name} was closed", FailureReason.CLOSED))
 
-    def on_ready(self, catalogue: Catalogue) -> None:
+    def on_ready(self, catalogue: DeviceCatalogue) -> None:
         """Begin, or begin again, with what the device offers now; from the line's thread."""
         with self._state:
             before, self._known = self._known, catalogue
             self._ready = True
             flows = list(self._flows)
             self._state.notify_all()
-        self._outage.end()
+        self._disconnection.restored()
         found = {} if before is None else differences(before, catalogue)
         text = "connected again" if before is not None else "connected"
         cause = f"the device has another catalogue: {'; '.join(found.values())}"
@@ -175,47 +165,47 @@ class ProfileDevice(Device):
 
     def on_message(self, message: WireMessage) -> None:
         """Take one message of the device; from the line's thread."""
-        if isinstance(message, Data):
+        if isinstance(message, DataMessage):
             flow = self._by_id.get(message.id)
             if flow is not None:
-                flow.refused = self._talk.refused
+                flow.refused = self._conversation.refused
                 flow.take(message.values)
-        elif isinstance(message, Result):
+        elif isinstance(message, ResultMessage):
             self._answers.give(message.id, message.values)
-        elif isinstance(message, Open):
+        elif isinstance(message, OpenMessage):
             again = self._by_id.get(message.id)
             if not self._answers.give(message.id, None) and again is not None:
-                again.tell(Health.OK, "connected again")
+                again.report_health(Health.OK, "connected again")
         elif isinstance(message, ErrorMessage):
             self._take_error(message)
-        elif isinstance(message, Close):
+        elif isinstance(message, CloseMessage):
             flow = self._by_id.pop(message.id, None)
             if flow is not None:
-                flow.tell(Health.FINISHED, "the device ended the flow")
+                flow.report_health(Health.FINISHED, "the device ended the flow")
 
     def on_lost(self, cause: str) -> None:
-        """Fail what waits and tell flows; from the line's thread, at each attempt."""
+        """Fail what waits and report it to flows; from the line's thread, at each attempt."""
         with self._state:
             self._ready, self._cause = False, cause
             flows = list(self._flows)
             self._by_id.clear()
-        self._unsaid.clear()
+        self._unsent_closes.clear()
         self._answers.fail(LineError(f"the line to {self.name} was lost: {cause}"))
-        news = self._outage.news(time.monotonic())
-        if news is None:
+        health = self._disconnection.lost(time.monotonic())
+        if health is None:
             return
         text = f"the line to {self.name} is lost: {cause}"
-        self._changed(news, text, {})
+        self._changed(health, text, {})
         for flow in flows:
             flow.id = 0
-            flow.tell(news, text, anew=True)
+            flow.report_health(health, text, anew=True)
 
     def on_tick(self, now: float) -> None:
         """Look at the clock; from the line's thread."""
-        while self._unsaid:
-            self._say_close(self._unsaid.popleft())
+        while self._unsent_closes:
+            self._send_close(self._unsent_closes.popleft())
         for flow in list(self._by_id.values()):
-            flow.tick(now, self._talk.refused_since(flow.refused))
+            flow.tick(now, self._conversation.refused_since(flow.refused))
 
     def _await_ready(self, timeout: float) -> None:
         if self._ready and not self._closed:
@@ -231,28 +221,28 @@ class ProfileDevice(Device):
         now = self._known.apis.get(api.name) if self._known else None
         if now is api or now == api:
             return
-        both = [Catalogue("", {api.name: item} if item else {}) for item in (api, now)]
+        both = [DeviceCatalogue("", {api.name: item} if item else {}) for item in (api, now)]
         found = differences(*both).get(api.name)
         if found:
             text = f"{self.name} has another catalogue than the one that was checked: {found}"
             raise BridgeError(text, FailureReason.CONTRACT)
 
     def _send_call(self, build: Callable[[int], WireMessage], answer: Answer, end: float) -> None:
-        """Send a question; over a prompt line read the answer as well, if nobody else reads."""
+        """Send a question; over a prompt line read the answer as well, if no other thread reads."""
         if not self.is_prompt:
-            self._talk.send(build)
+            self._conversation.send(build)
         elif not self._send_in_turn(build, answer, end):
-            self._talk.send(build, end - time.monotonic())
+            self._conversation.send(build, end - time.monotonic())
 
     def _send_in_turn(
         self, build: Callable[[int], WireMessage], answer: Answer, end: float
     ) -> bool:
-        """Send a question and read the answer, where nobody else reads or sends just now."""
+        """Send a question and read the answer, where no other thread reads or sends just now."""
         if not self._line.begin_turn():
             return False
         try:
-            # Waiting for another sender would keep everybody from reading.
-            self._talk.send(build, 0.0)
+            # Waiting for another sender would keep all callers from reading.
+            self._conversation.send(build, 0.0)
         except BridgeTimeoutError:
             return False
         else:
@@ -262,15 +252,15 @@ class ProfileDevice(Device):
             self._line.end_turn()
 
     def _ask_for(self, flow: ProfileFlow, what: str) -> Answer:
-        identity = self._talk.ids.next()
+        identity = self._conversation.ids.next()
         answer = self._answers.expect(identity, what)
         with self._state:
             self._flows.add(flow)
             self._by_id[identity], flow.id = flow, identity
-            flow.refused = self._talk.refused
+            flow.refused = self._conversation.refused
         api, way = flow.api.name, flow.direction
         try:
-            self._talk.send(lambda seq: Open(seq, identity, api, way))
+            self._conversation.send(lambda seq: OpenMessage(seq, identity, api, way))
         except BridgeError:
             self._answers.forget(identity)
             raise
@@ -281,12 +271,12 @@ class ProfileDevice(Device):
         self._await_ready(min(timeout, self._timing.wait))
         self._check_same(flow.api)
         what = f"opening {flow.direction.value} {flow.api.name} of {self.name}"
-        refused = self._talk.refused
+        refused = self._conversation.refused
         try:
             answer = self._ask_for(flow, what)
             if not answer.wait(max(0.0, end - time.monotonic())):
                 text = f"{what}: no answer within {timeout:g} s"
-                raise BridgeTimeoutError(text + self._talk.refused_since(refused))
+                raise BridgeTimeoutError(text + self._conversation.refused_since(refused))
             answer.value()
         except BridgeError:
             flow.close()
@@ -294,21 +284,23 @@ class ProfileDevice(Device):
 
     def _open_again(self, flow: ProfileFlow, found: dict[str, str]) -> None:
         if flow.api.name in found:
-            flow.tell(Health.LOST, f"refused after reconnecting: {found[flow.api.name]}")
+            flow.report_health(Health.LOST, f"refused after reconnecting: {found[flow.api.name]}")
             return
         with self._state:
             if flow not in self._flows or self._by_id.get(flow.id) is flow:
                 return  # closed, or opened by its user since the line came back
-            identity = self._talk.ids.next()
+            identity = self._conversation.ids.next()
             self._by_id[identity], flow.id = flow, identity
-            flow.refused = self._talk.refused
-        self._talk.send(lambda seq: Open(seq, identity, flow.api.name, flow.direction))
+            flow.refused = self._conversation.refused
+        self._conversation.send(
+            lambda seq: OpenMessage(seq, identity, flow.api.name, flow.direction)
+        )
 
     def _send_data(self, flow: ProfileFlow, values: dict[str, Any]) -> None:
         identity = flow.id
         if not identity:
             raise LineError(f"{self.name} is not connected: {self._cause}")
-        self._talk.send(lambda seq: Data(seq, identity, values))
+        self._conversation.send(lambda seq: DataMessage(seq, identity, values))
 
     def _end(self, flow: ProfileFlow) -> None:
         with self._state:
@@ -316,13 +308,13 @@ class ProfileDevice(Device):
             known = self._by_id.pop(flow.id, None)
         self._answers.forget(flow.id)
         if known is not None:
-            self._say_close(flow.id)
+            self._send_close(flow.id)
 
-    def _say_close(self, identity: int, within: float | None = None) -> None:
+    def _send_close(self, identity: int, within: float | None = None) -> None:
         try:
-            self._talk.send(lambda seq: Close(seq, identity), within)
+            self._conversation.send(lambda seq: CloseMessage(seq, identity), within)
         except BridgeTimeoutError:
-            self._unsaid.append(identity)  # the line's thread says it
+            self._unsent_closes.append(identity)  # the line's thread says it
         except BridgeError:
             return  # the line is gone, and every conversation with it
 
@@ -331,4 +323,4 @@ class ProfileDevice(Device):
             raise refusal(message, self.name)
         flow = self._by_id.pop(message.id, None)
         if not self._answers.refuse(message) and flow is not None:
-            flow.tell(Health.LOST, str(refusal(message, f"the flow {flow.api.name}")))
+            flow.report_health(Health.LOST, str(refusal(message, f"the flow {flow.api.name}")))

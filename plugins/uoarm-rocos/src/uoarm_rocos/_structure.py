@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import math
+import operator
+from collections.abc import Callable, Mapping
+from numbers import Integral
 from typing import Any
 
 from uoarm.bridge import Description
 from uoarm.model import MessageStructure
-from uoarm_rocos._catalogue import Api, Kind
-from uoarm_rocos._fields import (
+from uoarm_rocos._catalogue import (
+    Api,
+    ApiKind,
     BooleanField,
     Field,
     Fields,
@@ -16,10 +21,12 @@ from uoarm_rocos._fields import (
     NumberField,
     OctetsField,
     StringField,
+    StructField,
 )
+from uoarm_rocos._errors import WireError
 from uoarm_rocos._messages import Direction
 
-__all__ = ["describe", "structure_of"]
+__all__ = ["describe", "fit", "structure_of"]
 
 _OCTET = {"type": "integer", "minimum": 0, "maximum": 255}
 
@@ -30,7 +37,7 @@ def describe(api: Api, direction: Direction | None) -> Description:
         Direction.INPUT: structure_of(api.input, f"{api.name}.input"),
         Direction.OUTPUT: structure_of(api.output, f"{api.name}.output"),
     }
-    if api.kind is Kind.FLOW and direction is not None:
+    if api.kind is ApiKind.FLOW and direction is not None:
         return Description(message=sides[direction])
     return Description(request=sides[Direction.INPUT], reply=sides[Direction.OUTPUT])
 
@@ -82,3 +89,132 @@ def _schema(kind: Field) -> dict[str, Any]:
 def _named(schema: dict[str, Any], **keywords: object) -> dict[str, Any]:
     schema.update({key: value for key, value in keywords.items() if value is not None})
     return schema
+
+
+_SHOWN = 40
+_OBJECT = (dict, Mapping)  # a dict is recognised without the slow check of an abstract class
+
+
+def fit(fields: Fields, message: object, where: str) -> dict[str, Any]:
+    """Return a message as values of exactly these fields; `where` begins the path in errors.
+
+    Whole floats are taken for integers, integers for numbers, buffers and lists of 0 to 255 for
+    octets, octets and anything with `tolist` (numpy, array) for lists.
+
+    Raises:
+        WireError: with the path of the first field that does not fit, what was expected and what
+            came.
+    """
+    if not isinstance(message, _OBJECT):
+        raise _wrong(where, "an object", message)
+    for name in message:
+        if name not in fields:
+            known = ", ".join(fields) or "none"
+            raise WireError(f"{where}: there is no field {str(name)[:_SHOWN]!r}; there are {known}")
+    values = {}
+    for name, member in fields.items():
+        if name in message:
+            kind = member.type
+            values[name] = _FITTERS[type(kind)](kind, message[name], f"{where}.{name}")
+        elif member.required:
+            raise WireError(f"{where}: the field {name!r} is missing")
+    return values
+
+
+def _fit(kind: Field, value: Any, where: str) -> Any:
+    return _FITTERS[type(kind)](kind, value, where)
+
+
+def _boolean(kind: BooleanField, value: Any, where: str) -> bool:
+    del kind
+    if isinstance(value, bool):
+        return value
+    if type(value).__name__ in {"bool", "bool_"} and hasattr(value, "item"):
+        return bool(value)
+    raise _wrong(where, "true or false", value)
+
+
+def _integer(kind: IntegerField, value: Any, where: str) -> int:
+    if isinstance(value, bool):
+        raise _wrong(where, "an integer", value)
+    if isinstance(value, float) and value.is_integer():
+        value = int(value)
+    try:
+        number = operator.index(value)
+    except TypeError:
+        raise _wrong(where, "an integer", value) from None
+    if not kind.minimum <= number <= kind.maximum:
+        raise _wrong(where, f"{kind.minimum} to {kind.maximum}", value)
+    return number
+
+
+def _number(kind: NumberField, value: Any, where: str) -> float:
+    if isinstance(value, bool | str | bytes) or not hasattr(value, "__float__"):
+        raise _wrong(where, "a number", value)
+    try:
+        number = float(value)
+    except (OverflowError, TypeError, ValueError):
+        raise _wrong(where, "a number of 64-bit float", value) from None
+    if not math.isfinite(number) and not kind.nonfinite:
+        raise _wrong(where, "a finite number", value)
+    low = kind.minimum is not None and number < kind.minimum
+    high = kind.maximum is not None and number > kind.maximum
+    if low or high:
+        bounds = ("any" if item is None else f"{item:g}" for item in (kind.minimum, kind.maximum))
+        raise _wrong(where, " to ".join(bounds), value)
+    return number
+
+
+def _string(kind: StringField, value: Any, where: str) -> str:
+    if not isinstance(value, str):
+        raise _wrong(where, "text", value)
+    if kind.choices and value not in kind.choices:
+        raise _wrong(where, f"one of {', '.join(kind.choices)}", value)
+    if kind.max_length is not None and len(value) > kind.max_length:
+        raise _wrong(where, f"at most {kind.max_length} characters", f"{len(value)} of them")
+    return value
+
+
+def _octets(kind: OctetsField, value: Any, where: str) -> bytes:
+    if isinstance(value, str | Integral | float | Mapping) or value is None:
+        raise _wrong(where, "octets", value)
+    try:
+        octets = bytes(value)
+    except (TypeError, ValueError):
+        raise _wrong(where, "octets", value) from None
+    if kind.max_length is not None and len(octets) > kind.max_length:
+        raise _wrong(where, f"at most {kind.max_length} octets", f"{len(octets)} of them")
+    return octets
+
+
+def _list(kind: ListField, value: Any, where: str) -> list[Any]:
+    items = value.tolist() if hasattr(value, "tolist") else value
+    if isinstance(items, bytes | bytearray):
+        items = list(items)
+    if not isinstance(items, list | tuple):
+        raise _wrong(where, "a list", value)
+    most = math.inf if kind.max_items is None else kind.max_items
+    if not kind.min_items <= len(items) <= most:
+        raise _wrong(where, f"{kind.min_items} to {most} items", f"{len(items)} of them")
+    return [_fit(kind.items, item, f"{where}[{n}]") for n, item in enumerate(items)]
+
+
+def _struct(kind: StructField, value: Any, where: str) -> dict[str, Any]:
+    return fit(kind.members, value, where)
+
+
+_FITTERS: dict[type, Callable[[Any, Any, str], Any]] = {
+    BooleanField: _boolean,
+    IntegerField: _integer,
+    NumberField: _number,
+    StringField: _string,
+    OctetsField: _octets,
+    ListField: _list,
+    StructField: _struct,
+}
+
+
+def _wrong(where: str, expected: str, got: object) -> WireError:
+    shown = repr(got)
+    shown = shown if len(shown) <= _SHOWN else f"{shown[:_SHOWN]}..."
+    return WireError(f"{where}: expected {expected}, got {shown} ({type(got).__name__})")

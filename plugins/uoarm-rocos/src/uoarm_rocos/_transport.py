@@ -9,32 +9,20 @@ from collections.abc import Callable
 from contextlib import suppress
 
 import serial
-from attrs import frozen
 
 from uoarm_rocos._errors import LineError
+from uoarm_rocos._options import LineOptions, tcp_address
 
-__all__ = ["LineSettings", "SerialTransport", "TcpTransport", "Transport", "transport_for"]
+__all__ = ["LineTransport", "SerialTransport", "TcpTransport", "transport_for"]
 
 TICK_SECONDS = 0.05
 _WRITE_SECONDS = 2.0
 _MOST = 65_536
-_DEFAULT_BAUD = 115_200
 # What sockets and ports raise; pyserial TypeError when a port is closed under a read.
-_TROUBLE = (OSError, ValueError, TypeError, NotImplementedError)
+_FAILURES = (OSError, ValueError, TypeError, NotImplementedError)
 
 
-@frozen
-class LineSettings:
-    """The settings of a serial line: bits a second, data bits, `N`, `E` or `O`, stop bits."""
-
-    baud: int = _DEFAULT_BAUD
-    bits: int = 8
-    parity: str = "N"
-    stop: float = 1
-    xonxoff: bool = False
-
-
-class Transport(ABC):
+class LineTransport(ABC):
     """One line to one device; opened, used and closed once.
 
     `read` and `close` are called by one thread, `write` by another, one call at a time.
@@ -83,7 +71,7 @@ class Transport(ABC):
         """Let go of the line; never raises, also after a failed `open`."""
 
 
-class TcpTransport(Transport):
+class TcpTransport(LineTransport):
     """A TCP connection to a listening device."""
 
     def __init__(self, host: str, port: int) -> None:
@@ -99,7 +87,7 @@ class TcpTransport(Transport):
             self._writer = self._reader.dup()
             self._reader.settimeout(TICK_SECONDS)
             self._writer.settimeout(_WRITE_SECONDS)
-        except _TROUBLE as error:
+        except _FAILURES as error:
             where = f"tcp://{self._address[0]}:{self._address[1]}"
             raise _line_error(where, error) from error
 
@@ -110,7 +98,7 @@ class TcpTransport(Transport):
             data = self._reader.recv(_MOST)
         except TimeoutError:
             return b""
-        except _TROUBLE as error:
+        except _FAILURES as error:
             raise _line_error("reading from TCP", error) from error
         if not data:
             raise LineError("the device closed the connection")
@@ -121,7 +109,7 @@ class TcpTransport(Transport):
         assert self._writer is not None
         try:
             self._writer.sendall(data)
-        except _TROUBLE as error:
+        except _FAILURES as error:
             raise _line_error("writing to TCP", error) from error
 
     def descriptor(self) -> int | None:
@@ -143,34 +131,34 @@ class TcpTransport(Transport):
                 item.close()
 
 
-class SerialTransport(Transport):
+class SerialTransport(LineTransport):
     """A serial line by any form of `serial.serial_for_url`: a port, `socket://`, `rfc2217://`.
 
     With `rfc2217://` pyserial takes no limit for writing; that of its socket, 5 seconds, holds.
     """
 
-    def __init__(self, url: str, settings: LineSettings) -> None:
+    def __init__(self, url: str, options: LineOptions) -> None:
         self._url = url
-        self._settings = settings
+        self._options = options
         self._port: serial.Serial | None = None
 
     def open(self, timeout: float) -> None:
         """Open the port; `timeout` is the concern of pyserial, which has limits of its own."""
         del timeout
-        settings = self._settings
+        options = self._options
         try:
             self._port = serial.serial_for_url(
                 self._url,
-                baudrate=settings.baud,
-                bytesize=settings.bits,
-                parity=settings.parity,
-                stopbits=settings.stop,
-                xonxoff=settings.xonxoff,
+                baudrate=options.baud,
+                bytesize=options.bits,
+                parity=options.parity,
+                stopbits=options.stop,
+                xonxoff=options.xonxoff,
                 timeout=TICK_SECONDS,
                 write_timeout=None if self._url.startswith("rfc2217:") else _WRITE_SECONDS,
                 exclusive=True,
             )
-        except _TROUBLE as error:
+        except _FAILURES as error:
             raise _line_error(self._url, error) from error
 
     def read(self) -> bytes:
@@ -180,7 +168,7 @@ class SerialTransport(Transport):
             first = bytes(self._port.read(1))
             waiting = min(self._port.in_waiting, _MOST) if first else 0
             return first + bytes(self._port.read(waiting)) if waiting else first
-        except _TROUBLE as error:
+        except _FAILURES as error:
             raise _line_error(f"reading from {self._url}", error) from error
 
     def write(self, data: bytes) -> None:
@@ -188,7 +176,7 @@ class SerialTransport(Transport):
         assert self._port is not None
         try:
             self._port.write(data)
-        except _TROUBLE as error:
+        except _FAILURES as error:
             raise _line_error(f"writing to {self._url}", error) from error
 
     def descriptor(self) -> int | None:
@@ -210,18 +198,16 @@ class SerialTransport(Transport):
                 self._port.close()
 
 
-def transport_for(url: str, settings: LineSettings) -> Callable[[], Transport]:
+def transport_for(url: str, options: LineOptions) -> Callable[[], LineTransport]:
     """Return what makes a transport for a URL: `tcp://host:port`, or a form of pyserial.
 
     Raises:
         ValueError: `tcp://` without host and port.
     """
-    if not url.startswith("tcp://"):
-        return lambda: SerialTransport(url, settings)
-    host, _, port = url.removeprefix("tcp://").rpartition(":")
-    if not host or not port.isdecimal() or not 0 < int(port) < 65_536:  # noqa: PLR2004 - a port
-        raise ValueError(f"expected tcp://host:port, got {url!r}")
-    return lambda: TcpTransport(host.strip("[]"), int(port))
+    address = tcp_address(url)
+    if address is None:
+        return lambda: SerialTransport(url, options)
+    return lambda: TcpTransport(*address)
 
 
 def _write_now(descriptor: int, data: bytes, what: str) -> int:
@@ -230,7 +216,7 @@ def _write_now(descriptor: int, data: bytes, what: str) -> int:
         return os.write(descriptor, data)
     except BlockingIOError:
         return 0
-    except _TROUBLE as error:
+    except _FAILURES as error:
         raise _line_error(what, error) from error
 
 

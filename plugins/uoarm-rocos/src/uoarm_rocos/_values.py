@@ -11,8 +11,8 @@ from collections.abc import Mapping
 from functools import lru_cache
 from typing import Any
 
+from uoarm_rocos._catalogue import NAME
 from uoarm_rocos._errors import WireError
-from uoarm_rocos._fields import NAME
 
 __all__ = [
     "attribute",

@@ -10,14 +10,14 @@ from typing import Any
 from uoarm.bridge import Delivery
 from uoarm.errors import BridgeError, FailureReason
 from uoarm.model import Health
-from uoarm_rocos._catalogue import Api, Catalogue
-from uoarm_rocos._courier import Courier, Parcel
-from uoarm_rocos._device import Device, Told
+from uoarm_rocos._catalogue import Api, DeviceCatalogue
+from uoarm_rocos._channels import DeliveryThread, QueuedReceiver
+from uoarm_rocos._device import Device, ReportHealth
 from uoarm_rocos._errors import LineError
-from uoarm_rocos._line import Line
-from uoarm_rocos._profile import Timing
-from uoarm_rocos._transport import Transport
-from uoarm_rocos.devices._oximetry import Decoder
+from uoarm_rocos._line import DeviceLine
+from uoarm_rocos._options import Timing
+from uoarm_rocos._transport import LineTransport
+from uoarm_rocos.devices._oximeters import OximeterDecoder
 
 __all__ = ["StreamDevice"]
 
@@ -40,9 +40,9 @@ class StreamDevice(Device):
     def __init__(
         self,
         name: str,
-        catalogue: Catalogue,
-        decoder: Callable[[], Decoder],
-        transport: Callable[[], Transport],
+        catalogue: DeviceCatalogue,
+        decoder: Callable[[], OximeterDecoder],
+        transport: Callable[[], LineTransport],
         timing: Timing,
     ) -> None:
         self._name = name
@@ -52,36 +52,39 @@ class StreamDevice(Device):
         self._timing = timing
         (self._api,) = catalogue.apis.values()
         self._patience = max(_PERIODS * (self._api.period or 0.0), _LEAST_SILENCE)
-        self._heard = threading.Condition()
+        # Guards `_there`, `_closed` and the tuple of flows between callers and the line's thread.
+        self._state = threading.Condition()
         self._there = False
         self._cause = "not connected yet"
         self._last = time.monotonic()
         self._closed = False
         self._flows: tuple[_StreamFlow, ...] = ()
-        self._courier = Courier(f"{name}-deliver")
-        self._line = Line(name, transport, self, timing.backoff)
+        self._delivery_thread = DeliveryThread(f"{name}-deliver")
+        self._line = DeviceLine(name, transport, self, timing.backoff)
         self._line.start()
 
-    def catalogue(self, timeout: float) -> Catalogue:
+    def catalogue(self, timeout: float) -> DeviceCatalogue:
         """Return the catalogue once the device sends."""
-        with self._heard:
-            if not self._heard.wait_for(lambda: self._there or self._closed, timeout):
+        with self._state:
+            if not self._state.wait_for(lambda: self._there or self._closed, timeout):
                 raise LineError(f"{self._name} is not there after {timeout:g} s: {self._cause}")
         if self._closed:
             raise BridgeError(f"{self._name} is closed", FailureReason.CLOSED)
         return self._catalogue
 
-    def open_output(self, api: Api, deliver: Delivery, told: Told, timeout: float) -> _StreamFlow:
+    def open_output(
+        self, api: Api, deliver: Delivery, report: ReportHealth, timeout: float
+    ) -> _StreamFlow:
         """Give messages to one more receiver."""
         self.catalogue(timeout)
-        flow = _StreamFlow(api, deliver, told, self)
-        with self._heard:
+        flow = _StreamFlow(api, deliver, report, self)
+        with self._state:
             self._flows = (*self._flows, flow)
         return flow
 
     def leave(self, flow: _StreamFlow) -> None:
         """Give this receiver nothing more."""
-        with self._heard:
+        with self._state:
             self._flows = tuple(
                 stream_flow for stream_flow in self._flows if stream_flow is not flow
             )
@@ -96,11 +99,11 @@ class StreamDevice(Device):
 
     def close(self) -> None:
         """Let go of the line."""
-        with self._heard:
+        with self._state:
             self._closed = True
-            self._heard.notify_all()
+            self._state.notify_all()
         self._line.close()
-        self._courier.close()
+        self._delivery_thread.close()
 
     def connected(self) -> None:
         """Begin with a new decoder."""
@@ -115,13 +118,13 @@ class StreamDevice(Device):
             return
         self._last = time.monotonic()
         if not self._there:
-            with self._heard:
+            with self._state:
                 self._there = True
-                self._heard.notify_all()
-            self._tell(Health.OK, "frames arrive")
+                self._state.notify_all()
+            self._report_health(Health.OK, "frames arrive")
         for message in messages:
             for flow in self._flows:
-                self._courier.put(flow.parcel, message)
+                self._delivery_thread.put(flow.receiver, message)
 
     def tick(self, now: float) -> None:
         """Notice silence."""
@@ -136,39 +139,39 @@ class StreamDevice(Device):
 
     def _missing(self, cause: str, lasted: float) -> None:
         self._cause = cause
-        with self._heard:
+        with self._state:
             self._there = False
         gone = lasted > self._patience + self._timing.grace
-        self._tell(Health.LOST if gone else Health.DEGRADED, cause)
+        self._report_health(Health.LOST if gone else Health.DEGRADED, cause)
 
-    def _tell(self, health: Health, cause: str) -> None:
+    def _report_health(self, health: Health, cause: str) -> None:
         for flow in self._flows:
-            flow.tell(health, cause)
+            flow.report_health(health, cause)
 
 
 class _StreamFlow:
     """One receiver of a device's messages."""
 
     def __init__(
-        self, api: Api, deliver: Callable[[Any], None], told: Told, device: StreamDevice
+        self, api: Api, deliver: Callable[[Any], None], report: ReportHealth, device: StreamDevice
     ) -> None:
         self.api = api
-        self.parcel = Parcel(deliver)
-        self._told = told
+        self.receiver = QueuedReceiver(deliver)
+        self._report = report
         self._device = device
         self._health = Health.OK
 
-    def tell(self, health: Health, cause: str) -> None:
-        """Tell of a change, once, and of nothing after a loss."""
+    def report_health(self, health: Health, cause: str) -> None:
+        """Report a change, once, and nothing after a loss."""
         if health is not self._health and self._health is not Health.LOST:
             self._health = health
-            self._told(health, cause)
+            self._report(health, cause)
 
     def facts(self) -> Mapping[str, object]:
         """Return the device's counters and what this receiver was too slow for."""
-        return {**self._device.facts(), "dropped": self.parcel.dropped}
+        return {**self._device.facts(), "dropped": self.receiver.dropped}
 
     def close(self) -> None:
         """End; no other delivery begins."""
-        self.parcel.close()
+        self.receiver.close()
         self._device.leave(self)

@@ -1,26 +1,29 @@
-"""Simulated devices that speak on a real line, for whoever has no hardware."""
+"""Simulated devices that speak on a real line, for work without hardware."""
 
-from uoarm_rocos.simulate._blood_pressure import BloodPressureMonitor
-from uoarm_rocos.simulate._ends import End, PtyEnd, TcpEnd
-from uoarm_rocos.simulate._oximeter import FORMATS, Oximeter, Story
-from uoarm_rocos.simulate._robot import Robot, robot_catalogue
-from uoarm_rocos.simulate._run import Faults, Simulated, run
-from uoarm_rocos.simulate._server import Job, Model, ProfileServer
-from uoarm_rocos.simulate._vitals import Person, Vitals
+from uoarm_rocos.simulate._patient import (
+    FORMATS,
+    BloodPressureMonitor,
+    Oximeter,
+    Person,
+    Story,
+    Vitals,
+)
+from uoarm_rocos.simulate._run import LineEnd, LineFaults, PtyEnd, Simulated, TcpEnd, run
+from uoarm_rocos.simulate._server import Job, Model, ProfileServer, SimulatedRobot, robot_catalogue
 
 __all__ = [
     "FORMATS",
     "BloodPressureMonitor",
-    "End",
-    "Faults",
     "Job",
+    "LineEnd",
+    "LineFaults",
     "Model",
     "Oximeter",
     "Person",
     "ProfileServer",
     "PtyEnd",
-    "Robot",
     "Simulated",
+    "SimulatedRobot",
     "Story",
     "TcpEnd",
     "Vitals",

@@ -2,32 +2,35 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any, Protocol, TypeAlias
 
 from attrs import define
 
-from uoarm_rocos._catalogue import PROFILE, Api, Catalogue, Kind
+from uoarm_rocos._catalogue import PROFILE, Api, ApiKind, DeviceCatalogue
+from uoarm_rocos._catalogue_xml import load_catalogue
 from uoarm_rocos._codec import XmlCodec
 from uoarm_rocos._errors import WireError
-from uoarm_rocos._fit import fit
 from uoarm_rocos._framing import Framer
 from uoarm_rocos._messages import (
-    Call,
+    CallMessage,
     CatalogueMessage,
-    Close,
-    Data,
-    Describe,
+    CloseMessage,
+    DataMessage,
+    DescribeMessage,
     Direction,
     ErrorCode,
     ErrorMessage,
-    Heartbeat,
-    Open,
-    Result,
+    HeartbeatMessage,
+    OpenMessage,
+    ResultMessage,
     WireMessage,
 )
+from uoarm_rocos._structure import fit
 
-__all__ = ["Job", "Model", "ProfileServer"]
+__all__ = ["Job", "Model", "ProfileServer", "SimulatedRobot", "robot_catalogue"]
 
 _MOST_CONVERSATIONS = 64
 _WRAP = 2**32
@@ -40,7 +43,7 @@ class Model(Protocol):
     """What the device is and does."""
 
     @property
-    def catalogue(self) -> Catalogue:
+    def catalogue(self) -> DeviceCatalogue:
         """What it offers."""
 
     def call(self, api: str, values: Values, now: float) -> Values | Job:
@@ -130,7 +133,7 @@ class ProfileServer:
                 if flow.api.name == name and flow.direction is Direction.OUTPUT
             ]
         if now - self._sent >= self._model.catalogue.heartbeat:
-            frames.append(self._frame(Heartbeat, now))
+            frames.append(self._frame(HeartbeatMessage, now))
         return frames
 
     def _frame(self, build: Callable[[int], WireMessage], now: float) -> bytes:
@@ -140,26 +143,26 @@ class ProfileServer:
         return frame
 
     def _answer(self, message: WireMessage, now: float) -> list[Callable[[int], WireMessage]]:
-        if isinstance(message, Describe):
+        if isinstance(message, DescribeMessage):
             if message.profile != PROFILE:
                 return [_error(message.id, ErrorCode.PROFILE, f"this device speaks {PROFILE}")]
             identity, catalogue = message.id, self._model.catalogue
             return [lambda seq: CatalogueMessage(seq, identity, catalogue)]
-        if isinstance(message, Call):
+        if isinstance(message, CallMessage):
             return self._call(message, now)
-        if isinstance(message, Open):
+        if isinstance(message, OpenMessage):
             return self._open(message, now)
-        if isinstance(message, Data):
+        if isinstance(message, DataMessage):
             return self._take(message, now)
-        if isinstance(message, Close):
+        if isinstance(message, CloseMessage):
             self._jobs.pop(message.id, None)
             known = self._flows.pop(message.id, None)
             return [_closing(message.id)] if known else []
         return []
 
-    def _call(self, message: Call, now: float) -> list[Callable[[int], WireMessage]]:
+    def _call(self, message: CallMessage, now: float) -> list[Callable[[int], WireMessage]]:
         api = self._model.catalogue.apis.get(message.api)
-        if api is None or api.kind is not Kind.SERVICE:
+        if api is None or api.kind is not ApiKind.SERVICE:
             return [_error(message.id, ErrorCode.UNKNOWN_API, f"no service {message.api}")]
         if len(self._jobs) >= _MOST_CONVERSATIONS:
             return [_error(message.id, ErrorCode.BUSY, f"{_MOST_CONVERSATIONS} calls wait")]
@@ -174,19 +177,19 @@ class ProfileServer:
             return []
         return [_result(message.id, api, answer)]
 
-    def _open(self, message: Open, now: float) -> list[Callable[[int], WireMessage]]:
+    def _open(self, message: OpenMessage, now: float) -> list[Callable[[int], WireMessage]]:
         api = self._model.catalogue.apis.get(message.api)
         fields = api and (api.input if message.direction is Direction.INPUT else api.output)
-        if api is None or api.kind is not Kind.FLOW or not fields:
+        if api is None or api.kind is not ApiKind.FLOW or not fields:
             text = f"no {message.direction.value} {message.api}"
             return [_error(message.id, ErrorCode.UNKNOWN_API, text)]
         if len(self._flows) >= _MOST_CONVERSATIONS:
             return [_error(message.id, ErrorCode.BUSY, f"{_MOST_CONVERSATIONS} flows are open")]
         self._flows[message.id] = _OpenFlow(api, message.direction, now)
         name, identity, way = api.name, message.id, message.direction
-        return [lambda seq: Open(seq, identity, name, way)]
+        return [lambda seq: OpenMessage(seq, identity, name, way)]
 
-    def _take(self, message: Data, now: float) -> list[Callable[[int], WireMessage]]:
+    def _take(self, message: DataMessage, now: float) -> list[Callable[[int], WireMessage]]:
         flow = self._flows.get(message.id)
         if flow is None or flow.direction is not Direction.INPUT:
             return []
@@ -201,17 +204,95 @@ class ProfileServer:
 
 def _result(identity: int, api: Api, values: Values) -> Callable[[int], WireMessage]:
     fitted = fit(api.output, values, api.name)
-    return lambda seq: Result(seq, identity, fitted)
+    return lambda seq: ResultMessage(seq, identity, fitted)
 
 
 def _data(identity: int, api: Api, values: Values, now: float) -> Callable[[int], WireMessage]:
     fitted = fit(api.output, values, api.name)
-    return lambda seq: Data(seq, identity, fitted, now)
+    return lambda seq: DataMessage(seq, identity, fitted, now)
 
 
 def _closing(identity: int) -> Callable[[int], WireMessage]:
-    return lambda seq: Close(seq, identity)
+    return lambda seq: CloseMessage(seq, identity)
 
 
 def _error(identity: int, code: ErrorCode, text: str) -> Callable[[int], WireMessage]:
     return lambda seq: ErrorMessage(seq, identity, code, text)
+
+
+_STOP_SECONDS = 0.5
+_USUAL_SPEED = 0.25
+
+
+def robot_catalogue() -> DeviceCatalogue:
+    """Return the catalogue that the simulated robot offers."""
+    return load_catalogue(Path(__file__).with_name("robot.xml"))
+
+
+class SimulatedRobot:
+    """Moves by the kinematics of a unicycle, integrated from one look at the clock to the next.
+
+    Args:
+        catalogue: replaces the robot's own, to see how a host takes it.
+    """
+
+    def __init__(self, catalogue: DeviceCatalogue | None = None) -> None:
+        self.catalogue = catalogue or robot_catalogue()
+        self._x = self._y = self._heading = 0.0
+        self._linear = self._angular = 0.0
+        self._until = 0.0
+        self._at: float | None = None
+        self._command = 0
+
+    def call(self, api: str, values: dict[str, Any], now: float) -> dict[str, Any] | Job:
+        """Answer `echo` at once, `driveStraight` when it is done."""
+        if api == "echo":
+            return values
+        if api == "driveStraight":
+            return self._drive(values["distance"], values.get("speed", _USUAL_SPEED), now)
+        raise ValueError(f"the simulated robot does not know how to {api}")
+
+    def sample(self, api: str, now: float) -> dict[str, Any] | None:
+        """Return the odometry."""
+        del api
+        self._move(now)
+        return {"x": self._x, "y": self._y, "heading": self._heading}
+
+    def events(self, now: float) -> list[tuple[str, dict[str, Any]]]:
+        """Return nothing: every flow from this robot has a period."""
+        del now
+        return []
+
+    def take(self, api: str, values: dict[str, Any], now: float) -> None:
+        """Take a velocity for half a second."""
+        del api
+        self._move(now)
+        self._command += 1
+        self._linear, self._angular = values["linear"], values["angular"]
+        self._until = now + _STOP_SECONDS
+
+    def _drive(self, distance: float, speed: float, now: float) -> Job:
+        self._move(now)
+        self._command += 1
+        mine, needed = self._command, abs(distance) / speed
+        velocity = math.copysign(speed, distance)
+        self._linear, self._angular = velocity, 0.0
+        self._until = now + needed
+
+        def job(later: float) -> dict[str, Any] | None:
+            if self._command != mine:
+                return {"outcome": "interrupted", "driven": velocity * min(later - now, needed)}
+            self._move(later)
+            return {"outcome": "arrived", "driven": distance} if later >= now + needed else None
+
+        return job
+
+    def _move(self, now: float) -> None:
+        begin = now if self._at is None else self._at
+        lasted = max(0.0, min(now, self._until) - begin)
+        turned = self._angular * lasted
+        middle = self._heading + turned / 2
+        self._x += self._linear * lasted * math.cos(middle)
+        self._y += self._linear * lasted * math.sin(middle)
+        self._heading = math.remainder(self._heading + turned, 2 * math.pi)
+        self._at = now

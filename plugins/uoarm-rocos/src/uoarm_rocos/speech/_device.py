@@ -14,11 +14,19 @@ from typing import Any
 
 from uoarm.bridge import at_exit
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason
-from uoarm_rocos._catalogue import Api, Catalogue, Kind
+from uoarm_rocos._catalogue import (
+    Api,
+    ApiKind,
+    BooleanField,
+    DeviceCatalogue,
+    NamedField,
+    NumberField,
+    OctetsField,
+    StringField,
+)
 from uoarm_rocos._device import Device
-from uoarm_rocos._fields import BooleanField, Member, NumberField, OctetsField, StringField
-from uoarm_rocos._fit import fit
-from uoarm_rocos.speech._engine import Engine, Sound
+from uoarm_rocos._structure import fit
+from uoarm_rocos.speech._engines import Engine, Sound
 
 __all__ = ["Speech", "speech_catalogue"]
 
@@ -26,22 +34,22 @@ _MOST_TEXT = 1000
 _MOST_AUDIO = 16_777_216
 
 
-def speech_catalogue(engine: str) -> Catalogue:
+def speech_catalogue(engine: str) -> DeviceCatalogue:
     """Return the one service, `speechGeneration`."""
     takes = {
-        "text": Member(StringField(max_length=_MOST_TEXT)),
-        "voice": Member(StringField(max_length=64), required=False),
-        "rate": Member(NumberField(0.5, 2.0), required=False),
+        "text": NamedField(StringField(max_length=_MOST_TEXT)),
+        "voice": NamedField(StringField(max_length=64), required=False),
+        "rate": NamedField(NumberField(0.5, 2.0), required=False),
     }
     gives = {
-        "audio": Member(OctetsField(_MOST_AUDIO)),
-        "duration": Member(NumberField(0.0, None, "s")),
-        "played": Member(BooleanField()),
-        "file": Member(StringField(), required=False),
+        "audio": NamedField(OctetsField(_MOST_AUDIO)),
+        "duration": NamedField(NumberField(0.0, None, "s")),
+        "played": NamedField(BooleanField()),
+        "file": NamedField(StringField(), required=False),
     }
     text = "Says a text; answers the sound as a WAV file when it has been said."
-    api = Api("speechGeneration", Kind.SERVICE, takes, gives, None, text)
-    return Catalogue(engine, {api.name: api})
+    api = Api("speechGeneration", ApiKind.SERVICE, takes, gives, None, text)
+    return DeviceCatalogue(engine, {api.name: api})
 
 
 class Speech(Device):
@@ -61,12 +69,13 @@ class Speech(Device):
         self._may_play = options.get("play", "auto") == "auto"
         self._directory = options.get("directory", "")
         self._forget_exit: Callable[[], None] | None = None
+        # Held while a text is said: one at a time, and no temporary directory removed under it.
         self._speaking = threading.Lock()
         self._count = 0
         self._player: subprocess.Popen[bytes] | None = None
         self._closed = False
 
-    def catalogue(self, timeout: float) -> Catalogue:
+    def catalogue(self, timeout: float) -> DeviceCatalogue:
         """Return the catalogue if the engine can be used."""
         del timeout
         self._engine.check()

@@ -10,16 +10,22 @@ from typing import Protocol
 from attrs import frozen
 
 from uoarm.errors import BridgeError, BridgeTimeoutError
-from uoarm_rocos._catalogue import Catalogue
-from uoarm_rocos._codec import Codec
+from uoarm_rocos._catalogue import DeviceCatalogue
+from uoarm_rocos._codec import MessageCodec
 from uoarm_rocos._errors import LineError, WireError
 from uoarm_rocos._framing import Framer
-from uoarm_rocos._line import Line
-from uoarm_rocos._messages import CatalogueMessage, Describe, ErrorMessage, Heartbeat, WireMessage
-from uoarm_rocos._session import Ids, Incoming, Watch
-from uoarm_rocos._transport import Transport
+from uoarm_rocos._health import ConversationIds, HeartbeatWatch, SequenceCheck
+from uoarm_rocos._line import DeviceLine
+from uoarm_rocos._messages import (
+    CatalogueMessage,
+    DescribeMessage,
+    ErrorMessage,
+    HeartbeatMessage,
+    WireMessage,
+)
+from uoarm_rocos._transport import LineTransport
 
-__all__ = ["Listener", "Talk", "Wire"]
+__all__ = ["Conversation", "ConversationListener", "Wire"]
 
 _FIRST_HEARTBEAT = 1.0
 _CATALOGUE_SECONDS = 3.0
@@ -35,16 +41,16 @@ class Wire:
             which then has `write_now` as well: calls are made in the caller's own thread.
     """
 
-    transport: Callable[[], Transport]
+    transport: Callable[[], LineTransport]
     framer: Callable[[], Framer]
-    codec: Codec
+    codec: MessageCodec
     prompt: bool = False
 
 
-class Listener(Protocol):
-    """Who is told what is said; always in the line's thread."""
+class ConversationListener(Protocol):
+    """What takes events of a conversation; always in the line's thread."""
 
-    def on_ready(self, catalogue: Catalogue) -> None:
+    def on_ready(self, catalogue: DeviceCatalogue) -> None:
         """The device is there and offers this."""
 
     def on_message(self, message: WireMessage) -> None:
@@ -57,7 +63,7 @@ class Listener(Protocol):
         """The line is gone, or could not be opened."""
 
 
-class Talk:
+class Conversation:
     """One side of the conversation, begun anew whenever the line is.
 
     Attributes:
@@ -65,20 +71,24 @@ class Talk:
         ids: where ids of conversations come from.
     """
 
-    line: Line
+    line: DeviceLine
 
-    def __init__(self, wire: Wire, fixed: Catalogue | None, listener: Listener) -> None:
-        self.ids = Ids()
+    def __init__(
+        self, wire: Wire, fixed: DeviceCatalogue | None, listener: ConversationListener
+    ) -> None:
+        self.ids = ConversationIds()
         self._wire = wire
         self._fixed = fixed
         self._listener = listener
+        # Guards number, framer and line between the threads that send: messages go out in the order
+        # of their numbers, and a number whose message was not sent is given again.
         self._sending = threading.Lock()
         self._seq = 0
         self._began = 0.0
         self._asked = 0
         self._framer = wire.framer()
-        self._incoming = Incoming()
-        self._watch = Watch(_FIRST_HEARTBEAT, 0.0, 0.0)
+        self._incoming = SequenceCheck()
+        self._watch = HeartbeatWatch(_FIRST_HEARTBEAT, 0.0, 0.0)
         self._refused = self._refused_before = 0
         self._why = ""
         self._lost_before = 0
@@ -149,18 +159,18 @@ class Talk:
             self._seq = 0
             self._framer = self._wire.framer()
             self._lost_before += self._incoming.lost
-            self._incoming = Incoming()
+            self._incoming = SequenceCheck()
             period = self._fixed.heartbeat if self._fixed else _FIRST_HEARTBEAT
-            self._watch = Watch(period, now, now)
+            self._watch = HeartbeatWatch(period, now, now)
         self._began = now
         self._refused_before = self._refused
         if self._fixed is not None:
             self._asked = 0
-            self.send(Heartbeat)
+            self.send(HeartbeatMessage)
             self._listener.on_ready(self._fixed)
         else:
             self._asked = self.ids.next()
-            self.send(lambda seq: Describe(seq, self._asked))
+            self.send(lambda seq: DescribeMessage(seq, self._asked))
 
     def received(self, data: bytes) -> None:
         """Take octets of the line."""
@@ -176,7 +186,7 @@ class Talk:
                 continue
             if self._incoming.take(message.seq):
                 raise LineError("the device has begun anew")
-            self._watch.heard = time.monotonic()
+            self._watch.received_at = time.monotonic()
             if not self._asked:
                 self._refused_before = self._refused
             self._take(message)
@@ -185,13 +195,13 @@ class Talk:
         """Keep the heartbeat, and notice that the device has none."""
         silent = self._watch.dead(now)
         if silent:
-            told = f"the device said nothing for {silent:.1f} s"
-            raise LineError(told + self._came())
+            text = f"the device said nothing for {silent:.1f} s"
+            raise LineError(text + self._came())
         if self._asked and now - self._began > _CATALOGUE_SECONDS:
-            told = f"the device sent no catalogue within {_CATALOGUE_SECONDS:g} s"
-            raise LineError(told + self._came())
-        if self._watch.must_speak(now):
-            self.send(Heartbeat)
+            text = f"the device sent no catalogue within {_CATALOGUE_SECONDS:g} s"
+            raise LineError(text + self._came())
+        if self._watch.is_heartbeat_due(now):
+            self.send(HeartbeatMessage)
         self._listener.on_tick(now)
 
     def lost(self, cause: str) -> None:
@@ -207,5 +217,5 @@ class Talk:
         elif isinstance(message, ErrorMessage) and self._asked and message.id == self._asked:
             text = f"the device gives no catalogue: {message.code.value}: {message.text}"
             raise LineError(text)
-        elif not isinstance(message, Heartbeat):
+        elif not isinstance(message, HeartbeatMessage):
             self._listener.on_message(message)

@@ -1,0 +1,250 @@
+"""Engines of speech: eSpeak NG and Festival, and the sound that they make.
+
+eSpeak NG is used through its C library, which the package espeakng-loader brings
+(GPL-3.0-or-later); the calls and numbers are those of its `speak_lib.h`. Festival, the engine of
+the paper, is used through the command text2wave of Debian's package.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import io
+import re
+import shutil
+import subprocess
+import tempfile
+import threading
+import time
+import wave
+from abc import ABC, abstractmethod
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from attrs import frozen
+
+from uoarm.bridge import install_command
+from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason
+
+__all__ = ["Engine", "EspeakEngine", "FestivalEngine", "Sound"]
+
+_OCTETS = 2
+
+
+@frozen
+class Sound:
+    """Mono samples of 16 bits, least significant octet first."""
+
+    samples: bytes
+    hertz: int
+
+    @property
+    def duration(self) -> float:
+        """Seconds."""
+        return len(self.samples) / _OCTETS / self.hertz
+
+    def wav(self) -> bytes:
+        """Return the sound as a WAV file."""
+        file = io.BytesIO()
+        with wave.open(file, "wb") as writer:
+            writer.setnchannels(1)
+            writer.setsampwidth(_OCTETS)
+            writer.setframerate(self.hertz)
+            writer.writeframes(self.samples)
+        return file.getvalue()
+
+
+class Engine(ABC):
+    """Makes sound of text. Used by one thread at a time.
+
+    Attributes:
+        name: for people.
+        voice: the voice where a request names none.
+    """
+
+    name: str
+    voice: str
+
+    @abstractmethod
+    def check(self) -> None:
+        """Make sure that the engine can be used.
+
+        Raises:
+            BridgeError: UNAVAILABLE, with what to install.
+        """
+
+    @abstractmethod
+    def speak(self, text: str, voice: str, rate: float, timeout: float) -> Sound:
+        """Return the sound of a text; `rate` 1.0 is the voice's own speed.
+
+        Raises:
+            BridgeTimeoutError: it takes longer than `timeout` seconds.
+            BridgeError: there is no such voice, or the engine failed.
+        """
+
+
+_SYNCHRONOUS = 2
+_RATE = 1
+_UTF8 = 1
+_WORDS_A_MINUTE = 175
+# British English is the voice file that is called `en`.
+_FILES = {"en-gb": "en"}
+_CALLBACK = ctypes.CFUNCTYPE(
+    ctypes.c_int, ctypes.POINTER(ctypes.c_short), ctypes.c_int, ctypes.c_void_p
+)
+_SYNTH_ARGUMENTS = (
+    ctypes.c_char_p,
+    ctypes.c_size_t,
+    ctypes.c_uint,
+    ctypes.c_int,
+    ctypes.c_uint,
+    ctypes.c_uint,
+    ctypes.c_void_p,
+    ctypes.c_void_p,
+)
+# The library has one state for the whole process: one voice at a time for all callers.
+_library_lock = threading.Lock()
+
+
+class EspeakEngine(Engine):
+    """Needs no audio device. There is no New Zealand voice; British English stands in."""
+
+    name = "eSpeak NG"
+    voice = "en-gb"
+
+    def check(self) -> None:
+        """Load the library, once for the whole process."""
+        with _library_lock:
+            _library()
+
+    def speak(self, text: str, voice: str, rate: float, timeout: float) -> Sound:
+        """Return the sound of a text."""
+        end = time.monotonic() + timeout
+        if not _library_lock.acquire(timeout=timeout):
+            raise BridgeTimeoutError(f"eSpeak NG was busy for {timeout:g} s")
+        try:
+            library, hertz = _library()
+            samples = _samples(library, text, voice, rate, end)
+        finally:
+            _library_lock.release()
+        if time.monotonic() > end:
+            raise BridgeTimeoutError(f"speaking took longer than {timeout:g} s")
+        return Sound(samples, hertz)
+
+
+@cache
+def _library() -> tuple[Any, int]:
+    """Return the library and its rate in hertz; beginning it twice would spoil its memory."""
+    try:
+        import espeakng_loader  # noqa: PLC0415 - an optional package
+    except ImportError as error:
+        text = f"eSpeak NG is not there: {_install()}"
+        raise BridgeError(text, FailureReason.UNAVAILABLE) from error
+    try:
+        library = ctypes.CDLL(str(espeakng_loader.get_library_path()))
+        data = str(espeakng_loader.get_data_path()).encode()
+        hertz = int(library.espeak_Initialize(_SYNCHRONOUS, 0, data, 0))
+    except (OSError, AttributeError) as error:
+        text = f"eSpeak NG cannot be loaded: {error}"
+        raise BridgeError(text, FailureReason.UNAVAILABLE) from error
+    if hertz <= 0:
+        text = f"eSpeak NG did not start: {hertz}; its data should be in {data.decode()}"
+        raise BridgeError(text, FailureReason.UNAVAILABLE)
+    library.espeak_Synth.argtypes = _SYNTH_ARGUMENTS
+    return library, hertz
+
+
+def _samples(library: Any, text: str, voice: str, rate: float, end: float) -> bytes:
+    if library.espeak_SetVoiceByName(_FILES.get(voice, voice).encode()) != 0:
+        text = f"eSpeak NG has no voice {voice!r}; it has en-gb, en-us, fr, de and many more"
+        raise BridgeError(text, FailureReason.BAD_MESSAGE)
+    library.espeak_SetParameter(_RATE, round(_WORDS_A_MINUTE * rate), 0)
+    parts: list[bytes] = []
+
+    def take(samples: Any, count: int, events: Any) -> int:
+        del events
+        if samples and count > 0:
+            parts.append(ctypes.string_at(samples, 2 * count))
+        return int(time.monotonic() > end)  # 1 ends the speech
+
+    callback = _CALLBACK(take)
+    library.espeak_SetSynthCallback(callback)
+    said = text.encode() + b"\0"
+    failed = library.espeak_Synth(said, len(said), 0, 0, 0, _UTF8, None, None)
+    if failed:
+        raise BridgeError(f"eSpeak NG failed with its error {failed}", FailureReason.RAISED)
+    return b"".join(parts)
+
+
+def _install() -> str:
+    command = install_command("uoarm-rocos", "speech")
+    return f"install it with: {command} (eSpeak NG, GPL-3.0-or-later)"
+
+
+_VOICE = re.compile(r"[a-z0-9_]+")
+_INSTALL = "install it with: apt install festival festvox-kallpc16k"
+
+
+class FestivalEngine(Engine):
+    """Starts a process for each text."""
+
+    name = "Festival"
+    voice = "kal_diphone"
+
+    def check(self) -> None:
+        """Look for the command."""
+        self._command()
+
+    def speak(self, text: str, voice: str, rate: float, timeout: float) -> Sound:
+        """Return the sound of a text."""
+        if not _VOICE.fullmatch(voice):
+            text = f"{voice!r} is no name of a Festival voice, such as kal_diphone"
+            raise BridgeError(text, FailureReason.BAD_MESSAGE)
+        # No TemporaryDirectory: a child that is forked meanwhile and ends would remove it.
+        directory = tempfile.mkdtemp(prefix="uoarm-festival-")
+        try:
+            made = Path(directory) / "said.wav"  # to a pipe it writes a header without lengths
+            self._run(text, voice, rate, timeout, made)
+            try:
+                return _sound(made)
+            except (OSError, wave.Error, EOFError) as error:
+                text = f"Festival made no sound, perhaps for want of the voice {voice!r}: {error}"
+                raise BridgeError(text) from error
+        finally:
+            shutil.rmtree(directory, ignore_errors=True)
+
+    def _run(self, text: str, voice: str, rate: float, timeout: float, made: Path) -> None:
+        stretch = f"(Parameter.set 'Duration_Stretch {1 / rate:.3f})"
+        command = [self._command(), "-o", str(made), "-eval", f"(voice_{voice})", "-eval", stretch]
+        try:
+            done = subprocess.run(  # noqa: S603 - no shell, and every word is ours or checked
+                command,
+                input=f"{text}\n".encode(),
+                capture_output=True,
+                timeout=timeout,
+                check=False,
+            )
+        except subprocess.TimeoutExpired as error:
+            raise BridgeTimeoutError(f"Festival took longer than {timeout:g} s") from error
+        except OSError as error:
+            raise BridgeError(f"Festival cannot be started: {error}") from error
+        if done.returncode:
+            message = done.stderr.decode(errors="replace").strip()[:200]
+            text = f"Festival failed, perhaps for want of the voice {voice!r}: {message}"
+            raise BridgeError(text, FailureReason.RAISED)
+
+    def _command(self) -> str:
+        command = shutil.which("text2wave")
+        if command is None:
+            text = f"Festival's text2wave is not there: {_INSTALL}"
+            raise BridgeError(text, FailureReason.UNAVAILABLE)
+        return command
+
+
+def _sound(path: Path) -> Sound:
+    with wave.open(str(path)) as reader:
+        if (reader.getnchannels(), reader.getsampwidth()) != (1, 2):
+            raise BridgeError("Festival made sound that is not mono of 16 bits")
+        if not reader.getnframes():
+            raise BridgeError("Festival made a sound without any samples")
+        return Sound(reader.readframes(reader.getnframes()), reader.getframerate())
