@@ -20,6 +20,7 @@ LAYERS = [
     {
         "errors",
         "_arguments",
+        "_backoff",
         "_deferred",
         "_interrupts",
         "_log_lines",

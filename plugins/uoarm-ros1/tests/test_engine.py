@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from uoarm_ros1._definitions import DefinitionError, Listing, Scalar, record_of, service_of
-from uoarm_ros1._health import ChannelHealth, Lost, MasterHealth
+from uoarm_ros1._health import Lost, MasterHealth
 from uoarm_ros1._options import Names, mistake, settings_of, topic_name
 from uoarm_ros1._protocol import (
     Fault,
@@ -451,36 +451,6 @@ def test_the_slave_survives_any_call(method: str, arguments: list[Any]) -> None:
         result, _ = slave.answer(name, ["/a", *arguments])
         assert isinstance(result, list | Fault)
         slave.answer(name, arguments)
-
-
-def test_a_channel_is_lost_once_and_stays_so() -> None:
-    health = ChannelHealth("publisher of /t", required=True, stale_after=2.0, now=10.0)
-    assert health.connected(1, "it came") is None
-    assert health.refused("not you") == (Health.DEGRADED, "not you")
-    assert health.refused("nor this") is None
-    assert health.took(11.0) == (Health.OK, "a message came")
-    assert [health.tick(now) for now in (12.0, 13.0)] == [None, None]
-    lost = health.tick(13.1)
-    assert lost == (Health.LOST, "publisher of /t: no message for 2 s")
-    assert [health.tick(14.0), health.connected(0, "gone"), health.refused("x")] == [None] * 3
-
-
-def test_a_clock_that_goes_back_begins_the_silence_anew() -> None:
-    """As that of a simulation, or of a record that is played in a loop."""
-    health = ChannelHealth("publisher of /t", required=True, stale_after=2.0, now=100.0)
-    assert [health.tick(now) for now in (101.0, 5.0, 7.0)] == [None] * 3
-    assert health.tick(7.1) == (Health.LOST, "publisher of /t: no message for 2 s")
-
-
-def test_a_peer_that_goes_is_a_loss_where_one_is_required() -> None:
-    required = ChannelHealth("publisher of /t", required=True)
-    optional = ChannelHealth("publisher of /t", required=False)
-    for health in (required, optional):
-        assert health.connected(0, "none yet") is None
-        assert health.connected(2, "two") is None
-        assert health.connected(1, "one went") is None
-    assert required.connected(0, "/a: it ended") == (Health.LOST, "publisher of /t: /a: it ended")
-    assert optional.connected(0, "/a: it ended") is None
 
 
 def test_a_master_that_nobody_relied_upon_is_not_missed() -> None:

@@ -110,7 +110,7 @@ def test_what_the_server_refuses_is_said(played: Played) -> None:
         sink.send({"data": "x"})
         eventually(lambda: events, "a refused message is reported")
         assert events[0].health is Health.DEGRADED
-        assert events[0].cause == "/chatter: the server says: denied"
+        assert events[0].cause == "refused: /chatter: the server says: denied"
         assert sink.facts()["refused_by_server"] == 1
 
 

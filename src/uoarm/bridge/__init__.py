@@ -1,5 +1,6 @@
 """The bridge contract: what a framework plugin implements and what the manager may rely on."""
 
+from uoarm._backoff import Backoff
 from uoarm._forks import at_exit
 from uoarm._origin import install_command
 from uoarm._plugins import PluginProblem, hookimpl
@@ -14,19 +15,29 @@ from uoarm.bridge._description import (
     HealthEvent,
     ServiceStructures,
 )
-from uoarm.bridge._disconnection import Disconnection
 from uoarm.bridge._endpoint_options import EndpointOptions, option, options_table
 from uoarm.bridge._gate import Delivery
+from uoarm.bridge._health import (
+    ChannelHealth,
+    ChannelMonitor,
+    ChannelReport,
+    Disconnection,
+    HealthReason,
+)
 from uoarm.bridge._plugin import BridgeType
 from uoarm.bridge._registry import Registry
 from uoarm.bridge._watchdog import boot_seconds
 
 __all__ = [
     "CONTRACT_VERSION",
+    "Backoff",
     "Bridge",
     "BridgeType",
     "Capabilities",
     "Channel",
+    "ChannelHealth",
+    "ChannelMonitor",
+    "ChannelReport",
     "Delivery",
     "Description",
     "Disconnection",
@@ -34,6 +45,7 @@ __all__ = [
     "EndpointOptions",
     "Handler",
     "HealthEvent",
+    "HealthReason",
     "Outcomes",
     "PluginProblem",
     "Registry",

@@ -12,12 +12,12 @@ from numbers import Real
 
 from attrs import frozen
 
+from uoarm._backoff import Backoff
 from uoarm.model import CommandPhase, CommandPolicy, CommandStatus, FieldLimit, Message
 
 __all__ = ["CommandState", "Refusal"]
 
-_AGAIN_SECONDS = 0.02
-_AGAIN_MOST_SECONDS = 0.5
+_STOP_BACKOFF = Backoff(first=0.02, most=0.5)
 
 
 @frozen
@@ -57,7 +57,7 @@ class CommandState:
         self._since = now
         self._until = math.inf
         self._due = math.inf
-        self._pause = _AGAIN_SECONDS
+        self._failed = 0
         self._is_sending = False
         self._has_crossed = False
         self._closed = False
@@ -115,7 +115,7 @@ class CommandState:
         """Take in that the sink took the stop message."""
         self.stops += 1
         self.cause = ""
-        self._pause = _AGAIN_SECONDS
+        self._failed = 0
         if self.phase is not CommandPhase.STOPPING:
             return
         if self._has_crossed:
@@ -127,8 +127,8 @@ class CommandState:
     def stop_failed(self, now: float, cause: str) -> None:
         """Take in that the sink did not take the stop message: it is due again after a pause."""
         self.cause = cause
-        self._due = now + self._pause
-        self._pause = min(2 * self._pause, _AGAIN_MOST_SECONDS)
+        self._failed += 1
+        self._due = now + _STOP_BACKOFF.pause(self._failed)
 
     def halt(self, now: float) -> None:
         """Stop what moves, now and not when it expires; the next command moves it again."""
@@ -190,7 +190,7 @@ class CommandState:
         if not self._can_stop:
             return
         self._due = now
-        self._pause = _AGAIN_SECONDS
+        self._failed = 0
         if self.phase is not CommandPhase.STOPPING:
             self._turn(CommandPhase.STOPPING, now)
 

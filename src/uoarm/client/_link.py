@@ -18,6 +18,7 @@ from websockets.asyncio.client import ClientConnection
 from websockets.exceptions import ConnectionClosed, InvalidHandshake, InvalidStatus
 from websockets.frames import CloseCode
 
+from uoarm._backoff import Backoff
 from uoarm._support.aio_deadlines import result_within
 from uoarm._wire import Form
 from uoarm.errors import ConnectionClosedError, ControlMessageError, UsageError
@@ -31,7 +32,6 @@ LARGEST = Budget(octets=268_435_456, elements=2_000_000, depth=512, dimensions=3
 _STRANGE = (ControlMessageError, AttributeError, LookupError, TypeError, ValueError)
 _KEEP, _RESUME = "keep", "resume"
 _MOST_WAITING = 4096
-_FIRST_PAUSE, _LONGEST_PAUSE = 0.05, 5.0
 # Closed for what this client did or may not do: it would be so again.
 _FINAL = frozenset({
     CloseCode.NORMAL_CLOSURE, CloseCode.PROTOCOL_ERROR, CloseCode.UNSUPPORTED_DATA,
@@ -80,6 +80,9 @@ class Link:
         self._again_seconds = again_seconds
         self._lost = lost
         self._begun = begun
+        # Clients that lost the same server come back at different moments.
+        seed = random.getrandbits(32)
+        self._backoff = Backoff(first=0.05, most=5.0, jitter=0.5, seed=seed)
         self._resume = False
         self._is_final = False
         self.resumed = 0
@@ -160,7 +163,7 @@ class Link:
         self.session += 1
         self._lost(cause)
         loop = asyncio.get_running_loop()
-        deadline, pause = loop.time() + self._again_seconds, _FIRST_PAUSE
+        deadline, failed = loop.time() + self._again_seconds, 0
         why = cause
         while loop.time() < deadline:
             try:
@@ -171,8 +174,8 @@ class Link:
                     error.response.status_code not in _TRY_AGAIN
                 ):
                     return why
-                await asyncio.sleep(pause * random.uniform(0.5, 1.0))  # noqa: S311 - not a secret
-                pause = min(2 * pause, _LONGEST_PAUSE)
+                failed += 1
+                await asyncio.sleep(self._backoff.pause(failed))
             except _STRANGE as error:
                 return f"{cause}; {_strange(error)}"
             else:
@@ -197,15 +200,15 @@ class Link:
         """Go on with the session over a new connection; returns why that failed, or nothing."""
         self._ready.clear()
         loop = asyncio.get_running_loop()
-        deadline, pause = loop.time() + self._seconds, _FIRST_PAUSE
+        deadline, failed = loop.time() + self._seconds, 0
         why = cause
         while loop.time() < deadline:
             try:
                 refused = await result_within(deadline - loop.time(), self._go_on())
             except (OSError, ConnectionClosed, InvalidHandshake, asyncio.TimeoutError) as error:
                 why = f"{cause}; connecting again failed: {error}"
-                await asyncio.sleep(pause * random.uniform(0.5, 1.0))  # noqa: S311 - not a secret
-                pause = min(2 * pause, _LONGEST_PAUSE)
+                failed += 1
+                await asyncio.sleep(self._backoff.pause(failed))
             except _STRANGE as error:
                 self._is_final = True
                 return f"{cause}; {_strange(error)}"

@@ -4,13 +4,23 @@ from __future__ import annotations
 
 import os
 import threading
+import time
 from collections import deque
 from collections.abc import Callable, Mapping
 from typing import Any
 
 from attrs import define, field
 
-from uoarm.bridge import Channel, Delivery, Handler, ServiceStructures, Sink, Source
+from uoarm.bridge import (
+    Channel,
+    ChannelHealth,
+    ChannelMonitor,
+    Delivery,
+    Handler,
+    ServiceStructures,
+    Sink,
+    Source,
+)
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, MessageError
 from uoarm.model import Endpoint, Health, Message
 from uoarm_mqtt._codec import CONTENT_TYPES, PayloadCodec
@@ -118,13 +128,15 @@ class MqttSource(Source):
         self._received = self._cleared = 0
         budget = codec.budget
         most, octets = link.options.backlog, 8 * budget.octets
+        health = ChannelHealth(topic, time.monotonic())
+        self._health = ChannelMonitor(health, lambda health, cause: report(self, health, cause))
         self._queue = ReceiveQueue(f"uoarm-mqtt-{topic}", self._take, most, octets)
         self._receiver = Receiver(
             f"$share/{options.share}/{topic}" if options.share else topic,
             self._queue.put,
             options.qos,
             options.retain,
-            lambda cause: report(self, Health.LOST, cause),
+            lambda cause: self._health.refused(cause, final=True),
         )
         try:
             link.subscribe(self._receiver)
@@ -180,13 +192,14 @@ class MqttSink(Sink):
         report: Report,
     ) -> None:
         super().__init__(endpoint)
-        self._options, self._codec, self._link, self._report = options, codec, link, report
+        self._options, self._codec, self._link = options, codec, link
         self._topic = topic
         # Guards the counters: any thread sends and drains, paho's reports how it ended. It is not
         # held while the link is called, which may report at once.
         self._changed = threading.Condition()
         self._under_way = self._lost = self._refused = self._undelivered = 0
-        self._is_degraded = False
+        health = ChannelHealth(topic, time.monotonic())
+        self._health = ChannelMonitor(health, lambda health, cause: report(self, health, cause))
         link.require_up()
 
     def facts(self) -> Mapping[str, object]:
@@ -239,13 +252,11 @@ class MqttSink(Sink):
             self._lost += bool(outcome.failure) and not outcome.is_answer
             is_refused = bool(outcome.failure) and outcome.is_answer
             self._refused += is_refused
-            is_news = outcome.is_answer and is_refused is not self._is_degraded
-            if outcome.is_answer:
-                self._is_degraded = is_refused
             self._changed.notify_all()
-        if is_news:
-            health = Health.DEGRADED if is_refused else Health.OK
-            self._report(self, health, outcome.failure or "the broker takes messages again")
+        if is_refused:
+            self._health.refused(outcome.failure)
+        elif outcome.is_answer:
+            self._health.passed()
 
 
 def content_type(incoming: ReceivedMessage) -> str:

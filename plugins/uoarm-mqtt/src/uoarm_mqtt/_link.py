@@ -19,7 +19,7 @@ from paho.mqtt.properties import Properties
 from paho.mqtt.reasoncodes import ReasonCode
 from paho.mqtt.subscribeoptions import SubscribeOptions
 
-from uoarm.bridge import Disconnection
+from uoarm.bridge import Backoff, Disconnection
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, MessageError
 from uoarm.model import Health
 from uoarm_mqtt._options import ConnectionOptions
@@ -32,7 +32,7 @@ _STEP_SECONDS = 4.0
 
 _CONNECT_SECONDS = 3.0
 _GOODBYE_SECONDS = 1.0
-_RETRY_SECONDS = (0.1, 2.0)
+_BACKOFF = Backoff(first=0.1, most=2.0)  # paho makes each pause twice the one before
 _ROOM_FOR_TOPIC = 65_536
 _HEADER = 9  # type, length, packet identifier, length of the topic: at most
 _PROPERTIES = 64  # of a message, about: its content type, its expiry, where the reply goes
@@ -153,7 +153,7 @@ class BrokerConnection:
             protocol=MQTTProtocolVersion.MQTTv5,
         )
         client.connect_timeout = _CONNECT_SECONDS
-        client.reconnect_delay_set(*_RETRY_SECONDS)  # type: ignore[arg-type]  # any number
+        client.reconnect_delay_set(_BACKOFF.first, _BACKOFF.most)  # type: ignore[arg-type]
         client.when_ended = self._on_ended
         client.on_socket_open = _send_at_once
         client.on_connect = self._on_connect

@@ -9,11 +9,10 @@ from functools import partial
 
 from attrs import evolve, frozen
 
-from uoarm.bridge import Channel, Delivery, Sink, Source
+from uoarm.bridge import Channel, ChannelHealth, ChannelMonitor, Delivery, Sink, Source
 from uoarm.errors import BridgeError, FailureReason, MessageError
 from uoarm.model import Endpoint, Health, Message
 from uoarm_ros1._definitions import Record
-from uoarm_ros1._health import ChannelHealth, Report
 from uoarm_ros1._node import Node
 from uoarm_ros1._options import Port
 from uoarm_ros1._serialisation import framed_writer, reader
@@ -47,14 +46,15 @@ class Place:
     report: Callable[[Channel, Health, str], None]
     clock: Callable[[], float] = time.monotonic
 
-    def health(self, what: str) -> ChannelHealth:
+    def health(self, what: str, report: Callable[[Health, str], None]) -> ChannelMonitor:
         """Return the health of a new channel here."""
-        return ChannelHealth(
+        health = ChannelHealth(
             f"{what} of {self.topic}",
-            required=self.port.peer_required,
+            self.clock(),
             stale_after=self.port.stale_after,
-            now=self.clock(),
+            peer_required=self.port.peer_required,
         )
+        return ChannelMonitor(health, report, self.clock)
 
     def wanted(self, record: Record | None) -> Wanted:
         """Return what a subscription here takes."""
@@ -69,25 +69,6 @@ class Place:
             settings.silence,
             self.port.nodelay,
         )
-
-
-class _End:
-    """The health of a channel, with the lock that keeps its reports in order."""
-
-    def __init__(self, health: ChannelHealth, say: Callable[[Health, str], None]) -> None:
-        self.health = health
-        self._say = say
-        # Guards the health, and the order of its reports, between the threads of publishers, the
-        # loop and the watch. Reporting returns at once.
-        self._lock = threading.Lock()
-        self.is_closed = False
-
-    def note(self, event: Callable[[], Report | None]) -> None:
-        """Have the health take an event, and report what it says."""
-        with self._lock:
-            report = event()
-            if report is not None and not self.is_closed:
-                self._say(*report)
 
 
 class _Subscribed:
@@ -105,7 +86,7 @@ class _Subscribed:
     ) -> None:
         self.place = place
         self._gone = gone
-        self.end = _End(place.health("publisher"), say)
+        self.health = place.health("publisher", say)
         self.is_latched = False
         self.breaks = 0
         wanted = evolve(place.wanted(record), in_runs=in_runs)
@@ -130,18 +111,8 @@ class _Subscribed:
         return sorted(header.node for header in self.subscription.connected)
 
     def close(self) -> None:
-        self.end.is_closed = True
+        self.health.close()
         self.place.node.unsubscribe(self.subscription)
-
-    def took(self) -> None:
-        """Take note of a message; most change nothing, and cost a look."""
-        health = self.end.health
-        if health.is_waiting:
-            self.end.note(lambda: health.took(self.place.clock()))
-
-    def tick(self) -> None:
-        """Look whether messages come."""
-        self.end.note(lambda: self.end.health.tick(self.place.clock()))
 
     def _wait(self) -> None:
         """Wait until every publisher that is listed is connected, or could not be."""
@@ -168,10 +139,10 @@ class _Subscribed:
             self._gone(name)
             self._count(f"{name}: {cause}")
         else:
-            self.end.note(lambda: self.end.health.refused(cause))
+            self.health.refused(cause)
 
     def _count(self, cause: str) -> None:
-        self.end.note(lambda: self.end.health.connected(len(self.subscription.connected), cause))
+        self.health.connected(len(self.subscription.connected), cause)
 
 
 class TopicSource(Source):
@@ -195,7 +166,7 @@ class TopicSource(Source):
     @property
     def is_silent(self) -> bool:
         """Whether it was lost since nothing came."""
-        return self._subscribed.end.health.is_silent
+        return self._subscribed.health.is_silent
 
     def facts(self) -> Mapping[str, object]:
         """Return counters, and the publishers that are connected."""
@@ -207,7 +178,7 @@ class TopicSource(Source):
 
     def tick(self) -> None:
         """Look whether messages come."""
-        self._subscribed.tick()
+        self._subscribed.health.tick()
 
     def _take(self, frame: bytes | bytearray, writer: str) -> None:
         self._received += 1
@@ -216,7 +187,7 @@ class TopicSource(Source):
         except MessageError as error:
             self._deliver.unreadable(f"{self._place.topic}: {error}")
             return
-        self._subscribed.took()
+        self._subscribed.health.passed()
         self._deliver(message, writer)
 
     def _close(self) -> None:
@@ -228,7 +199,7 @@ class _Publishing:
 
     def __init__(self, place: Place, record: Record, say: Callable[[Health, str], None]) -> None:
         self.place = place
-        self.end = _End(place.health("subscriber"), say)
+        self.health = place.health("subscriber", say)
         self._refusal = ""
         port, node = place.port, place.node
         limits = (port.queue, 4 * node.settings.budget.octets)
@@ -246,7 +217,7 @@ class _Publishing:
         return self.publication.lost - self._before
 
     def close(self) -> None:
-        self.end.is_closed = True
+        self.health.close()
         publication = self.publication
         publication.watchers = tuple(
             watcher for watcher in publication.watchers if watcher != self._watch
@@ -254,12 +225,11 @@ class _Publishing:
         self.place.node.withdraw(publication)
 
     def _watch(self, what: str, refused: bool) -> None:  # noqa: FBT001 - of the publication
-        health = self.end.health
         if refused:
             self._refusal = what
-            self.end.note(lambda: health.refused(what))
+            self.health.refused(what)
         else:
-            self.end.note(lambda: health.connected(len(self.publication.callers), what))
+            self.health.connected(len(self.publication.callers), what)
 
     def _wait(self) -> None:
         """Wait until every subscriber that the master knows, and that lives, is connected."""
@@ -369,7 +339,7 @@ class Relay(Channel):
     @property
     def is_silent(self) -> bool:
         """Whether it was lost since nothing came."""
-        return self._subscribed.end.health.is_silent
+        return self._subscribed.health.is_silent
 
     def facts(self) -> Mapping[str, object]:
         """Return counters."""
@@ -386,10 +356,10 @@ class Relay(Channel):
 
     def tick(self) -> None:
         """Look whether messages come."""
-        self._subscribed.tick()
+        self._subscribed.health.tick()
 
     def _take(self, run: bytes | bytearray, _: str) -> None:
-        self._subscribed.took()
+        self._subscribed.health.passed()
         self._moved += self._publishing.publication.send_run(run)
 
     def _close(self) -> None:

@@ -1,4 +1,4 @@
-"""How well a channel, a master and what was lost are: events and times in, reports out; no I/O."""
+"""How well a master is, and what was lost: events in, reports out; no I/O."""
 
 from __future__ import annotations
 
@@ -8,75 +8,11 @@ from attrs import define, field
 
 from uoarm.model import Health
 
-__all__ = ["ChannelHealth", "Lost", "MasterHealth"]
+__all__ = ["Lost", "MasterHealth"]
 
 Report = tuple[Health, str]
 Key = tuple[str, str, str]
 """A component, what is looked for (`publishers`, `subscribers` or `services`), and its name."""
-
-
-class ChannelHealth:
-    """One end of a topic. What is lost stays lost: the manager opens it anew.
-
-    Args:
-        what: the peers are, such as `publisher of /image`.
-        required: whether a channel without a peer is lost.
-        stale_after: seconds without a message after which it is lost; None: never.
-        now: seconds of the clock by which messages are waited for.
-    """
-
-    def __init__(
-        self, what: str, *, required: bool, stale_after: float | None = None, now: float = 0.0
-    ) -> None:
-        self._what, self._required, self._stale_after = what, required, stale_after
-        self._peers = 0
-        self._last = now
-        self._trouble = ""
-        self.is_lost = self.is_silent = False
-
-    def connected(self, peers: int, cause: str) -> Report | None:
-        """So many peers are connected now; `cause`: why it has changed."""
-        before, self._peers = self._peers, peers
-        if before and not peers and self._required:
-            return self._lose(f"{self._what}: {cause}")
-        return self._over("one is connected") if peers > before else None
-
-    def refused(self, cause: str) -> Report | None:
-        """A peer could not be connected, or refused what it was sent."""
-        if self.is_lost or self._trouble:
-            return None
-        self._trouble = cause
-        return Health.DEGRADED, cause
-
-    @property
-    def is_waiting(self) -> bool:
-        """Whether a message that comes changes anything: it ends a trouble, or a silence."""
-        return bool(self._trouble) or self._stale_after is not None
-
-    def took(self, now: float) -> Report | None:
-        """A message came that could be read."""
-        self._last = now
-        return self._over("a message came") if self._trouble else None
-
-    def tick(self, now: float) -> Report | None:
-        """Time has passed."""
-        self._last = min(self._last, now)  # simulated time goes back where it begins anew
-        if self._stale_after is None or now - self._last <= self._stale_after:
-            return None
-        self.is_silent = True
-        return self._lose(f"{self._what}: no message for {self._stale_after:g} s")
-
-    def _over(self, why: str) -> Report | None:
-        if not self._trouble or self.is_lost:
-            return None
-        self._trouble = ""
-        return Health.OK, why
-
-    def _lose(self, cause: str) -> Report | None:
-        if self.is_lost:
-            return None
-        self.is_lost = True
-        return Health.LOST, cause
 
 
 class MasterHealth:

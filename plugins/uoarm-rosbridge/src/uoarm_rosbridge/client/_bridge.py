@@ -99,7 +99,8 @@ class RosbridgeBridge(Bridge):
     ) -> None:
         """Report a change; what is lost is looked for from then on."""
         if health is Health.LOST and channel is not None:
-            self._remember(channel.endpoint, is_silent=getattr(channel, "is_silent", False))
+            is_silent = isinstance(channel, TopicSource) and channel.health.is_silent
+            self._remember(channel.endpoint, is_silent=is_silent)
         super().report(health, cause, channel=channel, component=component)
 
     def _describe(self, endpoint: Endpoint) -> Description:
@@ -413,7 +414,7 @@ class RosbridgeBridge(Bridge):
                 channels = tuple(self._channels)
             for channel in channels:
                 if isinstance(channel, TopicSource) and not channel.closed:
-                    channel.tick()
+                    channel.health.tick()
 
     def _look(self) -> None:
         """Look at all that is open, and for all that was lost; one that fails hinders no other."""
@@ -440,7 +441,7 @@ class RosbridgeBridge(Bridge):
         elif isinstance(channel, TopicSource | TopicSink):
             self._look_at_peers(channel)
             if is_new and not self._is_same(channel.made):
-                channel.lose(f"{channel.topic} has another type since the connection broke")
+                channel.health.refused("it has another type since the break", final=True)
 
     def _is_same(self, made: RosType) -> bool:
         """Say whether a type is the same in what may be another server than before."""
@@ -452,7 +453,7 @@ class RosbridgeBridge(Bridge):
             return  # nodes come back one by one, as the connection did
         if port_of(endpoint).peer_required and not self._peers(endpoint):
             does = "publishes" if role is Role.OUTPUT else "subscribes to"
-            channel.lose(f"no node {does} {channel.topic}")
+            channel.health.connected(0, f"no node {does} it")
 
 
 def _full(name: str) -> str:

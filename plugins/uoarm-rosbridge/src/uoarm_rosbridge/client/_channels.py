@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from uoarm.bridge import Channel, Delivery, Sink, Source
+from uoarm.bridge import Channel, ChannelHealth, ChannelMonitor, Delivery, Sink, Source
 from uoarm.errors import BridgeError, FailureReason, MessageError
 from uoarm.model import Endpoint, Health, Message
 from uoarm_rosbridge._wire import write_publish
@@ -23,6 +23,14 @@ from uoarm_rosbridge.client._types import RosType, reader, writer
 __all__ = ["ParameterSink", "ParameterSource", "TopicSink", "TopicSource", "parameter", "plain"]
 
 Report = Callable[[Channel, Health, str], None]
+
+
+def monitored(channel: Channel, topic: str, port: Port, report: Report) -> ChannelMonitor:
+    """Return the health of a channel on a topic, which has a peer as it is opened."""
+    now, is_required = time.monotonic(), port.peer_required
+    health = ChannelHealth(topic, now, stale_after=port.stale_after, peer_required=is_required)
+    health.connected(now)
+    return ChannelMonitor(health, lambda health, cause: report(channel, health, cause))
 
 
 class TopicSource(Source):
@@ -44,21 +52,20 @@ class TopicSource(Source):
         super().__init__(endpoint)
         self.latched = port.latch
         self._connection, self._topic, self._deliver = connection, topic, deliver
-        self._report, self._port, self.made = report, port, made
+        self._port, self.made = port, made
         # Guards what waits, between the connection's thread and that which delivers.
         self._changed = threading.Condition()
         self._waiting: deque[Any] = deque()
         self._received = self._dropped = 0
         self._breaks = self._seen_breaks = connection.breaks
         self._newest: Any = None
-        self._last = time.monotonic()
-        self._is_ended = self._is_lost = False
-        self.is_silent = False
+        self.health = monitored(self, topic, port, report)
+        self._is_ended = False
         self._identity = connection.new_id("subscribe")
         self._thread = threading.Thread(
             target=self._run, name=f"uoarm-rosbridge-{topic}", daemon=True
         )
-        connection.on_status(self._identity, lambda text: self.lose(f"{topic}: {text}"))
+        connection.on_status(self._identity, lambda text: self.health.refused(text, final=True))
         options = connection.options
         fields: Fields = {
             "op": "subscribe", "id": self._identity, "topic": topic, "type": made.name,
@@ -88,26 +95,14 @@ class TopicSource(Source):
             "under_way": len(self._waiting),
             "lost_on_link": self._dropped,
             "interruptions": self._connection.breaks - self._breaks,
+            **self.health.facts(),
         }
-
-    def lose(self, cause: str) -> None:
-        """Report that it is lost, once."""
-        if not self._is_lost and not self._is_ended:
-            self._is_lost = True
-            self._report(self, Health.LOST, cause)
-
-    def tick(self) -> None:
-        """Look whether messages come."""
-        limit = self._port.stale_after
-        if limit is not None and time.monotonic() - self._last > limit:
-            self.is_silent = True
-            self.lose(f"{self._topic}: no message for {limit:g} s")
 
     def _take(self, message: Any) -> None:
         with self._changed:
             if self._is_ended:
                 return
-            self._last = time.monotonic()
+            self.health.passed()
             if self.latched:
                 before, self._newest = self._newest, message
                 is_first = self._seen_breaks != self._connection.breaks
@@ -136,6 +131,7 @@ class TopicSource(Source):
                 self._deliver(message)
 
     def _close(self) -> None:
+        self.health.close()
         with self._changed:
             self._is_ended = True
             self._waiting.clear()
@@ -161,10 +157,11 @@ class TopicSink(Sink):
     ) -> None:
         super().__init__(endpoint)
         self._connection, self._topic = connection, topic
-        self._write, self._report, self.made = writer(made), report, made
+        self._write, self.made = writer(made), made
         self._sent = self._refused = 0
         self._why = ""
-        self._is_lost = self._is_ended = self._is_open = False
+        self._is_open = False
+        self.health = monitored(self, topic, port, report)
         self._identity = connection.new_id("advertise")
         connection.on_status(self._identity, self._status)
         try:
@@ -197,12 +194,6 @@ class TopicSink(Sink):
         """Return counters."""
         return {"sent": self._sent, "refused_by_server": self._refused}
 
-    def lose(self, cause: str) -> None:
-        """Report that it is lost, once."""
-        if not self._is_lost and not self._is_ended:
-            self._is_lost = True
-            self._report(self, Health.LOST, cause)
-
     def drain(self, timeout: float) -> bool:
         """Wait until the server has worked through what was sent."""
         del timeout  # of rosapi's own, which is shorter than a step
@@ -222,11 +213,11 @@ class TopicSink(Sink):
         """Take note of what the server says of it: an operation was refused."""
         self._refused += 1
         self._why = text
-        if self._is_open and not self._is_ended:
-            self._report(self, Health.DEGRADED, f"{self._topic}: the server says: {text}")
+        if self._is_open:
+            self.health.refused(f"the server says: {text}")
 
     def _close(self) -> None:
-        self._is_ended = True
+        self.health.close()
         connection = self._connection
         connection.forget_status(self._identity)
         fields = {"op": "unadvertise", "id": self._identity, "topic": self._topic}

@@ -15,7 +15,7 @@ from websockets.exceptions import ConnectionClosed, InvalidHandshake, InvalidSta
 from websockets.frames import CloseCode
 from websockets.sync.client import ClientConnection, connect
 
-from uoarm.bridge import Disconnection
+from uoarm.bridge import Backoff, Disconnection
 from uoarm.errors import BridgeError, BridgeTimeoutError, ControlMessageError, FailureReason
 from uoarm.model import Health, Spending
 from uoarm.server.front_end import read_binary, read_text
@@ -31,7 +31,7 @@ _STEP_SECONDS = 4.0
 _CONNECT_SECONDS = 3.0
 _GOODBYE_SECONDS = 0.5
 _JOIN_SECONDS = 2.0
-_RETRY_SECONDS = (0.1, 5.0)
+_BACKOFF = Backoff(first=0.1, most=5.0)
 _QUICKEST_SECONDS = 0.25
 _STEADY_SECONDS = 5.0
 _FINAL = (401, 403)  # answers to the handshake that no other attempt changes
@@ -284,7 +284,7 @@ class ServerConnection:
         return BridgeError(text, FailureReason.UNAVAILABLE)
 
     def _run(self) -> None:
-        pause = _RETRY_SECONDS[0]
+        failed = 0
         while not self._is_closed:
             try:
                 with self._connect() as socket:
@@ -294,19 +294,19 @@ class ServerConnection:
                     self._lose(cause, final=final)
                     # One that breaks at once is not begun again at once, for ever.
                     if time.monotonic() - begun > _STEADY_SECONDS:
-                        pause = _RETRY_SECONDS[0]
+                        failed = 0
             except Exception as error:  # noqa: BLE001 - of a URL, TLS, sockets: it is reported
                 if self.is_up:
                     self._lose(_cause_of(error))
                 else:
                     self._set(None, _cause_of(error))
                     self._judge(_cause_of(error), final=_is_final(error))
-            left = self._disconnection.left(time.monotonic())
+            failed += 1
+            pause, left = _BACKOFF.pause(failed), self._disconnection.left(time.monotonic())
             with self._changed:
                 until = pause if left is None else min(pause, left)
                 if self._changed.wait_for(lambda: self._is_closed, until):
                     return
-            pause = min(2 * pause, _RETRY_SECONDS[1])
 
     def _connect(self) -> ClientConnection:
         options, left = self.options, self._disconnection.left(time.monotonic())
