@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from uoarm_ros1._definitions import DefinitionError, Listing, Scalar, record_of, service_of
 from uoarm_ros1._health import Lost, MasterHealth
-from uoarm_ros1._options import Names, mistake, settings_of, topic_name
+from uoarm_ros1._options import Names, Port, mistake, settings_of, topic_name
 from uoarm_ros1._protocol import (
     Fault,
     FrameReader,
@@ -411,7 +411,8 @@ def test_addresses_and_options_are_checked_in_words() -> None:
     assert mistake(("/a", "parameter"), {}) == ""
     assert "is not a type of ROS 1" in mistake(("/a", "std_msgs/msg/Int32"), {})
     assert "is not a name" in mistake(("a b",), {})
-    assert "queue" in mistake(("/a",), {"queue": 0})
+    with pytest.raises(ValueError, match=r"option \$\.queue"):
+        Port.of({"queue": 0})
     assert topic_name(("a", "std_msgs/Int32"), {}) == "/a"
     assert topic_name(("/a", "x/DoAction"), {}) == ""
     assert topic_name(("/a", "parameter"), {}) == ""
