@@ -96,7 +96,7 @@ functions:
 OTHERS: Mapping[str, Callable[[str], str]] = {
     "another camera": lambda text: text.replace("endpoint: [best]", "endpoint: [better]"),
     "another order": lambda text: text.replace("priority: 2", "priority: 0"),
-    "no spare": lambda text: "\n".join(one for one in text.splitlines() if "spare" not in one),
+    "no spare": lambda text: "\n".join(line for line in text.splitlines() if "spare" not in line),
     "another bridge": lambda text: text.replace("two: {plugin: memory}", "two: {plugin: memory2}"),
     "a new name": lambda text: text.replace("name: finder", "name: detector"),
 }
@@ -116,10 +116,10 @@ class Plans:
         self.text = text
         self.robot = loads(text)
         bridges = {name: MemoryBridge(name, {}) for name in self.robot.bridges}
-        for one in self.robot.components():
-            ports: tuple[Input | Output, ...] = (*one.inputs, *one.outputs)
+        for component in self.robot.components():
+            ports: tuple[Input | Output, ...] = (*component.inputs, *component.outputs)
             for name in {port.endpoint.address[0] for port in ports}:
-                bridges[one.bridge].loop(name, NUMBER)  # an emitter is one that takes nothing
+                bridges[component.bridge].loop(name, NUMBER)  # an emitter is one that takes nothing
         self._resolver = Resolver(self.robot, StructureCache(bridges.__getitem__), check_edge)
         self._found: dict[tuple[str, frozenset[str]], Plan | ResolutionError] = {}
 
@@ -146,7 +146,7 @@ class World:
 
     def __init__(self, plans: Plans, policy: FailoverPolicy) -> None:
         self.plans = plans
-        bridges = {one.name: one.bridge for one in plans.robot.components()}
+        bridges = {item.name: item.bridge for item in plans.robot.components()}
         self.state = State(policy, bridges)
         self.now = 0.0
         self.lanes: dict[str, tuple[act.CallAction, ...]] = {}
@@ -213,7 +213,7 @@ class World:
         self.asked += (waiter,)
         self.next = plans
         found = compare(self.plans.robot, plans.robot)
-        bridges = {one.name: one.bridge for one in plans.robot.components()}
+        bridges = {item.name: item.bridge for item in plans.robot.components()}
         self.dead &= frozenset(bridges)
         self.post(
             ev.Configured(
@@ -229,14 +229,14 @@ class World:
     def discover(self, plans: Plans) -> None:
         """Have other candidates in the same configuration."""
         every = {
-            one.name: one.bridge
+            component.name: component.bridge
             for robot in (self.plans.robot, plans.robot)
-            for one in robot.components()
+            for component in robot.components()
         }
         # What is in use goes on as it runs; nothing else of the candidates before may be opened.
-        used = {one.name for one in self.state.components.values()}
-        in_use = (one for one in self.plans.robot.components() if one.name in used)
-        self.seen |= {evolve(one, priority=0) for one in in_use}
+        used = {instance.name for instance in self.state.components.values()}
+        in_use = (item for item in self.plans.robot.components() if item.name in used)
+        self.seen |= {evolve(component, priority=0) for component in in_use}
         superseded = compare(self.plans.robot, plans.robot).superseded - used
         number = self.state.candidates + 1
         self.post(ev.CandidatesChanged(every, "so it is", number, superseded))
@@ -375,9 +375,11 @@ class World:
             if record.state is ConnectionState.RUNNING:
                 for number in placed.components.values():
                     assert not state.components[number].is_superseded
-                there = {evolve(one, priority=0) for one in self.plans.robot.components()}
+                there = {evolve(item, priority=0) for item in self.plans.robot.components()}
                 there |= self.seen
-                assert all(evolve(one.component, priority=0) in there for one in placed.plan.steps)
+                assert all(
+                    evolve(step.component, priority=0) in there for step in placed.plan.steps
+                )
             for part in placed.parts:
                 if part.kind in {Kind.COMPONENT, Kind.OUTPUT}:
                     assert (part.id in lost) == state.components[part.id].is_lost
@@ -402,17 +404,19 @@ class World:
         for ending in self.state.draining.values():
             for number in ending.placement.components.values():
                 components.setdefault(number, set()).add(ending.placement.user)
-        assert {n: set(one.users) for n, one in self.state.components.items()} == components
-        assert {n: set(one.users) for n, one in self.state.edges.items()} == edges
+        assert {
+            n: set(instance.users) for n, instance in self.state.components.items()
+        } == components
+        assert {n: set(edge.users) for n, edge in self.state.edges.items()} == edges
 
     # How.
 
     def _waits(self) -> bool:
         """Say whether time brings anything: what waits for ever for a better plan is at rest."""
         return any(
-            one.failure is not None
-            or (one.preferred is not None and self._is_chosen(one.preferred))
-            for one in self.state.connections.values()
+            record.failure is not None
+            or (record.preferred is not None and self._is_chosen(record.preferred))
+            for record in self.state.connections.values()
         )
 
     def _is_chosen(self, plan: Plan) -> bool:
@@ -527,7 +531,7 @@ class World:
         if part.kind is not Kind.COMPONENT:
             for number in placement.components.values():
                 assert Part(Kind.COMPONENT, number) in before
-        assert all(one in self.open or one in self.state.parts for one in before)
+        assert all(part in self.open or part in self.state.parts for part in before)
 
     def _close(self, parts: Parts) -> None:
         for part in tuple(self.open):

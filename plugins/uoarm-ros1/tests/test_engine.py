@@ -454,7 +454,7 @@ def test_the_slave_survives_any_call(method: str, arguments: list[Any]) -> None:
         slave.answer(name, arguments)
 
 
-def test_a_master_that_nobody_relied_upon_is_not_missed() -> None:
+def test_a_master_that_no_channel_relied_upon_is_not_missed() -> None:
     health = MasterHealth()
     assert [health.failed("no"), health.failed("no")] == [None, None]
     assert health.answered() == (Health.OK, "the ROS master answers again")

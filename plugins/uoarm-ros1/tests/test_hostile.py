@@ -279,7 +279,7 @@ NOISE = [
 ]
 
 
-def test_strangers_at_our_doors_disturb_nobody(master: Master, lasting: Peer) -> None:
+def test_strangers_at_our_doors_disturb_no_channel(master: Master, lasting: Peer) -> None:
     lasting.do("subscribe", topic="/t", type=INT)
     with bridge_to(master) as bridge:
         sink = bridge.open_sink(input_("/t", INT, wait=patience()), ANY, timeout=patience())

@@ -188,7 +188,9 @@ STOP = "{message: {linear: {x: 0, y: 0, z: 0}, angular: {x: 0, y: 0, z: 0}}}"
 FORWARD = {**ZERO, "linear": {"x": 1.0, "y": 0.0, "z": 0.0}}
 
 
-def test_a_twist_that_nobody_repeats_is_followed_by_the_stop(master: Master, lasting: Peer) -> None:
+def test_a_twist_that_no_sender_repeats_is_followed_by_the_stop(
+    master: Master, lasting: Peer
+) -> None:
     topic = "/expiring/cmd_vel"
     lasting.do("subscribe", topic=topic, type="geometry_msgs/Twist")
     lifetime = 0.2 * slowness()

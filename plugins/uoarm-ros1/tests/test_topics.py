@@ -454,7 +454,7 @@ def test_a_subscription_of_our_own_is_waited_for_until_it_takes_messages(
         assert collector.wait(1, patience()) == [{"data": 1}]
 
 
-def test_a_subscriber_that_reads_nothing_holds_up_nobody(master: Master, lasting: Peer) -> None:
+def test_a_subscriber_that_reads_nothing_holds_up_no_other(master: Master, lasting: Peer) -> None:
     stuck = master.peer("stuck")
     for peer in (stuck, lasting):
         peer.do("subscribe", topic="/much", type="std_msgs/String")

@@ -37,7 +37,7 @@ def bridge_to(broker: Broker, **options: Any) -> Iterator[Bridge]:
         made.close(timeout=patience())
 
 
-def heard(bridge: Bridge) -> list[HealthEvent]:
+def health_events(bridge: Bridge) -> list[HealthEvent]:
     events: list[HealthEvent] = []
     bridge.watch(events.append)
     return events

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 from brokers import Broker
-from fleet import bridge_to, driven, endpoint, goal, heard, until
+from fleet import bridge_to, driven, endpoint, goal, health_events, until
 from uoarm_vda5050.vehicle import Vehicle
 
 from uoarm.errors import BridgeError
@@ -36,7 +36,7 @@ def test_a_transport_order_is_a_call(broker: Broker, release: str) -> None:
         assert [action["actionStatus"] for action in result["actions"]] == ["FINISHED", "FINISHED"]
 
 
-def test_streams_tell_what_becomes_of_a_goal(broker: Broker) -> None:
+def test_streams_report_what_becomes_of_a_goal(broker: Broker) -> None:
     with driven(broker, "streams", "b") as driver, bridge_to(broker) as bridge:
         reports = {part: Collector() for part in ("status", "feedback", "result")}
         for part, collector in reports.items():
@@ -66,7 +66,7 @@ def test_a_goal_is_cancelled(broker: Broker) -> None:
         assert driver.done == []
 
 
-def test_what_the_vehicle_refuses_is_told(broker: Broker) -> None:
+def test_what_the_vehicle_refuses_is_reported(broker: Broker) -> None:
     place, order = endpoint("refusing", "transport"), goal("a", "b", b="dance")
     refusal = pytest.raises(BridgeError, match=r"rejected: .*orderError.*no such actions: dance")
     with driven(broker, "refusing"), bridge_to(broker) as bridge, refusal:
@@ -75,7 +75,7 @@ def test_what_the_vehicle_refuses_is_told(broker: Broker) -> None:
 
 def test_a_vehicle_that_dies_is_lost_at_once(broker: Broker) -> None:
     with driven(broker, "dying", "b") as driver, bridge_to(broker) as bridge:
-        events, status = heard(bridge), Collector()
+        events, status = health_events(bridge), Collector()
         bridge.open_source(endpoint("dying", "transport", "status"), ANYTHING, status.deliver)
         sink = bridge.open_sink(endpoint("dying", "transport", "goal"), ANYTHING)
         sink.send(goal("a", "b", order="half"))
@@ -87,9 +87,9 @@ def test_a_vehicle_that_dies_is_lost_at_once(broker: Broker) -> None:
         assert "CONNECTIONBROKEN" in lost.cause
 
 
-def test_a_fatal_error_is_told_and_its_end(broker: Broker) -> None:
+def test_a_fatal_error_is_reported_and_its_end(broker: Broker) -> None:
     with driven(broker, "ailing") as driver, bridge_to(broker) as bridge:
-        events = heard(bridge)
+        events = health_events(bridge)
         bridge.open_sink(endpoint("ailing", "transport", "goal"), ANYTHING)
         driver.vehicle.raise_error("wheelBroken", "the left one", fatal=True)
         degraded = until(events, Health.DEGRADED)

@@ -200,7 +200,7 @@ def test_a_goal_that_ends_for_want_of_states_says_which_came_and_could_not_be_re
     assert (status, reason) == ("aborted", f"the vehicle {what} within 15 s; {why}")
 
 
-def test_silence_is_told_apart_from_states_that_cannot_be_read() -> None:
+def test_silence_is_distinguished_from_states_that_cannot_be_read() -> None:
     health = VehicleHealth(30.0)
     health.connected(0.0)
     health.unreadable("no JSON")
@@ -253,7 +253,7 @@ def test_a_schema_that_cannot_be_applied_is_said_to_be() -> None:
     assert "it cannot be held against the schema" in check({"headerId": 1})
 
 
-def test_a_vehicle_that_goes_before_it_is_followed_is_told() -> None:
+def test_a_vehicle_that_goes_before_it_is_followed_is_reported() -> None:
     def nothing(*_: object) -> None:
         pass
 

@@ -34,7 +34,7 @@ class Lane:
         self.vehicle = VehicleState(found, frozenset({"pick"}))
         self.now = 0.0
         self.way: list[tuple[str, Any]] = []
-        self.told: list[Action] = []
+        self.actions: list[Action] = []
         self.acts: Counter[str] = Counter()
         self.online = True
         self.left = Counter(give=2, cancel=1, lose=1, die=1, restart=1)
@@ -46,7 +46,7 @@ class Lane:
         due = self.fleet.wake_at()
         for name in ("_repeat_at", "_give_up_at", "_cancel_at", "_abandoned_at", "_made"):
             setattr(fleet, name, 0)
-        reports = [(type(item).__name__, getattr(item, "status", "")) for item in self.told]
+        reports = [(type(item).__name__, getattr(item, "status", "")) for item in self.actions]
         due = None if due is None else due - self.now
         return repr((fleet, due, self.vehicle, self.way, reports[-4:], self.online, self.left))
 
@@ -56,7 +56,7 @@ class Lane:
                 if self.online:
                     self.way.append((action.topic, action.body))
             else:
-                self.told.append(action)
+                self.actions.append(action)
 
     def events(self) -> Iterator[Callable[[Lane], object]]:
         if self.left["give"]:
@@ -137,13 +137,13 @@ class Lane:
         self.fleet = TransportState(self.vehicle.release, TIMES, name="g")
         if not self.online:
             self.fleet.connection(False, "")
-        self.told.clear()
+        self.actions.clear()
 
     def hold(self) -> None:
         """What holds in every world."""
         assert max(self.acts.values(), default=0) <= 1, "an action was performed twice"
-        ends = [item.status for item in self.told if isinstance(item, Ended)]
-        statuses = [item.status for item in self.told if isinstance(item, Status)]
+        ends = [item.status for item in self.actions if isinstance(item, Ended)]
+        statuses = [item.status for item in self.actions if isinstance(item, Status)]
         assert [status for status in statuses if status != "accepted"] == ends, (
             "each end is told once"
         )
@@ -215,5 +215,5 @@ def test_many_orders_of_many_events(release: str) -> None:
             chance.choice(events)(world)
             world.hold()
         world.settle()
-        ends.update(item.status for item in world.told if isinstance(item, Ended))
+        ends.update(item.status for item in world.actions if isinstance(item, Ended))
     assert ends.keys() >= {"succeeded", "canceled", "aborted", "lost"}, "so much was seen"

@@ -47,7 +47,7 @@ def test_the_example_runs_as_printed(broker: Broker, tmp_path: Path) -> None:
         driving.wait()
 
 
-def test_vehicles_that_nobody_named_are_used(broker: Broker, tmp_path: Path) -> None:
+def test_vehicles_that_are_not_configured_are_used(broker: Broker, tmp_path: Path) -> None:
     options = {"url": broker.url, "interface": "unnamed", "accept_timeout": patience()}
     bridges = {
         f"v{release[0]}": {"plugin": "vda5050", "options": {**options, "release": release}}

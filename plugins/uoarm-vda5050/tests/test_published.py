@@ -43,7 +43,7 @@ def test_a_published_schema_loses_its_header(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "refusal"),
     [
         (
             '{\n "type": "object",\n}',
@@ -59,9 +59,11 @@ def test_a_published_schema_loses_its_header(tmp_path: Path) -> None:
         ('{"a": "' + "x" * 2**20 + '"}', r"1,048,576 are allowed"),
     ],
 )
-def test_what_is_no_schema_is_refused_with_its_place(tmp_path: Path, text: str, told: str) -> None:
+def test_what_is_no_schema_is_refused_with_its_place(
+    tmp_path: Path, text: str, refusal: str
+) -> None:
     (tmp_path / "order.schema").write_text(text)
-    with pytest.raises(ConfigurationError, match=told):
+    with pytest.raises(ConfigurationError, match=refusal):
         read_published(str(tmp_path), RELEASES["2.1"])
 
 

@@ -199,7 +199,7 @@ def test_a_failed_action_ends_the_order() -> None:
 
 
 @pytest.mark.parametrize(
-    ("wanted", "told"),
+    ("wanted", "text"),
     [
         ({"nodes": []}, "at least one node"),
         (goal(*map(str, range(200))), r"200 nodes; 100 are allowed \(max_nodes\)"),
@@ -212,6 +212,6 @@ def test_a_failed_action_ends_the_order() -> None:
         ),
     ],
 )
-def test_what_can_be_no_order_is_refused_in_words(wanted: Any, told: str) -> None:
-    with pytest.raises(MessageError, match=told):
+def test_what_can_be_no_order_is_refused_in_words(wanted: Any, text: str) -> None:
+    with pytest.raises(MessageError, match=text):
         Order.of(wanted, "one", RELEASES["2.1"], 100)

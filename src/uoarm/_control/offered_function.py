@@ -361,7 +361,7 @@ def offered_structures(offer: Offer, bridge: Bridge) -> dict[str, MessageStructu
         described = bridge.describe(offer.service.endpoint, timeout=_DESCRIBE_SECONDS)
         found["request"] = offer.service.request or described.request
         found["reply"] = offer.service.reply or described.reply
-    return {port: one for port, one in found.items() if one is not None}
+    return {port: known for port, known in found.items() if known is not None}
 
 
 def _pass_over(message: Message) -> None:

@@ -103,7 +103,7 @@ class Vda5050Bridge(Bridge):
             codec,
             self._broker,
             deliver,
-            self._tell,
+            self._report_channel,
             latched=is_kept or place.topic == "state",
         )
 
@@ -114,7 +114,9 @@ class Vda5050Bridge(Bridge):
             return TransportSink(endpoint, place.part, follower, self._broker)
         codec = self._codec(place, structure)
         topic = self._topic(place, place.topic)
-        return MqttSink(endpoint, topic, TopicOptions(qos=0), codec, self._broker, self._tell)
+        return MqttSink(
+            endpoint, topic, TopicOptions(qos=0), codec, self._broker, self._report_channel
+        )
 
     def _call(
         self, endpoint: Endpoint, structures: ServiceStructures, message: Message, timeout: float
@@ -124,16 +126,16 @@ class Vda5050Bridge(Bridge):
         return call(endpoint, follower, message, timeout)
 
     def _discover(self) -> tuple[Discovered, ...]:
-        # Anybody may publish levels that no address can have, as an empty one.
-        vehicles = [one for one in self._presence.online() if not mistake(one, {})]
+        # Any client may publish levels that no address can have, as an empty one.
+        vehicles = [name for name in self._presence.online() if not mistake(name, {})]
         details = self._factsheets()
-        return tuple(self._discovered(one, details.get(one, "")) for one in vehicles)
+        return tuple(self._discovered(vehicle, details.get(vehicle, "")) for vehicle in vehicles)
 
     def _close(self) -> None:
         with self._lock:
             followers = list(self._followers.values())
-        for one in followers:
-            one.close()
+        for follower in followers:
+            follower.close()
         self._broker.close()
 
     def _place(self, endpoint: Endpoint) -> Place:
@@ -184,7 +186,7 @@ class Vda5050Bridge(Bridge):
             TransportState(self._release, times, given.get("max_nodes", 1000)),
             VehicleHealth(given.get("state_timeout", 35.0)),
             codecs,
-            partial(self._tell_vehicle, vehicle),
+            partial(self._report_vehicle, vehicle),
         )
 
     def _reading(
@@ -248,10 +250,10 @@ class Vda5050Bridge(Bridge):
             made.append((endpoint, self._description(place)))
         return Discovered(name, tuple(made), detail)
 
-    def _tell(self, channel: Any, health: Health, cause: str) -> None:
+    def _report_channel(self, channel: Any, health: Health, cause: str) -> None:
         self.report(health, cause, channel=channel)
 
-    def _tell_vehicle(self, vehicle: Vehicle, health: Health, cause: str) -> None:
+    def _report_vehicle(self, vehicle: Vehicle, health: Health, cause: str) -> None:
         with self._lock:
             names = sorted(self._names.get(vehicle, ()))
         for name in names:

@@ -44,9 +44,9 @@ class Follower:
         link: to the broker.
         topic: of the vehicle's, up to the last level.
         transport: what becomes of its orders; touched under the lock only.
-        health: what is to be told of it; touched by the thread only.
+        health: what is to be reported of it; touched by the thread only.
         codecs: of `order`, `instantActions` and `state`.
-        told: is called with health and cause.
+        on_health: is called with health and cause.
     """
 
     def __init__(
@@ -56,9 +56,9 @@ class Follower:
         transport: TransportState,
         health: VehicleHealth,
         codecs: Mapping[str, VdaCodec],
-        told: Callable[[Health, str], object],
+        on_health: Callable[[Health, str], object],
     ) -> None:
-        self._link, self._topic, self._codecs, self._told = link, topic, codecs, told
+        self._link, self._topic, self._codecs, self._on_health = link, topic, codecs, on_health
         self._transport, self._health = transport, health
         self._lock = threading.Lock()
         self._listeners: tuple[Callable[[News], object], ...] = ()
@@ -97,7 +97,7 @@ class Follower:
             return self._transport.unread_states()
 
     def goal(self, goal: Mapping[str, Any]) -> str:
-        """Take a goal; return its identifier. What becomes of it is told to who listens.
+        """Take a goal; return its identifier. What becomes of it is reported to listeners.
 
         Raises:
             MessageError: it can be no order.
@@ -117,12 +117,12 @@ class Follower:
         self._inbox.poke()
 
     def join(self, listener: Callable[[News], object]) -> None:
-        """Have news of goals told to a listener, which must return at once."""
+        """Report news of goals to a listener, which must return at once."""
         with self._lock:
             self._listeners += (listener,)
 
     def leave(self, listener: Callable[[News], object]) -> None:
-        """Tell a listener nothing more."""
+        """Notify a listener no more."""
         with self._lock:
             self._listeners = tuple(
                 callback for callback in self._listeners if callback != listener
@@ -151,7 +151,7 @@ class Follower:
             with self._lock:
                 self._transport.unreadable(why)
                 self._announce(StateRead(why))
-            self._tell(self._health.unreadable(why))
+            self._report(self._health.unreadable(why))
 
     def _take_state(self, event: ReceivedMessage, now: float) -> None:
         header, body = self._codecs["state"].split(event.payload)
@@ -161,7 +161,7 @@ class Follower:
         with self._lock:
             self._do(self._transport.state(state, now))
             self._announce(StateRead())
-        self._tell(self._health.state(fatal, now))
+        self._report(self._health.state(fatal, now))
 
     def _count_gap(self, header_id: object) -> None:
         """Count the states between the last one and this one; a counter that went back is none."""
@@ -174,15 +174,15 @@ class Follower:
 
     def _wake(self) -> float | None:
         now = time.monotonic()
-        self._tell(self._health.tick(now))
+        self._report(self._health.tick(now))
         with self._lock:
             self._do(self._transport.tick(now))
             times = [self._transport.wake_at(), self._health.wake_at()]
         return min((value for value in times if value is not None), default=None)
 
-    def _tell(self, news: tuple[Health, str] | None) -> None:
+    def _report(self, news: tuple[Health, str] | None) -> None:
         if news is not None:
-            self._told(*news)
+            self._on_health(*news)
 
     def _announce(self, news: News) -> None:
         """Have every listener take in news, under the lock."""
@@ -199,7 +199,7 @@ class Follower:
                 payload = self._codecs[action.topic].encode(action.body)
                 self._link.publish(f"{self._topic}/{action.topic}", payload, _ignore, qos=0)
             except BridgeError:
-                continue  # the broker is away, which is told; it is sent again
+                continue  # the broker is away, which is reported; it is sent again
             except Exception as error:  # noqa: BLE001 - the MQTT client's own would end the thread
                 why = str(error) if isinstance(error, MessageError) else repr(error)
                 if action.topic == "order":

@@ -117,7 +117,7 @@ class VdaCodec(PayloadCodec):
         header = {key: whole[key] for key in HEADER if key in whole}
         if self.is_header_kept:
             return header, whole
-        return header, {key: one for key, one in whole.items() if key not in HEADER}
+        return header, {key: value for key, value in whole.items() if key not in HEADER}
 
     def wrong_version(self, version: object) -> str:
         """Say what is wrong with the version in a header, "" where nothing is."""
@@ -136,8 +136,8 @@ def check_of(schema: Schema) -> Check:
                 where = "/".join(map(str, error.absolute_path)) or "the message"
                 return f"{where}: {error.message[:300]}"
         except Exception as error:  # noqa: BLE001 - of a user's schema: references, numbers, depth
-            told = f"{type(error).__name__}: {error}"[:300]
-            return f"it cannot be held against the schema: {told}"
+            text = f"{type(error).__name__}: {error}"[:300]
+            return f"it cannot be held against the schema: {text}"
         return ""
 
     return check

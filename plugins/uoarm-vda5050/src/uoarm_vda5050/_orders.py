@@ -23,7 +23,7 @@ _INSTANT = frozenset(
 
 
 def new_id() -> str:
-    """Return an identifier that nobody else makes."""
+    """Return an identifier that no other makes."""
     return os.urandom(8).hex()
 
 

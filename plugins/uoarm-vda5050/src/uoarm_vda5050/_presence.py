@@ -50,7 +50,7 @@ class Presence:
         release: that the vehicles speak.
         wait: seconds that a retained message may take beyond the broker's own answer.
         most: vehicles that are kept track of.
-        told: is called with a component's name, health and cause when it comes or goes.
+        on_health: is called with a component's name, health and cause when it comes or goes.
     """
 
     def __init__(
@@ -60,9 +60,9 @@ class Presence:
         release: Release,
         wait: float,
         most: int,
-        told: Callable[[str, Health, str], object],
+        on_health: Callable[[str, Health, str], object],
     ) -> None:
-        self._link, self._wait, self._most, self._told = link, wait, most, told
+        self._link, self._wait, self._most, self._on_health = link, wait, most, on_health
         self._release = release
         body = body_of("connection", release.name)
         self._codec = VdaCodec.reading(
@@ -80,7 +80,7 @@ class Presence:
         self._came = threading.Event()
 
     def require(self, vehicle: Vehicle, component: str) -> None:
-        """Return when a vehicle says that it is there; from then on its end is told.
+        """Return when a vehicle says that it is there; from then on its end is reported.
 
         Raises:
             BridgeError: with UNAVAILABLE: it says something else, or nothing.
@@ -103,9 +103,9 @@ class Presence:
             return sorted(vehicle for vehicle, known in self._known.items() if known.is_online)
 
     def follow(self, vehicle: Vehicle, follower: Callable[[bool, str], object]) -> None:
-        """Have it told when a vehicle that was required comes or goes; now, where it went since.
+        """Notify it when a vehicle that was required comes or goes; now, where it went since.
 
-        It is told at once, in the thread of the network.
+        It is called at once, in the thread of the network.
         """
         with self._lock:
             known = self._known[vehicle]
@@ -161,4 +161,4 @@ class Presence:
             if state in {"OFFLINE", "HIBERNATING"}:
                 health = Health.FINISHED
             for name in sorted(names):
-                self._told(name, health, f"vehicle {manufacturer}/{serial_number}: {why}")
+                self._on_health(name, health, f"vehicle {manufacturer}/{serial_number}: {why}")

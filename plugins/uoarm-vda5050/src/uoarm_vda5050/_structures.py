@@ -1,6 +1,6 @@
 """Structures of the topics, written for this plugin: what the standard requires and what is used.
 
-What the published JSON Schemas allow to vehicles fits them; whoever has those names their folder
+What the published JSON Schemas allow to vehicles fits them; a user who has those names their folder
 (`_published.py`). What is not named here is tolerated and passes.
 """
 

@@ -55,7 +55,7 @@ class TransportSource(Source):
 
 
 class TransportSink(Sink):
-    """Goals or cancellations for one vehicle. What a goal comes to is told as status and result."""
+    """Goals or cancellations for one vehicle; what becomes of them is a status, then a result."""
 
     blocking = False
 

@@ -1,14 +1,14 @@
 """What becomes of the transport orders of one vehicle: no clock, no socket, no thread.
 
 Events come in with the time: a goal, a cancellation, a state of the vehicle, the news that it came
-or went, the passing of time. What is to be done comes out: messages to send, and news for whoever
-asked. Times are seconds of one clock.
+or went, the passing of time. What is to be done comes out: messages to send, and news for the
+client that asked. Times are seconds of one clock.
 
 A message of QoS 0 may be lost on either side, so an order counts as taken only when a state says
 so, and is sent again until then; the vehicle ignores the same order twice. A goal ends when a state
 says how, and as `lost` when the vehicle is gone. An order whose goal has ended while the vehicle
 may still have it is abandoned: seen again, it is cancelled, so that nothing is carried out that
-nobody waits for any more.
+no client waits for any more.
 """
 
 from __future__ import annotations
@@ -104,7 +104,7 @@ class TransportState:
         release: that the vehicle speaks.
         times: limits.
         max_nodes: of one order.
-        name: what the identifiers that it makes begin with; nobody else's do.
+        name: what the identifiers that it makes begin with; no other's do.
     """
 
     release: Release
@@ -297,7 +297,7 @@ class TransportState:
             return self._end("canceled", "cancelled before the vehicle took it")
         refusals = self._refusals(known, order)
         if refusals:
-            return self._end("rejected", _told(refusals))
+            return self._end("rejected", _error_texts(refusals))
         return []
 
     def _following(self, known: Report, now: float) -> list[Action]:
@@ -427,5 +427,5 @@ def _is_about(error: Body, order: Order, old: tuple[Body, ...]) -> bool:
     return said["orderId"] == order.order_id and update == str(order.update_id)
 
 
-def _told(errors: list[Body]) -> str:
+def _error_texts(errors: list[Body]) -> str:
     return "the vehicle refuses it: " + "; ".join(map(words_of, errors))[:1000]

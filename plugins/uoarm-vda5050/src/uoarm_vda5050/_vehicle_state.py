@@ -235,7 +235,7 @@ class VehicleState:
         return was
 
     def set_mode(self, mode: str) -> None:
-        """Change the operating mode; in those in which nobody sends orders there is none."""
+        """Change the operating mode; in those in which no master sends orders there is none."""
         self.mode = mode
         if mode not in {"AUTOMATIC", "SEMIAUTOMATIC", "INTERVENED"}:
             self._clear()

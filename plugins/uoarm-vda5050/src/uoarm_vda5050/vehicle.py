@@ -314,9 +314,9 @@ class Vehicle:
             offline=lambda: say("OFFLINE"),
         )
         settings = evolve(self._settings, announcement=announcement)
-        return BrokerConnection(self._name, settings, self._told)
+        return BrokerConnection(self._name, settings, self._on_health)
 
-    def _told(self, health: Health, cause: str) -> None:
+    def _on_health(self, health: Health, cause: str) -> None:
         """The broker is back: the next `set` publishes a state."""
         del cause
         if health is Health.OK:

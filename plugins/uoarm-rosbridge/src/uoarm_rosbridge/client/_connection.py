@@ -257,10 +257,10 @@ class ServerConnection:
                 fields = {"op": "unsubscribe", "topic": topic}
                 self.withdraw(subscription.fields["id"], fields)
 
-    def on_status(self, identity: str, tell: Callable[[str], None]) -> None:
+    def on_status(self, identity: str, report: Callable[[str], None]) -> None:
         """Have statuses of the level error that belong to an operation handed on."""
         with self._changed:
-            self._statuses[identity] = tell
+            self._statuses[identity] = report
 
     def forget_status(self, identity: str) -> None:
         """Have them handed on no more."""
@@ -381,9 +381,9 @@ class ServerConnection:
                 serve(fields)
         elif op == "status" and fields.get("level") == "error":
             with self._changed:
-                tell = self._statuses.get(str(fields.get("id")))
-            if tell is not None:
-                tell(str(fields.get("msg"))[:500])
+                report = self._statuses.get(str(fields.get("id")))
+            if report is not None:
+                report(str(fields.get("msg"))[:500])
 
     def _answer(self, fields: Fields) -> None:
         with self._changed:
