@@ -63,7 +63,11 @@ class Peer:
         )
         self._answers: queue.SimpleQueue[dict[str, Any] | None] = queue.SimpleQueue()
         threading.Thread(target=self._listen, daemon=True).start()
-        assert self._answer()["ready"]
+        try:
+            assert self._answer()["ready"]
+        except BaseException:
+            self.kill()
+            raise
 
     @property
     def pid(self) -> int:
@@ -120,7 +124,10 @@ class Peer:
         assert self._process.stdout is not None
         try:
             for line in self._process.stdout:
-                self._answers.put(json.loads(line))
+                if line.startswith("{"):
+                    self._answers.put(json.loads(line))
+                else:  # Fast DDS writes its log there, as of a port that another process has
+                    sys.stderr.write(line)
         except ValueError:
             pass  # closed while reading, at the end of a test
         self._answers.put(None)
