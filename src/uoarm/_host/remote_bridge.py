@@ -9,7 +9,6 @@ from collections.abc import Callable, Mapping
 from functools import partial
 from typing import TYPE_CHECKING, Any, final
 
-from uoarm._host.machines import MachineConnection
 from uoarm._host.process_connection import HostSettings, ProcessConnection
 from uoarm._host.transport import keys
 from uoarm._host.transport.flow import FlowEnding, FlowReceiver, FlowSender, Handled
@@ -47,7 +46,7 @@ __all__ = ["AskChannel", "RemoteBridge", "RemoteChannel", "RemoteSink", "RemoteS
 AskChannel = Callable[..., object]
 """Asks the host: an operation, then named values."""
 if TYPE_CHECKING:
-    from uoarm._host.machines import MachineRegistry
+    from uoarm._host.machines import MachineConnection, MachineRegistry
 
 _BLOCKING_SECONDS = 10.0
 _PROMPT_SECONDS = 0.2
@@ -253,6 +252,9 @@ class RemoteBridge(Bridge):
             if registry is None:
                 text = f"bridge {spec.name!r} is on machine {settings.machine!r}: ask its manager"
                 raise BridgeError(text, FailureReason.UNSUPPORTED)
+            # Of the extra `machines`, which hosts on this machine do without.
+            from uoarm._host.machines import MachineConnection  # noqa: PLC0415
+
             connect = partial(MachineConnection, registry, settings.machine)
         self._host = connect(
             spec,
