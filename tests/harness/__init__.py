@@ -38,6 +38,7 @@ TOGETHER = {"tests/examples/test_healthbot.py"}
 HANGING = 10
 # Processor time, which a busy machine does not lengthen, from which on a test is a long one.
 LONG_SECONDS = 120.0
+_OLDEST = 2  # generation of the collector, which looks at everything with it
 ORDER = "UOARM_TEST_ORDER"
 _HELD = pytest.StashKey[_leaks.Holdings]()
 
@@ -121,6 +122,30 @@ def pytest_collection_finish() -> None:
     gc.freeze()
 
 
+_looked = False
+
+
+def _notice_look(phase: str, facts: dict[str, int]) -> None:
+    global _looked  # noqa: PLW0603 - a callback of the collector has no other place
+    _looked |= phase == "stop" and facts["generation"] == _OLDEST
+
+
+gc.callbacks.append(_notice_look)
+
+
+def _freeze_again() -> None:
+    """Freeze what a server let go of, which looks at everything again, now and then.
+
+    The count takes 30 ms, for it goes over all that is frozen: only a look at everything, after
+    which a server does so, is worth it.
+    """
+    global _looked  # noqa: PLW0603 - see above
+    if _looked:
+        _looked = False
+        if not gc.get_freeze_count():
+            gc.freeze()
+
+
 @pytest.hookimpl(wrapper=True, tryfirst=True)
 def pytest_runtest_setup(item: pytest.Item) -> Generator[None, None, None]:
     item.stash[_HELD] = _leaks.Holdings()
@@ -159,8 +184,7 @@ def pytest_fixture_setup(
 def pytest_runtest_teardown(item: pytest.Item) -> Generator[None, None, None]:
     with _leaks.maker(item.nodeid):
         yield
-    if not gc.get_freeze_count():  # a server that looks at everything again, now and then
-        gc.freeze()
+    _freeze_again()
     held = item.stash.get(_HELD, None)
     if held is None:
         return
