@@ -9,6 +9,7 @@ from collections.abc import Callable, Collection, Iterator, Mapping
 from enum import Enum
 from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
 
+from uoarm._quick_check import certainly_matches
 from uoarm._spelling import Speller, any_of
 from uoarm._support.yaml import Path, clip
 from uoarm.errors import UoarmError
@@ -16,7 +17,7 @@ from uoarm.errors import UoarmError
 if TYPE_CHECKING:
     from jsonschema.exceptions import ValidationError
 
-__all__ = ["TYPES", "Mistake", "choose", "mistakes", "near"]
+__all__ = ["TYPES", "Mistake", "choose", "mistakes", "near", "schema_mistakes"]
 
 E = TypeVar("E", bound=Enum)
 
@@ -44,6 +45,19 @@ _SIZES: Mapping[str, tuple[str, str]] = {
     for name, of in (("Items", "entries"), ("Properties", "keys"), ("Length", "characters"))
 }
 _UNITS = {"x-max-utf8": "octets (UTF-8)", "x-max-utf16": "code units (UTF-16)"}
+
+
+def schema_mistakes(value: object, schema: Any, speller: Speller) -> Iterator[Mistake]:
+    """Yield everything by which a value does not match a schema, in our own words.
+
+    What certainly matches, as most does, loads no validator.
+    """
+    if certainly_matches(value, schema):
+        return
+    from jsonschema import Draft202012Validator  # noqa: PLC0415 - slow import
+
+    for error in Draft202012Validator(schema).iter_errors(value):
+        yield from mistakes(error, speller)
 
 
 def mistakes(

@@ -13,24 +13,20 @@ then knows what the bridge reads; the schema follows from it.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from functools import cache
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 import attrs
 from typing_extensions import Self
 
-from uoarm._mistakes import Mistake, mistakes
-from uoarm._quick_check import certainly_matches
+from uoarm._mistakes import Mistake, schema_mistakes
 from uoarm._spelling import Speller
 from uoarm._support.yaml import write_path
 from uoarm.bridge._border import reading_endpoint
 from uoarm.model import Endpoint, Options, Schema
 
-if TYPE_CHECKING:
-    from jsonschema import Draft202012Validator
-
-__all__ = ["EndpointOptions", "option", "option_mistakes", "options_table"]
+__all__ = ["EndpointOptions", "option", "options_table"]
 
 _OPTION = "uoarm option"
 T = TypeVar("T")
@@ -81,7 +77,8 @@ class EndpointOptions:
             ValueError: they are wrong; the text names every one, what was expected and what came.
         """
         given = dict(options)
-        if wrong := [_sentence(mistake) for mistake in option_mistakes(cls, given)]:
+        found = schema_mistakes(given, cls.schema(), Speller())
+        if wrong := [_sentence(mistake) for mistake in found]:
             raise ValueError("; ".join(wrong))
         made: Self = _made(cls, given)
         return made
@@ -95,16 +92,6 @@ class EndpointOptions:
         """
         with reading_endpoint(endpoint):
             return cls.of(endpoint.options)
-
-
-def option_mistakes(
-    kind: Any, options: Mapping[str, Any], speller: Speller | None = None
-) -> Iterator[Mistake]:
-    """Yield everything that is wrong with options, in words, by the path within them."""
-    if not options or certainly_matches(dict(options), _schema(kind)):
-        return  # as most are: no validator is loaded for those
-    for error in _validator(kind).iter_errors(options):
-        yield from mistakes(error, speller or Speller())
 
 
 def options_table(schema: Schema, heading: str = "option") -> str:
@@ -147,13 +134,6 @@ def _schema(kind: Any) -> Schema:
             required.append(attribute.name)
     closed = {"type": "object", "properties": properties, "additionalProperties": False}
     return {**closed, "required": required} if required else closed
-
-
-@cache
-def _validator(kind: Any) -> Draft202012Validator:
-    from jsonschema import Draft202012Validator  # noqa: PLC0415 - slow import
-
-    return Draft202012Validator(_schema(kind))
 
 
 def _made(kind: Any, given: Mapping[str, Any]) -> Any:

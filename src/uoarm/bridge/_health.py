@@ -12,13 +12,16 @@ import time
 from collections import deque
 from collections.abc import Callable, Mapping
 from enum import Enum
+from typing import Concatenate
 
 from attrs import frozen
+from typing_extensions import ParamSpec
 
 from uoarm.model import Health
 
 __all__ = ["ChannelHealth", "ChannelMonitor", "ChannelReport", "Disconnection", "HealthReason"]
 
+P = ParamSpec("P")
 _ENOUGH = 0.5  # of the rate that is expected
 _FEWEST = 4  # messages that are expected in the time over which a rate is judged
 _SHORTEST_SECONDS = 1.0
@@ -290,37 +293,35 @@ class ChannelMonitor:
 
     def passed(self) -> None:
         """A message passed."""
-        with self._lock:
-            self._add(self._health.passed(self._clock()))
-        self._say()
+        self._judge(self._health.passed)
 
     def connected(self, peers: int = 1, cause: str = "") -> None:
         """So many peers are connected now; `cause`: why the others have gone."""
-        with self._lock:
-            self._add(self._health.connected(self._clock(), peers, cause))
-        self._say()
+        self._judge(self._health.connected, peers, cause)
 
     def refused(self, cause: str, *, final: bool = False) -> None:
         """The peer refused a message, or for good the channel itself."""
-        with self._lock:
-            self._add(self._health.refused(self._clock(), cause, final=final))
-        self._say()
+        self._judge(self._health.refused, cause, final=final)
 
     def peer_reported(self, health: Health, cause: str) -> None:
         """The peer has said how it is."""
-        with self._lock:
-            self._add(self._health.peer_reported(self._clock(), health, cause))
-        self._say()
+        self._judge(self._health.peer_reported, health, cause)
 
     def tick(self) -> None:
         """Time has passed."""
-        with self._lock:
-            self._add(self._health.tick(self._clock()))
-        self._say()
+        self._judge(self._health.tick)
 
-    def _add(self, report: ChannelReport | None) -> None:
-        if report is not None:
-            self._waiting.append(report)
+    def _judge(
+        self,
+        judge: Callable[Concatenate[float, P], ChannelReport | None],
+        *given: P.args,
+        **named: P.kwargs,
+    ) -> None:
+        with self._lock:
+            report = judge(self._clock(), *given, **named)
+            if report is not None:
+                self._waiting.append(report)
+        self._say()
 
     def _say(self) -> None:
         while self._waiting:

@@ -7,14 +7,12 @@ from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from typing import Any
 
-from uoarm._mistakes import mistakes
-from uoarm._quick_check import certainly_matches
+from uoarm._mistakes import schema_mistakes
 from uoarm._raised import foreign, text_of
 from uoarm._spelling import Speller
 from uoarm._support import deadlines
 from uoarm._support.yaml import Document, Path, Problem, clip, write_path
 from uoarm.bridge import BridgeType
-from uoarm.bridge._endpoint_options import option_mistakes
 from uoarm.config._build import bridge_options, folder_of
 from uoarm.config._loops import SharedTopic, feedback_loops
 from uoarm.config._parts import (
@@ -27,7 +25,7 @@ from uoarm.config._parts import (
 )
 from uoarm.config._shape import assignables, installation
 from uoarm.errors import BridgeError, FailureReason, UoarmError
-from uoarm.model import Endpoint, Role
+from uoarm.model import Endpoint, Role, Schema
 
 __all__ = ["PluginChecker"]
 
@@ -66,7 +64,8 @@ class PluginChecker:
         """Yield every mistake in options and endpoints."""
         for name, (kind, options) in self._bridges.items():
             if isinstance(options, dict):
-                yield from self._option_problems(kind, options, ("bridges", name, "options"))
+                path = ("bridges", name, "options")
+                yield from self._option_problems(kind, kind.options_schema, options, path)
         for component in (*components(self._document.value), *offers(self._document.value)):
             of_offer = component.bridge if isinstance(component, OfferPart) else None
             bridge = of_offer or component.text("bridge") or ""
@@ -282,15 +281,12 @@ class PluginChecker:
                     path: Path = ("bridges", name, "options", option)
                     yield self._problem(path, sentence, "leave it out, and uoarm chooses")
 
-    def _option_problems(self, kind: BridgeType, options: Any, path: Path) -> Iterator[Problem]:
-        if certainly_matches(options, kind.options_schema):
-            return
-        from jsonschema import Draft202012Validator  # noqa: PLC0415 - slow import
-
-        for error in Draft202012Validator(kind.options_schema).iter_errors(options):
-            for where, sentence, hint, at_key in mistakes(error, self._speller):
-                text = f"the plugin {kind.name}: {sentence}"
-                yield self._problem((*path, *where), text, hint, at_key=at_key)
+    def _option_problems(
+        self, kind: BridgeType, schema: Schema, options: Any, path: Path
+    ) -> Iterator[Problem]:
+        for where, sentence, hint, at_key in schema_mistakes(options, schema, self._speller):
+            text = f"the plugin {kind.name}: {sentence}"
+            yield self._problem((*path, *where), text, hint, at_key=at_key)
 
     def _endpoint_problems(self, kind: BridgeType, component: ComponentPart) -> Iterator[Problem]:
         """Yield what a plugin says of the addresses of one component: of the same mistake once."""
@@ -298,12 +294,10 @@ class PluginChecker:
         for port in (*component.inputs(), *component.outputs(), *component.services()):
             options = port.value.get("options", {})
             if kind.endpoint_options is not None and isinstance(options, dict):
-                found_here = list(option_mistakes(kind.endpoint_options, options, self._speller))
-                for where, sentence, hint, at_key in found_here:
-                    path = (*port.path, "options", *where)
-                    text = f"the plugin {kind.name}: {sentence}"
-                    yield self._problem(path, text, hint, at_key=at_key)
-                if found_here:
+                schema, path = kind.endpoint_options.schema(), (*port.path, "options")
+                problems = list(self._option_problems(kind, schema, options, path))
+                if problems:
+                    yield from problems
                     self._unreachable.add(component.path)
                     continue
             wrong = _endpoint_mistake(kind, port.value)

@@ -10,7 +10,7 @@ from typing import Any
 from uoarm._hints.arrays import HintError
 from uoarm._hints.convert import reader
 from uoarm._hints.schemas import schema_of
-from uoarm._mistakes import mistakes
+from uoarm._mistakes import schema_mistakes
 from uoarm._spelling import Speller
 from uoarm.model import Options
 
@@ -69,16 +69,12 @@ _NAMED = {inspect.Parameter.POSITIONAL_OR_KEYWORD, inspect.Parameter.KEYWORD_ONL
 
 def _misfit(value: object, hint: Any) -> str:
     """Return what is wrong with a value, "" where it fits or the hint says nothing."""
-    from jsonschema import Draft202012Validator  # noqa: PLC0415 - slow import
-
     try:
         schema = schema_of(hint)
     except HintError:
         return ""
-    speller = Speller()
     reports = [
         f"{'.'.join(map(str, path))}: {sentence}" if path else sentence
-        for error in Draft202012Validator(schema).iter_errors(value)
-        for path, sentence, _, _ in mistakes(error, speller)
+        for path, sentence, _, _ in schema_mistakes(value, schema, Speller())
     ]
     return "; ".join(reports)
