@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, cast
 
 import pytest
 from endpoints import Reports, bridge_to, input_, output, service
@@ -150,6 +150,85 @@ def test_a_parameter_is_watched_over_the_death_of_its_master(tmp_path: Any) -> N
             reports.wait(Health.OK, "answers again")
             peer.do("set_param", name="/speed", value=2)
             assert collector.wait(2, patience()) == [1, 2]
+
+
+def test_a_parameter_that_is_found_twice_was_set_once(tmp_path: Any) -> None:
+    """The look at the master finds a channel that is being opened, and registers it, too."""
+    with running(tmp_path / "master") as world:
+        peer = world.peer("setting")
+        peer.do("set_param", name="/speed", value=1)
+        with bridge_to(world) as bridge:
+            collector = Collector()
+            bridge.open_source(output("/speed", "parameter"), ANY, collector.deliver)
+            assert collector.wait(1, patience()) == [1]
+            known: Any = bridge
+            known._node.register_again()
+            peer.do("set_param", name="/speed", value=2)
+            assert collector.wait(2, patience()) == [1, 2]
+
+
+@pytest.mark.parametrize("kind", ["topic", "subscription", "service"])
+def test_what_is_closed_while_it_is_registered_again_does_not_stay(
+    tmp_path: Any, monkeypatch: pytest.MonkeyPatch, kind: str
+) -> None:
+    with running(tmp_path / "master") as world, bridge_to(world) as bridge:
+        opened: Any
+        if kind == "topic":
+            opened, method = bridge.open_sink(input_("/t", INT, peer="optional"), ANY), "publisher"
+        elif kind == "subscription":
+            opened = bridge.open_source(output("/t", INT, peer="optional"), ANY, print)
+            method = "subscriber"
+        else:
+            opened, method = bridge.serve(service("/t", SET), lambda _: {}), "service"
+        node: Any = cast("Any", bridge)._node
+        closed_during(monkeypatch, node.master, f"register_{method}", opened)
+        node.register_again()
+        registered = [
+            name
+            for table in node.master.call("getSystemState")
+            for name, nodes in table
+            if node.name in nodes
+        ]
+        assert "/t" not in registered
+
+
+def test_a_parameter_that_is_closed_while_it_is_watched_again_is_watched_no_more(
+    tmp_path: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with running(tmp_path / "master") as world, bridge_to(world) as bridge:
+        peer = world.peer("setting")
+        collector = Collector()
+        for name in ("/speed", "/fence"):
+            peer.do("set_param", name=name, value=1)
+        opened = bridge.open_source(output("/speed", "parameter"), ANY, print)
+        bridge.open_source(output("/fence", "parameter"), ANY, collector.deliver)
+        node: Any = cast("Any", bridge)._node
+        closed_during(monkeypatch, node.master, "watch_parameter", opened)
+        node.register_again()
+        keys: list[str] = []
+        changed = node.parameter_changed
+
+        def noted(key: str, value: Any, /) -> None:
+            keys.append(key)
+            changed(key, value)
+
+        monkeypatch.setattr(node, "parameter_changed", noted)
+        # The master reports to a node in order: the second comes after what the first would have.
+        for name in ("/speed", "/fence"):
+            peer.do("set_param", name=name, value=2)
+        assert collector.wait(2, patience()) == [1, 2]
+        assert keys == ["/fence"]
+
+
+def closed_during(monkeypatch: pytest.MonkeyPatch, master: Any, method: str, opened: Any) -> None:
+    """Close a channel before the next call of a method gets to the master."""
+    call = getattr(master, method)
+
+    def late(*arguments: Any) -> Any:
+        opened.close()
+        return call(*arguments)
+
+    monkeypatch.setattr(master, method, late)
 
 
 def test_frames_that_stand_still_are_offered_back_to_who_comes_later(master: Master) -> None:

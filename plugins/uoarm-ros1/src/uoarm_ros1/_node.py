@@ -8,8 +8,9 @@ import threading
 import time
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
+from functools import partial
 from itertools import count
-from typing import Any
+from typing import Any, Protocol
 
 from attrs import evolve
 
@@ -36,6 +37,13 @@ _LOOPBACK = {"localhost", "127.0.0.1", "::1"}
 Arrived = Callable[[socket.socket, dict[str, str]], None]
 
 
+class ParameterListener(Protocol):
+    """Takes the value of a parameter, or of one within it, in the thread that found it."""
+
+    def __call__(self, key: str, value: Any, *, is_set: bool) -> object:
+        """Take a value; without `is_set` it is what a registration found, and may be known."""
+
+
 class Node:
     """One node. It is there as long as the bridge is, whether the master is or not.
 
@@ -60,7 +68,7 @@ class Node:
         self._publications: dict[str, tuple[Publication, int]] = {}
         self._subscriptions: dict[str, tuple[Subscription, ...]] = {}
         self._services: dict[str, Arrived] = {}
-        self._parameters: dict[str, tuple[Callable[[str, Any], object], ...]] = {}
+        self._parameters: dict[str, tuple[ParameterListener, ...]] = {}
         self._is_closing = self._is_alone = False
         self._numbers = count(2)
         host = settings.host or _own_address(settings.master_host, settings.master_port)
@@ -129,7 +137,7 @@ class Node:
                 return
             del self._publications[topic]
             self._slave.publications.pop(topic, None)
-        self._unregister(lambda: self.master.unregister("Publisher", topic))
+        self._unregister(partial(self.master.unregister, "Publisher", topic))
         publication.close()
 
     def subscribe(self, subscription: Subscription) -> None:
@@ -164,7 +172,7 @@ class Node:
             if self._subscriptions.pop(topic, None) is None:
                 return
             self._slave.subscriptions.pop(topic, None)
-        self._unregister(lambda: self.master.unregister("Subscriber", topic))
+        self._unregister(partial(self.master.unregister, "Subscriber", topic))
 
     def another_name(self) -> str:
         """Return a name for one more connection to a topic.
@@ -208,9 +216,9 @@ class Node:
         with self._lock:
             if self._services.pop(service, None) is None:
                 return
-        self._unregister(lambda: self.master.unregister_service(service, self.service_uri))
+        self._unregister(partial(self.master.unregister_service, service, self.service_uri))
 
-    def watch_parameter(self, key: str, changed: Callable[[str, Any], object]) -> Any:
+    def watch_parameter(self, key: str, changed: ParameterListener) -> Any:
         """Have changes of a parameter reported; returns its value, an empty object: none.
 
         Raises:
@@ -224,23 +232,23 @@ class Node:
             self.unwatch_parameter(key, changed)
             raise
 
-    def unwatch_parameter(self, key: str, changed: Callable[[str, Any], object]) -> None:
+    def unwatch_parameter(self, key: str, changed: ParameterListener) -> None:
         """Have them reported no more."""
         with self._lock:
-            left = tuple(other for other in self._parameters.get(key, ()) if other is not changed)
+            left = tuple(other for other in self._parameters.get(key, ()) if other != changed)
             if left:
                 self._parameters[key] = left
                 return
             if self._parameters.pop(key, None) is None:
                 return
-        self._unregister(lambda: self.master.call("unsubscribeParam", self.uri, key))
+        self._unregister(partial(self.master.call, "unsubscribeParam", self.uri, key))
 
     def parameter_changed(self, key: str, value: Any) -> None:
         """Report a change here; of those that the node itself makes, the master says nothing."""
         for watched, listeners in tuple(self._parameters.items()):
             if f"{key}/".startswith(f"{watched.rstrip('/')}/"):
                 for changed in listeners:
-                    changed(key, value)
+                    changed(key, value, is_set=True)
 
     def is_known(self) -> bool:
         """Whether the master knows the node; one that was started again knows no node.
@@ -284,19 +292,30 @@ class Node:
             publications = [made for made, _ in self._publications.values()]
             subscriptions = {topic: made for topic, made in self._subscriptions.items() if made}
             services, parameters = tuple(self._services), dict(self._parameters)
+        # What a step takes back meanwhile may reach the master before it is registered here: it is
+        # taken back once more, or the master knew for good what is there no longer.
         for publication in publications:
-            self.master.register_publisher(publication.topic, publication.record.name)
+            topic = publication.topic
+            self.master.register_publisher(topic, publication.record.name)
+            if topic not in self._publications:
+                self._unregister(partial(self.master.unregister, "Publisher", topic))
         for service in services:
             self.master.register_service(service, self.service_uri)
+            if service not in self._services:
+                self._unregister(partial(self.master.unregister_service, service, self.service_uri))
         for topic, made in subscriptions.items():
             uris = self.master.register_subscriber(topic, made[0].wanted.kind)
+            if topic not in self._subscriptions:
+                self._unregister(partial(self.master.unregister, "Subscriber", topic))
             for subscription in made:
                 # What is connected stays so, whether its publisher has come back to the master.
                 subscription.update((*uris, *subscription.listed))
         for key, listeners in parameters.items():
             value = self.master.watch_parameter(key)
+            if key not in self._parameters:
+                self._unregister(partial(self.master.call, "unsubscribeParam", self.uri, key))
             for changed in listeners:
-                changed(key, value)
+                changed(key, value, is_set=False)
 
     def close(self) -> None:
         """Take every registration back, and close every socket."""

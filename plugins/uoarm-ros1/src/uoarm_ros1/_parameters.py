@@ -88,16 +88,22 @@ class ParameterSource(Source):
             text = f"{endpoint}: the parameter {self._name} is not set"
             raise BridgeError(text, FailureReason.NOT_FOUND)
         self._thread.start()
-        self._take(self._name, value)
+        self._take(self._name, value, is_set=False)
 
     def facts(self) -> Mapping[str, object]:
         """Return counters."""
         return {"received": self._received, "under_way": len(self._waiting)}
 
-    def _take(self, key: str, value: Any) -> None:
+    def _take(self, key: str, value: Any, *, is_set: bool) -> None:
+        """Take a value that was set, or that is what a registration found, at first or again."""
         with self._changed:
             if key != self._name:  # one within it: the whole is asked for
                 value = _ABSENT
+            # The bridge's look at the master may register anew between the entry in the node's
+            # table and the first registration: both find the same value, which was set once.
+            elif not is_set and value == self._last:
+                return
+            self._last = value
             # Only the newest matters to who is slow.
             self._waiting[1:] = []
             self._waiting.append(value)
