@@ -340,7 +340,7 @@ def test_what_a_crowd_took_goes_back_to_the_system_once_it_has_gone(
     serve: Serve, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     returned = threading.Event()
-    monkeypatch.setattr(_server, "_trim", returned.set)
+    monkeypatch.setattr(_server, "give_memory_back", returned.set)
     server = serve()
     with Talk(url(server)) as stays:
         with ExitStack() as crowd:
@@ -350,7 +350,3 @@ def test_what_a_crowd_took_goes_back_to_the_system_once_it_has_gone(
             assert not returned.is_set()
         assert returned.wait(patience())
         assert stays.ask("List")
-
-
-def test_free_memory_is_returned_or_left_where_the_system_has_no_such_call() -> None:
-    _server._trim()

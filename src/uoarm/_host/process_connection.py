@@ -20,6 +20,7 @@ from uoarm._host.transport.frames import LinkSockets
 from uoarm._host.transport.liveness import Heartbeat, LivenessMonitor
 from uoarm._host.transport.shared_counters import SharedCounters
 from uoarm._host.transport.socket_transport import SocketTransport
+from uoarm._support.allocator import KEEPING
 from uoarm.bridge import CONTRACT_VERSION
 from uoarm.environments import environment_python, passed_on
 from uoarm.errors import BridgeError, FailureReason, UoarmError
@@ -100,9 +101,6 @@ _log = logging.getLogger("uoarm")
 _POLITE_SECONDS = 1.5
 _KILLED_SECONDS = 5.0
 _JOIN_SECONDS = 2.0
-# Every large message would otherwise be given back to the system and be faulted in anew, which
-# halves the rate of pictures. glibc keeps blocks up to the first size and as much as the second.
-_KEEPS_MEMORY = {"MALLOC_MMAP_THRESHOLD_": str(2**25), "MALLOC_TRIM_THRESHOLD_": str(2**28)}
 
 
 class ProcessConnection:
@@ -143,7 +141,7 @@ class ProcessConnection:
         self._heartbeat: Heartbeat | None = None
         deadline = time.monotonic() + settings.start
         command = host_command(settings.interpreter(), spec.name, origin)
-        variables = {**_KEEPS_MEMORY, **settings.process_variables(os.environ)}
+        variables = {**KEEPING, **settings.process_variables(os.environ)}
         counted, near, far = _shared_with_host(spec.name)
         self.counters = SharedCounters(counted.fileno(), gives=True)
         self._transport = SocketTransport(near, spec.name)

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
-import ctypes
 import logging
 import os
 import secrets
@@ -19,6 +17,7 @@ from websockets.frames import CloseCode
 
 from uoarm._control import RobotManager
 from uoarm._raised import foreign
+from uoarm._support.allocator import give_memory_back
 from uoarm._wire import FORMS, TEXT_FORM
 from uoarm.errors import ConfigurationError
 from uoarm.model import StatusEvent
@@ -349,7 +348,7 @@ class Server:
         self._crowd = max(self._crowd, count)
         if self._crowd >= _CROWD and count <= self._crowd / 2:
             self._crowd = count
-            await asyncio.to_thread(_trim)
+            await asyncio.to_thread(give_memory_back)
 
     def _health(self) -> dict[str, object]:
         return {"status": "ok", "clients": len(self._clients)}
@@ -358,12 +357,6 @@ class Server:
 def _module_of(session: Session) -> str:
     """Return whose session it is, for the log."""
     return type(session).__module__
-
-
-def _trim() -> None:
-    """Return free memory to the system, where the C library is one that can."""
-    with contextlib.suppress(AttributeError):
-        ctypes.CDLL(None).malloc_trim(0)
 
 
 async def _repeat(action: Callable[[], Awaitable[None]], what: str) -> None:
