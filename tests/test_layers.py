@@ -40,7 +40,7 @@ LAYERS = [
     {"_mistakes"},
     {"schema"},
     {"model"},
-    {"_wire"},
+    {"_wire", "cdr"},
     {"_renewal"},
     {"_meaning"},
     {"_adapt"},
@@ -105,6 +105,7 @@ WITHIN = {
 ALONE = {
     "schema": {"schema"},
     "_wire": {"_wire", "model", "errors"},
+    "cdr": {"cdr", "model", "errors"},
     "local": {"local", "bridge", "_hints", "model", "errors"}
     | {"_arguments", "_mistakes", "_raised", "_spelling", "_support"},
 }

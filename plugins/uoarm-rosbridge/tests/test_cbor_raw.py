@@ -15,9 +15,9 @@ from typing import Any
 import pytest
 from components import script
 from ros import Enter, opened
-from uoarm_rosbridge._cdr import serialiser
 
 from uoarm import RobotManager
+from uoarm.cdr import serialiser
 from uoarm.errors import MessageError
 from uoarm.model import MessageStructure, from_json, to_json
 

@@ -13,11 +13,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from played import TALK, Played, bridge_to
 from ros import Serve, url
-from uoarm_rosbridge._cdr import serialiser
 from uoarm_rosbridge.client._raw import raw_reader
 from uoarm_rosbridge.client._types import RosType, read_types, structure_of
 from websockets.sync.server import ServerConnection
 
+from uoarm.cdr import serialiser
 from uoarm.errors import MessageError
 from uoarm.model import Endpoint, Role
 from uoarm.server.front_end import write_binary

@@ -9,6 +9,7 @@ from typing import Any, TypeAlias
 import orjson
 from attrs import frozen
 
+from uoarm.cdr import BASIC
 from uoarm.errors import UoarmError, UsageError
 from uoarm.model import Component, Function, Message, MessageStructure
 from uoarm.server.front_end import AccessRole, Operation, UnknownError
@@ -16,7 +17,6 @@ from uoarm_rosbridge._hub import Hub
 from uoarm_rosbridge._names import topic_of
 from uoarm_rosbridge._runners import is_action
 from uoarm_rosbridge._typedefs import (
-    BASIC,
     full_text,
     in_full,
     is_same_type,

@@ -12,10 +12,10 @@ from typing import Any
 
 from attrs import frozen
 
+from uoarm.cdr import Part, serialiser
 from uoarm.errors import ControlMessageError, MessageError
 from uoarm.model import Message, MessageStructure, QueuePolicy
 from uoarm.server.front_end import Client, Envelope, Lane, MemoryUse, write_binary
-from uoarm_rosbridge._cdr import Part, serialiser
 from uoarm_rosbridge._wire import (
     clock_now,
     fragment_size,
@@ -66,7 +66,10 @@ class RawWriter:
         """
         structure = self._structure()
         if self._serialise is None or structure is not self._known:
-            self._serialise = serialiser(structure)
+            try:
+                self._serialise = serialiser(structure)
+            except MessageError as error:
+                raise MessageError(f"{error}; ask for cbor instead of cbor-raw") from None
             self._known = structure
         return self._serialise
 

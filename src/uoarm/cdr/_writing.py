@@ -1,7 +1,7 @@
 """Messages as ROS 2 serialises them: CDR, version 1 of its plain encoding, in this machine's order.
 
-The layout is read from a structure once, by the same rules by which rosapi describes the type, and
-compiled: what is next to one another and of known size is packed with one `struct`. A long array of
+The layout is read from a structure once, by the rules of `basic_type`, and compiled: what is next
+to one another and of known size is packed with one `struct`. A long array of
 numbers, as in an image, is not copied. Source: the Common Data Representation of CORBA 3.3,
 part 2, section 9.3, and the encapsulation header of DDSI-RTPS 2.3, section 10; that a text counts
 its closing zero, that a wide character takes four octets and that a type without fields has one
@@ -17,9 +17,9 @@ from collections.abc import Callable, Mapping
 from itertools import count
 from typing import Any, TypeAlias
 
+from uoarm.cdr._basic import BASIC, basic_type
 from uoarm.errors import MessageError
 from uoarm.model import Message, MessageStructure
-from uoarm_rosbridge._typedefs import BASIC, basic_type
 
 __all__ = ["serialiser"]
 
@@ -265,4 +265,4 @@ def _align(out: _Out, size: int) -> None:
 
 
 def _loose(where: str, why: str) -> MessageError:
-    return MessageError(f"{where} has no fixed layout ({why}); ask for cbor instead of cbor-raw")
+    return MessageError(f"{where} has no fixed layout ({why})")
