@@ -4,20 +4,26 @@ from __future__ import annotations
 
 import itertools
 import re
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from uoarm import RobotManager
 from uoarm.bridge import Registry
-from uoarm.model import BridgeSpec, Endpoint, Role
+from uoarm.config import loads
+from uoarm.model import BridgeSpec, Endpoint, Message, Role
+from uoarm.testing import Collector, patience
 from uoarm.testing.conformance import BridgeConformance, Pair, World
 
-pytest.importorskip("can")
+can = pytest.importorskip("can")
 
 PAGE = Path(__file__).parents[2] / "docs" / "writing-a-bridge.md"
 BLOCK = re.compile(r"^```python\n(.*?)^```$", re.MULTILINE | re.DOTALL)
-CODE = BLOCK.findall(PAGE.read_text(encoding="utf-8"))[0]
+TEXT = PAGE.read_text(encoding="utf-8")
+CODE = BLOCK.findall(TEXT)[-1]
+ROBOT = re.findall(r"^```yaml\n(version: 1.*?)^```$", TEXT, re.MULTILINE | re.DOTALL)[-1]
 CHANNELS = itertools.count()
 
 
@@ -31,7 +37,12 @@ class CanWorld(World):
     """One frame on a virtual bus of this test's own."""
 
     def __init__(self) -> None:
-        self._options = {"channel": f"test {next(CHANNELS)}", "frames": {"wheel": 0x120}}
+        self._options: dict[str, Any] = {
+            "interface": "virtual",
+            "channel": f"test {next(CHANNELS)}",
+            "frames": {"wheel": 0x120},
+        }
+        self._buses: list[Any] = []
 
     def spec(self) -> BridgeSpec:
         return BridgeSpec("can", "can", self._options)
@@ -47,6 +58,18 @@ class CanWorld(World):
     def missing(self) -> Endpoint:
         return at("nowhere", Role.OUTPUT)
 
+    def samples(self, kind: str) -> Sequence[Message]:
+        return [b"", b"\0\xff", bytes(range(8))]
+
+    def unreadable(self, kind: str) -> Callable[[], object]:
+        self._buses.append(can.Bus(interface="virtual", channel=self._options["channel"]))
+        frame = can.Message(arbitration_id=0x120, is_remote_frame=True, is_extended_id=False)
+        return lambda: self._buses[-1].send(frame)
+
+    def close(self) -> None:
+        for bus in self._buses:
+            bus.shutdown()
+
 
 def at(name: str, role: Role) -> Endpoint:
     return Endpoint("can", name, role, (name,))
@@ -58,10 +81,26 @@ class TestCanBridge(BridgeConformance):
     kinds = ("wheel",)
 
     @pytest.fixture
-    def world(self) -> World:
-        return CanWorld()
+    def world(self) -> Iterator[World]:
+        made = CanWorld()
+        yield made
+        made.close()
 
 
 def test_the_plugin_is_as_short_as_the_page_says() -> None:
     lines = [line for line in CODE.splitlines() if line.strip()]
-    assert len(lines) < 60
+    assert len(lines) < 90
+
+
+def test_the_robot_of_the_page_gets_what_is_on_the_bus() -> None:
+    text = ROBOT.replace("channel: can0", "channel: robot, interface: virtual")
+    robot = loads(text.replace("stale_after: 2.0", f"stale_after: {patience()}"))
+    registry = Registry([])
+    registry.add(plugin()["uoarm_bridge_types"]()[0])
+    came = Collector()
+    with RobotManager(robot, registry=registry) as manager:
+        connection = manager.request("wheelSpeed", on_message=came.deliver)
+        with can.Bus(interface="virtual", channel="robot") as bus:
+            bus.send(can.Message(arbitration_id=0x120, data=b"\x10\x27", is_extended_id=False))
+            assert came.wait(1) == [b"\x10\x27"]
+        connection.kill()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from uoarm.bridge import Bridge, BridgeType, hookimpl
 from uoarm.model import Options
+from uoarm_example._options import BRIDGE_OPTIONS, ExampleOptions, mistake
 
 __all__ = ["uoarm_bridge_types"]
 
@@ -14,21 +15,17 @@ def _create(name: str, options: Options) -> Bridge:
     return ExampleBridge(name, options)
 
 
-def _check_endpoint(address: tuple[str, ...], options: Options) -> str:
-    del options
-    return "" if len(address) == 1 else f"expected one topic, got {list(address)}"
-
-
 @hookimpl
 def uoarm_bridge_types() -> list[BridgeType]:
     """Return the bridge types of this plugin."""
     return [
         BridgeType(
             name="example",
-            summary="example, by way of a bus in this process",
+            summary="topics and services of example",
             create=_create,
-            options_schema={"type": "object", "properties": {}, "additionalProperties": False},
-            check_endpoint=_check_endpoint,
+            options_schema=BRIDGE_OPTIONS,
+            endpoint_options=ExampleOptions,
+            check_endpoint=mistake,
             contract=2,  # of uoarm.bridge, for which this plugin is written
         )
     ]

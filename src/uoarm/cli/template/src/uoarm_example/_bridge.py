@@ -2,49 +2,108 @@
 
 from __future__ import annotations
 
-from uoarm.bridge import Bridge, Description, Sink, Source
-from uoarm.errors import BridgeError, FailureReason
-from uoarm.model import Deliver, Endpoint, MessageStructure, Options
-from uoarm_example._framework import TOPICS, Bus
+from typing import Any
+
+from uoarm.bridge import (
+    Bridge,
+    Capabilities,
+    Channel,
+    Delivery,
+    Description,
+    Discovered,
+    Handler,
+    ServiceStructures,
+    Sink,
+    Source,
+    reading_endpoint,
+)
+from uoarm.errors import BridgeError
+from uoarm.model import Endpoint, Health, Message, MessageStructure, Options
+from uoarm_example._channels import (
+    ExampleLink,
+    ExampleService,
+    ExampleSink,
+    ExampleSource,
+    decode,
+    encode,
+)
+from uoarm_example._connection import ExampleConnection
+from uoarm_example._discovery import described, discovered, is_retained
+from uoarm_example._options import ExampleOptions, mistake
 
 __all__ = ["ExampleBridge"]
 
 
 class ExampleBridge(Bridge):
-    """An endpoint's address is one topic. Components publish and subscribe on it."""
+    """An endpoint's address is one topic or service. Components publish and subscribe on topics."""
+
+    capabilities = Capabilities(discover=True, call=True, serve=True, link=True)
 
     def __init__(self, name: str, options: Options) -> None:
         super().__init__(name, options)
-        self._bus = Bus()
+        given: dict[str, Any] = dict(options)
+        host, timeout = given.get("host", "127.0.0.1"), given.get("timeout", 4.0)
+        self._connection = ExampleConnection(host, given["port"], timeout)
 
     def _describe(self, endpoint: Endpoint) -> Description:
-        return Description(MessageStructure(TOPICS[_topic(endpoint)]))
+        _options(endpoint)
+        return described(self._connection, endpoint)
 
     def _open_source(
-        self, endpoint: Endpoint, structure: MessageStructure, deliver: Deliver
+        self, endpoint: Endpoint, structure: MessageStructure, deliver: Delivery
     ) -> Source:
         del structure
-        return Source(endpoint, self._bus.subscribe(_topic(endpoint), deliver))
+        return ExampleSource(
+            endpoint,
+            _options(endpoint),
+            self._connection,
+            deliver,
+            self._report,
+            latched=is_retained(self._connection, endpoint),
+        )
 
     def _open_sink(self, endpoint: Endpoint, structure: MessageStructure) -> Sink:
         del structure
-        topic = _topic(endpoint)
-        return Sink(
-            endpoint,
-            send=lambda message: self._bus.publish(topic, message),
-            close=lambda: None,  # there is nothing to let go of
+        options = _options(endpoint)
+        described(self._connection, endpoint)  # refuses what is not there
+        return ExampleSink(endpoint, options, self._connection, self._report)
+
+    def _call(
+        self, endpoint: Endpoint, structures: ServiceStructures, message: Message, timeout: float
+    ) -> Message:
+        del structures
+        _options(endpoint)
+        service, payload = endpoint.address[0], encode(message)
+        reply = self._connection.ask("call", timeout, service=service, payload=payload)
+        try:
+            return decode(reply)
+        except ValueError as error:
+            raise BridgeError(f"the reply of {endpoint} cannot be read: {error}") from error
+
+    def _serve(
+        self, endpoint: Endpoint, structures: ServiceStructures, handler: Handler
+    ) -> Channel:
+        schemas = {"request": structures.request.schema, "reply": structures.reply.schema}
+        return ExampleService(
+            endpoint, _options(endpoint), self._connection, handler, self._report, schemas
         )
 
+    def _link(self, source: Endpoint, sink: Endpoint) -> Channel | None:
+        options = _options(source)
+        return ExampleLink(source, sink, options, self._connection, self._report)
+
+    def _discover(self) -> tuple[Discovered, ...]:
+        return discovered(self._connection, self.name)
+
     def _close(self) -> None:
-        """Nothing to let go of: every channel is closed before."""
+        self._connection.close()
+
+    def _report(self, channel: Channel, health: Health, cause: str) -> None:
+        self.report(health, cause, channel=channel)
 
 
-def _topic(endpoint: Endpoint) -> str:
-    if len(endpoint.address) != 1:
-        text = f"expected one topic, got {list(endpoint.address)}"
-        raise BridgeError(text, FailureReason.BAD_ENDPOINT)
-    topic = endpoint.address[0]
-    if topic not in TOPICS:
-        text = f"there is no topic {topic!r}; there are {', '.join(TOPICS)}"
-        raise BridgeError(text, FailureReason.NOT_FOUND)
-    return topic
+def _options(endpoint: Endpoint) -> ExampleOptions:
+    with reading_endpoint(endpoint):
+        if wrong := mistake(endpoint.address, endpoint.options):
+            raise ValueError(wrong)
+        return ExampleOptions.of(endpoint.options)
