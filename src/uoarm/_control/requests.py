@@ -193,6 +193,7 @@ class Services:
         message: Message,
         wanted: MessageType[Any] | None,
         timeout: float,
+        began: Callable[[Callable[[], bool]], None] | None = None,
     ) -> Any:
         """Call the service of a function, both messages checked.
 
@@ -202,6 +203,7 @@ class Services:
             message: the request, objects of classes included.
             wanted: the type in which the reply is wanted; None: plain values.
             timeout: seconds.
+            began: called with what cancels the call, once it is about to be made.
 
         Raises:
             MessageError: the request does not match the structure.
@@ -224,6 +226,8 @@ class Services:
             timeout = min(timeout, endpoint.command.lifetime)
         try:
             with self._driver.live.emergency_stop.calling(bridge, endpoint, name) as number:
+                if began is not None:
+                    began(partial(bridge.cancel_call, number))
                 reply = _answer(bridge, step, endpoint, message, timeout, number)
         except CommandRefusedError:
             raise  # no component is to blame

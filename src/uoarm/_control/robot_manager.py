@@ -305,6 +305,29 @@ class RobotManager:
             ),
         )
 
+    def _call_planned(
+        self,
+        plan: Plan,
+        message: Message,
+        timeout: float,
+        began: Callable[[Callable[[], bool]], None],
+    ) -> Message:
+        """Call the service of this very plan, and of no other; otherwise as `call`.
+
+        Args:
+            plan: found before.
+            message: the request, plain values.
+            timeout: seconds.
+            began: called with what cancels the call, once it is about to be made.
+        """
+        return deadlines.run(
+            f"call of {plan.function!r}",
+            timeout,
+            lambda: self._services.call(
+                plan.function, plan.provider, message, None, timeout, began
+            ),
+        )
+
     def connections(self) -> tuple[Connection, ...]:
         """Return the connections that have not ended, oldest first, of every caller."""
         runtimes = self._driver.live.connections()

@@ -36,6 +36,7 @@ _NO_ROOM = frozenset({errno.ENOSPC, errno.EFBIG, errno.EDQUOT})
 # By name: a command's module and object, and its line of `uoarm --help`, which imports none.
 COMMANDS: Mapping[str, tuple[str, str, str]] = {
     "apply": ("_remote", "apply", "Give a running robot another configuration."),
+    "approve": ("_remote", "approve", "Decide about what agents ask to do with a running robot."),
     "bridges": ("_look", "bridges", "List the installed bridge plugins."),
     "call": ("_run", "call", "Call the service NAME and print its reply."),
     "certificates": ("_setup", "certificates", "Make the certificates that machines join with."),

@@ -1,4 +1,4 @@
-"""Commands for a robot that runs behind `uoarm serve`: `apply`, `history` and `stop`."""
+"""Commands for a robot that runs behind `uoarm serve`: `apply`, `approve`, `history`, `stop`."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from uoarm.cli._file import takes_configuration
 from uoarm.cli._shared import BRIDGE, fail, json_option, needing, reporting
 from uoarm.model import write_json
 
-__all__ = ["Remote", "apply", "asked", "history", "remote_options", "stop"]
+__all__ = ["Remote", "apply", "approve", "asked", "history", "remote_options", "stop"]
 
 _Command = TypeVar("_Command", bound=Callable[..., Any])
 
@@ -284,3 +284,57 @@ def stop(*, server: Remote, release: bool, as_json: bool) -> None:
         return
     click.echo(write_json(report, indent=2) if as_json else report["text"])
     sys.exit(0 if report["stopped"] and not report.get("unkept") else 1)
+
+
+@click.command()
+@click.argument("approval", required=False)
+@remote_options(always=True)
+@click.option("--refuse", is_flag=True, help="Refuse it.")
+@click.option("--cause", default="", help="Why, for who asked.")
+@json_option
+def approve(
+    approval: str | None, *, server: Remote, refuse: bool, cause: str, as_json: bool
+) -> None:
+    """Decide about what agents ask to do with a running robot.
+
+    Without APPROVAL: list what waits. The token's role needs `approve` for the function, and the
+    token is of another principal than the one that asked. Exit codes: 0 decided, 4 the server
+    cannot be reached or refused.
+    """
+
+    async def act(robot: Any) -> Any:
+        waiting = [item for item in await robot.approvals() if item["phase"] == "pending"]
+        if approval is None:
+            return waiting
+        shown = next((item for item in waiting if item["approval"] == approval), None)
+        if shown is None:
+            raise errors.UsageError(f"no approval {approval} waits for a decision of this role")
+        return await robot.approve(
+            approval, approve=not refuse, digest=shown["digest"], cause=cause
+        )
+
+    answer = asked(server, act)
+    if as_json:
+        click.echo(write_json(answer, indent=2))
+        return
+    for item in answer if approval is None else [answer]:
+        click.echo(_shown_approval(item))
+    if approval is None and not answer:
+        click.echo("nothing waits for an approval")
+
+
+def _shown_approval(item: Mapping[str, Any]) -> str:
+    what = f"{item['operation']} {item['function']}{item['port'] and '.' + item['port']}"
+    lines = [
+        f"{item['approval']}  {item['phase']}  {item['requester']} asks to {what}",
+        f"  with      {write_json(item['arguments'])}",
+    ]
+    envelope = item["envelope"]
+    if envelope["ranges"] or envelope["count"] > 1 or envelope["rate"]:
+        lines.append(f"  or        {write_json(envelope)}")
+    lines.append(f"  by        {', '.join(item['components'])}; revision {item['revision']}")
+    if item["preview"]:
+        lines.append(f"  it is     {item['preview']}")
+    if item["left"]:
+        lines.append(f"  ends      in {item['left']:.0f} s")
+    return "\n".join(lines)

@@ -352,6 +352,37 @@ class RemoteRobot:
         """
         await self._ask("Stop", jsonMessage={"release": True})
 
+    async def approvals(self) -> list[Mapping[str, Any]]:
+        """Return what others ask for that one may approve, oldest first; needs `approve`.
+
+        Returns:
+            `approval`, `phase`, `requester`, `operation`, `function`, `arguments`, `digest`,
+            `envelope`, `seconds`, `left`, `components`, `preview`, `approver`, `uses` and `cause`.
+        """
+        report: Mapping[str, Any] = await self._ask("Approve")
+        return list(report["approvals"])
+
+    @arguments()
+    async def approve(
+        self, approval: str, *, approve: bool = True, digest: str = "", cause: str = ""
+    ) -> Mapping[str, Any]:
+        """Approve or refuse what another principal asks for; needs the right `approve`.
+
+        Args:
+            approval: which.
+            approve: whether it may be done.
+            digest: of the arguments that were shown; with others nothing is approved.
+            cause: why, for who asked.
+
+        Raises:
+            ServerError: it is one's own, waits no more, or the role may not.
+        """
+        wanted: dict[str, Any] = {"approve": approve, "cause": cause}
+        if digest:
+            wanted["digest"] = digest
+        decided: Mapping[str, Any] = await self._ask("Approve", approval, jsonMessage=wanted)
+        return decided
+
     async def status(self) -> Mapping[str, Any]:
         """Return the status map, and `own`: what this client received and lost.
 

@@ -128,7 +128,13 @@ def _function(name: str, value: Mapping[str, Any], meaning: Meaning) -> Function
     components = [_component(name, component, meaning) for component in value.get("components", ())]
     components.sort(key=lambda component: -component.priority)
     needs = _need(value["needs"]) if "needs" in value else None
-    return Function(name, tuple(components), value.get("description", ""), needs)
+    return Function(
+        name,
+        tuple(components),
+        value.get("description", ""),
+        needs,
+        approve=value.get("approve", False),
+    )
 
 
 def _need(value: Mapping[str, Any]) -> Need:

@@ -119,9 +119,10 @@ def _listening(robot: Robot) -> Mapping[str, Listening]:
 
 
 def _named(robot: Robot) -> Mapping[str, object]:
-    """Return each function's candidates by name, and its needs."""
+    """Return each function's candidates by name, its needs, and whether agents need an approval."""
     return {
         name: (
+            function.approve,
             function.needs,
             [(component.name, component.priority) for component in function.components],
         )

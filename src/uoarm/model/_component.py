@@ -273,6 +273,7 @@ class Function:
         components: in the order in which they are tried.
         needs: what makes a discovered component a candidate too; None: nothing does.
         passed_over: what was discovered and is no candidate, by name, each with the reason.
+        approve: whether an agent uses it only with the approval of a person.
     """
 
     name: str
@@ -280,3 +281,4 @@ class Function:
     description: str = ""
     needs: Need | None = None
     passed_over: tuple[tuple[str, str], ...] = ()
+    approve: bool = False

@@ -35,6 +35,7 @@ class Op(Enum):
     CONFIGURE = "Configure"
     STOP = "Stop"
     DISCOVER = "Discover"
+    APPROVE = "Approve"
 
 
 @frozen

@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import logging
 import os
-import secrets
 import time
 from collections.abc import Awaitable, Callable, Coroutine, Iterable
 from functools import cache
@@ -257,19 +256,19 @@ class Server:
         self, socket: TurnConnection, handshakes: HandshakeHandler, registry: FeedRegistry
     ) -> None:
         entry = handshakes.entry(socket)
-        role = self._admission.role(entry.credentials)
-        if role is None:
+        grant = self._admission.grant(entry.credentials)
+        if grant is None:
             await socket.close(CloseCode.POLICY_VIOLATION, "the token is no longer valid")
             return
         client = ConnectedClient(
             socket,
-            secrets.token_hex(6),
             entry.credentials,
-            role,
+            grant,
             self._limits,
             self._decoder,
             registry.memory.open(),
             self._audit,
+            registry.approvals.supervision,
         )
         host = host_of(socket)
         try:
@@ -282,7 +281,7 @@ class Server:
             return
         self._connected.take(host)
         self._totals.clients += 1
-        self._audit.arrival(client.address, client.identity, role.name)
+        self._audit.arrival(client.address, client.identity, grant.role.name)
         try:
             await self._attend(client, session, socket)
             kept = await self._store.successor(client)

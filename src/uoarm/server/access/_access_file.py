@@ -17,6 +17,8 @@ __all__ = ["BUDGET", "read_access"]
 BUDGET = ReadBudget(octets=1_048_576, nodes=100_000, depth=16)
 _SHOWN = 50
 _ALL = "all"
+_SUPERVISED = "supervised"
+_NOT_SUPERVISED = (Operation.APPROVE, Operation.CONFIGURE, Operation.KEEP, Operation.RELEASE)
 _HASH = re.compile(r"[0-9a-f]{64}")
 _TIME = re.compile(
     r"(\d{4}-\d\d-\d\d)[T ](\d\d:\d\d:\d\d)(?:\.(\d{1,6}))?(Z|[+-]\d\d:\d\d)?", re.ASCII
@@ -70,7 +72,11 @@ class _Reader:
             tokens,
             {
                 name: self._grant(
-                    name, certificate, ("certificates", name), roles, ("role", "expires")
+                    name,
+                    certificate,
+                    ("certificates", name),
+                    roles,
+                    ("role", "expires", "principal"),
                 )
                 for name, certificate in certificates.items()
             },
@@ -80,10 +86,15 @@ class _Reader:
         known = tuple(operation.value for operation in Operation)
         rules: dict[Operation, tuple[str, ...]] = {}
         everything: set[Operation] = set()
+        supervised = False
         for key, wanted in self._mapping(data, ("roles", name)).items():
             path = ("roles", name, key)
-            if key not in known:
-                self._say(path, f"expected one of {', '.join(known)}")
+            if key == _SUPERVISED:
+                supervised = wanted is True
+                if not isinstance(wanted, bool):
+                    self._say(path, f"expected true or false, {_got(wanted)}")
+            elif key not in known:
+                self._say(path, f"expected one of {', '.join((*known, _SUPERVISED))}")
             elif wanted == _ALL:
                 everything.add(Operation(key))
             elif Operation(key) in OF_NO_FUNCTION:
@@ -103,7 +114,14 @@ class _Reader:
                 )
             else:
                 rules[Operation(key)] = tuple(wanted)
-        return AccessRole(name, rules, frozenset(everything))
+        for operation in _NOT_SUPERVISED if supervised else ():
+            if operation in rules or operation in everything:
+                self._say(
+                    ("roles", name, operation.value),
+                    f"a supervised role has no {operation.value}: with it, it could do without an "
+                    "approval",
+                )
+        return AccessRole(name, rules, frozenset(everything), supervised)
 
     def _token(
         self, data: Any, path: Path, roles: Mapping[str, AccessRole], tokens: dict[str, Grant]
@@ -112,7 +130,9 @@ class _Reader:
         name = entry.get("name", f"tokens[{path[-1]}]")
         if not isinstance(name, str):
             self._say((*path, "name"), f"expected text, {_got(name)}", "write it in quotes")
-        grant = self._grant(str(name), entry, path, roles, ("name", "role", "sha256", "expires"))
+        grant = self._grant(
+            str(name), entry, path, roles, ("name", "role", "sha256", "expires", "principal")
+        )
         digest = entry.get("sha256")
         if not isinstance(digest, str) or not _HASH.fullmatch(digest):
             self._say(
@@ -148,7 +168,10 @@ class _Reader:
                 (*path, "expires"),
                 f"expected a time such as 2027-01-31T00:00:00Z, {_got(entry['expires'])}",
             )
-        return Grant(name, role or AccessRole("", {}), expires)
+        principal = entry.get("principal", name)
+        if not isinstance(principal, str) or not principal:
+            self._say((*path, "principal"), f"expected text, {_got(principal)}")
+        return Grant(name, role or AccessRole("", {}), expires, str(principal))
 
     def _check_names(self, parts: Mapping[str, Any], path: Path, known: tuple[str, ...]) -> None:
         for name in parts:

@@ -20,7 +20,7 @@ from uoarm._support.files import stamp_of
 from uoarm.errors import ConfigurationError, UoarmError
 from uoarm.model import is_loopback
 from uoarm.server.access._access_file import read_access
-from uoarm.server.access._role import EVERYTHING, AccessPolicy, AccessRole, Now, hash_token
+from uoarm.server.access._role import LOCAL, AccessPolicy, AccessRole, Grant, Now, hash_token
 
 __all__ = [
     "TOKEN_SUBPROTOCOL",
@@ -276,13 +276,18 @@ class Admission:
 
     def role(self, credentials: Credentials) -> AccessRole | None:
         """Return the role that a client has at this moment, None when it may not stay."""
+        grant = self.grant(credentials)
+        return None if grant is None else grant.role
+
+    def grant(self, credentials: Credentials) -> Grant | None:
+        """Return the role of a client and whose it is, None when it may not stay."""
         if self._policy is None:
-            return EVERYTHING
+            return LOCAL
         now = self._now()
         grant = self._policy.grant_of(credentials.digest, now) if credentials.digest else None
         if grant is None and credentials.certificate:
             grant = self._policy.certificate_grant(credentials.certificate, now)
-        return None if grant is None else grant.role
+        return grant
 
     def refresh(self) -> None:
         """Read the access file again if it changed; a file with mistakes changes nothing.

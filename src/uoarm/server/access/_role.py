@@ -5,7 +5,9 @@ from __future__ import annotations
 import hashlib
 import hmac
 import logging
+import re
 import secrets
+import time
 from collections.abc import Callable, Mapping
 from datetime import datetime
 from enum import Enum
@@ -15,10 +17,11 @@ import orjson
 from attrs import field, frozen
 
 from uoarm.errors import UoarmError
-from uoarm.model import StopReport
+from uoarm.model import Message, StopReport
 
 __all__ = [
     "EVERYTHING",
+    "LOCAL",
     "OF_NO_FUNCTION",
     "AccessPolicy",
     "AccessRole",
@@ -29,6 +32,7 @@ __all__ = [
     "Operation",
     "hash_token",
     "make_token",
+    "masked",
 ]
 
 
@@ -44,7 +48,8 @@ class Operation(Enum):
     killed. The others are of no function, and a role has them for everything or not at all:
     CONFIGURE changes the configuration, which can name any code, and no client has it without an
     access file; KEEP is the same for writing it to the robot's file, beside CONFIGURE; STOP stops
-    whatever moves and RELEASE lets commands through again.
+    whatever moves and RELEASE lets commands through again. APPROVE decides about what another
+    principal asks for, by function as the first ones.
     """
 
     SEE = "see"
@@ -56,6 +61,7 @@ class Operation(Enum):
     KEEP = "keep"
     STOP = "stop"
     RELEASE = "release"
+    APPROVE = "approve"
 
 
 OF_NO_FUNCTION = frozenset({Operation.CONFIGURE, Operation.KEEP, Operation.STOP, Operation.RELEASE})
@@ -71,11 +77,14 @@ class AccessRole:
         rules: patterns of function names by operation, `*` and `?` as in file names.
         everything: operations that it may use on everything, also on what is of no function. No
             pattern stands for that, `*` neither.
+        supervised: whether it does what needs an approval with an approval only, which it asks
+            for by the Model Context Protocol: by any other protocol it may not do it.
     """
 
     name: str
     rules: Mapping[Operation, tuple[str, ...]] = field(factory=dict, hash=False)
     everything: frozenset[Operation] = frozenset()
+    supervised: bool = False
 
     def allows(self, operation: Operation, function: str) -> bool:
         """Say whether an operation on a function is allowed."""
@@ -128,11 +137,13 @@ class Grant:
         name: for the audit log.
         role: what it may do.
         expires: when it ends; None: never.
+        principal: the person or program that it is of, who may have several.
     """
 
     name: str
     role: AccessRole
     expires: datetime | None = None
+    principal: str = ""
 
 
 @frozen
@@ -179,7 +190,31 @@ def _unless_expired(grant: Grant | None, now: datetime) -> Grant | None:
     return grant
 
 
+LOCAL = Grant("local", EVERYTHING, principal="local")
+"""Of everyone, where there is no access file."""
+
 _log = logging.getLogger("uoarm.audit")
+_SECRET = re.compile(
+    r"pass(word|phrase|wd)?$|token|secret|credential|api_?key|private_?key|(^|_)pin$", re.IGNORECASE
+)
+_MASK = "***"
+_DEPTH = 16
+
+
+def masked(value: Message, depth: int = _DEPTH) -> Message:
+    """Return a message for a log: what is named like a secret is left out, and so are octets."""
+    if isinstance(value, bytes | bytearray | memoryview):
+        return f"{len(value)} octets"
+    if depth == 0:
+        return _MASK
+    if isinstance(value, Mapping):
+        return {
+            str(name): _MASK if _SECRET.search(str(name)) else masked(part, depth - 1)
+            for name, part in value.items()
+        }
+    if isinstance(value, list | tuple):
+        return [masked(part, depth - 1) for part in value]
+    return value
 
 
 class Audit:
@@ -230,6 +265,21 @@ class Audit:
     def leased(self, change: str) -> None:
         """Record who commands an input now, or gave it back."""
         self._write(logging.INFO, operation="lease", lease=change)
+
+    def approval(self, facts: Mapping[str, object], arguments: Message) -> None:
+        """Record a step of an approval: who, what, when and with which arguments."""
+        self._write(logging.INFO, **facts, arguments=masked(arguments), time=time.time())
+
+    def approval_denied(self, approval: str, requester: str, function: str, cause: str) -> None:
+        """Record that something was not done for want of an approval."""
+        self._write(
+            logging.WARNING,
+            approval=approval[:64],
+            requester=requester,
+            function=function[:200],
+            refused=cause,
+            time=time.time(),
+        )
 
     def arrival(self, address: str, session: str, role: str, cause: str = "") -> None:
         """Record a client that was admitted, or, with a cause, that was not."""

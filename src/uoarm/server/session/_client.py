@@ -6,6 +6,7 @@ import asyncio
 import contextlib
 import functools
 import logging
+import secrets
 import time
 from collections.abc import Callable
 from typing import Protocol
@@ -17,7 +18,15 @@ from uoarm._raised import foreign
 from uoarm._support.aio_deadlines import result_within
 from uoarm.model import Spending, StopReport
 from uoarm.server._limits import Limits
-from uoarm.server.access import AccessRole, Audit, Credentials, Operation
+from uoarm.server.access import (
+    AccessRole,
+    ApprovalError,
+    Audit,
+    Credentials,
+    Grant,
+    Operation,
+    Supervision,
+)
 from uoarm.server.session._connection import TurnConnection, address_of
 from uoarm.server.session._incoming import FrameDecoder, RateLimiter
 from uoarm.server.streams import Account, Outbox, acting
@@ -58,15 +67,18 @@ class ConnectedClient:
 
     Args:
         socket: after its handshake.
-        identity: name of the session, for logs and the client itself.
         credentials: with which it was admitted.
-        role: its rights.
+        grant: its rights, and whose it is.
         limits: bounds.
         decoder: where its frames are decoded.
         account: of what is held for it.
         audit: records what it was allowed and denied.
+        supervision: says what needs an approval.
 
     Attributes:
+        identity: name of the session, for logs and the client itself.
+        principal: the person or program that it is of.
+        role: its rights.
         is_cut: whether the server ended its connection.
         is_kept: whether its session outlives a drop of its connection.
         is_leaving: set when its connection goes on with another session.
@@ -77,17 +89,19 @@ class ConnectedClient:
     def __init__(
         self,
         socket: TurnConnection,
-        identity: str,
         credentials: Credentials,
-        role: AccessRole,
+        grant: Grant,
         limits: Limits,
         decoder: FrameDecoder,
         account: Account,
         audit: Audit,
+        supervision: Supervision,
     ) -> None:
-        self.identity = identity
+        self.identity = secrets.token_hex(6)
         self.credentials = credentials
-        self.role = role
+        self.role: AccessRole = grant.role
+        self.principal = grant.principal
+        self._supervision = supervision
         self.limits = limits
         self._decoder = decoder
         self.account = account
@@ -121,9 +135,15 @@ class ConnectedClient:
         Raises:
             DeniedError: it may not.
         """
-        allowed = self.role.allows(operation, function)
+        needs = self.role.supervised and self._supervision.reason(operation, function)
+        allowed = not needs and self.role.allows(operation, function)
         self._audit.note(self.identity, self.role, operation, function, allowed=allowed)
         self.role.require(operation, function)
+        if needs:
+            raise ApprovalError(
+                f"role {self.role.name!r} is supervised and needs an approval, which it asks for "
+                f"by the Model Context Protocol only: {needs}"
+            )
 
     def require_all(self, operation: Operation) -> None:
         """Refuse what its role may not do to everything, as `require` does for a function."""

@@ -38,6 +38,7 @@ from uoarm.server.session._views import (
     ListQuestion,
     StatusQuestion,
     StatusViews,
+    show_approval,
     show_plan,
     show_stop,
 )
@@ -127,6 +128,7 @@ class NativeSession:
             Op.RESOLVE: self._resolve,
             Op.CONFIGURE: self._configure,
             Op.DISCOVER: self._discover,
+            Op.APPROVE: self._approve,
         }
         self._emit({"op": "Status", "type": "hello", "jsonMessage": self._hello()})
 
@@ -297,6 +299,24 @@ class NativeSession:
             return
         self._client.require_all(Operation.CONFIGURE)
         self._reply(asked, await self._discoveries.take(take["bridge"], take["component"]))
+
+    async def _approve(self, asked: ControlMessage) -> None:
+        desk, role = self._registry.approvals, self._client.role
+        if not asked.type:
+            shown = [show_approval(desk, approval, self._view) for approval in desk.visible(role)]
+            self._reply(asked, {"approvals": shown})
+            return
+        if asked.jsonMessage is None:
+            raise UsageError("say whether to approve: {'approve': true} or {'approve': false}")
+        approval = desk.decide(
+            str(asked.type),
+            self._client.principal,
+            role,
+            approve=asked.jsonMessage["approve"],
+            digest=asked.jsonMessage.get("digest", ""),
+            cause=asked.jsonMessage.get("cause", ""),
+        )
+        self._reply(asked, show_approval(desk, approval, self._view))
 
     def _stop(self, asked: ControlMessage) -> None:
         """Stop beside whatever else is under way; it counts for no limit of calls."""

@@ -28,7 +28,7 @@ from uoarm.model import (
     StopReport,
     to_json,
 )
-from uoarm.server.access import AccessRole, RoleView, RoleViews
+from uoarm.server.access import AccessRole, Approval, ApprovalDesk, RoleView, RoleViews
 from uoarm.server.streams import shown_event
 
 __all__ = [
@@ -147,6 +147,31 @@ def show_stop(report: StopReport, view: RoleView) -> dict[str, Any]:
     reports = {**to_json(report), "stopped": report.stopped, "text": str(report)}
     shown: dict[str, Any] = view.data(reports)
     return shown
+
+
+def show_approval(desk: ApprovalDesk, approval: Approval, view: RoleView) -> dict[str, Any]:
+    """Return an approval as it is shown to who decides about it, and to who asked for it."""
+    wish = approval.wish
+    components = [name for name in wish.foundation.components if view.has_component(name)]
+    return {
+        "approval": approval.id,
+        "phase": approval.phase.value,
+        "requester": wish.requester,
+        "approver": approval.approver,
+        "operation": wish.operation,
+        "function": wish.function,
+        "port": wish.port,
+        "arguments": wish.arguments,
+        "digest": approval.digest,
+        "envelope": to_json(wish.envelope),
+        "seconds": wish.seconds,
+        "left": desk.left(approval),
+        "uses": approval.uses,
+        "components": components,
+        "revision": wish.foundation.revision,
+        "preview": view.text(wish.preview, wish.function),
+        "cause": approval.cause,
+    }
 
 
 def visible_status(status: StatusMap, view: RoleView) -> StatusMap:

@@ -96,6 +96,11 @@ export class Robot {
   functions(): Promise<FunctionInfo[]>;
   resolve(name: string): Promise<{ plan: Record<string, unknown>; text: string }>;
   discover(): Promise<Record<string, unknown>[]>;
+  approvals(): Promise<Record<string, unknown>[]>;
+  approve(
+    approval: string,
+    options?: { approve?: boolean; digest?: string; cause?: string },
+  ): Promise<Record<string, unknown>>;
   configure(
     text: string,
     options?: {

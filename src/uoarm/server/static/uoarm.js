@@ -293,6 +293,16 @@ export class Robot {
     return (await this.#ask({ op: "Discover" })).bridges;
   }
 
+  /** What agents ask for that one may approve; needs `approve`. */
+  async approvals() {
+    return (await this.#ask({ op: "Approve" })).approvals;
+  }
+
+  /** Approve or refuse what another principal asks for: `approve`, `digest`, `cause`. */
+  async approve(approval, options = {}) {
+    return this.#ask({ op: "Approve", type: approval, jsonMessage: { approve: true, ...options } });
+  }
+
   /** The plan of a function: data, and text for people. */
   async resolve(name) {
     return this.#ask({ op: "Resolve", type: name });

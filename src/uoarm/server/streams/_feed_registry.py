@@ -33,7 +33,15 @@ from uoarm.model import (
 )
 from uoarm.server._failures import BusyError
 from uoarm.server._limits import Limits
-from uoarm.server.access import AccessRole, RoleView, RoleViews
+from uoarm.server.access import (
+    AccessRole,
+    ApprovalDesk,
+    ApprovalError,
+    Audit,
+    RoleView,
+    RoleViews,
+    Supervision,
+)
 from uoarm.server.streams._encoder import Encoder
 from uoarm.server.streams._feed import Feed, FeedKey
 from uoarm.server.streams._input_sender import InputSender, Read, read_message
@@ -102,6 +110,7 @@ class FeedRegistry:
         encoder: writes their long messages.
         views: answers what is asked of the whole robot.
         role_views: what each role sees of it.
+        approvals: of what agents do.
     """
 
     def __init__(self, robot: RobotManager, limits: Limits) -> None:
@@ -113,6 +122,7 @@ class FeedRegistry:
         self.encoder = Encoder()
         self.views = SharedViews(self.mailbox)
         self.role_views = RoleViews(lambda: robot.config)
+        self.approvals = ApprovalDesk(Audit(), Supervision(lambda: robot.config))
         # Feeds that may still be joined; taken out as soon as one has ended or failed, so that the
         # next request opens anew.
         self._feeds: dict[FeedKey, Feed] = {}
@@ -306,6 +316,44 @@ class FeedRegistry:
 
         return await self.workers.start(work)
 
+    async def call_planned(
+        self,
+        plan: Plan,
+        revision: int,
+        message: Message,
+        read: Read,
+        timeout: float,
+        began: Callable[[Callable[[], bool]], None],
+    ) -> Message:
+        """Call the service of this very plan in a worker, and of no other.
+
+        Args:
+            plan: found before.
+            revision: of the configuration that it is of; of another one it is not called.
+            message: the request as it came.
+            read: makes its logical value, by the service's structure.
+            timeout: seconds; the limit for all clients holds as well.
+            began: called in the worker with what cancels the call.
+
+        Raises:
+            ApprovalError: the configuration is another one.
+            UsageError: the function is a stream.
+            UoarmError: as `RobotManager.call`, and BusyError.
+        """
+        limit = min(timeout, self.limits.call_seconds)
+
+        def work() -> Message:
+            structure = plan.provider.structures.get("request")
+            if structure is None:
+                raise UsageError(f"function {plan.function!r} is a stream, not a service")
+            if self.robot.revision != revision:
+                raise ApprovalError(f"the configuration is not revision {revision} any more")
+            return self.robot._call_planned(  # noqa: SLF001 - of the house
+                plan, read(structure, message), limit, began
+            )
+
+        return await self.workers.start(work)
+
     async def resolve(self, name: str) -> Plan:
         """Find a plan in a worker; see `resolve_and`."""
         return await self.resolve_and(lambda plan: plan, name)
@@ -448,6 +496,10 @@ class FeedRegistry:
 
     def _take_event(self, event: StatusEvent) -> None:
         kind, _, name = event.subject.partition(" ")
+        if kind == "configuration":
+            self.approvals.reconfigured(self.robot.revision)
+        elif event.change == "replaced":
+            self.approvals.taken_over(event.function)
         # What bridges and components are like decides what can be had: what is known is asked for
         # again, and what waits is tried again.
         if kind != "connection":

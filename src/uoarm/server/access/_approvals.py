@@ -1,0 +1,561 @@
+"""Approvals: what is asked for by one principal is allowed by another one, once, for a time.
+
+`ApprovalBook` is a state without a clock, a thread or I/O. `ApprovalDesk` is the one of a server.
+Nothing is kept over a restart: an approval that was given and not used is void then.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+import secrets
+import time
+from collections.abc import Callable, Mapping
+from enum import Enum
+
+import orjson
+from attrs import evolve, field, frozen
+
+from uoarm.errors import MessageError
+from uoarm.model import Component, Function, Message, Plan, Robot
+from uoarm.server.access._role import AccessRole, Audit, DeniedError, Operation
+
+__all__ = [
+    "Approval",
+    "ApprovalBook",
+    "ApprovalDesk",
+    "ApprovalEnvelope",
+    "ApprovalError",
+    "ApprovalFoundation",
+    "ApprovalPhase",
+    "ApprovalWish",
+    "Supervision",
+    "digest_of",
+]
+
+_MOST_ARGUMENTS = 65_536
+_MOST_RANGES = 64
+_MOST_COUNT = 1_000
+_LONGEST = 3600.0
+_MOST_PENDING = 32
+_MOST_KEPT = 256
+_PENDING_SECONDS = 900.0
+_KEPT_SECONDS = 900.0
+
+
+class ApprovalError(DeniedError):
+    """There is no approval for what is to be done, or it may not be given so."""
+
+
+class ApprovalPhase(Enum):
+    """How an approval stands. Only the first two are ever left."""
+
+    PENDING = "pending"
+    APPROVED = "approved"
+    USED = "used"
+    REFUSED = "refused"
+    EXPIRED = "expired"
+    VOID = "void"
+
+
+_OPEN = frozenset({ApprovalPhase.PENDING, ApprovalPhase.APPROVED})
+
+
+@frozen
+class ApprovalFoundation:
+    """What an approval rests on; it is void when that is different.
+
+    Attributes:
+        revision: of the configuration.
+        components: of the plan, in its order: after a takeover they are others.
+    """
+
+    revision: int
+    components: tuple[str, ...]
+
+    @classmethod
+    def of(cls, plan: Plan, revision: int) -> ApprovalFoundation:
+        """Return that of a plan."""
+        return cls(revision, tuple(step.component.name for step in plan.steps))
+
+
+def digest_of(arguments: Message) -> str:
+    """Return the SHA-256 of arguments, whatever the order of their names.
+
+    Raises:
+        MessageError: they have no form as JSON, or are too long to be shown to a person.
+    """
+    try:
+        written = orjson.dumps(arguments, option=orjson.OPT_SORT_KEYS)
+    except (TypeError, ValueError) as error:
+        raise MessageError(f"arguments that can be approved are plain JSON: {error}") from None
+    if len(written) > _MOST_ARGUMENTS:
+        raise MessageError(
+            f"arguments that can be approved have at most {_MOST_ARGUMENTS:,} octets as JSON, "
+            f"got {len(written):,}"
+        )
+    return hashlib.sha256(written).hexdigest()
+
+
+@frozen
+class ApprovalEnvelope:
+    """What may differ from the arguments that are asked for, and how often.
+
+    Attributes:
+        ranges: least and greatest number by the path of a field, `linear.x`, as in `limits`.
+        count: how often it may be done.
+        rate: times a second at most; None: as often as it is asked for.
+    """
+
+    ranges: Mapping[str, tuple[float, float]] = field(factory=dict, hash=False)
+    count: int = 1
+    rate: float | None = None
+
+    def problem(self, arguments: Message) -> str:
+        """Return why it is none for these arguments, empty where it is one."""
+        if len(self.ranges) > _MOST_RANGES:
+            return f"ranges: {_MOST_RANGES} are allowed, got {len(self.ranges)}"
+        if not 1 <= self.count <= _MOST_COUNT:
+            return f"count: expected 1 to {_MOST_COUNT:,}, got {self.count}"
+        if self.rate is not None and not 0 < self.rate < math.inf:
+            return f"rate: expected a positive number of times a second, got {self.rate}"
+        for path, (least, greatest) in self.ranges.items():
+            if not -math.inf < least <= greatest < math.inf:
+                return f"ranges.{path}: expected two numbers, the least first"
+            value = _at(arguments, path)
+            if not _is_number(value):
+                return f"ranges.{path}: the arguments have no number there"
+            if not least <= value <= greatest:
+                return f"ranges.{path}: {value} of the arguments is not within it"
+        return ""
+
+    def mismatch(self, allowed: Message, wanted: Message) -> str:
+        """Return what of the arguments is not allowed, empty where all of it is."""
+        moved = wanted
+        for path, (least, greatest) in self.ranges.items():
+            value = _at(wanted, path)
+            if not _is_number(value) or not least <= value <= greatest:
+                return f"{path}: expected a number of {least} to {greatest}, got {value!r:.50}"
+            moved = _with(moved, path, _at(allowed, path))
+        return "" if digest_of(moved) == digest_of(allowed) else "they are not those approved"
+
+
+_EXACTLY = ApprovalEnvelope()
+
+
+@frozen
+class ApprovalWish:
+    """What a principal wants to do.
+
+    Attributes:
+        requester: the principal.
+        operation: `call`, `send` or `request`.
+        function: of which function.
+        port: the input that is sent to; empty: there is none, or the only one.
+        arguments: with which.
+        foundation: what the plan of it is.
+        envelope: what may differ; without one it is done once, with these arguments.
+        seconds: within which it is done, from the approval on.
+        preview: what it would do, for the person who decides.
+    """
+
+    requester: str
+    operation: str
+    function: str
+    port: str
+    arguments: Message = field(hash=False)
+    foundation: ApprovalFoundation
+    envelope: ApprovalEnvelope = _EXACTLY
+    seconds: float = 60.0
+    preview: str = ""
+
+
+@frozen
+class Approval:
+    """One wish and what became of it.
+
+    Attributes:
+        id: the one handle of the plan, of its preview, of its approval and of doing it.
+        wish: what was asked for.
+        digest: of its arguments.
+        expires: when it ends by itself, in seconds of the clock that `ApprovalBook` is given.
+        phase: how it stands.
+        approver: the principal that decided.
+        uses: how often it was used.
+        used: when it was used last.
+        cause: why it ended.
+    """
+
+    id: str
+    wish: ApprovalWish
+    digest: str
+    expires: float
+    phase: ApprovalPhase = ApprovalPhase.PENDING
+    approver: str = ""
+    uses: int = 0
+    used: float = -math.inf
+    cause: str = ""
+
+    @property
+    def is_open(self) -> bool:
+        """Whether it may still be approved or used."""
+        return self.phase in _OPEN
+
+
+class ApprovalBook:
+    """All approvals of one run of a server; a plain state, for one thread.
+
+    Each of its methods is whole before another one begins: of two uses at one time one is first,
+    and the other finds it used.
+    """
+
+    def __init__(self) -> None:
+        self._approvals: dict[str, Approval] = {}
+        self._ended: dict[str, float] = {}
+        self._changes: list[Approval] = []
+
+    def take_changes(self) -> list[Approval]:
+        """Return what has changed since the last time, in order, for the audit log."""
+        changes, self._changes = self._changes, []
+        return changes
+
+    def all(self, now: float) -> list[Approval]:
+        """Return those that are known, oldest first."""
+        self._settle(now)
+        return list(self._approvals.values())
+
+    def find(self, identity: str, now: float) -> Approval | None:
+        """Return one, where it is known."""
+        self._settle(now)
+        return self._approvals.get(identity)
+
+    def ask(self, identity: str, wish: ApprovalWish, now: float) -> Approval:
+        """Take a wish in.
+
+        Raises:
+            ApprovalError: the principal has too many that wait, or what it asks for is none.
+            MessageError: its arguments have no digest.
+        """
+        self._settle(now)
+        if identity in self._approvals:
+            raise ApprovalError(f"there is an approval {identity} already")
+        digest = digest_of(wish.arguments)
+        problem = wish.envelope.problem(wish.arguments)
+        if not 0 < wish.seconds <= _LONGEST:
+            problem = f"seconds: expected up to {_LONGEST:,.0f}, got {wish.seconds}"
+        if problem:
+            raise ApprovalError(problem)
+        own = [
+            approval
+            for approval in self._approvals.values()
+            if approval.is_open and approval.wish.requester == wish.requester
+        ]
+        if len(own) >= _MOST_PENDING:
+            raise ApprovalError(f"{len(own)} approvals are asked for and not used; wait for them")
+        return self._put(Approval(identity, wish, digest, now + _PENDING_SECONDS))
+
+    def decide(
+        self, identity: str, approver: str, now: float, *, approve: bool, cause: str = ""
+    ) -> Approval:
+        """Approve or refuse a wish of another principal.
+
+        Raises:
+            ApprovalError: it is one's own, or nothing that waits.
+        """
+        approval = self._known(identity, now)
+        if approver == approval.wish.requester:
+            raise ApprovalError(
+                f"{identity}: {approver!r} asked for it; another principal has to decide"
+            )
+        if approval.phase is not ApprovalPhase.PENDING:
+            raise ApprovalError(f"{identity} is {approval.phase.value}{_because(approval.cause)}")
+        phase = ApprovalPhase.APPROVED if approve else ApprovalPhase.REFUSED
+        expires = now + approval.wish.seconds
+        return self._put(
+            evolve(approval, phase=phase, approver=approver, expires=expires, cause=cause), now
+        )
+
+    def use(self, identity: str, wanted: ApprovalWish, now: float) -> Approval:
+        """Spend an approval on what is about to be done, before it is begun.
+
+        It is spent whatever becomes of that.
+
+        Args:
+            identity: of the approval.
+            wanted: what is about to be done, with what it rests on at this moment; the envelope,
+                seconds and preview of it mean nothing.
+            now: seconds.
+
+        Raises:
+            ApprovalError: it is no approval of that.
+        """
+        approval = self._known(identity, now)
+        wish = approval.wish
+        if wanted.requester != wish.requester:
+            raise ApprovalError(f"there is no approval {identity:.64}")
+        if approval.phase is not ApprovalPhase.APPROVED:
+            raise ApprovalError(f"{identity} is {approval.phase.value}{_because(approval.cause)}")
+        what = (wanted.operation, wanted.function, wanted.port)
+        if what != (wish.operation, wish.function, wish.port):
+            raise ApprovalError(f"{identity} is of {wish.operation} {wish.function}, not of this")
+        if wanted.foundation != wish.foundation:
+            cause = difference(wish.foundation, wanted.foundation)
+            self._put(evolve(approval, phase=ApprovalPhase.VOID, cause=cause), now)
+            raise ApprovalError(f"{identity} is void: {cause}")
+        mismatch = wish.envelope.mismatch(wish.arguments, wanted.arguments)
+        if mismatch:
+            raise ApprovalError(f"{identity} is of other arguments: {mismatch}")
+        rate = wish.envelope.rate
+        if rate is not None and now - approval.used < 1 / rate:
+            raise ApprovalError(f"{identity} allows {rate:g} times a second; wait")
+        uses = approval.uses + 1
+        phase = ApprovalPhase.USED if uses >= wish.envelope.count else approval.phase
+        return self._put(evolve(approval, phase=phase, uses=uses, used=now), now)
+
+    def void(self, reason: Callable[[Approval], str], now: float) -> None:
+        """End those for which there is a reason, whatever was decided about them."""
+        self._settle(now)
+        for approval in list(self._approvals.values()):
+            if approval.is_open and (cause := reason(approval)):
+                self._put(evolve(approval, phase=ApprovalPhase.VOID, cause=cause), now)
+
+    def _known(self, identity: str, now: float) -> Approval:
+        approval = self.find(identity, now)
+        if approval is None:
+            raise ApprovalError(f"there is no approval {identity:.64}")
+        return approval
+
+    def _put(self, approval: Approval, now: float = 0.0) -> Approval:
+        self._approvals[approval.id] = approval
+        self._changes.append(approval)
+        if not approval.is_open:
+            self._ended[approval.id] = now
+            while len(self._ended) > _MOST_KEPT:
+                oldest = next(iter(self._ended))
+                del self._ended[oldest], self._approvals[oldest]
+        return approval
+
+    def _settle(self, now: float) -> None:
+        """End what has expired, and forget what ended long ago."""
+        for approval in list(self._approvals.values()):
+            if approval.is_open and now >= approval.expires:
+                cause = "no decision" if approval.phase is ApprovalPhase.PENDING else "unused"
+                self._put(evolve(approval, phase=ApprovalPhase.EXPIRED, cause=cause), now)
+        for identity, ended in list(self._ended.items()):
+            if now - ended >= _KEPT_SECONDS:
+                del self._ended[identity], self._approvals[identity]
+
+
+def difference(allowed: ApprovalFoundation, found: ApprovalFoundation) -> str:
+    """Say why what an approval rests on holds no more."""
+    if allowed.revision != found.revision:
+        return f"the configuration is revision {found.revision}, not {allowed.revision}"
+    return f"it would run {', '.join(found.components)}, not {', '.join(allowed.components)}"
+
+
+def _because(cause: str) -> str:
+    return f": {cause}" if cause else ""
+
+
+def _is_number(value: Message) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+def _at(arguments: Message, path: str) -> Message:
+    for name in path.split("."):
+        if not isinstance(arguments, Mapping) or name not in arguments:
+            return None
+        arguments = arguments[name]
+    return arguments
+
+
+def _with(arguments: Message, path: str, value: Message) -> Message:
+    """Return arguments with another value at a path that they have."""
+    assert isinstance(arguments, Mapping), "the path was found"
+    name, _, rest = path.partition(".")
+    return {**arguments, name: _with(arguments[name], rest, value) if rest else value}
+
+
+class Supervision:
+    """Which functions an agent may use with an approval only, and why; for any thread.
+
+    Args:
+        robot: returns the configuration in force.
+    """
+
+    def __init__(self, robot: Callable[[], Robot]) -> None:
+        self._robot = robot
+        # One value, so that threads see either all of a configuration or nothing of it.
+        self._known: tuple[Robot | None, dict[tuple[Operation, str], str]] = None, {}
+
+    def reason(self, operation: Operation, function: str) -> str:
+        """Return why an operation needs an approval; empty: it needs none."""
+        robot = self._robot()
+        if self._known[0] is not robot:
+            self._known = robot, {}
+        reasons = self._known[1]
+        key = operation, function
+        if key not in reasons:
+            found = robot.functions.get(function)
+            reasons[key] = "" if found is None else _reason(robot, operation, found, frozenset())
+        return reasons[key]
+
+
+def _reason(robot: Robot, operation: Operation, function: Function, above: frozenset[str]) -> str:
+    """Return why; all candidates count, as any of them may be taken."""
+    if function.approve:
+        return f"{function.name} says `approve: true`"
+    for component in function.components:
+        reason = _moves(component, opened=operation is Operation.REQUEST)
+        if reason:
+            return reason
+        for source in {port.source.function for port in component.inputs if port.source}:
+            feeding = robot.functions.get(source)
+            if feeding is not None and source not in above:
+                reason = _reason(robot, Operation.REQUEST, feeding, above | {function.name, source})
+                if reason:
+                    return f"{component.name} uses {source}: {reason}"
+    return ""
+
+
+def _moves(component: Component, *, opened: bool) -> str:
+    """Say that a component moves something, at all or as soon as it is opened."""
+    for port in component.inputs:
+        if port.endpoint.command is not None and (port.source is not None or not opened):
+            return f"{component.name} moves something: its input {port.name!r} has a lifetime"
+    service = component.service
+    if service is not None and service.endpoint.command is not None and not opened:
+        return f"{component.name} moves something: a call of it has a lifetime"
+    return ""
+
+
+class ApprovalDesk:
+    """The approvals of a server, in the thread of its loop.
+
+    Args:
+        audit: gets every step.
+        supervision: says what needs one.
+        clock: seconds.
+    """
+
+    def __init__(
+        self, audit: Audit, supervision: Supervision, clock: Callable[[], float] = time.monotonic
+    ) -> None:
+        self.supervision = supervision
+        self._audit = audit
+        self._clock = clock
+        self._book = ApprovalBook()
+        self._watchers: dict[Callable[[Approval], None], None] = {}
+
+    def visible(self, role: AccessRole) -> list[Approval]:
+        """Return those that a role may decide about, oldest first."""
+        approvals = self._book.all(self._clock())
+        self._report()
+        return [
+            approval
+            for approval in approvals
+            if role.allows(Operation.APPROVE, approval.wish.function)
+        ]
+
+    def find(self, identity: str, requester: str) -> Approval | None:
+        """Return one that a principal has asked for."""
+        approval = self._book.find(identity, self._clock())
+        self._report()
+        return approval if approval and approval.wish.requester == requester else None
+
+    def left(self, approval: Approval) -> float:
+        """Return the seconds until one ends by itself."""
+        return max(0.0, approval.expires - self._clock()) if approval.is_open else 0.0
+
+    def ask(self, wish: ApprovalWish) -> Approval:
+        """Take a wish in; raises as `ApprovalBook.ask`."""
+        return self._reported(lambda now: self._book.ask(secrets.token_hex(8), wish, now))
+
+    def decide(
+        self,
+        identity: str,
+        approver: str,
+        role: AccessRole,
+        *,
+        approve: bool,
+        digest: str = "",
+        cause: str = "",
+    ) -> Approval:
+        """Decide about a wish.
+
+        Args:
+            identity: of the approval.
+            approver: the principal who decides.
+            role: of that principal.
+            approve: or refuse.
+            digest: of the arguments that the principal has seen; empty: not compared.
+            cause: why, for who asked.
+
+        Raises:
+            ApprovalError: as `ApprovalBook.decide`, or the role may not approve this function.
+        """
+        approval = self._book.find(identity, self._clock())
+        # The same text where there is none: a role learns nothing of functions that are not its.
+        if approval is None or not role.allows(Operation.APPROVE, approval.wish.function):
+            self._report()
+            raise ApprovalError(f"there is no approval {identity:.64} that this role may give")
+        if digest and digest != approval.digest:
+            raise ApprovalError(f"{identity} is of other arguments than those that were shown")
+        return self._reported(
+            lambda now: self._book.decide(identity, approver, now, approve=approve, cause=cause)
+        )
+
+    def use(self, identity: str, wanted: ApprovalWish) -> Approval:
+        """Spend an approval; raises as `ApprovalBook.use`."""
+        try:
+            return self._reported(lambda now: self._book.use(identity, wanted, now))
+        except ApprovalError as error:
+            self._audit.approval_denied(identity, wanted.requester, wanted.function, str(error))
+            raise
+
+    def reconfigured(self, revision: int) -> None:
+        """End those of other revisions than the one in force."""
+        cause = f"the configuration is revision {revision}"
+        self._void(lambda approval: cause if approval.wish.foundation.revision != revision else "")
+
+    def taken_over(self, function: str) -> None:
+        """End those of a function, of which another component runs now."""
+        cause = "another component took over"
+        self._void(lambda approval: cause if approval.wish.function == function else "")
+
+    def watch(self, watcher: Callable[[Approval], None]) -> None:
+        """Notify a watcher of every change."""
+        self._watchers[watcher] = None
+
+    def unwatch(self, watcher: Callable[[Approval], None]) -> None:
+        """Notify a watcher no more. Idempotent."""
+        self._watchers.pop(watcher, None)
+
+    def _void(self, reason: Callable[[Approval], str]) -> None:
+        self._book.void(reason, self._clock())
+        self._report()
+
+    def _reported(self, act: Callable[[float], Approval]) -> Approval:
+        try:
+            return act(self._clock())
+        finally:
+            self._report()
+
+    def _report(self) -> None:
+        for approval in self._book.take_changes():
+            self._audit.approval(
+                {
+                    "approval": approval.id,
+                    "phase": approval.phase.value,
+                    "requester": approval.wish.requester,
+                    "approver": approval.approver,
+                    "operation": approval.wish.operation,
+                    "function": approval.wish.function,
+                    "uses": approval.uses,
+                    "digest": approval.digest,
+                    "cause": approval.cause,
+                },
+                approval.wish.arguments,
+            )
+            for watcher in tuple(self._watchers):
+                watcher(approval)
