@@ -50,6 +50,7 @@ LAYERS = [
     {"local"},
     {"environments"},
     {"_dataplane"},
+    {"record"},
     {"_host"},
     {"config"},
     {"_resolve"},

@@ -59,6 +59,7 @@ def test_what_is_called_is_offered_to_calls_and_what_flows_to_requests(
     (tmp_path / "robot.yaml").write_text(ROBOT)
     monkeypatch.chdir(tmp_path)
     assert completed(monkeypatch, "uoarm request ") == STREAMS
+    assert completed(monkeypatch, "uoarm record camera ") == STREAMS
     assert completed(monkeypatch, "uoarm call ") == SERVICES
     assert set(completed(monkeypatch, "uoarm resolve ")) == {*STREAMS, *SERVICES}
 

@@ -330,6 +330,7 @@ class AsyncRobotManager(_Twin[RobotManager]):
     reload = _awaited(RobotManager.reload)
     rollback = _awaited(RobotManager.rollback)
     offer = _awaited(RobotManager.offer)
+    record = _awaited(RobotManager.record)
     history = _at_once(RobotManager.history)
     status = _at_once(RobotManager.status)
 

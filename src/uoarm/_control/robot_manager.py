@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import threading
 import time
+import weakref
 from collections.abc import Callable, Mapping
 from functools import partial
 from os import PathLike
@@ -13,6 +14,7 @@ from types import TracebackType
 from typing import Any, final, overload
 
 from uoarm import config
+from uoarm import record as recordings
 from uoarm._arguments import arguments
 from uoarm._control.bridges import BridgeSet
 from uoarm._control.candidates import CandidateWatch
@@ -154,6 +156,8 @@ class RobotManager:
             self._watch_rates,
         )
         self._watch_rates(robot)
+        # Those that run still end with the manager, whose connections they hold.
+        self._recordings: weakref.WeakSet[recordings.Recording] = weakref.WeakSet()
         self._bridges.machines.begin()
 
     @property
@@ -327,6 +331,75 @@ class RobotManager:
                 plan.function, plan.provider, message, None, timeout, began
             ),
         )
+
+    @arguments(
+        functions="robot.record('camera', path='run.mcap') records the function of that name"
+    )
+    def record(
+        self,
+        *functions: str,
+        path: str | PathLike[str] | None = None,
+        duration: float | None = None,
+        max_size: int | str | None = None,
+        split: int | str | None = None,
+        compression: str | None = None,
+        ring: float | None = None,
+        queue: QueuePolicy | None = None,
+        timeout: float = 60.0,
+    ) -> recordings.Recording:
+        """Record what functions give into an MCAP file, until the recording is closed.
+
+        Each function is requested as by an application; a slow disk holds up no other reader. A
+        file that is there already stays: the new one has the first number that is free in its
+        name. Close it, use it in a `with` block, or close the manager: what is written last is the
+        index. What goes wrong with the file ends the recording and nothing else.
+
+        Args:
+            functions: by name; `function.output` where one has several outputs. None at all: those
+                of `record:` in the configuration, whose other lines then hold, too, where nothing
+                else is said here.
+            path: of the file.
+            duration: seconds after which it ends; None: it does not by itself.
+            max_size: octets of all its files after which it ends; a number, or a text as `2GB`.
+            split: octets or seconds after which a new file begins, as `512MB` or `10min`.
+            compression: `zstd`, `lz4` or `none`; None: `zstd`.
+            ring: keep so many seconds in memory, and write them when something was lost or fails,
+                or `Recording.dump` is called; None: everything is written.
+            queue: what waits for the writer; None: ten thousand messages, the oldest are dropped.
+            timeout: seconds for opening each function.
+
+        Raises:
+            ResolutionError: nothing fits, as from `request`; nothing is recorded then.
+            BridgeError: a bridge failed while opening; likewise.
+            PluginError: the extra `record` is not installed.
+            UsageError: an option is wrong, the file cannot be made, or a function has no output.
+        """
+        self._require_open()
+        given: dict[str, Any] = {
+            "duration": duration,
+            "max_size": max_size,
+            "split": split,
+            "compression": compression,
+            "ring": ring,
+            "queue": queue,
+        }
+        options = {name: value for name, value in given.items() if value is not None}
+        settings = None if functions else self.config.record
+        if settings is not None:
+            functions, path = settings.functions, path or settings.path
+            options = {**settings.options, **options}
+        if path is None:
+            raise UsageError("say into which file: path=...")
+        recording = recordings.Recording(
+            self,
+            functions,
+            Path(path).absolute(),
+            recordings.RecordOptions.of(**options),
+            self._events.post,
+            timeout=timeout,
+        )
+        self._recordings.add(recording)
+        return recording
 
     def connections(self) -> tuple[Connection, ...]:
         """Return the connections that have not ended, oldest first, of every caller."""
@@ -636,6 +709,8 @@ class RobotManager:
         with Uninterrupted():
             if self._driver.is_foreign:
                 return
+            for recording in tuple(self._recordings):
+                recording.close()
             self._discovery.close()
             self._candidates.close()
             self._staleness.close()

@@ -50,6 +50,7 @@ COMMANDS: Mapping[str, tuple[str, str, str]] = {
     "lock": ("_lock", "lock", "Write down what all plans rest on, or check it."),
     "new-bridge": ("_setup", "new_bridge", "Make a bridge plugin to start from, with its tests."),
     "offer": ("_run", "offer", "Offer functions in frameworks, as `offer:` says."),
+    "record": ("_record", "record", "Record what functions give into a file."),
     "request": ("_run", "request", "Open a function and show its messages."),
     "resolve": ("_look", "resolve", "Find the plan for a function without opening anything."),
     "schema": ("_look", "schema", "Print the JSON Schema of robot.yaml, for editors."),

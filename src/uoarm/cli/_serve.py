@@ -140,6 +140,11 @@ def serve(
         if manager.is_stopped:
             click.echo(f"{_BEGINS_STOPPED}: {stop_file}", err=True)
         manager.offer(timeout=0)  # what fails is in the log and in the status
+        if manager.config.record is not None:
+            try:
+                manager.record()
+            except UoarmError as error:
+                print_warning(f"nothing is recorded: {error}")
         try:
             with stopping(manager), _reloading(manager, watch=watch_config):
                 run(manager, chosen, lambda server: say(server, chosen))

@@ -64,10 +64,12 @@ class FunctionArgument(click.Argument):
     Args:
         declarations: as of every argument.
         serves: whether only those are meant that answer calls, or only those that do not.
+        nargs: how many; -1: any number.
     """
 
-    def __init__(self, declarations: Sequence[str], *, serves: bool | None) -> None:
-        super().__init__(declarations, required=False, metavar="NAME")
+    def __init__(self, declarations: Sequence[str], *, serves: bool | None, nargs: int = 1) -> None:
+        metavar = "NAME" if nargs == 1 else "[NAME]..."
+        super().__init__(declarations, required=False, metavar=metavar, nargs=nargs)
         self._serves = serves
 
     def shell_complete(self, ctx: click.Context, incomplete: str) -> list[CompletionItem]:

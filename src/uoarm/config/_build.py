@@ -33,6 +33,7 @@ from uoarm.model import (
     OverflowPolicy,
     PortRef,
     QueuePolicy,
+    RecordSettings,
     Robot,
     Role,
     Service,
@@ -59,7 +60,25 @@ def build(value: Mapping[str, Any], origin: str, warnings: tuple[str, ...]) -> R
     lock = LockMode(value["lock"]) if "lock" in value else None
     # A relative path would be another one where the program changes its working directory.
     file = str(FilePath(origin).absolute()) if origin else ""
-    return Robot(bridges, functions, warnings, file, applications, failover, hosts, offers, lock)
+    record = _record(value["record"], origin) if "record" in value else None
+    return Robot(
+        bridges,
+        functions,
+        warnings,
+        file,
+        applications,
+        failover,
+        hosts,
+        offers,
+        lock,
+        record=record,
+    )
+
+
+def _record(value: Mapping[str, Any], origin: str) -> RecordSettings:
+    options = {key: item for key, item in value.items() if key not in {"functions", "path"}}
+    path = _located(value["path"], origin) if origin else value["path"]
+    return RecordSettings(tuple(value["functions"]), path, options)
 
 
 def _failover(value: Mapping[str, Any]) -> FailoverPolicy:

@@ -87,6 +87,7 @@ def compare(before: Robot, after: Robot) -> ConfigurationDifference:
         *_changes_of("function", _named(before), _named(after)),
         *(() if before.failover == after.failover else ("~ failover",)),
         *(() if before.lock == after.lock else ("~ lock",)),
+        *(() if before.record == after.record else ("~ record",)),
         *_changes_of("offer", _offers(before), _offers(after)),
         *(() if before.applications == after.applications else ("~ applications",)),
     )

@@ -21,6 +21,7 @@ from uoarm.config._parts import (
     need_mistakes,
     needs,
     offers,
+    recorded,
     unknown_frameworks,
 )
 
@@ -83,6 +84,7 @@ class MeaningChecker:
         self._check_priorities()
         self._check_cycles()
         self._check_applications()
+        self._check_record()
 
     def structures(self) -> list[tuple[Path, object]]:
         """Return every declared structure with its path."""
@@ -232,6 +234,14 @@ class MeaningChecker:
             if isinstance(least, int | float) and isinstance(most, int | float) and least > most:
                 where: Path = (*port.path, "limits", path)
                 self._refuse(where, f"the minimum {least:g} is more than the maximum {most:g}")
+
+    def _check_record(self) -> None:
+        for number, name in enumerate(recorded(self._document.value)):
+            function = name.partition(".")[0] if isinstance(name, str) else None
+            if function is not None and function not in self._functions:
+                hint = self._speller.guess_or_list(function, self._functions, "functions")
+                where: Path = ("record", "functions", number)
+                self._refuse(where, f"there is no function {clip(function)}", hint)
 
     def _check_applications(self) -> None:
         asked = applications(self._document.value)

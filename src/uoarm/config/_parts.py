@@ -27,6 +27,7 @@ __all__ = [
     "need_mistakes",
     "needs",
     "offers",
+    "recorded",
     "unknown_frameworks",
 ]
 
@@ -138,6 +139,12 @@ def applications(value: object) -> dict[str, list[Any]]:
     """Return what each application asks for, where it can be read."""
     asked = _mapping(_mapping(value).get("applications"))
     return {name: names for name, names in asked.items() if isinstance(names, list)}
+
+
+def recorded(value: object) -> list[Any]:
+    """Return what is recorded, where it can be read."""
+    functions = _mapping(_mapping(value).get("record")).get("functions")
+    return functions if isinstance(functions, list) else []
 
 
 def listening(value: object) -> dict[str, Any]:

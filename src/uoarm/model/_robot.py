@@ -22,6 +22,7 @@ __all__ = [
     "FailureLimits",
     "Listening",
     "LockMode",
+    "RecordSettings",
     "Robot",
     "is_loopback",
     "place_problem",
@@ -137,6 +138,21 @@ class LockMode(Enum):
 
 
 @frozen
+class RecordSettings:
+    """What `record:` of a configuration says.
+
+    Attributes:
+        functions: by name, as for a request.
+        path: of the file; a relative one begins at the configuration's file.
+        options: as `RobotManager.record` takes them.
+    """
+
+    functions: tuple[str, ...]
+    path: str
+    options: Options = field(factory=dict, hash=False)
+
+
+@frozen
 class Robot:
     """Bridges and functions by name, in the order of the file.
 
@@ -150,6 +166,7 @@ class Robot:
         offers: the functions that are offered in frameworks.
         lock: how requests are held to the `robot.lock` beside the file; None: they are not.
         text: the YAML that it was read from, empty when it was built in memory.
+        record: what is recorded while the robot is served; None: nothing.
     """
 
     bridges: Mapping[str, BridgeSpec] = field(hash=False)
@@ -162,6 +179,7 @@ class Robot:
     offers: tuple[Offer, ...] = ()
     lock: LockMode | None = None
     text: str = field(default="", eq=False, repr=False)
+    record: RecordSettings | None = None
 
     def components(self) -> Iterator[Component]:
         """Yield every component, in the order of the file."""

@@ -1,0 +1,149 @@
+"""The command that records: what functions give, into files, until it is ended."""
+
+from __future__ import annotations
+
+import signal
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import click
+
+from uoarm._forks import default_in_children
+from uoarm.cli._file import takes_configuration
+from uoarm.cli._shared import (
+    BRIDGE,
+    FunctionArgument,
+    fail,
+    json_option,
+    open_robot,
+    print_error,
+)
+from uoarm.errors import UoarmError
+from uoarm.model import to_json, write_json
+from uoarm.record import Recording, RecordingStatus
+
+__all__ = ["record"]
+
+_PROGRESS_SECONDS = 1.0
+_MEBI = 1024 * 1024
+
+
+@click.command()
+@click.argument("functions", cls=FunctionArgument, serves=False, nargs=-1)
+@takes_configuration(listed="functions")
+@click.option(
+    "-o",
+    "--output",
+    type=click.Path(dir_okay=False, path_type=Path),
+    help="The MCAP file; where one is there already, a number is added.",
+)
+@click.option("--duration", type=click.FloatRange(min=0, min_open=True), help="End after seconds.")
+@click.option("--max-size", metavar="SIZE", help="End when all files have so much, such as 2GB.")
+@click.option("--split", metavar="SIZE|TIME", help="Begin a new file after 512MB, 10min or so.")
+@click.option(
+    "--compress",
+    "compression",
+    type=click.Choice(["zstd", "lz4", "none"]),
+    help="Of the chunks (zstd).",
+)
+@click.option(
+    "--ring",
+    type=click.FloatRange(min=0, min_open=True),
+    metavar="SECONDS",
+    help="Keep so much in memory; write it when something is lost or fails, or at SIGUSR1.",
+)
+@json_option
+def record(
+    functions: tuple[str, ...],
+    file: str,
+    *,
+    output: Path | None,
+    as_json: bool,
+    **options: Any,
+) -> None:
+    """Record what functions give into a file.
+
+    Until Ctrl-C or SIGTERM, or until all of them have ended. Without a NAME it is what `record:` of
+    the configuration says. With --json there is a line of progress each second; the last line says
+    what was recorded and what was lost. The exit code is 4 where the file could not be written on.
+    """
+    with open_robot(file) as robot:
+        settings = robot.config.record
+        if not functions and settings is None:
+            context = click.get_current_context()
+            argument = next(
+                item for item in context.command.params if isinstance(item, FunctionArgument)
+            )
+            raise argument.missing(context, file)
+        if output is None and (functions or settings is None):
+            raise click.UsageError("say into which file: -o run.mcap")
+        with robot.record(*functions, path=output, **options) as recording:
+            try:
+                with _dumping(recording):
+                    _follow(recording, as_json=as_json)
+            except (KeyboardInterrupt, SystemExit):  # Ctrl-C and SIGTERM are how recording ends
+                pass
+        status = recording.status()
+    click.echo(write_json(to_json(status)) if as_json else summary(status))
+    if status.state == "failed":
+        fail(f"the recording ended: {status.cause}", BRIDGE)
+    sys.exit(0)
+
+
+def _follow(recording: Recording, *, as_json: bool) -> None:
+    """Show how it goes on until it has ended."""
+    began, is_terminal = time.monotonic(), sys.stderr.isatty()
+    while not recording.wait(_PROGRESS_SECONDS):
+        status = recording.status()
+        if as_json:
+            click.echo(write_json(to_json(status)))
+        elif is_terminal:
+            click.echo(f"\r{_line(status, time.monotonic() - began)}", nl=False, err=True)
+    if is_terminal and not as_json:
+        click.echo(err=True)
+
+
+@contextmanager
+def _dumping(recording: Recording) -> Iterator[None]:
+    """Write the ring at SIGUSR1, in a thread of its own."""
+    number = getattr(signal, "SIGUSR1", None)
+    if number is None or threading.current_thread() is not threading.main_thread():
+        yield
+        return
+
+    def dump() -> None:
+        try:
+            click.echo(f"written: {recording.dump('SIGUSR1')}", err=True)
+        except UoarmError as error:
+            print_error(error)
+
+    # Not in the handler: what it interrupts may hold a lock that this needs.
+    former = signal.signal(number, lambda *_: threading.Thread(target=dump, daemon=True).start())
+    default_in_children([number])
+    try:
+        yield
+    finally:
+        signal.signal(number, former)
+
+
+def _line(status: RecordingStatus, seconds: float) -> str:
+    count = sum(channel.recorded for channel in status.channels)
+    lost = sum(status.dropped.values())
+    return f"{seconds:.0f} s, {count:,} messages, {status.octets / _MEBI:.1f} MiB, {lost:,} lost "
+
+
+def summary(status: RecordingStatus) -> str:
+    """Return what was recorded and lost, a line for each file and function."""
+    lines = [*status.files] or ["no file was written"]
+    for channel in status.channels:
+        more = f", {channel.unwritable:,} without a form" if channel.unwritable else ""
+        missing = channel.received - channel.recorded - channel.unwritable
+        lost = f", {missing:,} lost before the writer" if missing else ""
+        text = f"{channel.recorded:,} messages as {channel.encoding}"
+        lines.append(f"  {channel.function}: {text}{more}{lost}")
+    return "\n".join(lines)

@@ -1,0 +1,23 @@
+"""Recordings: what functions give, in MCAP files, and those files as components again.
+
+Needs the extra `record`, once something is recorded or read.
+"""
+
+from typing import TYPE_CHECKING
+
+from uoarm._deferred import deferred
+
+if TYPE_CHECKING:
+    from uoarm.record._options import RecordOptions
+    from uoarm.record._recording import RecordedChannel, Recording, RecordingStatus
+
+__all__ = ["RecordOptions", "RecordedChannel", "Recording", "RecordingStatus"]
+
+if not TYPE_CHECKING:
+    __getattr__, __dir__ = deferred(
+        __name__,
+        {
+            "_options": ("RecordOptions",),
+            "_recording": ("RecordedChannel", "Recording", "RecordingStatus"),
+        },
+    )

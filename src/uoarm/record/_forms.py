@@ -1,0 +1,150 @@
+"""In which form a function's messages stand in a file: as ROS 2 serialises them, or as JSON.
+
+What is a type of ROS 2 is written as such, and so is what has octets and a fixed layout, so that
+they stay octets. All else is JSON, in which octets are base64, as viewers take them.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from attrs import field, frozen
+
+from uoarm.cdr import RosDefinition, definition_of, serialiser
+from uoarm.errors import MessageError
+from uoarm.model import Message, MessageStructure, write_json
+
+__all__ = ["EVENTS", "EVENTS_TOPIC", "ChannelForm", "form_of"]
+
+_ROS_TYPE = re.compile(r"[a-z][a-z0-9_]*/msg/[A-Z][A-Za-z0-9_]*")
+_WORD = re.compile(r"[A-Za-z0-9]+")
+_LARGE = ("uint64", "int64")
+_MOST_DEPTH = 64
+
+
+@frozen
+class ChannelForm:
+    """How the messages of one channel are written.
+
+    Attributes:
+        topic: of the channel.
+        schema_name: of its schema.
+        schema_encoding: `ros2msg` or `jsonschema`.
+        schema_data: the schema itself.
+        message_encoding: `cdr` or `json`.
+        encode: returns a message's octets; raises MessageError.
+        metadata: of the channel.
+    """
+
+    topic: str
+    schema_name: str
+    schema_encoding: str
+    schema_data: bytes
+    message_encoding: str
+    encode: Callable[[Message], bytes] = field(eq=False)
+    metadata: Mapping[str, str] = field(factory=dict, hash=False)
+
+
+def form_of(function: str, structure: MessageStructure, metadata: Mapping[str, str]) -> ChannelForm:
+    """Return the form of what a function gives.
+
+    Args:
+        function: as it was asked for: `camera`, or `camera.debug` of several outputs.
+        structure: of its messages.
+        metadata: that its channel has beside the structure.
+    """
+    topic = "/" + function.replace(".", "/")
+    stated = {"schema": structure.schema, "native_type": structure.native_type}
+    all_metadata = {
+        **metadata,
+        "uoarm.function": function,
+        "uoarm.structure": json.dumps(stated, separators=(",", ":")),
+    }
+    is_ros = _ROS_TYPE.fullmatch(structure.native_type) is not None
+    if is_ros or _keeps_octets(structure.schema):
+        try:
+            definition = definition_of(structure, _type_name(function))
+            write = serialiser(structure)
+        except MessageError:
+            pass  # it has no fixed layout, or names that no message file may have
+        else:
+            return _cdr_form(topic, definition, write, all_metadata)
+    from uoarm._wire import TEXT_FORM  # noqa: PLC0415 - needs an extra
+
+    schema = write_json(TEXT_FORM.schema(structure.schema)).encode()
+    name = structure.native_type or function
+    return ChannelForm(topic, name, "jsonschema", schema, "json", TEXT_FORM.write, all_metadata)
+
+
+def _cdr_form(
+    topic: str,
+    definition: RosDefinition,
+    write: Callable[[Message], list[Any]],
+    metadata: Mapping[str, str],
+) -> ChannelForm:
+    def encode(message: Message) -> bytes:
+        parts = write(message)
+        return bytes(parts[0]) if len(parts) == 1 else b"".join(parts)
+
+    text = definition.text.encode()
+    return ChannelForm(topic, definition.name, "ros2msg", text, "cdr", encode, metadata)
+
+
+def _type_name(function: str) -> str:
+    """Return the name of a type of ROS for a function that has none."""
+    words = "".join(word[:1].upper() + word[1:] for word in _WORD.findall(function))
+    return f"uoarm/msg/{words if words[:1].isalpha() else f'Function{words}'}"
+
+
+def _keeps_octets(schema: object, depth: int = 0) -> bool:
+    """Say whether a structure has octets, and every number in it a width that nothing exceeds."""
+    has_octets, is_bounded = _look(schema, depth)
+    return has_octets and is_bounded
+
+
+def _look(schema: object, depth: int) -> tuple[bool, bool]:
+    if not isinstance(schema, Mapping) or depth > _MOST_DEPTH:
+        return False, False
+    if schema.get("x-octets") is True:
+        return True, True
+    if schema.get("type") == "integer":
+        bounds = schema.get("minimum"), schema.get("maximum")
+        native = str(schema.get("x-native-type"))
+        return False, None not in bounds or native in _LARGE
+    inner = [*schema.get("properties", {}).values()]
+    if schema.get("type") == "array":
+        inner.append(schema.get("items"))
+    looks = [_look(item, depth + 1) for item in inner]
+    return any(has for has, _ in looks), all(bounded for _, bounded in looks)
+
+
+EVENTS_TOPIC = "/uoarm/events"
+_TEXT = {"type": "string"}
+_EVENT_SCHEMA = {
+    "type": "object",
+    "title": "what happened in the robot, and to the recording",
+    "properties": {
+        "number": {"type": "integer", "minimum": 0},
+        "time": {"type": "number", "x-unit": "s"},
+        "subject": _TEXT,
+        "change": _TEXT,
+        "cause": _TEXT,
+        "function": _TEXT,
+        "gap": {"type": "object"},
+    },
+    "required": ["subject", "change", "cause", "function"],
+}
+
+
+def _encode_event(message: Message) -> bytes:
+    return write_json(message).encode()
+
+
+EVENTS = ChannelForm(
+    EVENTS_TOPIC, "uoarm.Event", "jsonschema", write_json(_EVENT_SCHEMA).encode(), "json",
+    _encode_event,
+)  # fmt: skip
+"""The channel of events, in every file."""

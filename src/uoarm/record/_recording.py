@@ -1,0 +1,590 @@
+"""A recording that runs: a callback on each function's messages, one queue, one writing thread."""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections import Counter, deque
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Future
+from pathlib import Path
+from queue import Empty
+from types import TracebackType
+from typing import Any, Protocol, TypeAlias
+
+from attrs import define, field, frozen
+from typing_extensions import Self
+
+from uoarm._dataplane import BoundedQueue, QueueClosed
+from uoarm._raised import LimitedLog, text_of
+from uoarm.errors import MessageError, UoarmError, UsageError
+from uoarm.model import Gap, Message, Plan, Robot, StatusEvent, message_octets
+from uoarm.record._documents import documents, event_message, gap_message
+from uoarm.record._file import McapFile, free_path, require_mcap
+from uoarm.record._forms import EVENTS, ChannelForm, form_of
+from uoarm.record._options import Due, Instant, RecordingSchedule, RecordOptions
+
+__all__ = ["RecordedChannel", "Recording", "RecordingStatus"]
+
+_Item: TypeAlias = "tuple[_Track | None, Instant, Message, int]"
+"""The function, None to look around only; when the message came, the message, its number."""
+
+_log = logging.getLogger("uoarm")
+_CLOSE_SECONDS = 60.0
+_GLANCE_SECONDS = 1.0
+_MOST_EVENTS = 10_000
+_FAILURES = frozenset({"lost", "failed"})
+
+
+class RecordedConnection(Protocol):
+    """A connection, as far as a recording uses it."""
+
+    id: str
+
+    @property
+    def plan(self) -> Plan: ...
+    @property
+    def output(self) -> str | None: ...
+    @property
+    def gaps(self) -> tuple[Gap, ...]: ...
+    @property
+    def ended(self) -> bool: ...
+    def kill(self) -> None: ...
+
+
+class RecordedRobot(Protocol):
+    """A manager, as far as a recording uses it."""
+
+    @property
+    def config(self) -> Robot: ...
+    def request(
+        self, name: str, *, validate: str, on_message: Callable[[Any], None], timeout: float
+    ) -> RecordedConnection: ...
+    def listen(self, listener: Callable[[StatusEvent], None]) -> Callable[[], None]: ...
+
+
+@frozen
+class RecordedChannel:
+    """One function of a recording.
+
+    Attributes:
+        function: as it was asked for.
+        topic: of its channel.
+        encoding: `cdr` or `json`.
+        received: messages that came.
+        recorded: those that were written, or wait in the chunk that is being filled; of a ring,
+            those that came into it.
+        unwritable: those that have no form in the file.
+    """
+
+    function: str
+    topic: str
+    encoding: str
+    received: int
+    recorded: int
+    unwritable: int
+
+
+@frozen
+class RecordingStatus:
+    """A recording at one moment.
+
+    Attributes:
+        state: `recording`, `ended` or `failed`.
+        cause: why it ended or failed; empty while it runs.
+        files: the paths, oldest first.
+        octets: of all files.
+        channels: what came of each function.
+        dropped: messages that were lost before the writer, by reason.
+    """
+
+    state: str
+    cause: str
+    files: tuple[str, ...]
+    octets: int
+    channels: tuple[RecordedChannel, ...]
+    dropped: Mapping[str, int] = field(factory=dict, hash=False)
+
+
+@define(eq=False)
+class _Track:
+    """One function: its connection and what came of it.
+
+    `received` is written by the thread that brings its messages, of which there is one at a time;
+    what follows it by the writer alone.
+    """
+
+    function: str
+    received: int = 0
+    recorded: int = 0
+    unwritable: int = 0
+    gaps: int = 0
+    connection: RecordedConnection | None = None
+    form: ChannelForm | None = None
+
+
+@frozen
+class _Kept:
+    """A message in the ring, in the form of the file."""
+
+    form: ChannelForm
+    at: Instant
+    data: bytes
+    sequence: int
+
+
+def _now() -> Instant:
+    return Instant(time.time_ns(), time.monotonic_ns())
+
+
+class Recording:
+    """Messages of functions on their way into files, until `close` or the end of its own.
+
+    Made by `RobotManager.record`. A context manager. All methods may be called from any thread.
+    """
+
+    def __init__(
+        self,
+        robot: RecordedRobot,
+        functions: Sequence[str],
+        path: Path,
+        options: RecordOptions,
+        report: Callable[[str, str, str], object] = lambda *_: None,
+        *,
+        timeout: float = 60.0,
+        clock: Callable[[], Instant] = _now,
+    ) -> None:
+        require_mcap()
+        if not functions:
+            raise UsageError("a recording is of one function at least")
+        if len(set(functions)) < len(functions):
+            raise UsageError("a function is named twice")
+        if not path.parent.is_dir():
+            raise UsageError(f"{path} cannot be made: there is no folder {path.parent}")
+        self._path, self._options, self._clock = path, options, clock
+        self._robot, self._report = robot, report
+        self._dropped: Counter[str] = Counter()
+        # Guards the counter, which the threads of all functions and the writer count up.
+        self._counting = threading.Lock()
+        self._queue: BoundedQueue[_Item] = BoundedQueue(options.queue, self._drop, _measure)
+        # Appended to by the thread of the manager's listeners, taken from by the writer.
+        self._events: deque[tuple[Instant, Mapping[str, Any]]] = deque(maxlen=_MOST_EVENTS)
+        self._wanted: deque[tuple[str, Future[str]]] = deque()
+        self._ring: deque[_Kept] = deque()
+        self._ring_octets = 0
+        self._file: McapFile | None = None
+        self._files: list[str] = []
+        self._octets_before = 0
+        self._state, self._cause = "recording", ""
+        self._records = LimitedLog(_log)
+        self._finished = threading.Event()
+        self._last = clock()
+        self._schedule = RecordingSchedule(options, self._last)
+        self._tracks = [_Track(function) for function in functions]
+        self._end_listening: Callable[[], None] = lambda: None
+        if options.ring is None:
+            # Before anything is opened: a path that cannot be written costs no connection.
+            self._file = self._begin_file()
+        try:
+            self._open(timeout)
+        except BaseException:
+            self._kill()
+            if self._file is not None:
+                self._file.abandon()
+                self._file.path.unlink(missing_ok=True)
+            raise
+        self._thread = threading.Thread(target=self._run, name="uoarm-recording", daemon=True)
+        self._thread.start()
+
+    def status(self) -> RecordingStatus:
+        """Return what has come and what was written so far."""
+        file = self._file
+        with self._counting:
+            dropped = dict(self._dropped)
+        return RecordingStatus(
+            self._state,
+            self._cause,
+            tuple(self._files),
+            self._octets_before + (0 if file is None else file.octets),
+            tuple(
+                RecordedChannel(
+                    track.function,
+                    "" if track.form is None else track.form.topic,
+                    "" if track.form is None else track.form.message_encoding,
+                    track.received,
+                    track.recorded,
+                    track.unwritable,
+                )
+                for track in self._tracks
+            ),
+            dropped,
+        )
+
+    @property
+    def ended(self) -> bool:
+        """Whether its last file is closed."""
+        return self._finished.is_set()
+
+    def wait(self, timeout: float | None = None) -> bool:
+        """Wait until it has ended by itself; False when `timeout` seconds were too few."""
+        return self._finished.wait(timeout)
+
+    def dump(self, cause: str = "it was asked for", *, timeout: float = 60.0) -> str:
+        """Write what the ring holds into a file, and return its path.
+
+        Raises:
+            UsageError: it has no ring, has ended, or its file cannot be written.
+        """
+        if self._options.ring is None:
+            raise UsageError("this recording writes everything: only one with a ring is dumped")
+        written: Future[str] = Future()
+        self._wanted.append((cause, written))
+        self._wake()
+        if self.ended and not written.done():
+            raise UsageError("the recording has ended")
+        try:
+            return written.result(timeout)
+        except OSError as error:
+            raise UsageError(f"the ring cannot be written: {error}") from error
+
+    def close(self) -> None:
+        """End it: write what has come, close the file. Idempotent; waits a minute at most."""
+        self._kill()
+        self._queue.close(discard=False)
+        if threading.current_thread() is not self._thread:
+            self._finished.wait(_CLOSE_SECONDS)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def __repr__(self) -> str:
+        functions = ", ".join(track.function for track in self._tracks)
+        return f"<Recording of {functions} into {self._path}: {self._state}>"
+
+    # What follows until `_run` is called by the thread that made it, or that of messages or events.
+
+    def _open(self, timeout: float) -> None:
+        self._end_listening = self._robot.listen(self._take_event)
+        for track in self._tracks:
+            connection = self._robot.request(
+                track.function, validate="off", on_message=self._taker(track), timeout=timeout
+            )
+            track.connection = connection
+            step = connection.plan.provider
+            if connection.output is None:
+                raise UsageError(f"function {track.function!r} has no output to record")
+            output = step.component.output(connection.output)
+            assert output is not None, "the connection has it"
+            metadata = {"uoarm.component": step.component.name}
+            endpoint = output.endpoint
+            if "qos" in endpoint.options:
+                metadata["uoarm.qos"] = str(endpoint.options["qos"])
+            structure = step.structures[f"output.{connection.output}"]
+            track.form = form_of(track.function, structure, metadata)
+
+    def _taker(self, track: _Track) -> Callable[[Message], None]:
+        put, clock = self._queue.put, self._clock
+
+        def take(message: Message) -> None:
+            track.received += 1
+            put((track, clock(), message, track.received))
+
+        return take
+
+    def _take_event(self, event: StatusEvent) -> None:
+        self._events.append((self._clock(), event_message(event)))
+        kind = event.subject.partition(" ")[0]
+        if self._options.ring is not None and event.change in _FAILURES and kind != "recording":
+            self._wanted.append((str(event), Future()))
+        if kind == "connection" or self._wanted:
+            self._wake()
+
+    def _drop(self, reason: str) -> None:
+        with self._counting:
+            self._dropped[reason] += 1
+
+    def _wake(self) -> None:
+        """Have the writer look around: it waits at its queue."""
+        if not len(self._queue):
+            self._queue.put((None, self._clock(), None, 0))
+
+    def _kill(self) -> None:
+        self._end_listening()
+        for track in self._tracks:
+            if track.connection is not None:
+                track.connection.kill()
+
+    # What follows is called by the writer alone.
+
+    def _run(self) -> None:
+        try:
+            self._write_all()
+        except OSError as error:
+            self._fail(f"{self._path}: {error.strerror or error}")
+        except Exception as error:  # noqa: BLE001 - whatever it is, it ends the recording only
+            self._fail(text_of(error))
+        finally:
+            self._queue.close(discard=True)
+            self._kill()
+            self._report(self._subject, self._state, self._cause)
+            self._finished.set()
+            # After that: what `dump` asks for later finds that it has ended.
+            while self._wanted:
+                self._wanted.popleft()[1].set_exception(UsageError("the recording has ended"))
+
+    @property
+    def _subject(self) -> str:
+        return f"recording {self._path.name}"
+
+    def _write_all(self) -> None:
+        while True:
+            now = self._clock()
+            wait = self._schedule.wait(now, waiting=self._has_waiting)
+            try:
+                item = self._queue.get(_GLANCE_SECONDS if wait is None else min(wait, 1.0))
+            except Empty:
+                item = (None, self._clock(), None, 0)
+            except QueueClosed:
+                break
+            if not self._take(*item):
+                break
+            if item[0] is None and not len(self._queue) and self._are_all_ended:
+                self._cause = "every function has ended"
+                break
+        self._finish()
+
+    def _take(self, track: _Track | None, at: Instant, message: Message, number: int) -> bool:
+        """Take one item of the queue; False where the recording ends with it."""
+        if self._options.ring is not None:
+            return self._take_into_ring(track, at, message, number)
+        file = self._file
+        assert file is not None, "only a ring has none"
+        before, self._last = self._last, at
+        due = self._schedule.due(
+            at,
+            file_octets=file.octets,
+            all_octets=self._octets_before + file.octets,
+            waiting=file.has_waiting,
+        )
+        if due is Due.END:
+            self._cause = self._schedule.end_cause
+            return False
+        if due is Due.SPLIT:
+            file = self._split(at, before)
+        elif due is Due.FLUSH:
+            file.flush()
+            self._schedule.flushed(at)
+        self._write_events(file)
+        if track is not None:
+            if not file.has_channels:
+                self._describe(file, at)
+            data = self._encoded(track, message)
+            if data is not None:
+                assert track.form is not None, "it was opened"
+                file.add_message(track.form, at.wall, data, number)
+                track.recorded += 1
+        return True
+
+    @property
+    def _has_waiting(self) -> bool:
+        return self._file is not None and self._file.has_waiting
+
+    @property
+    def _are_all_ended(self) -> bool:
+        return all(track.connection is None or track.connection.ended for track in self._tracks)
+
+    def _encoded(self, track: _Track, message: Message) -> bytes | None:
+        assert track.form is not None, "it was opened"
+        try:
+            return track.form.encode(message)
+        except MessageError as error:
+            track.unwritable += 1
+            self._records.write(
+                logging.WARNING, f"{self._subject}: a message of {track.function}: {error}"
+            )
+            return None
+
+    def _begin_file(self) -> McapFile:
+        options = self._options
+        file = McapFile(free_path(self._path), options.compression, options.chunk_octets)
+        self._files.append(str(file.path))
+        self._schedule.file_begins(self._clock())
+        return file
+
+    def _describe(self, file: McapFile, at: Instant) -> None:
+        """Write what a file has before its first message."""
+        plans = {
+            track.function: track.connection.plan
+            for track in self._tracks
+            if track.connection is not None
+        }
+        for name, content in documents(self._robot.config, plans):
+            media = "application/json" if name.endswith(".json") else "application/yaml"
+            file.attach(name, content, media, at.wall)
+        file.add_metadata(
+            "uoarm.recording",
+            {"functions": ", ".join(plans), "began": str(at.wall), "number": str(len(self._files))},
+        )
+        file.add_channel(EVENTS)
+        for track in self._tracks:
+            assert track.form is not None, "it was opened"
+            file.add_channel(track.form)
+
+    def _split(self, at: Instant, before: Instant) -> McapFile:
+        file = self._file
+        assert file is not None, "only a ring has none"
+        # With the time of what came last: this one may be of a clock that was set back.
+        self._events.append((before, self._own_event("split", self._schedule.split_cause)))
+        self._write_events(file)
+        self._end_file(file)
+        self._file = file = self._begin_file()
+        self._describe(file, at)
+        return file
+
+    def _own_event(self, change: str, cause: str) -> Mapping[str, Any]:
+        return {"subject": self._subject, "change": change, "cause": cause, "function": ""}
+
+    def _write_events(self, file: McapFile) -> None:
+        while self._events:
+            at, event = self._events.popleft()
+            if not file.has_channels:
+                self._describe(file, at)
+            self._write_event(file, at, event)
+
+    def _write_event(self, file: McapFile, at: Instant, event: Mapping[str, Any]) -> None:
+        file.add_message(EVENTS, at.wall, EVENTS.encode(event), 0)
+        for track in self._tracks:
+            connection = track.connection
+            if connection is None or event["subject"] != f"connection {connection.id}":
+                continue
+            # Of a gap it is known what was lost in it once all that died is closed.
+            for gap in connection.gaps[track.gaps :]:
+                if not gap.counted:
+                    break
+                track.gaps += 1
+                message = gap_message(track.function, connection.id, gap)
+                file.add_message(EVENTS, at.wall, EVENTS.encode(message), 0)
+
+    def _end_file(self, file: McapFile) -> None:
+        """Write what a file has behind its last message."""
+        at = self._clock()
+        if not file.has_channels:
+            self._describe(file, at)
+        for track in self._tracks:
+            connection = track.connection
+            assert connection is not None, "it was opened"
+            for gap in connection.gaps[track.gaps :]:
+                track.gaps += 1
+                message = gap_message(track.function, connection.id, gap)
+                file.add_message(EVENTS, at.wall, EVENTS.encode(message), 0)
+        with self._counting:
+            dropped = dict(self._dropped)
+        counts = {
+            f"{track.function} {name}": str(count)
+            for track in self._tracks
+            for name, count in (
+                ("received", track.received),
+                ("recorded", track.recorded),
+                ("unwritable", track.unwritable),
+                ("gaps", track.gaps),
+            )
+        }
+        losses = {f"dropped {reason}": str(count) for reason, count in dropped.items()}
+        file.add_metadata("uoarm.counts", counts | losses)
+        file.finish()
+        self._octets_before += file.octets
+
+    def _finish(self) -> None:
+        file = self._file
+        if file is not None:
+            self._write_events(file)
+            event = self._own_event("ended", self._cause or "it was closed")
+            if not file.has_channels:
+                self._describe(file, self._clock())
+            self._write_event(file, self._clock(), event)
+            self._end_file(file)
+            self._file = None
+        self._state = "ended"
+
+    def _fail(self, cause: str) -> None:
+        """End it after what cannot be mended, such as a full disk: the file has what is whole."""
+        self._state, self._cause = "failed", cause
+        file, self._file = self._file, None
+        if file is not None:
+            try:
+                file.abandon()
+            except OSError as error:
+                _log.warning("%s: %s", self._subject, error)
+            self._octets_before += file.octets
+
+    # The ring.
+
+    def _take_into_ring(
+        self, track: _Track | None, at: Instant, message: Message, number: int
+    ) -> bool:
+        options = self._options
+        assert options.ring is not None, "only with a ring"
+        while self._events:
+            moment, event = self._events.popleft()
+            self._keep(_Kept(EVENTS, moment, EVENTS.encode(event), 0))
+        if track is not None:
+            data = self._encoded(track, message)
+            if data is not None:
+                assert track.form is not None, "it was opened"
+                self._keep(_Kept(track.form, at, data, number))
+                track.recorded += 1
+        oldest = at.steady - int(options.ring * 1e9)
+        while self._ring and (
+            self._ring[0].at.steady < oldest or self._ring_octets > options.ring_octets
+        ):
+            self._ring_octets -= len(self._ring.popleft().data)
+        while self._wanted and not len(self._queue):
+            cause, written = self._wanted.popleft()
+            try:
+                written.set_result(self._write_ring(cause))
+            except OSError as error:
+                self._records.write(logging.ERROR, f"{self._subject}: {error.strerror or error}")
+                written.set_exception(error)
+            except UoarmError as error:
+                self._records.write(logging.ERROR, f"{self._subject}: {error}")
+                written.set_exception(error)
+        if options.duration is not None:
+            due = self._schedule.due(at, file_octets=0, all_octets=0, waiting=False)
+            if due is Due.END:
+                self._cause = self._schedule.end_cause
+                return False
+        return True
+
+    def _keep(self, kept: _Kept) -> None:
+        self._ring.append(kept)
+        self._ring_octets += len(kept.data)
+
+    def _write_ring(self, cause: str) -> str:
+        """Write what is kept into a file of its own; it is gone from the ring then."""
+        file, now = self._begin_file(), self._clock()
+        try:
+            self._describe(file, now)
+            for kept in self._ring:
+                file.add_message(kept.form, kept.at.wall, kept.data, kept.sequence)
+            self._write_event(file, now, self._own_event("written", cause))
+            self._end_file(file)
+        except OSError:
+            file.abandon()
+            raise
+        self._ring.clear()
+        self._ring_octets = 0
+        self._report(self._subject, "written", f"{file.path}: {cause}")
+        return str(file.path)
+
+
+def _measure(item: _Item) -> int:
+    return message_octets(item[2])

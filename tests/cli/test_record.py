@@ -1,0 +1,111 @@
+"""`uoarm record`: files that are whole however it is ended, and what was lost."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+from tests.record.conftest import of_topic
+
+from uoarm import RobotManager
+from uoarm.cli import main
+from uoarm.config import loads
+from uoarm.errors import ConfigurationError, UsageError
+from uoarm.testing import patience
+
+PARTS = """
+import itertools
+import time
+from collections.abc import Iterator
+
+
+def few() -> Iterator[int]:
+    yield from range(5)
+
+
+def many() -> Iterator[int]:
+    for number in itertools.count():
+        yield number
+        time.sleep(0.001)
+"""
+ROBOT = """
+version: 1
+bridges: {python: {}}
+functions:
+  few: {components: [{name: few, bridge: python, output: {endpoint: ["parts:few"]}}]}
+  many: {components: [{name: many, bridge: python, output: {endpoint: ["parts:many"]}}]}
+"""
+
+
+def make(folder: Path, more: str = "") -> Path:
+    (folder / "parts.py").write_text(PARTS)
+    (folder / "robot.yaml").write_text(ROBOT + more)
+    return folder / "robot.yaml"
+
+
+def numbers(path: Path, topic: str) -> list[int]:
+    return [json.loads(message.data) for message in of_topic(path, topic)]
+
+
+def test_it_ends_with_its_functions_and_says_what_was_recorded(tmp_path: Path) -> None:
+    words = ["record", "few", str(make(tmp_path)), "-o", str(tmp_path / "run.mcap"), "--json"]
+    done = CliRunner().invoke(main, words)
+    assert done.exit_code == 0, done.output
+    status = json.loads(done.stdout.splitlines()[-1])
+    assert (status["state"], status["channels"][0]["recorded"]) == ("ended", 5)
+    assert numbers(tmp_path / "run.mcap", "/few") == [0, 1, 2, 3, 4]
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_ends_it_and_the_file_is_whole(tmp_path: Path, number: signal.Signals) -> None:
+    path = tmp_path / "run.mcap"
+    code = "from uoarm.cli import main; main()"
+    words = ["record", "-f", str(make(tmp_path)), "many", "-o", str(path), "--json"]
+    with subprocess.Popen(
+        [sys.executable, "-c", code, *words], stdout=subprocess.PIPE, text=True
+    ) as process:
+        assert process.stdout is not None
+        while json.loads(process.stdout.readline())["channels"][0]["recorded"] < 10:
+            pass
+        process.send_signal(number)
+        last = process.stdout.read().splitlines()[-1]
+        assert process.wait(patience()) == 0
+    status = json.loads(last)
+    assert status["state"] == "ended"
+    assert numbers(path, "/many") == list(range(status["channels"][0]["recorded"]))
+
+
+def test_it_ends_after_its_time(tmp_path: Path) -> None:
+    words = ["record", "many", str(make(tmp_path)), "-o", str(tmp_path / "run.mcap")]
+    done = CliRunner().invoke(main, [*words, "--duration", "0.2"])
+    assert done.exit_code == 0, done.output
+    assert "many: " in done.stdout
+    assert " messages as json" in done.stdout
+
+
+def test_without_a_name_it_is_what_the_configuration_says(tmp_path: Path) -> None:
+    more = "record: {functions: [few], path: kept.mcap, compression: none}\n"
+    done = CliRunner().invoke(main, ["record", str(make(tmp_path, more))])
+    assert done.exit_code == 0, done.output
+    assert numbers(tmp_path / "kept.mcap", "/few") == [0, 1, 2, 3, 4]
+
+
+def test_what_it_lacks_is_named(tmp_path: Path) -> None:
+    file = str(make(tmp_path))
+    done = CliRunner().invoke(main, ["record", file, "-o", "x.mcap"])
+    assert (done.exit_code, "has the functions few, many" in done.output) == (2, True)
+    done = CliRunner().invoke(main, ["record", file, "few"])
+    assert (done.exit_code, "say into which file" in done.output) == (2, True)
+    with pytest.raises(UsageError, match="say into which file"):
+        RobotManager(loads(ROBOT)).record("few")
+
+
+def test_a_function_that_is_not_there_is_a_mistake_of_the_configuration() -> None:
+    with pytest.raises(ConfigurationError, match='there is no function "fex"') as caught:
+        loads(ROBOT + "record: {functions: [fex, many.debug], path: x.mcap}\n")
+    assert "did you mean" in str(caught.value)

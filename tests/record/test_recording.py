@@ -1,0 +1,363 @@
+"""What is recorded is what came: each message once and in order, whatever happens to the file."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from mcap.reader import make_reader
+from tests.disk import full_after
+from tests.record.conftest import COUNT, PICTURE, ROBOT, messages, of_topic, readable
+
+from uoarm import RobotManager
+from uoarm.cdr import deserialiser
+from uoarm.errors import ResolutionError, UsageError
+from uoarm.model import Message, MessageStructure, QueuePolicy
+from uoarm.record import Recording, RecordOptions
+from uoarm.record._options import Instant
+from uoarm.testing import MemoryBridge, patience, wait
+
+MakeRobot = Callable[[], RobotManager]
+BLOCK = QueuePolicy(length=1000, policy="block", timeout=600)
+
+
+def read_json_of(path: str | Path, topic: str) -> list[Any]:
+    return [json.loads(message.data) for message in of_topic(path, topic)]
+
+
+def test_each_message_is_there_once_and_in_order(
+    bridge: MemoryBridge, make_robot: MakeRobot, tmp_path: Path
+) -> None:
+    clicks, eye = bridge.emitter("clicks", COUNT), bridge.emitter("eye", PICTURE)
+    robot = make_robot()
+    with robot.record("counter", "camera", path=tmp_path / "run.mcap", queue=BLOCK) as recording:
+        for n in range(500):
+            clicks.emit({"n": n})
+            eye.emit({"width": n, "name": "eye", "data": bytes([n % 256]) * 100})
+    status = recording.status()
+    assert (status.state, status.dropped) == ("ended", {})
+    assert [channel.recorded for channel in status.channels] == [500, 500]
+    (path,) = status.files
+    assert Path(path).stat().st_size == status.octets
+    assert read_json_of(path, "/counter") == [{"n": n} for n in range(500)]
+    pictures = of_topic(path, "/camera")
+    assert {picture.encoding for picture in pictures} == {"cdr"}
+    assert pictures[0].schema.encoding == "ros2msg"
+    read = deserialiser(MessageStructure(PICTURE))
+    assert [read(picture.data) for picture in pictures] == [
+        {"width": n, "name": "eye", "data": bytes([n % 256]) * 100} for n in range(500)
+    ]
+    times = [message.log_time for message in messages(path)]
+    assert times == sorted(times)
+
+
+def test_the_file_says_what_it_rests_on_and_no_secrets(
+    bridge: MemoryBridge, make_robot: Any, tmp_path: Path
+) -> None:
+    text = ROBOT.replace(
+        "{plugin: memory}",
+        "{plugin: memory, options: {url: 'mqtt://me:hush@there', password: hush, "
+        "inner: {api_key: hush, token_file: t.txt}}}",
+    )
+    bridge.emitter("clicks", COUNT)
+    with make_robot(text).record("counter", path=tmp_path / "run.mcap"):
+        pass
+    octets = (tmp_path / "run.mcap").read_bytes()
+    assert b"hush" not in octets
+    with (tmp_path / "run.mcap").open("rb") as file:
+        reader = make_reader(file)
+        attachments = {item.name: json.loads(item.data) for item in reader.iter_attachments()}
+        metadata = {item.name: item.metadata for item in reader.iter_metadata()}
+        summary = reader.get_summary()
+    assert summary is not None
+    options = attachments["configuration.json"]["bridges"]["memory"]["options"]
+    assert options["inner"]["token_file"] == "t.txt"
+    assert attachments["plan-counter.json"]["function"] == "counter"
+    assert metadata["uoarm.counts"]["counter received"] == "0"
+    channels = {channel.topic: channel.metadata for channel in summary.channels.values()}
+    assert channels["/counter"]["uoarm.component"] == "clicks"
+    stated = json.loads(channels["/counter"]["uoarm.structure"])
+    assert stated["schema"] == COUNT
+
+
+def test_a_takeover_is_in_the_file_with_its_gap(
+    bridge: MemoryBridge, make_robot: MakeRobot, tmp_path: Path
+) -> None:
+    eye, spare = bridge.emitter("eye", COUNT), bridge.emitter("spare", COUNT)
+    robot = make_robot()
+    with robot.record("camera", path=tmp_path / "run.mcap", queue=BLOCK) as recording:
+        eye.emit({"n": 1})
+        bridge.die("eye")
+        wait(lambda: bool(spare.channels()), "it has happened")
+        wait(lambda: bool(robot.connections()[0].gaps), "it has happened")
+        spare.emit({"n": 2})
+        wait(lambda: robot.connections()[0].gaps[0].counted, "it has happened")
+    (path,) = recording.status().files
+    assert read_json_of(path, "/camera") == [{"n": 1}, {"n": 2}]
+    events = read_json_of(path, "/uoarm/events")
+    gaps = [event["gap"] for event in events if event["change"] == "gap"]
+    assert [(gap["before"], gap["after"]) for gap in gaps] == [(["eye"], ["spare"])]
+    assert any(event["subject"] == "component eye" for event in events)
+
+
+def test_what_finds_no_room_before_the_writer_is_counted_and_seen_in_the_numbers(
+    bridge: MemoryBridge, make_robot: MakeRobot, tmp_path: Path
+) -> None:
+    clicks = bridge.emitter("clicks", COUNT)
+    held, go_on = threading.Event(), threading.Event()
+
+    robot = make_robot()
+    queue = QueuePolicy(length=3)
+    with robot.record("counter", path=tmp_path / "run.mcap", queue=queue) as recording:
+        track = recording._tracks[0]
+        form = track.form
+        assert form is not None
+        encode = form.encode
+
+        def slow(message: Message) -> bytes:
+            held.set()
+            go_on.wait(patience())
+            return encode(message)
+
+        object.__setattr__(form, "encode", slow)
+        clicks.emit({"n": 0})
+        assert held.wait(patience())
+        for n in range(1, 11):
+            clicks.emit({"n": n})
+        go_on.set()
+    status = recording.status()
+    assert status.dropped == {"queue-full": 7}
+    assert (status.channels[0].received, status.channels[0].recorded) == (11, 4)
+    (path,) = status.files
+    counted = of_topic(path, "/counter")
+    assert [message.sequence for message in counted] == [1, 9, 10, 11]
+
+
+def test_a_message_that_has_no_form_costs_itself_only(
+    bridge: MemoryBridge, make_robot: MakeRobot, tmp_path: Path
+) -> None:
+    clicks = bridge.emitter("clicks", True)
+    with make_robot().record("counter", path=tmp_path / "run.mcap") as recording:
+        for value in (1, "half of a pair: \ud800", 2):
+            clicks.emit(value)
+    assert recording.status().channels[0].unwritable == 1
+    assert read_json_of(recording.status().files[0], "/counter") == [1, 2]
+
+
+@pytest.mark.parametrize("compression", ["zstd", "lz4", "none"])
+def test_a_new_file_begins_and_each_is_whole(
+    bridge: MemoryBridge, make_robot: MakeRobot, tmp_path: Path, compression: str
+) -> None:
+    clicks = bridge.emitter("clicks", COUNT)
+    recording = make_robot().record(
+        "counter", path=tmp_path / "run.mcap", split=20_000, compression=compression, queue=BLOCK
+    )
+    with recording:
+        for n in range(3000):
+            clicks.emit({"n": n})
+    files = recording.status().files
+    assert len(files) > 2
+    assert files[1].endswith("run-1.mcap")
+    numbers = [item["n"] for file in files for item in read_json_of(file, "/counter")]
+    assert numbers == list(range(3000))
+
+
+def test_a_file_that_is_there_stays(
+    bridge: MemoryBridge, make_robot: MakeRobot, tmp_path: Path
+) -> None:
+    bridge.emitter("clicks", COUNT)
+    (tmp_path / "run.mcap").write_text("mine")
+    with make_robot().record("counter", path=tmp_path / "run.mcap") as recording:
+        pass
+    assert (tmp_path / "run.mcap").read_text() == "mine"
+    assert recording.status().files == (str(tmp_path / "run-1.mcap"),)
+
+
+def test_it_ends_with_its_functions(
+    bridge: MemoryBridge, make_robot: MakeRobot, tmp_path: Path
+) -> None:
+    clicks = bridge.emitter("clicks", COUNT)
+    with make_robot().record("counter", path=tmp_path / "run.mcap") as recording:
+        clicks.emit({"n": 1})
+        bridge.die("clicks")
+        assert recording.wait(patience())
+    assert recording.status().cause == "every function has ended"
+    assert read_json_of(recording.status().files[0], "/counter") == [{"n": 1}]
+
+
+def test_it_ends_when_it_has_its_size_and_with_the_manager(
+    bridge: MemoryBridge, make_robot: MakeRobot, tmp_path: Path
+) -> None:
+    clicks = bridge.emitter("clicks", COUNT)
+    robot = make_robot()
+    first = robot.record("counter", path=tmp_path / "a.mcap", max_size="10kB", queue=BLOCK)
+    while not first.ended:
+        clicks.emit({"n": 1})
+    assert first.status().cause == "its files have 10,000 octets"
+    second = robot.record("counter", path=tmp_path / "b.mcap")
+    clicks.emit({"n": 2})
+    robot.close()
+    assert second.ended
+    assert read_json_of(tmp_path / "b.mcap", "/counter") == [{"n": 2}]
+
+
+def test_a_full_disk_ends_the_recording_and_nothing_else(
+    bridge: MemoryBridge, make_robot: MakeRobot, tmp_path: Path
+) -> None:
+    clicks = bridge.emitter("clicks", COUNT)
+    robot = make_robot()
+    events: list[str] = []
+    robot.listen(lambda event: events.append(str(event)))
+    came: list[Any] = []
+    with robot.request("counter", on_message=came.append) as beside:
+        with full_after(50_000):
+            recording = Recording(
+                robot,
+                ["counter"],
+                tmp_path / "run.mcap",
+                RecordOptions(compression="none", chunk_octets=10_000, queue=BLOCK),
+                robot._events.post,
+            )
+            sent = 0
+            while not recording.ended:
+                clicks.emit({"n": sent})
+                sent += 1
+        status = recording.status()
+        clicks.emit({"n": sent})
+        assert not beside.ended
+    assert (status.state, "File too large" in status.cause) == ("failed", True)
+    wait(lambda: any("recording run.mcap failed" in event for event in events), "it has happened")
+    assert len(came) == sent + 1
+    # What is there ends with a whole record.
+    numbers = [
+        json.loads(record.data)["n"]
+        for record in readable(tmp_path / "run.mcap")
+        if type(record).__name__ == "Message" and b'"n"' in record.data
+    ]
+    assert numbers == list(range(len(numbers)))
+    assert numbers
+
+
+def test_what_cannot_be_recorded_is_refused_and_leaves_nothing(
+    bridge: MemoryBridge, make_robot: MakeRobot, tmp_path: Path
+) -> None:
+    bridge.emitter("clicks", COUNT)
+    robot = make_robot()
+    with pytest.raises(ResolutionError):
+        robot.record("counter", "camera", path=tmp_path / "run.mcap")
+    with pytest.raises(UsageError, match="there is no folder"):
+        robot.record("counter", path=tmp_path / "none" / "run.mcap")
+    with pytest.raises(UsageError, match="neither a size nor a time"):
+        robot.record("counter", path=tmp_path / "run.mcap", split="often")
+    with pytest.raises(UsageError, match="compression"):
+        robot.record("counter", path=tmp_path / "run.mcap", compression="rar")
+    with pytest.raises(UsageError, match="named twice"):
+        robot.record("counter", "counter", path=tmp_path / "run.mcap")
+    assert list(tmp_path.iterdir()) == []
+    assert robot.connections() == ()
+
+
+def test_a_step_of_the_clock_begins_a_new_file(
+    bridge: MemoryBridge, make_robot: MakeRobot, tmp_path: Path
+) -> None:
+    clicks = bridge.emitter("clicks", COUNT)
+    now = [Instant(10**18, 0)]
+    recording = Recording(
+        make_robot(),
+        ["counter"],
+        tmp_path / "run.mcap",
+        RecordOptions.of(queue=BLOCK),
+        clock=lambda: now[0],
+    )
+    with recording:
+        clicks.emit({"n": 1})
+        now[0] = Instant(10**18 + 1000, 1000)
+        clicks.emit({"n": 2})
+        now[0] = Instant(10**18 - 3600 * 10**9, 2000)
+        clicks.emit({"n": 3})
+    first, second = recording.status().files
+    assert [item["n"] for item in read_json_of(first, "/counter")] == [1, 2]
+    assert [item["n"] for item in read_json_of(second, "/counter")] == [3]
+    split = read_json_of(first, "/uoarm/events")[-1]
+    assert split["cause"] == "the clock was set by -3600.000 s"
+
+
+def test_a_ring_is_written_on_demand_and_on_a_failure(
+    bridge: MemoryBridge, make_robot: MakeRobot, tmp_path: Path
+) -> None:
+    clicks, eye = bridge.emitter("clicks", COUNT), bridge.emitter("eye", COUNT)
+    now = [Instant(10**18, 0)]
+    recording = Recording(
+        make_robot(),
+        ["counter", "camera"],
+        tmp_path / "run.mcap",
+        RecordOptions.of(ring=5.0, queue=BLOCK),
+        clock=lambda: now[0],
+    )
+    with recording:
+        assert list(tmp_path.iterdir()) == []
+        for second in range(10):
+            now[0] = Instant(10**18 + second * 10**9, second * 10**9)
+            clicks.emit({"n": second})
+        path = recording.dump("someone wants to know")
+        assert [item["n"] for item in read_json_of(path, "/counter")] == [4, 5, 6, 7, 8, 9]
+        eye.emit({"n": 100})
+        bridge.die("eye")
+        wait(lambda: len(recording.status().files) > 1, "it has happened")
+    second_file = recording.status().files[1]
+    assert [item["n"] for item in read_json_of(second_file, "/camera")] == [100]
+    assert "lost" in read_json_of(second_file, "/uoarm/events")[-1]["cause"]
+    with pytest.raises(UsageError, match="has ended"):
+        recording.dump()
+
+
+KILLED = """
+import sys
+from uoarm import RobotManager
+from uoarm.config import loads
+from uoarm.model import QueuePolicy
+from uoarm.testing import MemoryBridge
+
+bridge = MemoryBridge()
+clicks = bridge.emitter("clicks", {"type": "object", "properties": {"n": {"type": "integer"}},
+                                   "required": ["n"], "additionalProperties": False})
+robot = RobotManager(loads(sys.argv[2]), bridges={"memory": bridge})
+queue = QueuePolicy(length=100, policy="block", timeout=600)
+recording = robot.record("counter", path=sys.argv[1], queue=queue)
+n = 0
+while True:
+    clicks.emit({"n": n})
+    n += 1
+    if n % 1000 == 0:
+        print(n, flush=True)
+"""
+
+
+@pytest.mark.parametrize("turn", range(20))
+def test_kill_9_loses_the_last_chunk_at_most(tmp_path: Path, turn: int) -> None:
+    path = tmp_path / "run.mcap"
+    with subprocess.Popen(
+        [sys.executable, "-c", KILLED, str(path), ROBOT], stdout=subprocess.PIPE, text=True
+    ) as process:
+        assert process.stdout is not None
+        for _ in range(2 + turn * 3):
+            sent = int(process.stdout.readline())
+        process.send_signal(signal.SIGKILL)
+        rest = process.stdout.read().split()
+    sent = int(rest[-1]) if rest else sent
+    records = readable(path)
+    numbers = [
+        json.loads(record.data)["n"]
+        for record in records
+        if type(record).__name__ == "Message" and b'"n"' in record.data
+    ]
+    assert numbers == list(range(len(numbers)))
+    # A chunk has 256 KiB, so at most so many of these messages; the queue has a hundred.
+    assert len(numbers) >= sent - 262_144 // 38 - 100
