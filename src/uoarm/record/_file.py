@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import io
 import os
 from collections.abc import Mapping
 from itertools import count
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from uoarm._origin import install_command
 from uoarm._version import __version__
 from uoarm.errors import PluginError, UsageError
 from uoarm.record._forms import ChannelForm
+
+if TYPE_CHECKING:
+    from _typeshed import ReadableBuffer
 
 __all__ = ["McapFile", "free_path", "require_mcap"]
 
@@ -39,7 +44,7 @@ def free_path(path: Path) -> Path:
     raise AssertionError("numbers do not end")
 
 
-class _Output:
+class _Output(io.BufferedIOBase):
     """The file as the writer of MCAP sees it: nothing is kept back, and what is whole is known.
 
     A chunk that did not find room is taken back, so that the file ends with a whole record.
@@ -53,22 +58,25 @@ class _Output:
         self._file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o666)
         self.count = self.whole = 0
 
-    def write(self, octets: bytes) -> int:
+    def write(self, octets: ReadableBuffer) -> int:
         rest = memoryview(octets)
+        size = len(rest)
         while rest:
             written = os.write(self._file, rest)
             self.count += written
             rest = rest[written:]
-        return len(octets)
+        return size
 
-    def tell(self) -> int:
+    def seek(self, offset: int, whence: int = os.SEEK_SET) -> int:
+        """Return where it is, which is at its end: nothing goes anywhere else."""
+        if (offset, whence) != (0, os.SEEK_CUR):
+            raise io.UnsupportedOperation("only appended to")
         return self.count
 
-    def flush(self) -> None:
-        """Do nothing: all that was written is with the kernel."""
-
     def close(self) -> None:
-        os.close(self._file)
+        if not self.closed:
+            super().close()
+            os.close(self._file)
 
     def take_back(self) -> None:
         """Cut off what is not whole."""
@@ -98,7 +106,7 @@ class McapFile:
         except OSError as error:
             raise UsageError(f"{path} cannot be made: {error}") from error
         self._writer = Writer(
-            self._output,  # type: ignore[arg-type]  # it calls no other methods
+            self._output,
             chunk_size=chunk_octets,
             compression=CompressionType[compression.upper()],
         )
