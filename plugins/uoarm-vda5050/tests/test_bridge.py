@@ -95,7 +95,7 @@ def test_a_fatal_error_is_reported_and_its_end(broker: Broker) -> None:
         degraded = until(events, Health.DEGRADED)
         assert (degraded.component, degraded.cause) == (
             "ailing",
-            "fatal: wheelBroken: the left one",
+            "peer: fatal: wheelBroken: the left one",
         )
         driver.vehicle.clear_error("wheelBroken")
         assert until(events, Health.OK).component == "ailing"

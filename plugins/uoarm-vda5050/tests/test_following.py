@@ -10,14 +10,12 @@ import pytest
 from brokers import Broker
 from fleet import MAKER, bridge_to, driven, endpoint, goal
 from uoarm_mqtt.connection import PayloadCodec
-from uoarm_vda5050._follower import Follower
-from uoarm_vda5050._health_state import VehicleHealth
+from uoarm_vda5050._channels import Follower, call
+from uoarm_vda5050._health import Presence, VehicleHealth
 from uoarm_vda5050._messages import check_of
 from uoarm_vda5050._orders import Order
-from uoarm_vda5050._presence import Presence
 from uoarm_vda5050._releases import RELEASES
-from uoarm_vda5050._transport import call
-from uoarm_vda5050._transport_state import Action, Ended, Phase, TransportState
+from uoarm_vda5050._transport_state import Action, GoalEnded, Phase, TransportState
 from uoarm_vda5050._vehicle_state import VehicleState
 
 from uoarm.errors import BridgeError, BridgeTimeoutError
@@ -44,7 +42,9 @@ def error(vehicle: VehicleState, **references: str) -> dict[str, Any]:
 
 def ends(actions: list[Action]) -> list[tuple[str, Any]]:
     return [
-        (action.status, action.result["reason"]) for action in actions if isinstance(action, Ended)
+        (action.status, action.result["reason"])
+        for action in actions
+        if isinstance(action, GoalEnded)
     ]
 
 
@@ -206,7 +206,7 @@ def test_silence_is_distinguished_from_states_that_cannot_be_read() -> None:
     health.unreadable("no JSON")
     assert health.tick(31.0) == (
         Health.DEGRADED,
-        "its state cannot be read: no JSON; no state that can be read within 30 s",
+        "peer: its state cannot be read: no JSON; silent: no state that can be read within 30 s",
     )
 
 
@@ -272,7 +272,7 @@ def test_a_vehicle_that_goes_before_it_is_followed_is_reported() -> None:
     received: list[tuple[bool, str]] = []
     watch.follow((MAKER, "agv"), lambda online, why: received.append((online, why)))
     assert received == [(False, "its connection state is OFFLINE")]
-    assert ("carrier", Health.FINISHED, f"vehicle {MAKER}/agv: {received[0][1]}") in reports
+    assert ("carrier", Health.FINISHED, f"peer: vehicle {MAKER}/agv: {received[0][1]}") in reports
     with pytest.raises(BridgeError, match="too many"):
         watch.require((MAKER, "second"), "other")
 

@@ -15,7 +15,7 @@ from typing import Any
 import pytest
 from fleet import goal
 from uoarm_vda5050._releases import RELEASES
-from uoarm_vda5050._transport_state import Action, Ended, Send, Status, Times, TransportState
+from uoarm_vda5050._transport_state import Action, GoalEnded, Send, Status, Times, TransportState
 from uoarm_vda5050._vehicle_state import Act, Drive, VehicleState
 
 from uoarm.errors import UoarmError
@@ -142,7 +142,7 @@ class Lane:
     def hold(self) -> None:
         """What holds in every world."""
         assert max(self.acts.values(), default=0) <= 1, "an action was performed twice"
-        ends = [item.status for item in self.actions if isinstance(item, Ended)]
+        ends = [item.status for item in self.actions if isinstance(item, GoalEnded)]
         statuses = [item.status for item in self.actions if isinstance(item, Status)]
         assert [status for status in statuses if status != "accepted"] == ends, (
             "each end is told once"
@@ -215,5 +215,5 @@ def test_many_orders_of_many_events(release: str) -> None:
             chance.choice(events)(world)
             world.hold()
         world.settle()
-        ends.update(item.status for item in world.actions if isinstance(item, Ended))
+        ends.update(item.status for item in world.actions if isinstance(item, GoalEnded))
     assert ends.keys() >= {"succeeded", "canceled", "aborted", "lost"}, "so much was seen"

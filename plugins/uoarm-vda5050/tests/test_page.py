@@ -11,8 +11,11 @@ from pathlib import Path
 
 from brokers import Broker
 from fleet import driven, goal
+from uoarm_vda5050._options import FleetOptions, VehicleOptions
 
 from uoarm import RobotManager
+from uoarm.bridge import Registry, options_table
+from uoarm.config import inspect
 from uoarm.testing import patience, wait
 
 PAGE = Path(__file__).parents[3] / "docs" / "vda5050.md"
@@ -63,3 +66,24 @@ def test_vehicles_that_are_not_configured_are_used(broker: Broker, tmp_path: Pat
     ):
         robot.call("transport", goal("a", "b", b="pick"), timeout=patience())
         assert driver.done == ["b", "pick"]
+
+
+def test_the_tables_of_options_are_what_the_plugin_declares() -> None:
+    page = PAGE.read_text(encoding="utf-8")
+    assert options_table(FleetOptions.schema()) in page
+    assert options_table(VehicleOptions.schema(), "option of a port") in page
+
+
+def test_a_wrong_option_is_reported_with_its_place_and_the_one_that_is_meant(
+    tmp_path: Path,
+) -> None:
+    page = PAGE.read_text(encoding="utf-8")
+    (text,) = re.findall(r"```yaml\n(version: 1.*?)```", page, re.DOTALL)
+    file = tmp_path / "robot.yaml"
+    written = text.replace("agv1, state]}", "agv1, state], options: {hedder: true}}")
+    file.write_text(written.replace('release: "2.1"', 'release: "2.1", repaet: 1'))
+    reports = [str(problem) for problem in inspect(file, types=Registry().types).problems]
+    assert any("hedder" in report and 'did you mean "header"' in report for report in reports)
+    assert any("repaet" in report and 'did you mean "repeat"' in report for report in reports)
+    place = re.compile(r"robot\.yaml:\d+:\d+")
+    assert all(place.search(report) for report in reports), reports

@@ -15,10 +15,8 @@ import pytest
 from brokers import Broker, Peer
 from fleet import bridge_to, driven, endpoint, goal
 from jsonschema import Draft202012Validator
-from uoarm_vda5050._messages import Headers
-from uoarm_vda5050._options import prefix_of
+from uoarm_vda5050._messages import Headers, Published, read_published
 from uoarm_vda5050._orders import Order, cancel_order
-from uoarm_vda5050._published import Published, read_published
 from uoarm_vda5050._releases import RELEASES, TOPICS
 from uoarm_vda5050._structures import body_of
 
@@ -114,7 +112,7 @@ def test_what_a_vehicle_says_is_as_published(
     broker: Broker, release: str, topics: list[str]
 ) -> None:
     peer, serial = Peer(broker), f"published{release}"
-    prefix = prefix_of({"release": release, "interface": "published"})
+    prefix = RELEASES[release].prefix("published")
     said = peer.collect(f"{prefix}/uoa/{serial}/#")
     with (
         driven(broker, serial, release=release, interface="published") as driver,

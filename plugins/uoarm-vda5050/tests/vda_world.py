@@ -48,7 +48,15 @@ class VdaWorld(World):
 
     def samples(self, kind: str) -> Sequence[Message]:
         if kind != "order":
-            return ()
+            more = {
+                "actionId": "a",
+                "actionType": "Kia ora \u2192 \U0001f916",
+                "blockingType": "HARD",
+            }
+            return [
+                {"actions": []},
+                {"actions": [{**more, "actionId": str(n)} for n in range(500)]},
+            ]
         nodes = [_node(number) for number in range(500)]
         return [
             {**ORDER, "nodes": [_node(0, nodeDescription="Kia ora \u2192 \U0001f916\r\n\t")]},

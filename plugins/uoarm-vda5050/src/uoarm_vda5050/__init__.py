@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from uoarm.bridge import Bridge, BridgeType, hookimpl
 from uoarm.model import Options
-from uoarm_vda5050._options import BRIDGE_OPTIONS, mistake
+from uoarm_vda5050._options import BRIDGE_OPTIONS, VehicleOptions, mistake
 from uoarm_vda5050._releases import SENT
 
 __all__ = ["uoarm_bridge_types"]
@@ -36,6 +36,7 @@ def uoarm_bridge_types() -> list[BridgeType]:
             summary="vehicles that speak VDA 5050, through an MQTT 5 broker",
             create=_create,
             options_schema=BRIDGE_OPTIONS,
+            endpoint_options=VehicleOptions,
             check_endpoint=mistake,
             topic=_topic,
             doctor=_doctor,

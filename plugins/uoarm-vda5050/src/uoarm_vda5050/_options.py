@@ -9,57 +9,97 @@ from typing import Any
 from attrs import frozen
 from uoarm_mqtt import CONNECTION_OPTIONS
 
+from uoarm.bridge import EndpointOptions, option
 from uoarm.model import Options, Role, Schema
-from uoarm_vda5050._releases import RELEASES, SENT, TOPICS, Release
+from uoarm_vda5050._releases import RELEASES, SENT, TOPICS
 from uoarm_vda5050._structures import TRANSPORT_PARTS
 
 __all__ = [
     "BRIDGE_OPTIONS",
     "TRANSPORT",
-    "Place",
+    "FleetOptions",
+    "VehicleAddress",
+    "VehicleOptions",
     "mistake",
     "place_of",
-    "prefix_of",
-    "release_of",
 ]
 
-_SECONDS: Schema = {"type": "number", "exclusiveMinimum": 0, "maximum": 86400}
+_SECONDS: Mapping[str, Any] = {"type": "number", "exclusiveMinimum": 0, "maximum": 86400}
+_COUNT: Mapping[str, Any] = {"type": "integer", "minimum": 1, "maximum": 10_000}
 
+
+@frozen
+class FleetOptions(EndpointOptions):
+    """The options of a bridge beside those of its connection to the broker."""
+
+    release: str = option(
+        "2.1",
+        {"enum": list(RELEASES)},
+        "of the standard. What says another major version in its header is refused",
+    )
+    interface: str = option(
+        "",
+        {"type": "string", "pattern": r"^[^/+#$\s]+$"},
+        "the first level of topics; left out: `uagv`, from release 3.0 on `vda5050`",
+    )
+    schemas: str | None = option(
+        None,
+        {"type": "string", "minLength": 1, "x-uoarm-path": True},
+        "a folder with the published JSON Schemas of the release, see below",
+    )
+    retained_wait: float = option(
+        0.2,
+        {"type": "number", "minimum": 0, "maximum": 4},
+        "seconds that a retained message may come after the broker has answered",
+        unit="s",
+    )
+    state_timeout: float = option(
+        35.0,
+        _SECONDS,
+        "seconds without a state after which a vehicle is degraded; the standard wants one every "
+        "30 s",
+        unit="s",
+    )
+    repeat: float = option(
+        2.0,
+        _SECONDS,
+        "seconds after which an order or cancellation that no state shows is sent again",
+        unit="s",
+    )
+    accept_timeout: float = option(
+        15.0, _SECONDS, "seconds within which a vehicle takes an order", unit="s"
+    )
+    max_nodes: int = option(1000, _COUNT, "of one order")
+    max_vehicles: int = option(1000, _COUNT, "that are kept track of")
+
+    @classmethod
+    def of_bridge(cls, options: Mapping[str, Any]) -> FleetOptions:
+        """Read the options of a bridge, already checked against the schema."""
+        return cls.of({key: options[key] for key in options if key not in CONNECTION_OPTIONS})
+
+
+@frozen
+class VehicleOptions(EndpointOptions):
+    """The options of one endpoint."""
+
+    header: bool = option(
+        False, {"type": "boolean"}, "messages of an output of a topic keep their header"
+    )
+
+
+_FLEET: Any = FleetOptions.schema()
 BRIDGE_OPTIONS: Schema = {
-    "type": "object",
-    "properties": {
-        **CONNECTION_OPTIONS,
-        "release": {"enum": list(RELEASES)},
-        "interface": {"type": "string", "pattern": r"^[^/+#$\s]+$"},
-        "schemas": {"type": "string", "minLength": 1, "x-uoarm-path": True},
-        "retained_wait": {"type": "number", "minimum": 0, "maximum": 4},
-        "state_timeout": _SECONDS,
-        "repeat": _SECONDS,
-        "accept_timeout": _SECONDS,
-        "max_nodes": {"type": "integer", "minimum": 1, "maximum": 10_000},
-        "max_vehicles": {"type": "integer", "minimum": 1, "maximum": 10_000},
-    },
+    **_FLEET,
+    "properties": {**CONNECTION_OPTIONS, **_FLEET["properties"]},
     "required": ["url"],
-    "additionalProperties": False,
 }
 
 TRANSPORT = "transport"
 _ID = re.compile(r"^[^/+#$\0]{1,200}$")
 
 
-def release_of(options: Mapping[str, Any]) -> Release:
-    """Return the release that the options of a bridge name."""
-    return RELEASES[options.get("release", "2.1")]
-
-
-def prefix_of(options: Mapping[str, Any]) -> str:
-    """Return the first two levels of every topic."""
-    release = release_of(options)
-    return f"{options.get('interface', release.interface)}/v{release.major}"
-
-
 @frozen
-class Place:
+class VehicleAddress:
     """What an address stands for.
 
     Attributes:
@@ -104,7 +144,7 @@ class Place:
             raise ValueError("`header` is for outputs of topics: the bridge makes headers itself")
 
 
-def place_of(address: tuple[str, ...], options: Options, port: str = "") -> Place:
+def place_of(address: tuple[str, ...], options: Options, port: str = "") -> VehicleAddress:
     """Read an address and the options of its port.
 
     Args:
@@ -115,10 +155,7 @@ def place_of(address: tuple[str, ...], options: Options, port: str = "") -> Plac
     Raises:
         ValueError: it cannot be read; the text says what was expected.
     """
-    given: dict[str, Any] = dict(options)
-    header = given.pop("header", False)
-    if given or not isinstance(header, bool):
-        raise ValueError(f"options: expected `header: true` or nothing, got {dict(options)}")
+    header = VehicleOptions.of(options).header
     parts = list(address)
     if len(parts) == 2 and port in TOPICS:  # noqa: PLR2004 - manufacturer and serial number
         parts.append(port)
@@ -138,7 +175,7 @@ def place_of(address: tuple[str, ...], options: Options, port: str = "") -> Plac
         allowed = ", ".join(TRANSPORT_PARTS)
         raise ValueError(f"{parts[3]!r}: only {TRANSPORT} has parts: {allowed}")
     manufacturer, serial_number, topic, part = (*parts, "")[:4]
-    return Place(manufacturer, serial_number, topic, part, header)
+    return VehicleAddress(manufacturer, serial_number, topic, part, header)
 
 
 def mistake(address: tuple[str, ...], options: Options) -> str:

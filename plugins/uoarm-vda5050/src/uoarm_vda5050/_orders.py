@@ -10,9 +10,9 @@ from typing import Any
 from attrs import field, frozen
 
 from uoarm.errors import MessageError
-from uoarm_vda5050._releases import Release
+from uoarm_vda5050._releases import VdaRelease
 
-__all__ = ["Order", "Report", "cancel_order", "new_id", "state_request", "words_of"]
+__all__ = ["Order", "OrderReport", "cancel_order", "new_id", "state_request", "words_of"]
 
 Body = dict[str, Any]
 
@@ -48,7 +48,7 @@ class Order:
     goal: Mapping[str, Any] = field(eq=False)
 
     @classmethod
-    def of(cls, goal: Mapping[str, Any], order_id: str, release: Release, most: int) -> Order:
+    def of(cls, goal: Mapping[str, Any], order_id: str, release: VdaRelease, most: int) -> Order:
         """Make the first message of an order.
 
         Raises:
@@ -56,7 +56,7 @@ class Order:
         """
         return _make(goal, order_id, release, most, update_id=0, first=0, before=())
 
-    def extended(self, goal: Mapping[str, Any], release: Release, most: int) -> Order:
+    def extended(self, goal: Mapping[str, Any], release: VdaRelease, most: int) -> Order:
         """Make an update, which begins with the last released node of this message.
 
         Raises:
@@ -94,7 +94,7 @@ class Order:
 def _make(
     goal: Mapping[str, Any],
     order_id: str,
-    release: Release,
+    release: VdaRelease,
     most: int,
     *,
     update_id: int,
@@ -148,7 +148,7 @@ def _make(
     return Order(order_id, update_id, body, steps, (*before, *more), goal)
 
 
-def _node(node: Body, sequence: int, release: Release, order_id: str, released: bool) -> Body:  # noqa: FBT001
+def _node(node: Body, sequence: int, release: VdaRelease, order_id: str, released: bool) -> Body:  # noqa: FBT001
     if not node.get("nodeId"):
         raise MessageError("a node has a nodeId")
     made: Body = {
@@ -178,18 +178,18 @@ def _actions(part: Body, prefix: str) -> list[Body]:
     ]
 
 
-def cancel_order(release: Release, action_id: str, order_id: str) -> Body:
+def cancel_order(release: VdaRelease, action_id: str, order_id: str) -> Body:
     """Return the instant action that cancels an order."""
     more = [{"key": "orderId", "value": order_id}] if release.major != "2" else []
     return _instant(release, "cancelOrder", action_id, more)
 
 
-def state_request(release: Release, action_id: str) -> Body:
+def state_request(release: VdaRelease, action_id: str) -> Body:
     """Return the instant action that asks for a state."""
     return _instant(release, "stateRequest", action_id, [])
 
 
-def _instant(release: Release, kind: str, action_id: str, parameters: list[Body]) -> Body:
+def _instant(release: VdaRelease, kind: str, action_id: str, parameters: list[Body]) -> Body:
     made: Body = {
         "actionType": kind,
         "actionId": action_id,
@@ -203,7 +203,7 @@ def _instant(release: Release, kind: str, action_id: str, parameters: list[Body]
 
 
 @frozen
-class Report:
+class OrderReport:
     """A state as it came, in names that all releases share.
 
     Attributes:
@@ -230,7 +230,7 @@ class Report:
     is_busy: bool
 
     @classmethod
-    def of(cls, body: Mapping[str, Any], release: Release) -> Report:
+    def of(cls, body: Mapping[str, Any], release: VdaRelease) -> OrderReport:
         """Read the body of a state that has the structure of one."""
         own = {state["actionId"]: state for state in body["actionStates"]}
         instants = {item["actionId"]: item["actionStatus"] for item in body[release.instant_states]}
@@ -298,7 +298,7 @@ def _is_left(action: Mapping[str, Any]) -> bool:
     return action["actionStatus"] not in _ENDED and action.get("actionType") not in _INSTANT
 
 
-def _position(where: Mapping[str, Any], release: Release) -> Body:
+def _position(where: Mapping[str, Any], release: VdaRelease) -> Body:
     return {
         "x": where["x"],
         "y": where["y"],

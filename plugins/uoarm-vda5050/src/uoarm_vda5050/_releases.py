@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from attrs import frozen
 
-__all__ = ["RELEASES", "SENT", "TOPICS", "ErrorTypes", "Release"]
+__all__ = ["RELEASES", "SENT", "TOPICS", "ErrorTypes", "VdaRelease"]
 
 TOPICS = ("order", "instantActions", "state", "visualization", "connection", "factsheet")
 SENT = ("order", "instantActions")
@@ -51,7 +51,7 @@ class ErrorTypes:
 
 
 @frozen
-class Release:
+class VdaRelease:
     """One release of the standard.
 
     Attributes:
@@ -93,6 +93,10 @@ class Release:
         """The number before the first point of the version."""
         return self.version.partition(".")[0]
 
+    def prefix(self, interface: str = "") -> str:
+        """Return the first two levels of every topic."""
+        return f"{interface or self.interface}/v{self.major}"
+
 
 _ERRORS_2 = ErrorTypes(
     malformed="validationError",
@@ -126,8 +130,8 @@ _ERRORS_3 = ErrorTypes(
 )
 
 
-def _second(minor: int, *also_named: str) -> Release:
-    return Release(
+def _second(minor: int, *also_named: str) -> VdaRelease:
+    return VdaRelease(
         name=f"2.{minor}",
         version=f"2.{minor}.0",
         interface="uagv",
@@ -146,7 +150,7 @@ def _second(minor: int, *also_named: str) -> Release:
     )
 
 
-_THIRD = Release(
+_THIRD = VdaRelease(
     name="3.0",
     version="3.0.0",
     interface="vda5050",

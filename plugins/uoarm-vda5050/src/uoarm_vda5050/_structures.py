@@ -11,7 +11,7 @@ from functools import cache
 from typing import Any
 
 from uoarm.model import MessageStructure
-from uoarm_vda5050._releases import RELEASES, Release
+from uoarm_vda5050._releases import RELEASES, VdaRelease
 
 __all__ = ["HEADER", "TRANSPORT_PARTS", "body_of", "transport_structure", "with_header"]
 
@@ -86,7 +86,7 @@ def body_of(topic: str, release: str) -> MessageStructure:
     return MessageStructure(made, native_type=f"vda5050/{topic}/{release}")
 
 
-def _action(release: Release) -> _Schema:
+def _action(release: VdaRelease) -> _Schema:
     blocking = (
         ("NONE", "SOFT", "HARD") if release.major == "2" else ("NONE", "SOFT", "SINGLE", "HARD")
     )
@@ -96,7 +96,7 @@ def _action(release: Release) -> _Schema:
     )
 
 
-def _order(release: Release) -> _Schema:
+def _order(release: VdaRelease) -> _Schema:
     actions = _list(_action(release))
     ellipse = _object({"a": _METRES, "b": _METRES, "theta": _RADIANS})
     position = _object(
@@ -131,14 +131,14 @@ def _order(release: Release) -> _Schema:
     )
 
 
-def _instant_actions(release: Release) -> _Schema:
+def _instant_actions(release: VdaRelease) -> _Schema:
     actions = _list(_action(release))
     if release.also_named:  # which of the two names it has is not certain
         return _object({}, {"actions": actions, release.also_named[0]: actions})
     return _object({"actions": actions})
 
 
-def _action_state(release: Release) -> _Schema:
+def _action_state(release: VdaRelease) -> _Schema:
     result = "resultDescription" if release.major == "2" else "actionResult"
     words = ["WAITING", "INITIALIZING", "RUNNING", "PAUSED", "FINISHED", "FAILED"]
     words += [] if release.major == "2" else ["RETRIABLE"]
@@ -148,14 +148,14 @@ def _action_state(release: Release) -> _Schema:
     )
 
 
-def _position(release: Release) -> _Schema:
+def _position(release: VdaRelease) -> _Schema:
     return _object(
         {"x": _METRES, "y": _METRES, "theta": _RADIANS, "mapId": _TEXT, release.localized: _YES},
         {"localizationScore": _NUMBER, "deviationRange": _METRES},
     )
 
 
-def _error(release: Release) -> _Schema:
+def _error(release: VdaRelease) -> _Schema:
     more = () if release.major == "2" else ("URGENT", "CRITICAL")
     return _object(
         {"errorType": _TEXT, "errorLevel": _words("WARNING", *more, "FATAL")},
@@ -163,7 +163,7 @@ def _error(release: Release) -> _Schema:
     )
 
 
-def _state(release: Release) -> _Schema:
+def _state(release: VdaRelease) -> _Schema:
     node = _object(
         {"nodeId": _TEXT, "sequenceId": _COUNT, "released": _YES},
         {
@@ -210,16 +210,16 @@ def _state(release: Release) -> _Schema:
     )
 
 
-def _visualization(release: Release) -> _Schema:
+def _visualization(release: VdaRelease) -> _Schema:
     return _object({}, {release.position: _position(release), "velocity": _VELOCITY})
 
 
-def _connection(release: Release) -> _Schema:
+def _connection(release: VdaRelease) -> _Schema:
     more = () if release.major == "2" else ("HIBERNATING",)
     return _object({"connectionState": _words("ONLINE", "OFFLINE", release.broken, *more)})
 
 
-def _factsheet(release: Release) -> _Schema:
+def _factsheet(release: VdaRelease) -> _Schema:
     mass = "maxLoadMass" if release.major == "2" else "maximumLoadMass"
     anything = {"type": "object"}
     return _object(

@@ -23,15 +23,15 @@ from uoarm.errors import BridgeError, FailureReason
 from uoarm_vda5050._orders import (
     Body,
     Order,
-    Report,
+    OrderReport,
     cancel_order,
     new_id,
     state_request,
     words_of,
 )
-from uoarm_vda5050._releases import Release
+from uoarm_vda5050._releases import VdaRelease
 
-__all__ = ["Ended", "Feedback", "Send", "Status", "Times", "TransportState"]
+__all__ = ["Feedback", "GoalEnded", "Send", "Status", "Times", "TransportState"]
 
 _MOST_ABANDONED = 64
 
@@ -76,7 +76,7 @@ class Feedback:
 
 
 @frozen
-class Ended:
+class GoalEnded:
     """A goal has ended; `Status` follows."""
 
     goal_id: str
@@ -84,7 +84,7 @@ class Ended:
     result: Body
 
 
-Action = Send | Status | Feedback | Ended
+Action = Send | Status | Feedback | GoalEnded
 
 
 class Phase(Enum):
@@ -107,14 +107,14 @@ class TransportState:
         name: what the identifiers that it makes begin with; no other's do.
     """
 
-    release: Release
+    release: VdaRelease
     times: Times = Times()
     max_nodes: int = 1000
     name: str = field(factory=new_id)
     phase: Phase = Phase.NONE
     _order: Order | None = None
     _update: Order | None = None  # sent, and not seen in a state yet
-    _known: Report | None = None  # the last state of this connection of the vehicle
+    _known: OrderReport | None = None  # the last state of this connection of the vehicle
     _online: bool = True
     _repeat_at: float = 0.0
     _give_up_at: float = 0.0
@@ -188,7 +188,7 @@ class TransportState:
 
     def state(self, body: Mapping[str, Any], now: float) -> list[Action]:
         """Take a state of the vehicle."""
-        known = self._known = Report.of(body, self.release)
+        known = self._known = OrderReport.of(body, self.release)
         self._unread = 0
         actions = self._cancel_abandoned(known, now)
         if self.phase is Phase.ASKING:
@@ -274,7 +274,7 @@ class TransportState:
         self._old_errors = () if self._known is None else self._known.errors
         return [Send("order", self._update.body)]
 
-    def _begin(self, known: Report, now: float) -> list[Action]:
+    def _begin(self, known: OrderReport, now: float) -> list[Action]:
         """Send the order, or follow it where the vehicle has it or has done it."""
         order = self._order
         assert order is not None, "there is a goal"
@@ -284,11 +284,11 @@ class TransportState:
         self._repeat_at = now + self.times.repeat
         return [Send("order", order.body)]
 
-    def _accepted(self, known: Report, now: float) -> list[Action]:
+    def _accepted(self, known: OrderReport, now: float) -> list[Action]:
         self.phase = Phase.UNDER_WAY
         return [Status(self.goal_id, "accepted"), *self._following(known, now)]
 
-    def _awaiting(self, known: Report, now: float) -> list[Action]:
+    def _awaiting(self, known: OrderReport, now: float) -> list[Action]:
         order = self._order
         assert order is not None, "there is a goal"
         if known.order_id == order.order_id:
@@ -300,7 +300,7 @@ class TransportState:
             return self._end("rejected", _error_texts(refusals))
         return []
 
-    def _following(self, known: Report, now: float) -> list[Action]:
+    def _following(self, known: OrderReport, now: float) -> list[Action]:
         order = self._order
         assert order is not None, "there is a goal"
         if known.order_id != order.order_id:
@@ -314,7 +314,7 @@ class TransportState:
         reports: list[Action] = [Feedback(order.order_id, known.feedback(order))]
         return [*reports, *self._ended_by(known, order, now)]
 
-    def _ended_by(self, known: Report, order: Order, now: float) -> list[Action]:
+    def _ended_by(self, known: OrderReport, order: Order, now: float) -> list[Action]:
         cancelled = known.instants.get(self._cancel_id, "") if self._cancel_id else ""
         if cancelled:
             self._cancel_at = float("inf")  # it has it
@@ -345,7 +345,7 @@ class TransportState:
             return self._end("aborted", f"failed: {', '.join(failed)}")
         return self._end("aborted", f"it ended at node {known.last_node!r}, before its last one")
 
-    def _refusals(self, known: Report, order: Order) -> list[Body]:
+    def _refusals(self, known: OrderReport, order: Order) -> list[Body]:
         """Return errors that refuse this message of the order, and no other one."""
         types = self.release.errors.refusals
         found = [error for error in known.errors if error["errorType"] in types]
@@ -374,7 +374,7 @@ class TransportState:
         while len(self._abandoned) > _MOST_ABANDONED:
             self._abandoned.pop(next(iter(self._abandoned)))
 
-    def _cancel_abandoned(self, known: Report, now: float) -> list[Action]:
+    def _cancel_abandoned(self, known: OrderReport, now: float) -> list[Action]:
         action_id = self._abandoned.get(known.order_id)
         if action_id is None or known.order_id == self.goal_id:
             return []
@@ -412,7 +412,7 @@ def _ended(
         "actions": list(actions),
         "errors": [dict(error) for error in errors],
     }
-    return [Ended(order_id, status, result), Status(order_id, status)]
+    return [GoalEnded(order_id, status, result), Status(order_id, status)]
 
 
 def _is_about(error: Body, order: Order, old: tuple[Body, ...]) -> bool:

@@ -14,7 +14,7 @@ from typing import Any
 
 from attrs import define, field, frozen
 
-from uoarm_vda5050._releases import Release
+from uoarm_vda5050._releases import VdaRelease
 
 __all__ = ["Act", "Drive", "Task", "VehicleState"]
 
@@ -91,7 +91,7 @@ class VehicleState:
         errors: what it reports, by type.
     """
 
-    release: Release
+    release: VdaRelease
     known: frozenset[str]
     position: tuple[float, float, float, str] | None = None
     driving: bool = False

@@ -42,7 +42,6 @@ from uoarm_mqtt.connection import (
 from uoarm.errors import BridgeError, MessageError
 from uoarm.model import Health
 from uoarm_vda5050._messages import Headers, VdaCodec, check_of
-from uoarm_vda5050._options import prefix_of
 from uoarm_vda5050._releases import RELEASES, TOPICS
 from uoarm_vda5050._structures import body_of
 from uoarm_vda5050._vehicle_state import Act, Drive, Task, VehicleState
@@ -84,8 +83,7 @@ class Vehicle:
         options: Mapping[str, Any] | None = None,
     ) -> None:
         self._release = RELEASES[release]
-        prefix = prefix_of({"release": release, **({"interface": interface} if interface else {})})
-        self._topic = f"{prefix}/{manufacturer}/{serial_number}"
+        self._topic = f"{self._release.prefix(interface or '')}/{manufacturer}/{serial_number}"
         self._name = f"{manufacturer}/{serial_number}"
         self._headers = Headers(self._release, manufacturer, serial_number)
         self._lock = threading.RLock()

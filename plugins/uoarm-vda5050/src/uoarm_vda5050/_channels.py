@@ -1,25 +1,105 @@
-"""One vehicle that is in use: its states, its health, and its transport orders."""
+"""One vehicle that is in use: its states, its health, its transport orders, and their channels."""
 
 from __future__ import annotations
 
 import logging
 import threading
 import time
+from collections import deque
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from typing import Any, Generic, TypeVar
 
-from attrs import frozen
+from attrs import asdict, frozen
 from uoarm_mqtt.connection import BrokerConnection, PacketOutcome, ReceivedMessage, Receiver
 
-from uoarm.errors import BridgeError, MessageError
-from uoarm.model import Health
-from uoarm_vda5050._health_state import VehicleHealth
-from uoarm_vda5050._inbox import Inbox
+from uoarm.bridge import Delivery, Sink, Source
+from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, MessageError
+from uoarm.model import Endpoint, Health, Message
+from uoarm_vda5050._health import VehicleHealth
 from uoarm_vda5050._messages import HEADER_IDS, VdaCodec
 from uoarm_vda5050._orders import words_of
-from uoarm_vda5050._transport_state import Action, Ended, Feedback, Send, Status, TransportState
+from uoarm_vda5050._transport_state import (
+    Action,
+    Feedback,
+    GoalEnded,
+    Send,
+    Status,
+    TransportState,
+)
 
-__all__ = ["Follower", "News", "StateRead"]
+__all__ = ["Follower", "TransportSink", "TransportSource", "call"]
+
+T = TypeVar("T")
+
+
+class EventQueue(Generic[T]):
+    """Hands what is put into it to `take`, in a thread of its own; putting returns at once.
+
+    When it is full, the oldest is dropped and counted. The thread ends when it is closed, or with
+    the `take` under way.
+
+    Args:
+        name: of the thread.
+        take: takes one thing.
+        most: how many may wait.
+        wake: is called after each thing, and when the time has come that it returned; returns
+            when it is to be called again, in seconds of `time.monotonic`, or None for never.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        take: Callable[[T], object],
+        most: int,
+        wake: Callable[[], float | None] = lambda: None,
+    ) -> None:
+        self._take, self._most, self._wake = take, most, wake
+        self._waiting: deque[T] = deque()
+        # Guards what waits and the two marks; not held during `take` and `wake`.
+        self._changed = threading.Condition()
+        self._closed = self._poked = False
+        self.dropped = 0
+        self._thread = threading.Thread(target=self._run, name=name, daemon=True)
+        self._thread.start()
+
+    def __len__(self) -> int:
+        return len(self._waiting)
+
+    def put(self, thing: T) -> None:
+        """Append a thing; returns at once."""
+        with self._changed:
+            if self._closed:
+                return
+            self._waiting.append(thing)
+            if len(self._waiting) > self._most:
+                self._waiting.popleft()
+                self.dropped += 1
+            self._changed.notify()
+
+    def poke(self) -> None:
+        """Have `wake` called: what it returned does not hold any more."""
+        with self._changed:
+            self._poked = True
+            self._changed.notify()
+
+    def close(self) -> None:
+        """Take nothing more; does not wait for what is being taken."""
+        with self._changed:
+            self._closed = True
+            self._waiting.clear()
+            self._changed.notify()
+
+    def _run(self) -> None:
+        while not self._closed:
+            due = self._wake()
+            with self._changed:
+                left = None if due is None else max(0.0, due - time.monotonic())
+                self._changed.wait_for(lambda: self._closed or self._waiting or self._poked, left)
+                self._poked = False
+                things = [self._waiting.popleft()] if self._waiting else []
+            for thing in things:
+                self._take(thing)
+
 
 _MOST_STATES = 1000
 
@@ -33,7 +113,7 @@ class StateRead:
     unreadable: str = ""
 
 
-News = Status | Feedback | Ended | StateRead
+News = Status | Feedback | GoalEnded | StateRead
 _Event = ReceivedMessage | tuple[bool, str]
 
 
@@ -60,12 +140,14 @@ class Follower:
     ) -> None:
         self._link, self._topic, self._codecs, self._on_health = link, topic, codecs, on_health
         self._transport, self._health = transport, health
+        # Guards the orders and the listeners, and is held while news is announced: what listeners
+        # receive is in the order in which it came about, whichever thread brought it.
         self._lock = threading.Lock()
         self._listeners: tuple[Callable[[News], object], ...] = ()
         self._unreadable = self._missed = 0
         self._last_id: int | None = None
         health.connected(time.monotonic())
-        self._inbox: Inbox[_Event] = Inbox(
+        self._inbox: EventQueue[_Event] = EventQueue(
             f"uoarm-vda5050-{topic}", self._take, _MOST_STATES, self._wake
         )
         self._receiver = Receiver(f"{topic}/state", self._inbox.put, qos=0)
@@ -210,3 +292,107 @@ class Follower:
 
 def _ignore(_: PacketOutcome) -> None:
     """A state says whether it was taken."""
+
+
+_PARTS: Mapping[str, type[News]] = {"status": Status, "feedback": Feedback, "result": GoalEnded}
+
+
+class TransportSource(Source):
+    """Status changes, feedback or results of the transport orders of one vehicle."""
+
+    def __init__(
+        self, endpoint: Endpoint, part: str, follower: Follower, deliver: Delivery, most: int
+    ) -> None:
+        super().__init__(endpoint)
+        self._kind, self._follower, self._deliver = _PARTS[part], follower, deliver
+        self._inbox: EventQueue[News] = EventQueue(f"uoarm-vda5050-{part}", self._hand_over, most)
+        follower.join(self._take)
+
+    def facts(self) -> Mapping[str, object]:
+        """Return counters of this channel, and of the states that all of it is read from."""
+        mine = {"under_way": len(self._inbox), "lost_on_link": self._inbox.dropped}
+        return {**mine, **self._follower.facts()}
+
+    def _take(self, news: News) -> None:
+        is_reading = isinstance(news, StateRead) and bool(news.unreadable or self.unreadable)
+        if is_reading or isinstance(news, self._kind):
+            self._inbox.put(news)
+
+    def _hand_over(self, news: News) -> None:
+        if not isinstance(news, StateRead):
+            self._deliver(asdict(news, recurse=False))
+        elif news.unreadable:
+            self._deliver.unreadable(news.unreadable)
+        else:
+            self._deliver.readable()
+
+    def _close(self) -> None:
+        self._follower.leave(self._take)
+        self._inbox.close()
+
+
+class TransportSink(Sink):
+    """Goals or cancellations for one vehicle; what becomes of them is a status, then a result."""
+
+    blocking = False
+
+    def __init__(
+        self, endpoint: Endpoint, part: str, follower: Follower, link: BrokerConnection
+    ) -> None:
+        super().__init__(endpoint)
+        self._part, self._follower, self._link = part, follower, link
+
+    def drain(self, timeout: float) -> bool:
+        """Wait until the broker has what was sent."""
+        del timeout
+        self._link.barrier()
+        return True
+
+    def _send(self, message: Message) -> None:
+        if not isinstance(message, dict):
+            raise MessageError(f"expected an object, got {type(message).__name__}")
+        if self._part == "goal":
+            self._follower.goal(message)
+        else:
+            self._follower.cancel(str(message.get("goal_id", "")))
+
+    def _close(self) -> None:
+        """Nothing is held: what was asked for goes its way."""
+
+
+def call(endpoint: Endpoint, follower: Follower, message: Message, timeout: float) -> Message:
+    """Give a goal and return its result; one that is given up is cancelled.
+
+    Raises:
+        BridgeError: it ended in another way than well.
+        BridgeTimeoutError: it did not end within `timeout` seconds.
+        MessageError: it can be no order.
+    """
+    if not isinstance(message, dict):
+        raise MessageError(f"expected an object, got {type(message).__name__}")
+    changed = threading.Condition()
+    ended: dict[str, GoalEnded] = {}
+
+    def listen(news: News) -> None:
+        if isinstance(news, GoalEnded):
+            with changed:
+                ended[news.goal_id] = news
+                changed.notify()
+
+    follower.join(listen)
+    try:
+        goal_id = follower.goal(message)
+        with changed:
+            is_over = changed.wait_for(lambda: goal_id in ended, timeout)
+        if not is_over:
+            follower.cancel(goal_id)
+            text = f"{endpoint}: order {goal_id!r} did not end in {timeout:g} s"
+            raise BridgeTimeoutError(text + follower.unread_states())
+    finally:
+        follower.leave(listen)
+    end = ended[goal_id]
+    if end.status != "succeeded":
+        reason = FailureReason.UNAVAILABLE if end.status == "lost" else FailureReason.REFUSED
+        text = f"{endpoint}: order {goal_id!r} ended {end.status}: {end.result['reason']}"
+        raise BridgeError(text, reason)
+    return end.result
