@@ -106,7 +106,7 @@ WITHIN = {
 ALONE = {
     "schema": {"schema"},
     "_wire": {"_wire", "model", "errors"},
-    "cdr": {"cdr", "model", "errors"},
+    "cdr": {"cdr", "model", "errors", "_deferred"},
     "local": {"local", "bridge", "_hints", "model", "errors"}
     | {"_arguments", "_mistakes", "_raised", "_spelling", "_support"},
 }
@@ -214,6 +214,7 @@ PARTS_OF_OURS |= {"config._load", "local", "schema.read", "schema.solve", "_yaml
 NOT_LOADED = {
     "import uoarm": HEAVY | PARTS_OF_OURS | {"attrs", "_control", "model", "importlib.metadata"},
     "from uoarm import RobotManager": HEAVY | PARTS_OF_OURS | {"importlib.metadata"},
+    "import uoarm.cdr": HEAVY | {"model", "cdr._codec"},
     "import uoarm.schema": HEAVY | {"model", "schema.read", "schema.solve"},
     "import uoarm._host.__main__": (HEAVY - {"msgpack"})
     | {"client", "config", "environments", "server", "_adapt", "_control", "_resolve", "schema"},

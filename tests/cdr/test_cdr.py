@@ -51,6 +51,7 @@ MSG: lab/Nothing
 """,
 )
 numbers = st.floats(width=32, allow_nan=False)
+texts = st.text(st.characters(exclude_characters="\0", exclude_categories=["Cs"]), max_size=9)
 scans = st.fixed_dictionaries(
     {
         "header": st.fixed_dictionaries(
@@ -63,13 +64,11 @@ scans = st.fixed_dictionaries(
         "hits": st.lists(st.booleans(), max_size=5),
         "picture": st.binary(max_size=20),
         "parts": st.lists(
-            st.fixed_dictionaries(
-                {"kind": st.integers(0, 255), "size": numbers, "text": st.text(max_size=9)}
-            ),
+            st.fixed_dictionaries({"kind": st.integers(0, 255), "size": numbers, "text": texts}),
             max_size=4,
         ),
         "nothing": st.just({}),
-        "wide": st.text(max_size=9),
+        "wide": texts,
         "letter": st.integers(0, 255),
     }
 )

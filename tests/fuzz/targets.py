@@ -242,7 +242,7 @@ def _web() -> Mapping[str, Target]:
     from uoarm_rosbridge._subscription import read_options
     from uoarm_rosbridge._wire import Fragments, check_fields, read_operation
 
-    from uoarm.cdr import serialiser
+    from uoarm.cdr import Codec
 
     laid_out = MessageStructure(
         {
@@ -282,7 +282,7 @@ def _web() -> Mapping[str, Target]:
             ),
         ),
         "cbor-raw (CDR) from messages": Target(
-            lambda data: serialiser(laid_out)(orjson.loads(text_of(data))),
+            lambda data: Codec(laid_out).encode(orjson.loads(text_of(data))),
             (MessageError, orjson.JSONDecodeError),
             (b'{"width":7,"name":"abc","data":[1,2.5]}',),
         ),

@@ -17,7 +17,7 @@ from tests.disk import full_after
 from tests.record.conftest import COUNT, PICTURE, ROBOT, messages, of_topic, readable
 
 from uoarm import RobotManager
-from uoarm.cdr import deserialiser
+from uoarm.cdr import Codec
 from uoarm.errors import ResolutionError, UsageError
 from uoarm.model import Message, MessageStructure, QueuePolicy
 from uoarm.record import Recording, RecordOptions
@@ -50,7 +50,7 @@ def test_each_message_is_there_once_and_in_order(
     pictures = of_topic(path, "/camera")
     assert {picture.encoding for picture in pictures} == {"cdr"}
     assert pictures[0].schema.encoding == "ros2msg"
-    read = deserialiser(MessageStructure(PICTURE))
+    read = Codec(MessageStructure(PICTURE)).decode
     assert [read(picture.data) for picture in pictures] == [
         {"width": n, "name": "eye", "data": bytes([n % 256]) * 100} for n in range(500)
     ]

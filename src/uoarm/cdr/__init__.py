@@ -1,16 +1,32 @@
-"""Messages as ROS serialises them: to octets and back by their structure, and their definitions.
+"""Messages as ROS and CORBA serialise them: to octets and back by their structure alone.
 
-Nothing here needs ROS: a structure of a fixed layout says all, and so does the text of a message
-file, as recordings hold it.
+Nothing here needs a framework: a structure of a fixed layout says all, and so does the text of a
+message file, as recordings hold it. One generator makes a reader or a writer of each layout, once.
+
+Serialising needs numpy, which is loaded with `Codec`.
 """
 
-from uoarm.cdr._basic import BASIC, basic_type
-from uoarm.cdr._definition import RosDefinition, definition_of, structure_of_definition
-from uoarm.cdr._reading import deserialiser
-from uoarm.cdr._writing import Part, serialiser
+from typing import TYPE_CHECKING
+
+from uoarm._deferred import deferred
+
+if TYPE_CHECKING:
+    from uoarm.cdr._basic import BASIC, basic_type
+    from uoarm.cdr._codec import Codec, deserialiser, serialiser
+    from uoarm.cdr._definition import RosDefinition, definition_of, structure_of_definition
+    from uoarm.cdr._layout import CORBA, DDS, NATIVE, ROS_1, SWITCH, ByteOrder, Encoding
+    from uoarm.cdr._writing import Part
 
 __all__ = [
     "BASIC",
+    "CORBA",
+    "DDS",
+    "NATIVE",
+    "ROS_1",
+    "SWITCH",
+    "ByteOrder",
+    "Codec",
+    "Encoding",
     "Part",
     "RosDefinition",
     "basic_type",
@@ -19,3 +35,15 @@ __all__ = [
     "serialiser",
     "structure_of_definition",
 ]
+
+if not TYPE_CHECKING:
+    __getattr__, __dir__ = deferred(
+        __name__,
+        {
+            "_basic": ("BASIC", "basic_type"),
+            "_codec": ("Codec", "deserialiser", "serialiser"),
+            "_definition": ("RosDefinition", "definition_of", "structure_of_definition"),
+            "_layout": ("CORBA", "DDS", "NATIVE", "ROS_1", "SWITCH", "ByteOrder", "Encoding"),
+            "_writing": ("Part",),
+        },
+    )

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-__all__ = ["BASIC", "basic_type"]
+__all__ = ["BASIC", "FLOAT32_MAX", "basic_type"]
 
 BASIC = {
     "bool": "?", "byte": "B", "char": "B", "int8": "b", "uint8": "B", "int16": "h", "uint16": "H",
@@ -20,7 +20,9 @@ _INTEGERS = (
     ("int16", -(2**15), 2**15 - 1), ("uint32", 0, 2**32 - 1), ("int32", -(2**31), 2**31 - 1),
     ("uint64", 0, 2**64 - 1),
 )  # fmt: skip
-_FLOAT32_MAX = 340282346638528859811704183484516925440
+FLOAT32_MAX = 340282346638528859811704183484516925440
+"""The greatest finite number of 32 bits."""
+
 _KINDS = {"boolean": ("bool",), "string": ("string", "wstring"), "number": ("float64", "float32")}
 
 
@@ -40,5 +42,5 @@ def basic_type(schema: Mapping[str, Any]) -> str:
         return ""
     if native in known:
         return native
-    narrow = kind == "number" and bounds == (-_FLOAT32_MAX, _FLOAT32_MAX)
+    narrow = kind == "number" and bounds == (-FLOAT32_MAX, FLOAT32_MAX)
     return "float32" if narrow else known[0]

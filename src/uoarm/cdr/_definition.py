@@ -11,7 +11,7 @@ from typing import Any
 
 from attrs import frozen
 
-from uoarm.cdr._basic import BASIC, basic_type
+from uoarm.cdr._basic import BASIC, FLOAT32_MAX, basic_type
 from uoarm.errors import MessageError
 from uoarm.model import MessageStructure
 
@@ -28,7 +28,6 @@ _LINE = re.compile(
 )
 _MOST_TYPES, _MOST_FIELDS, _DEEPEST = 500, 20_000, 32
 _MOST_TEXT = 1 << 20
-_FLOAT32_MAX = 340282346638528859811704183484516925440
 _OCTETS = frozenset({"uint8", "byte", "char"})
 _NAMES_OF_ONE = {"byte": "int8", "char": "uint8"}
 _NAMES_OF_TWO = {"char": "uint8"}
@@ -208,7 +207,7 @@ def _scalar(basic: str) -> dict[str, Any]:
         }  # fmt: skip
     if basic in {"float32", "float64"}:
         schema: dict[str, Any] = {"type": "number", "x-native-type": basic, "x-nonfinite": True}
-        limits = {"minimum": -_FLOAT32_MAX, "maximum": _FLOAT32_MAX}
+        limits = {"minimum": -FLOAT32_MAX, "maximum": FLOAT32_MAX}
         return {**schema, **limits} if basic == "float32" else schema
     bits = 8 if basic == "byte" else int(basic.removeprefix("u").removeprefix("int"))
     is_signed = basic.startswith("int")

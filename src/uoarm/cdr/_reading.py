@@ -1,251 +1,381 @@
-"""From octets to messages: functions generated for each structure of a fixed layout.
+"""Generated functions that make messages of octets.
 
-ROS 2 sends CDR, version 1 of its plain encoding, of either byte order: four octets that say which,
-then each number at a multiple of its own size, counted from behind those four. ROS 1 packs
-everything, little-endian. What enters has a budget: no list is made of more elements than the
-octets, and the budget, hold.
+Every length is compared with what is left before anything is made of it, so that nothing received
+has more made of it than a fixed multiple of its own size, and no list more elements than allowed.
 """
 
 from __future__ import annotations
 
 import struct
-import sys
-from array import array
-from collections.abc import Callable, Mapping
-from functools import partial
-from itertools import count
-from typing import Any, TypeAlias
+from collections.abc import Callable
+from functools import lru_cache
+from typing import Any
 
-from uoarm.cdr._basic import BASIC, basic_type
-from uoarm.errors import MessageError
-from uoarm.model import Budget, Message, MessageStructure
+from uoarm.cdr._layout import (
+    SIZES,
+    SWITCH,
+    ArrayLayout,
+    BooleanLayout,
+    ByteOrder,
+    CharacterLayout,
+    Encoding,
+    EnumerationLayout,
+    Layout,
+    NumberLayout,
+    RecordLayout,
+    TextLayout,
+    UnionLayout,
+    least_size,
+)
+from uoarm.cdr._source import WHOLE, Index, Path, SourceText
+from uoarm.cdr._values import (
+    UnfitValue,
+    array_reader,
+    boolean_of,
+    is_block,
+    text_reader,
+    wide_character_of,
+)
+from uoarm.model import Budget, Message
 
-__all__ = ["deserialiser"]
+__all__ = ["reader"]
 
-_HEADER = 4
-_ORDERS = {b"\0\0": ">", b"\0\1": "<"}
+_MAX_BLOCKS = 8  # CPython compiles no more than twenty within one another
 _WIDEST = 8
-_CHARACTER = 4  # octets of a character of a wide text, as Fast CDR writes it
-_MOST_PADDING = 3
-_MAX_DEPTH = 64
-_PLAIN = Budget()
-_Read: TypeAlias = Callable[[Any, int, list[int]], tuple[Any, int]]
 
 
-def deserialiser(
-    structure: MessageStructure, *, budget: Budget = _PLAIN, is_packed: bool = False
-) -> Callable[[bytes | bytearray | memoryview], Message]:
-    """Return the function that makes messages of octets, which it does not keep.
+@lru_cache(maxsize=1024)
+def reader(
+    layout: Layout, encoding: Encoding, order: ByteOrder, budget: Budget | None
+) -> Callable[[Any], Message]:
+    """Return the function that makes a message of octets, header included.
 
-    It raises MessageError for what is cut short, too long, of another encoding or over the budget.
+    It raises UnfitValue for what the octets hold, `struct.error` or ValueError where they end too
+    early; `explain` names the member.
 
     Args:
-        structure: of a fixed layout.
-        budget: what one message may cost.
-        is_packed: whether it is ROS 1 that serialised it.
-
-    Raises:
-        MessageError: the structure has no fixed layout; the text names the field.
+        layout: of the message.
+        encoding: of the octets.
+        order: of the octets of a number.
+        budget: of octets, and of the elements of all lists together; None: a list has no more
+            elements than octets follow.
     """
-    orders = {b"": "<"} if is_packed else _ORDERS
-    functions = {
-        code: _LayoutReader(order, _WIDEST, is_packed=is_packed).function(structure.schema)
-        for code, order in orders.items()
-    }
-    name = structure.native_type or "the message"
-    header, padding = (0, 0) if is_packed else (_HEADER, _MOST_PADDING)
-
-    def read(octets: bytes | bytearray | memoryview) -> Message:
-        if len(octets) > budget.octets:
-            raise MessageError(f"{name}: {len(octets):,} octets; {budget.octets:,} are allowed")
-        part = functions.get(bytes(octets[: header // 2]))
-        if part is None or len(octets) < header:
-            raise MessageError(f"{name}: {bytes(octets[:header])!r} is no header of plain CDR")
-        body = memoryview(octets)[header:]
-        try:
-            message, end = part(body, 0, [budget.elements])
-        except (struct.error, ValueError) as error:
-            raise MessageError(f"{name}: cannot be read: {error}") from error
-        if not 0 <= len(body) - end <= padding:
-            raise MessageError(f"{name}: {len(body):,} octets came, {end:,} were expected")
-        return message
-
-    return read
+    source = SourceText("def made(b):", encoding, WHOLE)
+    source.path = ("$",)
+    source.line("size = len(b)")
+    if budget is not None:
+        failure = source.constant(_too_large)
+        source.line(f"if size > {budget.octets}: {failure}(size, {budget.octets})")
+        source.line(f"k = {budget.elements}")
+    reading = _ReadingText(source, encoding, order, budget, encoding.header_size)
+    value = reading.value(layout)
+    reading.settle()
+    # More may follow: Fast DDS counts the padding of empty arrays, which it then leaves out.
+    test = "o > size" if encoding.is_encapsulated else "o != size"
+    source.line(f"if {test}: {source.constant(_wrong_size)}(size, o)")
+    source.line(f"return {value}")
+    return source.function()
 
 
-class _LayoutReader:
-    """One function under construction: `b` is the body, `o` the offset, `k` what may still be made.
+@lru_cache(maxsize=256)
+def _part_reader(
+    layout: Layout, encoding: Encoding, order: ByteOrder, budget: Budget | None
+) -> Callable[..., Any]:
+    """Return the function that reads a value from any offset on, and where it ends."""
+    source = SourceText("def made(b, o, k):", encoding, 1)
+    source.line("size = len(b)")
+    reading = _ReadingText(source, encoding, order, budget, None)
+    value = reading.value(layout)
+    reading.flush()
+    source.line(f"return {value}, o, k")
+    return source.function()
 
-    Of the place of the next field is known that it is `rest` more than a multiple of `modulus`.
-    Numbers are gathered up to the first value whose length only the message has. Nothing of a
-    structure is in the text but names of fields, each as a literal.
+
+class _ReadingText:
+    """Writes the lines for a layout. `value` returns the expression of what was read.
+
+    In the text, `b` are the octets and `o` is the offset; `k` is how many elements are left. Names
+    in `run` are assigned when the run is flushed; `late` are the lines that then follow.
     """
 
-    def __init__(self, order: str, modulus: int, *, is_packed: bool) -> None:
-        self._order, self._is_packed = order, is_packed
-        self._modulus, self._rest = modulus, 0
-        self._lines = ["def read(b, o, k):"]
-        self._constants: dict[str, Any] = {}
-        self._fresh = count()
+    def __init__(
+        self,
+        source: SourceText,
+        encoding: Encoding,
+        order: ByteOrder,
+        budget: Budget | None,
+        start: int | None,
+    ) -> None:
+        self._source = source
+        self._encoding = encoding
+        self._order = order
+        self._budget = budget
+        self._start = start  # of the octets, until the text has `o`
+        self._blocks = 0
         self._format = ""
-        self._names: list[str] = []
+        self._run: list[str] = []
+        self._late: list[tuple[Path, str]] = []
 
-    def function(self, schema: object, where: str = "the message", depth: int = 0) -> _Read:
-        """Write and compile it."""
-        value = self._value(schema, where, depth)
-        self._flush()
-        self._line(f"return {value}, o")
-        exec("\n".join(self._lines), self._constants)  # noqa: S102 - our own text, see the class
-        made: _Read = self._constants["read"]
-        return made
+    def value(self, layout: Layout) -> str:
+        if isinstance(layout, RecordLayout):
+            return self._record(layout)
+        if isinstance(layout, NumberLayout):
+            return self._number(layout.code)
+        if isinstance(layout, TextLayout):
+            return self._text(layout)
+        if isinstance(layout, ArrayLayout):
+            return (self._block if is_block(layout.element) else self._list)(layout)
+        if isinstance(layout, BooleanLayout):
+            return self._boolean()
+        if isinstance(layout, UnionLayout):
+            return self._union(layout)
+        if isinstance(layout, EnumerationLayout):
+            return self._enumeration(layout)
+        return self._character(layout)
 
-    def _value(self, schema: object, where: str, depth: int) -> str:
-        if not isinstance(schema, Mapping) or depth > _MAX_DEPTH:
-            raise _no_layout(where, "anything may stand there")
-        basic = basic_type(schema)
-        if schema.get("type") == "array":
-            return self._array(schema, where, depth)
-        if basic in {"string", "wstring"}:
-            return self._text(is_wide=basic == "wstring")
-        if basic:
-            return self._number(BASIC[basic])
-        return self._record(schema, where, depth)
-
-    def _record(self, schema: Mapping[str, Any], where: str, depth: int) -> str:
-        if schema.get("type") != "object":
-            raise _no_layout(where, "no single type is stated for it")
-        fields: Mapping[str, object] = schema.get("properties", {})
-        always = fields.keys() == set(schema.get("required", ()))
-        if not always or schema.get("additionalProperties") is not False:
-            raise _no_layout(where, "fields may be absent or added")
-        if not fields and not self._is_packed:
-            self._number("x")  # C has no empty structures: one octet stands for it
-        members = (
-            f"{name!r}: {self._value(field, f'{where}.{name}', depth + 1)}"
-            for name, field in fields.items()
-        )
-        return "{" + ", ".join(members) + "}"
-
-    def _number(self, code: str) -> str:
-        size = struct.calcsize(f"={code}")
-        padding = self._padding(size)
-        self._rest = (self._rest + padding + size) % self._modulus
-        self._format += "x" * padding + code
-        if code == "x":
-            return ""
-        self._names.append(f"v{next(self._fresh)}")
-        return self._names[-1]
-
-    def _padding(self, size: int) -> int:
-        """Return how many octets are left out before a number, as far as that is known."""
-        if self._is_packed:
-            return 0
-        if self._modulus % size:
-            self._flush()
-            self._line(f"o = o + {size - 1} & -{size}")
-            self._modulus, self._rest = size, 0
-        return -self._rest % size
-
-    def _flush(self) -> None:
+    def flush(self) -> None:
         """Write the line that takes all numbers that were gathered."""
         if self._format:
             numbers = struct.Struct(self._order + self._format)
-            target = f"{', '.join(self._names)}, = " if self._names else ""
-            self._line(f"{target}{self._constant(numbers.unpack_from)}(b, o)")
-            self._line(f"o += {numbers.size}")
-            self._format, self._names = "", []
+            take = self._source.constant(numbers.unpack_from)
+            target = f"{', '.join(self._run)}, = " if self._run else ""
+            if self._start is None:
+                self._source.line(f"{target}{take}(b, o); o += {numbers.size}")
+            else:
+                end = self._start + numbers.size
+                self._source.line(f"{target}{take}(b, {self._start}); o = {end}")
+                self._start = None
+            path = self._source.path
+            for late, line in self._late:
+                self._source.path = late
+                self._source.line(line)
+            self._source.path = path
+        self._format, self._run, self._late = "", [], []
 
-    def _length(self) -> str:
-        name = self._number("I")
-        self._flush()
+    def settle(self) -> None:
+        """Have all numbers taken that were gathered, and `o` in the text."""
+        self.flush()
+        if self._start is not None:
+            self._source.line(f"o = {self._start}")
+            self._start = None
+
+    def _record(self, layout: RecordLayout) -> str:
+        source, path, members = self._source, self._source.path, []
+        for name, member in layout.members:
+            source.path = (*path, f".{name}")
+            members.append(f"{name!r}: {self.value(member)}")
+        source.path = path
+        if not members and self._encoding.is_encapsulated:
+            self._format += "x"  # C has no empty structures: one octet stands for it
+            source.advance(1)
+        return "{" + ", ".join(members) + "}"
+
+    def _number(self, code: str) -> str:
+        size = 1 if code == "?" else SIZES[code]
+        gap = self._source.gap(size)
+        if gap is None:
+            self._align(size)
+        elif gap:
+            self._format += f"{gap}x"
+            self._source.advance(gap)
+        self._format += code
+        self._run.append(self._source.variable())
+        self._source.advance(size)
+        return self._run[-1]
+
+    def _align(self, size: int, condition: str = "") -> None:
+        """Go to a multiple of a size that only the message knows the way to."""
+        self.settle()
+        start = self._encoding.header_size if size == _WIDEST else 0
+        place = (
+            f"(o + {size - 1 - start} & -{size}) + {start}"
+            if start
+            else f"o + {size - 1} & -{size}"
+        )
+        self._source.line(f"{condition}o = {place}")
+        self._source.known(size)
+
+    def _boolean(self) -> str:
+        if not self._encoding.is_idl:
+            return self._number("?")
+        name = self._number("B")
+        self._late.append(
+            (self._source.path, f"{name} = {self._source.constant(boolean_of)}({name})")
+        )
         return name
 
-    def _behind_unknown(self) -> None:
-        self._modulus, self._rest = 1, 0
+    def _enumeration(self, layout: EnumerationLayout) -> str:
+        name, labels = self._number("I"), self._source.constant(layout.labels)
+        failure = self._source.constant(_no_label)
+        self._late.append(
+            (self._source.path, f"if {name} >= {len(layout.labels)}: {failure}({name})")
+        )
+        self._late.append((self._source.path, f"{name} = {labels}[{name}]"))
+        return name
 
-    def _text(self, *, is_wide: bool) -> str:
-        length, value = self._length(), f"v{next(self._fresh)}"
-        self._line(f"e = o + {length} * {_CHARACTER if is_wide else 1}")
-        self._line("if e > len(b): raise ValueError('a text is cut short')")
-        if is_wide:
-            wide = self._constant(partial(_wide_text, self._order))
-            self._line(f"{value} = {wide}(b[o:e])")
+    def _character(self, layout: CharacterLayout) -> str:
+        if not layout.is_wide:
+            name = self._number("B")
+            self._late.append((self._source.path, f"{name} = chr({name})"))
+            return name
+        self.settle()
+        name = self._source.variable()
+        make = self._source.constant(wide_character_of)
+        self._require("3")
+        self._source.line(f"{name} = {make}(b[o:o + 3]); o += 3")
+        self._source.known(1)
+        return name
+
+    def _require(self, octets: str) -> None:
+        failure = self._source.constant(_cut_short)
+        self._source.line(f"if {octets} > size - o: {failure}({octets}, size - o)")
+
+    def _text(self, layout: TextLayout) -> str:
+        source, length = self._source, self._number("I")
+        self.settle()
+        name, closing = source.variable(), self._encoding.is_aligned
+        make = text_reader(layout, self._encoding, self._order)
+        octets = f"4 * {length}" if layout.is_wide and not self._encoding.is_idl else length
+        if layout.bound is not None and not self._encoding.is_idl:
+            most = layout.bound + (closing and not layout.is_wide)
+            failure = source.constant(_too_long)
+            source.line(f"if {length} > {most}: {failure}({length}, {most})")
+        if make is None:
+            source.line(f"e = o + {octets}")
+            charset, end = self._encoding.charset, "e - 1" if closing else "e"
+            source.line(f"{name} = str(b[o:{end}], {charset!r}, 'replace'); o = e")
         else:
-            # The last octet of CDR is a zero.
-            end = "e" if self._is_packed else "max(o, e - 1)"
-            self._line(f"{value} = str(b[o:{end}], 'utf-8', 'replace')")
-        self._line("o = e")
-        self._behind_unknown()
-        return value
+            self._require(octets)
+            source.line(f"e = o + {octets}")
+            source.line(f"{name} = {source.constant(make)}(b[o:e]); o = e")
+        source.known(1)
+        return name
 
-    def _array(self, schema: Mapping[str, Any], where: str, depth: int) -> str:
-        items = schema.get("items")
-        if (
-            not isinstance(items, Mapping)
-            or "prefixItems" in schema
-            or items.get("type") == "array"
-        ):
-            raise _no_layout(where, "its elements have no single type that ROS has")
-        least, most = schema.get("minItems"), schema.get("maxItems")
-        fixed = least if isinstance(least, int) and least == most else None
-        self._flush()
-        length = str(fixed) if fixed is not None else self._length()
-        value, code = f"v{next(self._fresh)}", BASIC.get(basic_type(items), "")
-        if not code:
-            self._line(f"k[0] -= {length}")
-            self._line("if k[0] < 0: raise ValueError('it holds more elements than are allowed')")
-            reader = _LayoutReader(self._order, 1, is_packed=self._is_packed)
-            part = self._constant(reader.function(items, f"{where}[]", depth + 1))
-            self._line(f"{value} = []")
-            self._line(f"for _ in range({length}):")
-            self._line(f"    e, o = {part}(b, o, k)")
-            self._line(f"    {value}.append(e)")
-            self._behind_unknown()
-            return value
-        size = struct.calcsize(f"={code}")
-        if not self._is_packed and size > 1 and fixed != 0:
-            # Without elements nothing is left out for them.
-            self._line(f"if {length}: o = o + {size - 1} & -{size}")
-        self._line(f"e = o + {length} * {size}")
-        self._line("if e > len(b): raise ValueError('an array is cut short')")
-        self._line(f"{value} = {self._constant(_block(code, self._order))}(b[o:e])")
-        self._line("o = e")
-        self._behind_unknown()
-        return value
+    def _length(self, layout: ArrayLayout) -> str:
+        """Read how many elements there are, or take what is fixed."""
+        if layout.is_fixed:
+            self.settle()
+            return str(layout.size)
+        length = self._number("I")
+        self.settle()
+        if layout.size is not None:
+            failure = self._source.constant(_too_many)
+            self._source.line(f"if {length} > {layout.size}: {failure}({length}, {layout.size})")
+        return length
 
-    def _line(self, text: str) -> None:
-        self._lines.append(f"    {text}")
+    def _block(self, layout: ArrayLayout) -> str:
+        source, length, name = self._source, self._length(layout), self._source.variable()
+        element = layout.element
+        size = SIZES[element.code] if isinstance(element, NumberLayout) else 1
+        gap = source.gap(size)
+        if gap is None:  # an empty array ends behind its length
+            self._align(size, "" if layout.is_fixed else f"if {length}: ")
+        elif gap:
+            source.line(f"o += {gap}" if layout.is_fixed else f"if {length}: o += {gap}")
+            source.advance(gap)
+        octets = length if size == 1 else f"{size} * {length}"
+        if not isinstance(element, NumberLayout):
+            self._require(octets)
+            if self._budget is not None:
+                self._spend(length)
+        read = source.constant(array_reader(layout, self._order, self._encoding))
+        source.line(f"{name} = {read}(b, {length}, o); o += {octets}")
+        if layout.is_fixed:
+            source.advance(size * (layout.size or 0))
+        else:
+            source.known(min(size, 4))
+        return name
 
-    def _constant(self, value: object) -> str:
-        name = f"c{len(self._constants)}"
-        self._constants[name] = value
+    def _spend(self, length: str) -> None:
+        failure = self._source.constant(_too_much)
+        self._source.line(f"k -= {length}")
+        self._source.line(f"if k < 0: {failure}()")
+
+    def _list(self, layout: ArrayLayout) -> str:
+        source, length, name = self._source, self._length(layout), self._source.variable()
+        least = least_size(layout.element)
+        if least or self._budget is None:  # of nothing there may be as many as there are octets
+            self._require(f"{least} * {length}" if least > 1 else length)
+        if self._budget is not None:
+            self._spend(length)
+        index, path = source.variable(), source.path
+        source.line(f"{name} = []")
+        source.line(f"for {index} in range({length}):")
+        source.path = (*path, Index(index))
+        source.depth += 1
+        self._blocks += 1
+        source.known(1)
+        made = self._element(layout.element)
+        source.line(f"{name}.append({made})")
+        self._blocks -= 1
+        source.depth -= 1
+        source.path = path
+        source.known(1)
+        return name
+
+    def _element(self, layout: Layout) -> str:
+        if self._blocks < _MAX_BLOCKS:
+            made = self.value(layout)
+            self.settle()
+            return made
+        name, left = self._source.variable(), "0" if self._budget is None else "k"
+        part = _part_reader(layout, self._encoding, self._order, self._budget)
+        target = "_" if self._budget is None else "k"
+        self._source.line(f"{name}, o, {target} = {self._source.constant(part)}(b, o, {left})")
+        return name
+
+    def _union(self, layout: UnionLayout) -> str:
+        source, path = self._source, self._source.path
+        source.path = (*path, f".{SWITCH}")
+        switch, name = self.value(layout.by), source.variable()
+        self.settle()
+        known = source.modulus, source.rest
+        word = "if"
+        for member in layout.members:
+            labels = source.constant(member.labels)
+            test = "True" if member.labels is None else f"{switch} in {labels}"
+            source.line(f"{word} {test}:")
+            word = "elif"
+            source.path = (*path, f".{member.name}")
+            source.depth += 1
+            source.known(*known)
+            made = self.value(member.layout)
+            self.settle()
+            source.line(f"{name} = {{{SWITCH!r}: {switch}, {member.name!r}: {made}}}")
+            source.depth -= 1
+        source.line(f"else: {name} = {{{SWITCH!r}: {switch}}}")
+        source.path = path
+        source.known(1)
         return name
 
 
-def _block(code: str, order: str) -> Callable[[memoryview], Message]:
-    """Return what makes an array of numbers of octets: a buffer, but of truth values a list."""
-    if code == "?":
-        return lambda octets: list(map(bool, octets))
-    if code == "B":
-        return bytes
-    return partial(_numbers, code, (order == "<") is not (sys.byteorder == "little"))
+def _wrong_size(size: int, end: int) -> None:
+    raise UnfitValue(
+        f"it is cut short: {size:,} octets of at least {end:,}"
+        if end > size
+        else f"{size:,} octets came, {end:,} were expected"
+    )
 
 
-def _numbers(code: str, swaps: bool, octets: memoryview) -> array[Any]:  # noqa: FBT001 - bound before
-    numbers = array(code, bytes(octets))
-    if swaps:
-        numbers.byteswap()
-    return numbers
+def _too_large(size: int, most: int) -> None:
+    raise UnfitValue(f"{size:,} octets came, {most:,} are allowed")
 
 
-def _wide_text(order: str, octets: memoryview) -> str:
-    """Return a text of units of UTF-16, each of which Fast CDR gives four octets."""
-    units = struct.unpack(f"{order}{len(octets) // _CHARACTER}I", octets)
-    return array("H", [unit & 0xFFFF for unit in units]).tobytes().decode(_UTF16, "replace")
+def _cut_short(octets: int, left: int) -> None:
+    raise UnfitValue(f"it is cut short: {octets:,} octets should follow, and {left:,} do")
 
 
-_UTF16 = "utf-16-le" if sys.byteorder == "little" else "utf-16-be"
+def _too_many(number: int, most: int) -> None:
+    raise UnfitValue(f"expected at most {most} elements, got {number}")
 
 
-def _no_layout(where: str, why: str) -> MessageError:
-    return MessageError(f"{where} has no fixed layout ({why})")
+def _too_long(length: int, most: int) -> None:
+    raise UnfitValue(f"expected a text of at most {most} octets or units, got {length}")
+
+
+def _too_much() -> None:
+    raise UnfitValue("it holds more elements than are allowed")
+
+
+def _no_label(number: int) -> None:
+    raise UnfitValue(f"enumerator number {number} does not exist")

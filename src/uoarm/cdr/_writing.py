@@ -1,268 +1,332 @@
-"""Messages as ROS 2 serialises them: CDR, version 1 of its plain encoding, in this machine's order.
+"""Generated functions that serialise messages.
 
-The layout is read from a structure once, by the rules of `basic_type`, and compiled: what is next
-to one another and of known size is packed with one `struct`. A long array of
-numbers, as in an image, is not copied. Source: the Common Data Representation of CORBA 3.3,
-part 2, section 9.3, and the encapsulation header of DDSI-RTPS 2.3, section 10; that a text counts
-its closing zero, that a wide character takes four octets and that a type without fields has one
-octet of zero is what Fast CDR and rosidl do.
+The text takes values of the exact type at once and packs runs of numbers together; whatever else
+comes goes to a checker. A long array, as in an image, stays a part of its own: to append it would
+copy it into memory that grows, which costs ten times what one join of all parts does.
 """
 
 from __future__ import annotations
 
 import struct
-import sys
-from array import array
-from collections.abc import Callable, Mapping
-from itertools import count
+from collections.abc import Callable, Sequence
+from functools import lru_cache
 from typing import Any, TypeAlias
 
-from uoarm.cdr._basic import BASIC, basic_type
-from uoarm.errors import MessageError
-from uoarm.model import Message, MessageStructure
+from uoarm.cdr._layout import (
+    SIZES,
+    SWITCH,
+    ArrayLayout,
+    BooleanLayout,
+    ByteOrder,
+    CharacterLayout,
+    Encoding,
+    EnumerationLayout,
+    Layout,
+    NumberLayout,
+    RecordLayout,
+    TextLayout,
+    UnionLayout,
+)
+from uoarm.cdr._source import WHOLE, Index, PlaceCheck, SourceText
+from uoarm.cdr._values import (
+    array_writer,
+    checker,
+    counter,
+    is_block,
+    label_check,
+    member_check,
+    text_writer,
+    write_wide_character,
+)
+from uoarm.model import Message
 
-__all__ = ["serialiser"]
+__all__ = ["HEADERS", "Part", "writer"]
 
 Part: TypeAlias = "bytes | bytearray | memoryview"
-Put: TypeAlias = "Callable[[_Out, Any], None]"
-_HEADER = b"\0\1\0\0" if sys.byteorder == "little" else b"\0\0\0\0"
-_MAX_DEPTH = 64
-_GREATEST = 8
+
+HEADERS: dict[ByteOrder, bytes] = {"<": b"\0\1\0\0", ">": b"\0\0\0\0"}
+"""What stands before encapsulated values of either byte order: plain CDR, version 1."""
+
 _LONG = 65_536  # octets from which on an array is a part of its own
-_UNFIT = (struct.error, ArithmeticError, AttributeError, LookupError, TypeError, ValueError)
-_count = struct.Struct("=I").pack
+_MAX_BLOCKS = 8  # CPython compiles no more than twenty within one another
+_WIDEST = 8
+_ZEROS = tuple(bytes(count) for count in range(_WIDEST))
 
 
-class _Out(bytearray):
-    """What is serialised of a message, behind the parts that are complete.
+@lru_cache(maxsize=1024)
+def writer(
+    layout: Layout, encoding: Encoding, order: ByteOrder
+) -> Callable[[Message], Sequence[Part]]:
+    """Return the function that serialises a message, header included; padding is zero.
 
-    A long array is a part as it is. To append it here would copy it into memory that grows, and
-    which the system gives and takes back for each message: ten times what one join of all costs.
+    It raises UnfitValue, KeyError, TypeError or another ordinary exception of the step that failed;
+    `explain` names the member.
+    """
+    source = SourceText("def made(v):", encoding, WHOLE)
+    header = HEADERS[order] if encoding.is_encapsulated else b""
+    source.line(f"out = bytearray({source.constant(header) if header else ''})")
+    has_parts = _has_blocks(layout)
+    if has_parts:
+        source.line("parts = []; n = 0")
+    writing = _WritingText(source, encoding, order, has_parts=has_parts)
+    source.path = ("$",)
+    writing.value(layout, "v")
+    writing.flush()
+    source.line("return (*parts, out)" if has_parts else "return (out,)")
+    return source.function()
 
-    Attributes:
-        parts: what stands before, in order.
-        before: how many octets they have.
+
+@lru_cache(maxsize=256)
+def _part_writer(layout: Layout, encoding: Encoding, order: ByteOrder) -> Callable[..., Any]:
+    """Return the function that adds a value behind what is there."""
+    source = SourceText("def made(v, out, parts, n):", encoding, 1)
+    writing = _WritingText(source, encoding, order, has_parts=True)
+    writing.value(layout, "v")
+    writing.flush()
+    source.line("return out, n")
+    return source.function()
+
+
+def _has_blocks(layout: Layout) -> bool:
+    """Say whether there may be a long array."""
+    if isinstance(layout, RecordLayout):
+        return any(_has_blocks(member) for _, member in layout.members)
+    if isinstance(layout, UnionLayout):
+        return any(_has_blocks(member.layout) for member in layout.members)
+    if not isinstance(layout, ArrayLayout):
+        return False
+    return is_block(layout.element) or _has_blocks(layout.element)
+
+
+class _WritingText:
+    """Writes the lines for a layout; `run` holds numbers that wait to be packed together.
+
+    In the text, `out` are the octets behind the last part, of which `n` are in `parts`.
     """
 
-    __slots__ = ("before", "parts")
-
-    def __init__(self, octets: bytes) -> None:
-        super().__init__(octets)
-        self.parts: list[Part] = []
-        self.before = 0
-
-    def add_part(self, octets: memoryview | bytes) -> None:
-        """Append a long array as it is; nobody changes it before the parts are joined."""
-        self.parts += (bytes(self), octets)
-        self.before += len(self) + memoryview(octets).nbytes
-        self.clear()
-
-
-def serialiser(structure: MessageStructure) -> Callable[[Message], list[Part]]:
-    """Return the function that serialises messages of a structure, encapsulation header first.
-
-    What it returns is to be joined at once: parts may be the message's own memory. It raises
-    MessageError for a message that does not fit.
-
-    Raises:
-        MessageError: the structure has no fixed layout; the text names the field.
-    """
-    writing = _Writing(_GREATEST)
-    writing.record(structure.schema, "v", "the message", 0)
-    put = writing.function()
-
-    def serialise(message: Message) -> list[Part]:
-        out = _Out(_HEADER)
-        try:
-            put(out, message)
-        except _UNFIT as error:
-            raise MessageError(f"the message does not fit its structure: {error}") from error
-        return [*out.parts, out]
-
-    return serialise
-
-
-class _Writing:
-    """One function under construction: `v` is the value, `out` are the octets so far.
-
-    Of the place of the next field is known that it is `rest` more than a multiple of `modulus`.
-    """
-
-    def __init__(self, modulus: int) -> None:
-        self._modulus = modulus
-        self._rest = 0
-        self._lines = ["def put(out, v):"]
-        self._constants: dict[str, Any] = {}
-        self._fresh = count()
+    def __init__(
+        self, source: SourceText, encoding: Encoding, order: ByteOrder, *, has_parts: bool
+    ) -> None:
+        self._source = source
+        self._before = "- n " if has_parts else ""
+        self._encoding = encoding
+        self._order = order
+        self._blocks = 0
         self._format = ""
-        self._values: list[str] = []
+        self._run: list[str] = []
+        self._checks: list[PlaceCheck] = []
+        self._zeros = source.constant(_ZEROS)
 
-    def function(self) -> Put:
-        """Compile it, with what was written before."""
-        self._flush()
-        # Nothing of a structure is in the text but names of fields, each as a literal.
-        exec("\n ".join(self._lines), self._constants)  # noqa: S102 - our own text, see above
-        put: Put = self._constants["put"]
-        return put
-
-    def value(self, schema: object, place: str, where: str, depth: int) -> None:
-        """Write what puts a value of any kind; `place` is the expression for it."""
-        if not isinstance(schema, Mapping) or depth > _MAX_DEPTH:
-            raise _loose(where, "anything may stand there")
-        basic = basic_type(schema)
-        if schema.get("type") == "array":
-            self._array(schema, place, where, depth)
-        elif basic == "string":
-            self._call(_put_text, place)
-        elif basic == "wstring":
-            self._call(_put_wide_text, place)
-        elif basic:
-            self._number(BASIC[basic], place)
+    def value(self, layout: Layout, place: str) -> None:
+        """Write what serialises a value; `place` is the expression for it."""
+        if isinstance(layout, RecordLayout):
+            self._record(layout, place)
+        elif isinstance(layout, NumberLayout):
+            self._number(layout, place)
+        elif isinstance(layout, TextLayout):
+            self._text(layout, place)
+        elif isinstance(layout, ArrayLayout):
+            (self._block if is_block(layout.element) else self._list)(layout, place)
+        elif isinstance(layout, BooleanLayout):
+            self._checked(checker(layout), "B", place, "{0} is not True and {0} is not False")
+        elif isinstance(layout, UnionLayout):
+            self._union(layout, place)
+        elif isinstance(layout, EnumerationLayout):
+            self._checked(label_check(layout), "I", place)
         else:
-            self.record(schema, place, where, depth)
+            self._character(layout, place)
 
-    def record(self, schema: object, place: str, where: str, depth: int) -> None:
-        """Write what puts a record, whose fields are written out in place."""
-        if not isinstance(schema, Mapping) or schema.get("type") != "object":
-            raise _loose(where, "no single type is stated for it")
-        fields: Mapping[str, object] = schema.get("properties", {})
-        always = fields.keys() == set(schema.get("required", ()))
-        if not always or schema.get("additionalProperties") is not False:
-            raise _loose(where, "fields may be absent or added")
-        holder = f"r{next(self._fresh)}"
-        self._lines.append(f"{holder} = {place}")
-        for name, field in fields.items():
-            self.value(field, f"{holder}[{name!r}]", f"{where}.{name}", depth + 1)
-        if not fields:
-            self._number("B", "0")
-
-    def _array(self, schema: Mapping[str, Any], place: str, where: str, depth: int) -> None:
-        put, aligned = _listing(schema, where, depth)
-        self._call(put, place)
-        self._modulus = aligned
-
-    def _number(self, code: str, place: str) -> None:
-        """Gather a number, to be packed with those around it."""
-        size = struct.calcsize(f"={code}")
-        if self._modulus % size:
-            self._flush()
-            self._lines.append(f"{self._constant(_align)}(out, {size})")
-            self._modulus, self._rest = size, 0
-        padding = -self._rest % size
-        self._rest = (self._rest + padding + size) % self._modulus
-        self._format += "x" * padding + code
-        self._values.append(place)
-
-    def _call(self, put: Put, place: str) -> None:
-        """Have something put whose length only the message tells."""
-        self._flush()
-        self._lines.append(f"{self._constant(put)}(out, {place})")
-        self._modulus, self._rest = 1, 0
-
-    def _flush(self) -> None:
+    def flush(self) -> None:
         """Write the line that packs all numbers that were gathered."""
         if self._format:
-            pack = self._constant(struct.Struct(f"={self._format}").pack)
-            self._lines.append(f"out += {pack}({', '.join(self._values)})")
-            self._format, self._values = "", []
+            pack = self._source.constant(struct.Struct(self._order + self._format).pack)
+            self._source.line(f"out += {pack}({', '.join(self._run)})", *self._checks)
+        self._format, self._run, self._checks = "", [], []
 
-    def _constant(self, value: object) -> str:
-        name = f"c{len(self._constants)}"
-        self._constants[name] = value
-        return name
+    def _pack(self, code: str, variable: str) -> None:
+        size = SIZES[code]
+        gap = self._source.gap(size)
+        if gap is None:
+            self._align(size)
+        elif gap:
+            self._format += f"{gap}x"
+            self._source.advance(gap)
+        self._format += code
+        self._run.append(variable)
+        self._source.advance(size)
 
+    def _align(self, size: int, condition: str = "") -> None:
+        """Fill up to a multiple of a size that only the message knows the way to."""
+        self.flush()
+        start = self._encoding.header_size if size == _WIDEST else 0
+        place = f"{start or ''} {self._before}- len(out) & {size - 1}"
+        self._source.line(f"{condition}out += {self._zeros}[{place}]")
+        self._source.known(size)
 
-def _listing(schema: Mapping[str, Any], where: str, depth: int) -> tuple[Put, int]:
-    """Return what puts an array, and of what number the place behind it is always a multiple."""
-    items = schema.get("items")
-    if not isinstance(items, Mapping) or "prefixItems" in schema or items.get("type") == "array":
-        raise _loose(where, "its elements have no single type that ROS has")
-    least, most = schema.get("minItems"), schema.get("maxItems")
-    fixed = least if isinstance(least, int) and least == most else None
-    basic = basic_type(items)
-    if BASIC.get(basic):
-        elements = _block(BASIC[basic])
-    else:
-        writing = _Writing(1)
-        writing.value(items, "v", f"{where}[]", depth + 1)
-        elements = _each(writing.function())
-
-    def put(out: _Out, value: Any) -> None:
-        if fixed is None:
-            _align(out, 4)
-            out += _count(len(value))
-        elif len(value) != fixed:
-            raise ValueError(f"{where} has {len(value)} elements, expected {fixed}")
-        if len(value):
-            elements(out, value)
-
-    return put, struct.calcsize(f"={BASIC[basic]}") if fixed and BASIC.get(basic) else 1
-
-
-def _each(put: Put) -> Put:
-    def put_all(out: _Out, values: Any) -> None:
-        for value in values:
-            put(out, value)
-
-    return put_all
-
-
-def _block(code: str) -> Put:
-    """Return what puts an array of numbers: a buffer of theirs as it is, others one by one."""
-    size = struct.calcsize(f"={code}")
-
-    def put(out: _Out, values: Any) -> None:
-        _align(out, size)
-        octets = _octets(values, code, size)
-        if octets is None:
-            listed = values.tolist() if hasattr(values, "tolist") else list(values)
-            octets = struct.pack(f"={len(listed)}{code}", *listed)
-        if memoryview(octets).nbytes >= _LONG:
-            out.add_part(octets)
+    def _checked(
+        self, check: Callable[[Message], Any], code: str, place: str, doubt: str = ""
+    ) -> None:
+        """Gather a value that passes the check, which is asked where there is doubt."""
+        source, name = self._source, self._source.variable()
+        asked = source.constant(check)
+        if doubt:
+            source.line(f"{name} = {place}")
+            source.line(f"if {doubt.format(name)}: {name} = {asked}({name})")
         else:
-            out += octets
+            source.line(f"{name} = {asked}({place})")
+        self._pack(code, name)
 
-    return put
+    def _number(self, layout: NumberLayout, place: str) -> None:
+        kind = "float" if layout.bounds is None else "int"
+        check = checker(layout)
+        self._checked(check, layout.code, place, f"type({{0}}) is not {kind}")
+        # What `struct` refuses, such as an integer that is too large, is found among these.
+        self._checks.append(PlaceCheck(self._source.path, self._run[-1], check))
+
+    def _record(self, layout: RecordLayout, place: str) -> None:
+        source, path, checks = self._source, self._source.path, self._source.checks
+        name = source.variable()
+        check = member_check(member for member, _ in layout.members)
+        source.line(f"{name} = {place}")
+        failure = source.constant(check)
+        source.checks = (PlaceCheck(path, name, check),)
+        source.line(f"if len({name}) != {len(layout.members)}: {failure}({name})")
+        for member, inner in layout.members:
+            source.path = (*path, f".{member}")
+            self.value(inner, f"{name}[{member!r}]")
+        source.path, source.checks = path, checks
+        if not layout.members and self._encoding.is_encapsulated:
+            self._format += "x"  # C has no empty structures: one octet stands for it
+            source.advance(1)
+
+    def _character(self, layout: CharacterLayout, place: str) -> None:
+        if not layout.is_wide:
+            self._checked(checker(layout), "B", place)
+            return
+        self.flush()
+        write = self._source.constant(write_wide_character)
+        self._source.line(f"out += {write}({place})")
+        self._source.known(1)
+
+    def _text(self, layout: TextLayout, place: str) -> None:
+        source, octets, length = self._source, self._source.variable(), self._source.variable()
+        function = text_writer(layout, self._encoding, self._order)
+        write = source.constant(function)
+        if layout.is_wide:
+            source.line(f"{length}, {octets} = {write}({place})")
+        elif layout.bound is not None:
+            source.line(f"{octets} = {write}({place})")
+            length = f"len({octets})"
+        else:
+            given, closing = source.variable(), self._encoding.is_aligned
+            source.line(f"{given} = {place}")
+            test = f"type({given}) is str" + (f" and '\\0' not in {given}" if closing else "")
+            charset = "" if self._encoding.charset == "utf-8" else repr(self._encoding.charset)
+            plain = f"{given}.encode({charset})" + (" + b'\\0'" if closing else "")
+            source.line(
+                f"{octets} = {plain} if {test} else {write}({given})",
+                PlaceCheck(source.path, given, function),
+            )
+            length = f"len({octets})"
+        self._pack("I", length)
+        self.flush()
+        source.line(f"out += {octets}")
+        source.known(1)
+
+    def _block(self, layout: ArrayLayout, place: str) -> None:
+        source, element = self._source, layout.element
+        size = SIZES[element.code] if isinstance(element, NumberLayout) else 1
+        length, octets = source.variable(), source.variable()
+        write = source.constant(array_writer(layout, self._order))
+        source.line(f"{length}, {octets} = {write}({place})")
+        if not layout.is_fixed:
+            self._pack("I", length)
+        self.flush()
+        gap = source.gap(size)
+        if gap is None:  # an empty array ends behind its length
+            self._align(size, "" if layout.is_fixed else f"if {length}: ")
+        elif gap:
+            condition = "" if layout.is_fixed else f"if {length}: "
+            source.line(f"{condition}out += {self._zeros}[{gap}]")
+            source.advance(gap)
+        if layout.is_fixed:
+            source.advance(size * (layout.size or 0))
+        else:
+            source.known(min(size, 4))
+        if layout.is_fixed and size * (layout.size or 0) < _LONG:
+            source.line(f"out += {octets}")
+            return
+        source.line(f"if len({octets}) < {_LONG}: out += {octets}")
+        source.line("else:")
+        source.depth += 1
+        source.line(f"parts += (out, {octets}); n += len(out) + len({octets}); out = bytearray()")
+        source.depth -= 1
+
+    def _list(self, layout: ArrayLayout, place: str) -> None:
+        source, path, checks = self._source, self._source.path, self._source.checks
+        name, index, element = source.variable(), source.variable(), source.variable()
+        count = source.constant(counter(layout))
+        source.line(f"{name} = {place}")
+        if layout.is_fixed:
+            source.line(f"{count}({name})")
+        else:
+            length = source.variable()
+            source.line(f"{length} = {count}({name})")
+            self._pack("I", length)
+        self.flush()
+        source.line(f"for {index}, {element} in enumerate({name}):")
+        source.path, source.checks = (*path, Index(index)), ()
+        source.depth += 1
+        self._blocks += 1
+        source.known(1)
+        if self._blocks < _MAX_BLOCKS:
+            self.value(layout.element, element)
+            self.flush()
+        else:
+            part = source.constant(_part_writer(layout.element, self._encoding, self._order))
+            if self._before:
+                source.line(f"out, n = {part}({element}, out, parts, n)")
+            else:
+                source.line(f"{part}({element}, out, None, 0)")
+        self._blocks -= 1
+        source.depth -= 1
+        source.path, source.checks = path, checks
+        source.known(1)
+
+    def _union(self, layout: UnionLayout, place: str) -> None:
+        source, path, checks = self._source, self._source.path, self._source.checks
+        name, switch = source.variable(), source.variable()
+        source.line(f"{name} = {place}")
+        source.checks = (PlaceCheck(path, name, _switch_check),)
+        source.line(f"{switch} = {name}[{SWITCH!r}]")
+        source.path = (*path, f".{SWITCH}")
+        self.value(layout.by, switch)
+        self.flush()
+        known = source.modulus, source.rest
+        word = "if"
+        for member in layout.members:
+            labels = source.constant(member.labels)
+            source.path = path
+            test = "True" if member.labels is None else f"{switch} in {labels}"
+            source.line(f"{word} {test}:")
+            word = "elif"
+            source.depth += 1
+            source.known(*known)
+            check = member_check((SWITCH, member.name))
+            source.line(f"if len({name}) != 2: {source.constant(check)}({name})")
+            source.checks = (PlaceCheck(path, name, check),)
+            source.path = (*path, f".{member.name}")
+            self.value(member.layout, f"{name}[{member.name!r}]")
+            self.flush()
+            source.depth -= 1
+        source.path = path
+        check = member_check((SWITCH,))
+        source.line(f"elif len({name}) != 1: {source.constant(check)}({name})")
+        source.path, source.checks = path, checks
+        source.known(1)
 
 
-def _octets(values: Any, code: str, size: int) -> memoryview | bytes | None:
-    """Return what a buffer of the very type consists of, None for anything else."""
-    try:
-        buffer = memoryview(values)
-    except TypeError:
-        return None
-    same = buffer.itemsize == size and _kind(buffer.format) == _kind(code)
-    if not same or buffer.ndim != 1:
-        return None
-    return buffer if buffer.c_contiguous else buffer.tobytes()
-
-
-def _kind(code: str) -> str:
-    """Return whether a format is of signed or unsigned integers, of floats, or another one."""
-    return next((kinds for kinds in ("bhilqn", "BHILQN", "fd") if code in kinds), code)
-
-
-def _put_text(out: _Out, value: Any) -> None:
-    octets = value.encode()
-    _align(out, 4)
-    out += _count(len(octets) + 1)
-    out += octets
-    out.append(0)
-
-
-def _put_wide_text(out: _Out, value: Any) -> None:
-    units = array("H", value.encode("utf-16-le" if sys.byteorder == "little" else "utf-16-be"))
-    _align(out, 4)
-    out += _count(len(units))
-    out += array("I", units).tobytes()
-
-
-def _align(out: _Out, size: int) -> None:
-    """Fill up to a multiple of a size, counted from after the header."""
-    gap = (len(_HEADER) - out.before - len(out)) % size
-    if gap:
-        out += bytes(gap)
-
-
-def _loose(where: str, why: str) -> MessageError:
-    return MessageError(f"{where} has no fixed layout ({why})")
+def _switch_check(value: Message) -> None:
+    """Raise UnfitValue unless there is a switch in what stands for a union."""
+    if not hasattr(value, "keys") or SWITCH not in value:
+        member_check((SWITCH,))(value)

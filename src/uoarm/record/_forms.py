@@ -9,11 +9,11 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Callable, Mapping
-from typing import Any
 
 from attrs import field, frozen
 
-from uoarm.cdr import RosDefinition, definition_of, serialiser
+from uoarm import cdr
+from uoarm.cdr import RosDefinition, definition_of
 from uoarm.errors import MessageError
 from uoarm.model import Message, MessageStructure, write_json
 
@@ -67,11 +67,11 @@ def form_of(function: str, structure: MessageStructure, metadata: Mapping[str, s
     if is_ros or _keeps_octets(structure.schema):
         try:
             definition = definition_of(structure, _type_name(function))
-            write = serialiser(structure)
+            encode = cdr.Codec(structure).encode
         except MessageError:
             pass  # it has no fixed layout, or names that no message file may have
         else:
-            return _cdr_form(topic, definition, write, all_metadata)
+            return _cdr_form(topic, definition, encode, all_metadata)
     from uoarm._wire import TEXT_FORM  # noqa: PLC0415 - needs an extra
 
     schema = write_json(TEXT_FORM.schema(structure.schema)).encode()
@@ -82,13 +82,9 @@ def form_of(function: str, structure: MessageStructure, metadata: Mapping[str, s
 def _cdr_form(
     topic: str,
     definition: RosDefinition,
-    write: Callable[[Message], list[Any]],
+    encode: Callable[[Message], bytes],
     metadata: Mapping[str, str],
 ) -> ChannelForm:
-    def encode(message: Message) -> bytes:
-        parts = write(message)
-        return bytes(parts[0]) if len(parts) == 1 else b"".join(parts)
-
     text = definition.text.encode()
     return ChannelForm(topic, definition.name, "ros2msg", text, "cdr", encode, metadata)
 

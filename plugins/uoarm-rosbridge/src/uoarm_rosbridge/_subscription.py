@@ -7,12 +7,12 @@ import functools
 import math
 import struct
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from attrs import frozen
 
-from uoarm.cdr import Part, serialiser
+from uoarm import cdr
 from uoarm.errors import ControlMessageError, MessageError
 from uoarm.model import Message, MessageStructure, QueuePolicy
 from uoarm.server.front_end import Client, Envelope, Lane, MemoryUse, write_binary
@@ -43,7 +43,7 @@ class RawWriter:
         self._topic = topic
         self._structure = structure
         self._known: MessageStructure | None = None
-        self._serialise: Callable[[Message], list[Part]] | None = None
+        self._serialise: Callable[[Message], Sequence[cdr.Part]] | None = None
 
     def __call__(self, message: Message) -> bytes:
         """Return a publish message.
@@ -58,7 +58,7 @@ class RawWriter:
         length = sum(memoryview(part).nbytes for part in parts)
         return b"".join((before[:-1], _head(_BYTE_STRING, length), *parts))
 
-    def prepare(self) -> Callable[[Message], list[Part]]:
+    def prepare(self) -> Callable[[Message], Sequence[cdr.Part]]:
         """Read the structure, unless it is known, and return what serialises its messages.
 
         Raises:
@@ -67,7 +67,7 @@ class RawWriter:
         structure = self._structure()
         if self._serialise is None or structure is not self._known:
             try:
-                self._serialise = serialiser(structure)
+                self._serialise = cdr.Codec(structure).encode_parts
             except MessageError as error:
                 raise MessageError(f"{error}; ask for cbor instead of cbor-raw") from None
             self._known = structure

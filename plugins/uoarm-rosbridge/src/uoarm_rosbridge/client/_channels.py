@@ -11,16 +11,24 @@ from typing import Any
 
 import numpy as np
 
+from uoarm import cdr
 from uoarm.bridge import Channel, ChannelHealth, ChannelMonitor, Delivery, Sink, Source
 from uoarm.errors import BridgeError, FailureReason, MessageError
-from uoarm.model import Endpoint, Health, Message
+from uoarm.model import Budget, Endpoint, Health, Message
 from uoarm_rosbridge._wire import write_publish
 from uoarm_rosbridge.client._connection import Fields, ServerConnection
 from uoarm_rosbridge.client._options import Port
-from uoarm_rosbridge.client._raw import raw_reader
-from uoarm_rosbridge.client._types import RosType, reader, writer
+from uoarm_rosbridge.client._types import RosType, reader, structure_of, writer
 
-__all__ = ["ParameterSink", "ParameterSource", "TopicSink", "TopicSource", "parameter", "plain"]
+__all__ = [
+    "ParameterSink",
+    "ParameterSource",
+    "TopicSink",
+    "TopicSource",
+    "parameter",
+    "plain",
+    "raw_reader",
+]
 
 Report = Callable[[Channel, Health, str], None]
 
@@ -76,7 +84,7 @@ class TopicSource(Source):
             # Where another source has the topic already, messages come as that has asked for.
             fields = connection.subscribe(fields, self._take)
             is_raw = fields["compression"] == "cbor-raw"
-            self._read = raw_reader(made, options.budget.elements) if is_raw else reader(made)
+            self._read = raw_reader(made, options.budget) if is_raw else reader(made)
             self._thread.start()
             connection.rosapi("get_time")  # operations are worked through in order
         except BaseException:
@@ -312,6 +320,26 @@ def parameter(connection: ServerConnection, endpoint: Endpoint, name: str) -> An
         return json.loads(str(text))
     except ValueError as error:
         raise BridgeError(f"{endpoint}: {error}", FailureReason.BAD_MESSAGE) from error
+
+
+def raw_reader(made: RosType, budget: Budget) -> Callable[[Any], Message]:
+    """Return the function that makes a message of what `cbor-raw` brought; it raises MessageError.
+
+    Raises:
+        MessageError: the type has no layout as ROS 1 serialises it.
+    """
+    encoding = cdr.ROS_1 if made.is_of_ros_1 else cdr.DDS
+    codec = cdr.Codec(structure_of(made), encoding, budget)
+
+    def read(came: Any) -> Message:
+        octets = came.get("bytes") if isinstance(came, dict) else None
+        if not isinstance(octets, bytes | bytearray | memoryview):
+            raise MessageError(
+                f"{made.name}: expected the octets of cbor-raw, got {type(came).__name__}"
+            )
+        return codec.decode(octets, "<")
+
+    return read
 
 
 def is_same(value: Any, other: Any) -> bool:

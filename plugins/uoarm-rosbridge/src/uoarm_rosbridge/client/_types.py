@@ -235,8 +235,10 @@ def _schema(shape: RosShape) -> dict[str, Any]:
         if shape.size is not None:
             schema["minItems"] = schema["maxItems"] = shape.size
         return {**schema, "x-octets": True} if _is_octets(shape) else schema
-    if shape.kind in {"bool", "string"}:
-        return {"type": "boolean" if shape.kind == "bool" else "string"}
+    if shape.kind == "bool":
+        return {"type": "boolean"}
+    if shape.kind == "string":
+        return {"type": "string", **({"x-native-type": "wstring"} if shape.is_wide else {})}
     if shape.kind in _FLOATS:
         schema = {"type": "number", "x-native-type": shape.kind, "x-nonfinite": True}
         limits = {"minimum": -_FLOAT32_MAX, "maximum": _FLOAT32_MAX}
