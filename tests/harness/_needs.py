@@ -99,6 +99,7 @@ NEEDS = {
     "rosbridge": Need(
         "pip install -e 'plugins/uoarm-rosbridge[dev]'", packages=("uoarm_rosbridge", "roslibpy")
     ),
+    "foxglove": Need("pip install -e 'plugins/uoarm-foxglove[dev]'", packages=("uoarm_foxglove",)),
     "chromium": Need(
         "apt install chromium, or Chrome on the PATH",
         programs=("chromium", "chromium-browser", "google-chrome", "google-chrome-stable"),
@@ -134,6 +135,7 @@ MODULES = {
     "plugins/uoarm-ros1/tests/test_roscpp.py": ("ros1", "rospy", "roscpp"),
     "plugins/uoarm-ros1/tests/*": ("ros1", "rospy"),
     "plugins/uoarm-rosbridge/tests/*": ("rosbridge",),
+    "plugins/uoarm-foxglove/tests/*": ("foxglove",),
 }
 """What a whole module needs, also for being imported."""
 

@@ -42,7 +42,7 @@ from uoarm.server.streams import Shares
 __all__ = ["OWN_PATHS", "AcceptedHandshake", "FrontEnds", "HandshakeHandler"]
 
 _GROUP = "uoarm.front_ends"
-_KNOWN = {"rosbridge": "uoarm-rosbridge"}
+_KNOWN = {"foxglove": "uoarm-foxglove", "rosbridge": "uoarm-rosbridge"}
 
 
 class FrontEnds:

@@ -1,0 +1,382 @@
+"""What a robot has for viewers: a channel for each output, a service for each service.
+
+Topics are called after functions, `/camera` or `/camera/OUTPUT` where there are several. All that
+grows with the robot is made in the thread of the server's views; sessions only pass it on.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import itertools
+import time
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from typing import TypeAlias
+
+from attrs import frozen
+
+from uoarm.model import Component, Function, MessageStructure, Robot
+from uoarm.server.front_end import AccessRole, Backend
+from uoarm_foxglove._encoding import StructureCodec, codec_of
+from uoarm_foxglove._protocol import write
+
+__all__ = [
+    "ChannelCatalogue",
+    "InputTopic",
+    "OutputChannel",
+    "RobotService",
+    "VisibleListing",
+    "topic_of",
+]
+
+Structures: TypeAlias = Mapping[str, MessageStructure]
+_FRESH_SECONDS = 1.0
+_FRAME_OCTETS = 262_144
+
+
+def topic_of(function: str, port: str) -> str:
+    """Return the name of the topic or service of a function; the port is empty for the only one."""
+    return f"/{function}/{port}" if port else f"/{function}"
+
+
+@frozen(eq=False)
+class OutputChannel:
+    """An output of a function.
+
+    Attributes:
+        number: by which viewers name it.
+        function: whose output it is.
+        port: empty for the only one.
+        codec: how its messages are encoded.
+    """
+
+    number: int
+    function: str
+    port: str
+    codec: StructureCodec
+
+    @property
+    def wanted(self) -> str:
+        """The function, or function.output, as the manager names it."""
+        return f"{self.function}.{self.port}" if self.port else self.function
+
+    @property
+    def stated(self) -> dict[str, object]:
+        """How it is announced."""
+        return {"id": self.number, "topic": topic_of(self.function, self.port), **self.codec.stated}
+
+
+@frozen(eq=False)
+class RobotService:
+    """A service of a function; its numbers are other ones than those of channels."""
+
+    number: int
+    function: str
+    request: StructureCodec
+    reply: StructureCodec
+
+    @property
+    def stated(self) -> dict[str, object]:
+        """How it is announced: with the schemas as viewers of either generation read them."""
+        return {
+            "id": self.number,
+            "name": topic_of(self.function, ""),
+            "type": self.request.schema_name.removesuffix("_Request"),
+            "request": self.request.stated,
+            "response": self.reply.stated,
+            "requestSchema": self.request.schema,
+            "responseSchema": self.reply.schema,
+        }
+
+
+@frozen
+class InputTopic:
+    """An input of a function, to which viewers may publish; the port is empty for the only one."""
+
+    function: str
+    port: str
+
+
+@frozen(eq=False)
+class VisibleListing:
+    """What one role sees.
+
+    Attributes:
+        channels: by number.
+        services: by number.
+        inputs: by topic.
+        graph: who publishes, subscribes and serves what, as the protocol has it.
+    """
+
+    channels: Mapping[int, OutputChannel]
+    services: Mapping[int, RobotService]
+    inputs: Mapping[str, InputTopic]
+    graph: Mapping[str, list[dict[str, object]]]
+
+    def frames_after(self, former: VisibleListing | None) -> tuple[bytes, ...]:
+        """Return what a viewer is sent that knows a former one, or none."""
+        gone = [n for n in former.channels if n not in self.channels] if former else []
+        ended = [n for n in former.services if n not in self.services] if former else []
+        fresh = [c for n, c in self.channels.items() if not former or n not in former.channels]
+        begun = [s for n, s in self.services.items() if not former or n not in former.services]
+        frames = [write("unadvertise", channelIds=gone)] if gone else []
+        frames += [write("unadvertiseServices", serviceIds=ended)] if ended else []
+        stated = [channel.stated for channel in fresh]
+        frames += [write("advertise", channels=batch) for batch in _batches(stated)]
+        served = [service.stated for service in begun]
+        return (
+            *frames,
+            *(write("advertiseServices", services=batch) for batch in _batches(served)),
+        )
+
+    def graph_after(self, former: VisibleListing | None) -> bytes | None:
+        """Return how the graph differs from that of a former listing; None: it does not."""
+        before = {} if former is None else former.graph
+        if self.graph == before:
+            return None
+        changed: dict[str, object] = {
+            part: [item for item in items if item not in before.get(part, ())]
+            for part, items in self.graph.items()
+        }
+        names = {part: {item["name"] for item in items} for part, items in self.graph.items()}
+        topics = names["publishedTopics"] | names["subscribedTopics"]
+        known = [*before.get("publishedTopics", ()), *before.get("subscribedTopics", ())]
+        served = before.get("advertisedServices", ())
+        changed["removedTopics"] = sorted({str(item["name"]) for item in known} - topics)
+        changed["removedServices"] = [
+            item["name"] for item in served if item["name"] not in names["advertisedServices"]
+        ]
+        return write("connectionGraphUpdate", **changed)
+
+
+@frozen
+class ListingQuestion:
+    """What a session asks: what its role sees now, and what is new beside what its viewer knows.
+
+    Attributes:
+        role: of the client.
+        known: the listing whose channels and services the viewer has; None: it has none.
+        graph: the listing whose graph it has; None: it has none.
+        with_graph: whether it wants the graph at all.
+    """
+
+    role: AccessRole
+    known: VisibleListing | None = None
+    graph: VisibleListing | None = None
+    with_graph: bool = False
+
+
+@frozen
+class ListingAnswer:
+    """A listing, and the frames that bring a viewer there."""
+
+    listing: VisibleListing
+    frames: tuple[bytes, ...] = ()
+
+
+@frozen
+class _FunctionListing:
+    """What one function has; made anew only when it or its structures are others."""
+
+    function: Function
+    structures: Structures
+    channels: tuple[OutputChannel, ...]
+    services: tuple[RobotService, ...]
+    inputs: tuple[InputTopic, ...]
+
+
+class ChannelCatalogue:
+    """What all viewers of one server are shown.
+
+    Args:
+        backend: of the robot.
+    """
+
+    def __init__(self, backend: Backend) -> None:
+        self._backend = backend
+        self._looked_at = float("-inf")
+        self._looking: asyncio.Task[None] | None = None
+        # Replaced in the loop, read in the views' thread: one value, so that the two fit.
+        self._found: tuple[Robot | None, Mapping[str, Structures]] = None, {}
+        # Of the views' thread alone.
+        self._numbers = itertools.count(1)
+        self._functions: dict[str, _FunctionListing] = {}
+        self._listings: dict[AccessRole, VisibleListing] = {}
+        self._made_of: object = None
+
+    async def answer(self, question: ListingQuestion) -> ListingAnswer:
+        """Return what a role sees, not older than a second.
+
+        Raises:
+            BusyError: the server is closing.
+        """
+        if time.monotonic() - self._looked_at > _FRESH_SECONDS:
+            if self._looking is None:
+                self._looking = asyncio.ensure_future(self._look())
+            await asyncio.shield(self._looking)
+        return await self._backend.view(self.make, question)
+
+    def make(self, questions: Collection[ListingQuestion]) -> dict[ListingQuestion, ListingAnswer]:
+        """Return the answers to all that was asked, in the thread of the views."""
+        found = self._found
+        if found is not self._made_of:
+            self._made_of = found
+            robot, structures = found
+            assert robot is not None, "the robot was looked at before anything was asked"
+            self._functions = {
+                name: self._listed(function, structures.get(name, {}))
+                for name, function in robot.functions.items()
+            }
+            self._listings = {
+                role: self._listing(role, listing) for role, listing in self._listings.items()
+            }
+        return {question: self._answer(question) for question in questions}
+
+    def _answer(self, question: ListingQuestion) -> ListingAnswer:
+        listing = self._listings.get(question.role)
+        if listing is None:
+            listing = self._listing(question.role, None)
+            self._listings[question.role] = listing
+        frames: tuple[bytes, ...] = ()
+        if listing is not question.known:
+            frames = listing.frames_after(question.known)
+        if question.with_graph and listing is not question.graph:
+            graph = listing.graph_after(question.graph)
+            frames = frames if graph is None else (*frames, graph)
+        return ListingAnswer(listing, frames)
+
+    async def _look(self) -> None:
+        try:
+            robot = self._backend.robot.config
+            self._found = robot, await self._backend.structures(robot.functions)
+            self._looked_at = time.monotonic()
+        finally:
+            self._looking = None
+
+    def _listed(self, function: Function, structures: Structures) -> _FunctionListing:
+        known = self._functions.get(function.name)
+        if known and known.function is function and known.structures == structures:
+            return known
+        former = (
+            {(item.wanted, item.codec.schema): item for item in known.channels} if known else {}
+        )
+        outputs, inputs = _outputs(function.components), _inputs(function.components)
+        channels = []
+        for output in outputs:
+            structure = structures.get(f"output.{output}")
+            if structure is None:
+                continue  # what nothing provides now is announced once something does
+            port = output if len(outputs) > 1 else ""
+            codec = codec_of(structure, _type_name(function.name, output))
+            made = OutputChannel(next(self._numbers), function.name, port, codec)
+            channels.append(former.get((made.wanted, codec.schema), made))
+        return _FunctionListing(
+            function,
+            structures,
+            tuple(channels),
+            tuple(self._services(function.name, structures, known)),
+            tuple(InputTopic(function.name, name if len(inputs) > 1 else "") for name in inputs),
+        )
+
+    def _services(
+        self, function: str, structures: Structures, known: _FunctionListing | None
+    ) -> Iterator[RobotService]:
+        request, reply = structures.get("request"), structures.get("reply")
+        if request is None or reply is None:
+            return
+        asked = codec_of(request, _type_name(function, "request"))
+        answered = codec_of(reply, _type_name(function, "reply"))
+        for service in known.services if known else ():
+            if (service.request.schema, service.reply.schema) == (asked.schema, answered.schema):
+                yield service
+                return
+        yield RobotService(next(self._numbers), function, asked, answered)
+
+    def _listing(self, role: AccessRole, former: VisibleListing | None) -> VisibleListing:
+        view = self._backend.role_views.of(role)
+        seen = [item for name, item in self._functions.items() if view.has_function(name)]
+        channels = {channel.number: channel for item in seen for channel in item.channels}
+        services = {service.number: service for item in seen for service in item.services}
+        inputs = {topic_of(i.function, i.port): i for item in seen for i in item.inputs}
+        graph = _graph([item.function for item in seen], channels.values())
+        if former is not None and (
+            former.channels == channels
+            and former.services == services
+            and former.inputs == inputs
+            and former.graph == graph
+        ):
+            return former
+        return VisibleListing(channels, services, inputs, graph)
+
+
+def _graph(
+    functions: Sequence[Function], channels: Iterable[OutputChannel]
+) -> dict[str, list[dict[str, object]]]:
+    # Of functions that the role does not see there are no topics here.
+    topics: dict[str, list[str]] = {}
+    for channel in channels:
+        topics.setdefault(channel.function, []).append(topic_of(channel.function, channel.port))
+    subscribers: dict[str, list[str]] = {}
+    for function in functions:
+        for component in function.components:
+            for source in dict.fromkeys(_sources(component)):
+                for topic in topics.get(source, ()):
+                    subscribers.setdefault(topic, []).append(component.name)
+    return {
+        "publishedTopics": [
+            {"name": topic, "publisherIds": [component.name for component in function.components]}
+            for function in functions
+            for topic in topics.get(function.name, ())
+        ],
+        "subscribedTopics": [
+            {"name": topic, "subscriberIds": names} for topic, names in subscribers.items()
+        ],
+        "advertisedServices": [
+            {"name": topic_of(function.name, ""), "providerIds": providers}
+            for function in functions
+            if (providers := [c.name for c in function.components if c.service is not None])
+        ],
+    }
+
+
+def _sources(component: Component) -> Iterator[str]:
+    return (port.source.function for port in component.inputs if port.source is not None)
+
+
+def _outputs(components: Iterable[Component]) -> list[str]:
+    return list(dict.fromkeys(port.name for component in components for port in component.outputs))
+
+
+def _inputs(components: Iterable[Component]) -> list[str]:
+    return list(
+        dict.fromkeys(
+            port.name
+            for component in components
+            for port in component.inputs
+            if port.source is None
+        )
+    )
+
+
+def _type_name(function: str, part: str) -> str:
+    """Return a name of ROS's kind for what has none: parts of words, the first of each upper."""
+    words = "".join(
+        letter if letter.isascii() and letter.isalnum() else " "
+        for letter in f"{function} {'' if part == 'default' else part}"
+    ).split()
+    name = "".join(word[:1].upper() + word[1:] for word in words)
+    return f"uoarm/msg/{name if name[:1].isalpha() else f'T{name}'}"
+
+
+def _batches(stated: Iterable[dict[str, object]]) -> Iterator[list[dict[str, object]]]:
+    """Return announcements in lists, of which each makes a frame that is not too long."""
+    batch: list[dict[str, object]] = []
+    octets = 0
+    for item in stated:
+        size = sum(len(str(value)) for value in item.values())
+        if batch and octets + size > _FRAME_OCTETS:
+            yield batch
+            batch, octets = [], 0
+        batch.append(item)
+        octets += size
+    if batch:
+        yield batch

@@ -1,0 +1,158 @@
+"""The protocol's frames: what clients send is read, what they get is written; no I/O."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Collection, Mapping
+from enum import Enum
+from typing import Any, TypeAlias
+
+import orjson
+from attrs import frozen
+
+from uoarm.errors import ControlMessageError
+from uoarm.model import Spending
+from uoarm.server.front_end import read_text
+
+__all__ = [
+    "CDR",
+    "JSON",
+    "ClientFrame",
+    "PublishedFrame",
+    "ServiceRequest",
+    "StatusLevel",
+    "list_of",
+    "message_data",
+    "number_of",
+    "read_frame",
+    "service_response",
+    "text_of",
+    "write",
+]
+
+JSON, CDR = "json", "cdr"
+_MESSAGE, _CALL = 1, 2  # of both sides; a server's 2 is the time, which nothing here sends
+_SERVICE_RESPONSE = 3
+_pack_message = struct.Struct("<BIQ").pack
+_read_number = struct.Struct("<I").unpack_from
+_CALL_HEAD = struct.Struct("<BIII")
+_LONGEST_ENCODING = 32
+_MOST_NUMBER = 2**32 - 1
+
+
+class StatusLevel(Enum):
+    """How grave a status message is."""
+
+    INFO = 0
+    WARNING = 1
+    ERROR = 2
+
+
+@frozen
+class PublishedFrame:
+    """A message of a client to one of its own channels."""
+
+    channel: int
+    payload: bytes
+
+
+@frozen
+class ServiceRequest:
+    """A call of a service."""
+
+    service: int
+    call: int
+    encoding: str
+    payload: bytes
+
+
+ClientFrame: TypeAlias = "PublishedFrame | ServiceRequest | Mapping[str, Any]"
+
+
+def read_frame(frame: str | bytes, spending: Spending) -> ClientFrame:
+    """Return what a client sent: the fields of a text, or one of the two binary messages.
+
+    Raises:
+        ControlMessageError: it is none of these, or costs more than its budget.
+    """
+    if isinstance(frame, str):
+        fields = read_text(frame, spending)
+        if not isinstance(fields, dict):
+            raise ControlMessageError(f"expected an object with 'op', got {type(fields).__name__}")
+        return fields
+    spending.octets(len(frame))
+    if len(frame) >= 5 and frame[0] == _MESSAGE:  # noqa: PLR2004 - the operation and a number
+        return PublishedFrame(_read_number(frame, 1)[0], frame[5:])
+    if len(frame) >= _CALL_HEAD.size and frame[0] == _CALL:
+        _, service, call, length = _CALL_HEAD.unpack_from(frame)
+        start = _CALL_HEAD.size
+        if length > min(_LONGEST_ENCODING, len(frame) - start):
+            raise ControlMessageError(f"a service call states an encoding of {length:,} octets")
+        encoding = frame[start : start + length].decode(errors="replace")
+        return ServiceRequest(service, call, encoding, frame[start + length :])
+    first = f"begins with {frame[0]}" if frame else "is empty"
+    raise ControlMessageError(
+        f"a binary message of {len(frame):,} octets {first}; expected 1 (a message: the number of "
+        "a channel, then its octets) or 2 (a service call)"
+    )
+
+
+def message_data(subscription: int, nanoseconds: int, payload: bytes) -> bytes:
+    """Return one message of a subscription.
+
+    Args:
+        subscription: the number that the client gave it.
+        nanoseconds: when the server had it, since 1970.
+        payload: the message in the channel's encoding.
+    """
+    return _pack_message(_MESSAGE, subscription, nanoseconds) + payload
+
+
+def service_response(request: ServiceRequest, encoding: str, payload: bytes) -> bytes:
+    """Return the answer to a call, whose octets are of an encoding."""
+    name = encoding.encode()
+    head = _CALL_HEAD.pack(_SERVICE_RESPONSE, request.service, request.call, len(name))
+    return head + name + payload
+
+
+def write(op: str, **fields: object) -> bytes:
+    """Return one text message of the server."""
+    return orjson.dumps({"op": op, **fields})
+
+
+def list_of(fields: Mapping[str, Any], name: str) -> list[Any]:
+    """Return a list that a message must have.
+
+    Raises:
+        ControlMessageError: it does not.
+    """
+    found = fields.get(name)
+    if not isinstance(found, list):
+        raise ControlMessageError(f"{fields.get('op')}: {name}: expected a list")
+    return found
+
+
+def number_of(fields: object, name: str, known: Collection[int] | None = None) -> int:
+    """Return a number of an object, or that number itself, which may have to be a known one.
+
+    Raises:
+        ControlMessageError: there is none, or another.
+    """
+    found = fields.get(name) if isinstance(fields, dict) else fields
+    if isinstance(found, bool) or not isinstance(found, int) or not 0 <= found <= _MOST_NUMBER:
+        raise ControlMessageError(f"{name}: expected a number from 0 to {_MOST_NUMBER}")
+    if known is not None and found not in known:
+        raise ControlMessageError(f"{name}: there is no {found}")
+    return found
+
+
+def text_of(fields: object, name: str, longest: int = 200) -> str:
+    """Return a text of an object.
+
+    Raises:
+        ControlMessageError: there is none, or it is too long.
+    """
+    found = fields.get(name) if isinstance(fields, dict) else None
+    if not isinstance(found, str) or len(found) > longest:
+        raise ControlMessageError(f"{name}: expected a text of at most {longest} characters")
+    return found

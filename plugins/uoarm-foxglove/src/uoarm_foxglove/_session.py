@@ -1,0 +1,311 @@
+"""One viewer: what it is shown, what it subscribes to, publishes and calls."""
+
+from __future__ import annotations
+
+import asyncio
+import functools
+import logging
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from typing import Any
+
+from uoarm import __version__
+from uoarm.errors import ControlMessageError, UoarmError
+from uoarm.model import Spending
+from uoarm.server.front_end import (
+    Backend,
+    Client,
+    LimitError,
+    MemoryUse,
+    Operation,
+    error_text,
+    without_frames,
+)
+from uoarm_foxglove._catalogue import (
+    ChannelCatalogue,
+    ListingQuestion,
+    RobotService,
+    VisibleListing,
+)
+from uoarm_foxglove._encoding import read_as
+from uoarm_foxglove._protocol import (
+    CDR,
+    JSON,
+    ClientFrame,
+    PublishedFrame,
+    ServiceRequest,
+    StatusLevel,
+    list_of,
+    number_of,
+    read_frame,
+    service_response,
+    text_of,
+    write,
+)
+from uoarm_foxglove._publication import ViewerPublication
+from uoarm_foxglove._subscription import ChannelSubscription
+
+__all__ = ["FoxgloveSession"]
+
+Fields = Mapping[str, Any]
+_log = logging.getLogger("uoarm.foxglove")
+_LOOK_SECONDS = 1.0
+_NO_LISTING = VisibleListing({}, {}, {}, {})
+_CAPABILITIES = ["clientPublish", "connectionGraph", "services"]
+_NOT_SERVED = {
+    "getParameters": "parameters are not served",
+    "setParameters": "parameters are not served",
+    "subscribeParameterUpdates": "parameters are not served",
+    "unsubscribeParameterUpdates": "parameters are not served",
+    "fetchAsset": "assets are not served",
+}
+
+
+class FoxgloveSession:
+    """One client that speaks the Foxglove WebSocket protocol.
+
+    What is wrong with a message is answered with a `status` of level error; a call that fails, with
+    `serviceCallFailure`.
+    """
+
+    def __init__(self, client: Client, backend: Backend, catalogue: ChannelCatalogue) -> None:
+        self._client, self._backend, self._catalogue = client, backend, catalogue
+        self._listing = _NO_LISTING
+        self._wants_graph = False
+        self._graph: VisibleListing | None = None
+        self._look_now = asyncio.Event()
+        self._subscriptions: dict[int, ChannelSubscription] = {}
+        self._publications: dict[int, ViewerPublication] = {}
+        self._calls: set[asyncio.Task[None]] = set()
+        self._acts: dict[str, Callable[[Fields], None]] = {
+            "subscribe": self._subscribe,
+            "unsubscribe": self._unsubscribe,
+            "advertise": self._advertise,
+            "unadvertise": self._unadvertise,
+            "subscribeConnectionGraph": self._subscribe_graph,
+            "unsubscribeConnectionGraph": self._unsubscribe_graph,
+        }
+        info = {
+            "name": f"uoarm {__version__}",
+            "capabilities": _CAPABILITIES,
+            "supportedEncodings": [CDR, JSON],
+            "metadata": {},
+            "sessionId": client.identity,
+        }
+        client.outbox.reply(write("serverInfo", **info), text=True)
+        self._showing = asyncio.ensure_future(self._show())
+
+    def octets(self, frame: str | bytes) -> int:
+        """Return how much there is to decode."""
+        return len(frame)
+
+    def decode(self, frame: str | bytes, spending: Spending) -> tuple[Callable[[], None], int]:
+        """Return what acts on one frame, and how much memory its message holds."""
+        try:
+            message = read_frame(frame, spending)
+        except ControlMessageError as error:
+            return functools.partial(self._fail, without_frames(error)), 0
+        return functools.partial(self._handle, message), len(frame)
+
+    def close(self) -> None:
+        """Give back everything that only this client used."""
+        self._showing.cancel()
+        for call in self._calls:
+            call.cancel()
+        for subscription in self._subscriptions.values():
+            subscription.close()
+        for publication in self._publications.values():
+            publication.abandon()
+        self._subscriptions.clear()
+        self._publications.clear()
+
+    async def _show(self) -> None:
+        """Keep the viewer's list of channels and services, and its graph, as its role sees them."""
+        while True:
+            self._look_now.clear()
+            known = None if self._listing is _NO_LISTING else self._listing
+            asked = ListingQuestion(
+                self._client.role, known, self._graph, with_graph=self._wants_graph
+            )
+            try:
+                answer = await self._catalogue.answer(asked)
+            except UoarmError as error:  # the server closes, or is busy
+                _log.debug("a viewer is not shown what there is: %s", error)
+            else:
+                self._listing = answer.listing
+                self._graph = answer.listing if asked.with_graph else None
+                for frame in answer.frames:
+                    await self._client.outbox.room(len(frame))
+                    self._client.outbox.reply(frame, text=True)
+            with suppress(asyncio.TimeoutError):
+                await asyncio.wait_for(self._look_now.wait(), _LOOK_SECONDS)
+
+    def _handle(self, message: ClientFrame) -> None:
+        try:
+            if isinstance(message, PublishedFrame):
+                self._publish(message)
+            elif isinstance(message, ServiceRequest):
+                self._call(message)
+            else:
+                self._act(message)
+        except Exception as error:  # noqa: BLE001 - every message that is wrong is answered
+            self._fail(error)
+
+    def _act(self, fields: Fields) -> None:
+        op = fields.get("op")
+        act = self._acts.get(op) if isinstance(op, str) else None
+        if act is None:
+            known = ", ".join(self._acts)
+            why = _NOT_SERVED.get(str(op), f"expected one of {known}")
+            raise ControlMessageError(f"op {op!r:.60}: {why}")
+        act(fields)
+
+    def _subscribe(self, fields: Fields) -> None:
+        for asked in list_of(fields, "subscriptions"):
+            number = number_of(asked, "id")
+            channel = self._listing.channels[number_of(asked, "channelId", self._listing.channels)]
+            if number in self._subscriptions:
+                raise ControlMessageError(f"subscribe: id: {number} is in use")
+            if len(self._subscriptions) >= self._client.limits.streams:
+                raise LimitError(f"{self._client.limits.streams} channels are subscribed already")
+            self._client.require(Operation.REQUEST, channel.function)
+            topic = str(channel.stated["topic"])
+            self._subscriptions[number] = ChannelSubscription(
+                number,
+                channel,
+                self._client,
+                self._backend,
+                warn=functools.partial(self._warn, topic),
+                on_end=functools.partial(self._subscription_ended, number, topic),
+            )
+
+    def _subscription_ended(self, number: int, topic: str, cause: str) -> None:
+        subscription = self._subscriptions.pop(number, None)
+        if subscription is not None:
+            subscription.close()
+            self._status(StatusLevel.ERROR, f"{topic} {cause}", topic)
+
+    def _unsubscribe(self, fields: Fields) -> None:
+        for asked in list_of(fields, "subscriptionIds"):
+            number = number_of(asked, "subscriptionIds", self._subscriptions)
+            self._subscriptions.pop(number).close()
+
+    def _advertise(self, fields: Fields) -> None:
+        for asked in list_of(fields, "channels"):
+            number, name = number_of(asked, "id"), text_of(asked, "topic")
+            encoding = text_of(asked, "encoding")
+            topic = self._listing.inputs.get(name if name.startswith("/") else f"/{name}")
+            if topic is None:
+                raise ControlMessageError(
+                    f"advertise: {name}: there is no such input; topics to publish to are called "
+                    "/FUNCTION or /FUNCTION/INPUT"
+                )
+            if number in self._publications:
+                raise ControlMessageError(f"advertise: id: {number} is in use")
+            if len(self._publications) >= self._client.limits.streams:
+                raise LimitError(f"{self._client.limits.streams} channels are advertised already")
+            self._client.require(Operation.SEND, topic.function)
+            self._publications[number] = ViewerPublication(
+                topic,
+                read_as(encoding, self._client.limits.budget),
+                self._client,
+                self._backend,
+                fail=self._fail,
+                on_end=functools.partial(self._publication_ended, number),
+            )
+
+    def _publication_ended(self, number: int, error: BaseException) -> None:
+        publication = self._publications.pop(number, None)
+        if publication is not None:
+            publication.abandon()
+            self._fail(error)
+
+    def _unadvertise(self, fields: Fields) -> None:
+        for asked in list_of(fields, "channelIds"):
+            self._publications.pop(number_of(asked, "channelIds", self._publications)).close()
+
+    def _subscribe_graph(self, fields: Fields) -> None:
+        del fields
+        self._wants_graph = True
+        self._look_now.set()
+
+    def _unsubscribe_graph(self, fields: Fields) -> None:
+        del fields
+        self._wants_graph = False
+
+    def _publish(self, message: PublishedFrame) -> None:
+        publication = self._publications.get(message.channel)
+        if publication is None:
+            raise ControlMessageError(f"there is no channel {message.channel} of this client")
+        publication.publish(message.payload)
+
+    def _call(self, request: ServiceRequest) -> None:
+        try:
+            service = self._admitted(request)
+            charge = self._client.account.charge(MemoryUse.ASKED, self._client.in_hand)
+        except Exception as error:  # noqa: BLE001 - answered as the call's
+            self._call_failed(request, error)
+            return
+        call = asyncio.ensure_future(self._answer(request, service))
+        self._calls.add(call)
+        call.add_done_callback(self._calls.discard)
+        call.add_done_callback(lambda _: charge.release())
+
+    def _admitted(self, request: ServiceRequest) -> RobotService:
+        """Return the service of a call, for which there is room and a right.
+
+        Raises:
+            ControlMessageError: there is no such service, or it has another encoding.
+            LimitError: too many calls are under way.
+            DeniedError: the client may not call it.
+        """
+        service = self._listing.services.get(request.service)
+        if service is None:
+            raise ControlMessageError(f"serviceId: there is no {request.service}")
+        if request.encoding != service.request.encoding:
+            raise ControlMessageError(
+                f"{service.function}: expected the encoding {service.request.encoding}, "
+                f"got {request.encoding!r:.60}"
+            )
+        if len(self._calls) >= self._client.limits.calls:
+            raise LimitError(f"{self._client.limits.calls} calls are under way")
+        self._client.require(Operation.CALL, service.function)
+        return service
+
+    async def _answer(self, request: ServiceRequest, service: RobotService) -> None:
+        try:
+            reply = await self._backend.call(
+                service.function,
+                request.payload,
+                read_as(request.encoding, self._client.limits.budget),
+                self._client.limits.call_seconds,
+            )
+            payload = await self._backend.in_worker(lambda: service.reply.write(reply))
+        except Exception as error:  # noqa: BLE001 - answered as the call's
+            self._call_failed(request, error)
+            return
+        frame = service_response(request, service.reply.encoding, payload)
+        await self._client.outbox.room(len(frame))
+        self._client.outbox.reply(frame, text=False)
+
+    def _call_failed(self, request: ServiceRequest, error: BaseException) -> None:
+        failure = {
+            "serviceId": request.service,
+            "callId": request.call,
+            "message": self._shown(error_text(error)),
+        }
+        self._client.outbox.reply(write("serviceCallFailure", **failure), text=True)
+
+    def _warn(self, topic: str, text: str) -> None:
+        self._status(StatusLevel.WARNING, f"{topic} {text}", topic)
+
+    def _fail(self, error: BaseException) -> None:
+        self._status(StatusLevel.ERROR, error_text(error), "")
+
+    def _status(self, level: StatusLevel, text: str, asked: str) -> None:
+        frame = write("status", level=level.value, message=self._shown(text, asked))
+        self._client.outbox.reply(frame, text=True)
+
+    def _shown(self, text: str, asked: str = "") -> str:
+        """Return a text with no name that the client may not see, but for what it asked for."""
+        return self._backend.role_views.of(self._client.role).text(text, asked)

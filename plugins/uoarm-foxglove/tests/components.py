@@ -1,0 +1,108 @@
+"""Components that the tests play on."""
+
+from __future__ import annotations
+
+from typing import Annotated, TypedDict
+
+from uoarm.local import Range
+from uoarm.testing import Script
+
+CONFIGURATION = """
+version: 1
+bridges: {python: {}}
+functions:
+  numbers:
+    components:
+      - {name: counter, bridge: python, output: {endpoint: ["components:numbers"]}}
+  picture:
+    components:
+      - {name: eye, bridge: python, output: {endpoint: ["components:picture"]}}
+  loose:
+    components:
+      - {name: loose, bridge: python, output: {endpoint: ["components:loose"]}}
+  doubled:
+    components:
+      - name: doubler
+        bridge: python
+        input: {from: numbers, endpoint: ["components:double"]}
+        output: {endpoint: ["components:double"]}
+  echo:
+    components:
+      - name: echo
+        bridge: python
+        input: {endpoint: ["components:echo"], queue: {length: 1000}}
+        output: {endpoint: ["components:echo"]}
+  note:
+    components:
+      - name: note
+        bridge: python
+        input: {endpoint: ["components:note"]}
+        output: {endpoint: ["components:note"]}
+  add:
+    components:
+      - {name: adder, bridge: python, service: {endpoint: ["components:add"]}}
+  broken:
+    components:
+      - {name: broken, bridge: python, service: {endpoint: ["components:broken"]}}
+"""
+
+Octet = Annotated[int, Range(0, 255)]
+Int32 = Annotated[int, Range(-(2**31), 2**31 - 1)]
+
+
+class Number(TypedDict):
+    data: Int32
+
+
+Number.__name__ = "std_msgs/msg/Int32"
+
+
+class Picture(TypedDict):
+    width: Int32
+    data: bytes
+
+
+class Loose(TypedDict, total=False):
+    any_number: float
+    text: str
+
+
+class Pair(TypedDict):
+    a: float
+    b: float
+
+
+numbers_script, pictures_script, loose_script = Script(), Script(), Script()
+numbers = numbers_script.source(Number)
+picture = pictures_script.source(Picture)
+loose = loose_script.source(Loose)
+taken: list[object] = []
+
+
+def renew() -> None:
+    """Forget what was played and taken, and end what still plays."""
+    for source in (numbers_script, pictures_script, loose_script):
+        source.reset()
+    taken.clear()
+
+
+def double(message: Number) -> Number:
+    return {"data": 2 * message["data"]}
+
+
+def echo(message: Number) -> Number:
+    taken.append(message)
+    return message
+
+
+def note(message: Loose) -> Loose:
+    taken.append(message)
+    return message
+
+
+def add(message: Pair) -> Number:
+    return {"data": int(message["a"] + message["b"])}
+
+
+def broken(message: Pair) -> Number:
+    raise ValueError(f"a fault of this service: {message['a']}")

@@ -1,0 +1,238 @@
+"""A viewer before a robot: channels, messages, publications, calls, rights and bounds."""
+
+from __future__ import annotations
+
+import json
+import struct
+import time
+from pathlib import Path
+
+import components
+import pytest
+from components import loose_script, numbers_script, pictures_script
+from viewer import SUBPROTOCOLS, Serve, Viewer
+
+from uoarm import RobotManager
+from uoarm.config import loads
+from uoarm.server import Limits
+from uoarm.server.access import hash_token, make_token
+from uoarm.testing import patience, wait
+
+HEADER = b"\0\1\0\0"
+
+
+def int32(number: int) -> bytes:
+    return HEADER + struct.pack("<i", number)
+
+
+@pytest.mark.parametrize("subprotocol", SUBPROTOCOLS)
+def test_a_viewer_is_served_under_either_name(serve: Serve, subprotocol: str) -> None:
+    with Viewer(serve(), subprotocol) as viewer:
+        assert viewer.socket.subprotocol == subprotocol
+        assert viewer.info["supportedEncodings"] == ["cdr", "json"]
+        assert {"clientPublish", "connectionGraph", "services"} == {*viewer.info["capabilities"]}
+
+
+def test_every_output_is_a_channel_with_its_schema(serve: Serve) -> None:
+    with Viewer(serve()) as viewer:
+        numbers, loose = viewer.channel("/numbers"), viewer.channel("/loose")
+        assert (numbers["encoding"], numbers["schemaEncoding"]) == ("cdr", "ros2msg")
+        assert numbers["schemaName"] == "std_msgs/msg/Int32"
+        assert numbers["schema"] == "int32 data\n"
+        assert (loose["encoding"], loose["schemaEncoding"]) == ("json", "jsonschema")
+        assert json.loads(loose["schema"])["properties"].keys() == {"any_number", "text"}
+        assert {"/picture", "/doubled", "/echo", "/note"} < {*viewer.channels}
+
+
+def test_messages_come_in_the_encoding_of_their_channel(serve: Serve) -> None:
+    with Viewer(serve()) as viewer:
+        viewer.subscribe("/numbers", 4)
+        viewer.subscribe("/loose", 5)
+        before = time.time_ns()
+        numbers_script.put({"data": 1}, {"data": -2})
+        first, second = viewer.until(1), viewer.until(1)
+        assert [first["data"], second["data"]] == [int32(1), int32(-2)]
+        assert first["subscription"] == 4
+        assert before <= first["stamp"] <= time.time_ns()
+        loose_script.put({"text": "grün"})
+        assert json.loads(viewer.until(1)["data"]) == {"text": "grün"}
+
+
+def test_two_viewers_get_the_same_message_each_by_its_own_number(serve: Serve) -> None:
+    server = serve()
+    with Viewer(server) as one, Viewer(server) as other:
+        one.subscribe("/numbers", 4)
+        other.subscribe("/numbers", 9)
+        wait(lambda: numbers_script.started, "nothing plays", patience())
+        numbers_script.put({"data": 3})
+        got = one.until(1)
+        numbers_script.put({"data": 4})
+        assert (got["subscription"], got["data"]) == (4, int32(3))
+        assert other.until(1)["subscription"] == 9
+
+
+def test_octets_are_binary_in_cdr(serve: Serve) -> None:
+    with Viewer(serve()) as viewer:
+        assert viewer.channel("/picture")["schema"] == "int32 width\nuint8[] data\n"
+        viewer.subscribe("/picture")
+        pictures_script.put({"width": 2, "data": b"\x00\xff"})
+        assert viewer.until(1)["data"] == int32(2) + struct.pack("<I", 2) + b"\x00\xff"
+
+
+def test_no_more_comes_after_unsubscribing(serve: Serve, robot: RobotManager) -> None:
+    with Viewer(serve()) as viewer:
+        viewer.subscribe("/numbers")
+        numbers_script.put({"data": 1})
+        viewer.until(1)
+        viewer.send("unsubscribe", subscriptionIds=[1])
+        wait(lambda: not robot.status().connections, "it stays open", patience())
+        viewer.send("unsubscribe", subscriptionIds=[1])
+        assert "there is no 1" in viewer.until("status")["message"]
+
+
+@pytest.mark.parametrize(
+    ("encoding", "octets"), [("json", b'{"data": 7}'), ("cdr", int32(7))], ids=["json", "cdr"]
+)
+def test_what_a_viewer_publishes_reaches_the_input(
+    serve: Serve, encoding: str, octets: bytes
+) -> None:
+    with Viewer(serve()) as viewer:
+        viewer.channel("/echo")
+        viewer.send(
+            "advertise",
+            channels=[{"id": 3, "topic": "/echo", "encoding": encoding, "schemaName": "Int32"}],
+        )
+        viewer.publish(3, octets)
+        wait(lambda: components.taken == [{"data": 7}], "nothing arrived", patience())
+        viewer.publish(3, b"{}" if encoding == "json" else HEADER)
+        status = viewer.until("status")
+        assert status["level"] == 2
+        assert "data" in status["message"] or "cannot be read" in status["message"], status
+        viewer.publish(3, octets)
+        wait(lambda: len(components.taken) == 2, "the next one is lost", patience())
+
+
+@pytest.mark.parametrize(
+    ("fields", "text"),
+    [
+        ({"id": 1, "topic": "/nothing", "encoding": "json"}, "/nothing: there is no such input"),
+        ({"id": 1, "topic": "/echo", "encoding": "protobuf"}, "expected cdr or json"),
+        ({"id": -1, "topic": "/echo", "encoding": "json"}, "id: expected a number"),
+        ({"id": 1, "encoding": "json"}, "topic: expected a text"),
+    ],
+)
+def test_a_channel_that_cannot_be_advertised_is_refused(
+    serve: Serve, fields: dict[str, object], text: str
+) -> None:
+    with Viewer(serve()) as viewer:
+        viewer.channel("/echo")
+        viewer.send("advertise", channels=[fields])
+        assert text in viewer.until("status")["message"]
+        viewer.publish(1, b"{}")
+        assert "there is no channel 1" in viewer.until("status")["message"]
+
+
+def test_a_service_is_called_and_its_failure_is_the_calls(serve: Serve) -> None:
+    with Viewer(serve()) as viewer:
+        pair = HEADER + struct.pack("<dd", 1, 2)
+        viewer.call("/add", pair, number=8)
+        reply = viewer.until(3)
+        assert (reply["call"], reply["encoding"], reply["data"]) == (8, "cdr", int32(3))
+        viewer.call("/broken", pair, number=9)
+        failure = viewer.until("serviceCallFailure")
+        assert failure["callId"] == 9
+        assert "a fault of this service" in failure["message"]
+        viewer.call("/add", HEADER)
+        assert "cannot be read" in viewer.until("serviceCallFailure")["message"]
+        viewer.call("/add", b"{}", "json")
+        assert "expected the encoding cdr" in viewer.until("serviceCallFailure")["message"]
+
+
+def test_the_graph_says_who_publishes_subscribes_and_serves(serve: Serve) -> None:
+    with Viewer(serve()) as viewer:
+        viewer.service("/add")
+        viewer.send("subscribeConnectionGraph")
+        graph = viewer.until("connectionGraphUpdate")
+        assert {"name": "/numbers", "publisherIds": ["counter"]} in graph["publishedTopics"]
+        assert {"name": "/numbers", "subscriberIds": ["doubler"]} in graph["subscribedTopics"]
+        assert {"name": "/add", "providerIds": ["adder"]} in graph["advertisedServices"]
+
+
+def test_a_changed_robot_is_announced(serve: Serve, robot: RobotManager) -> None:
+    with Viewer(serve()) as viewer:
+        gone = viewer.channel("/loose")["id"]
+        viewer.service("/add")
+        text = components.CONFIGURATION.replace("  loose:\n", "  later:\n")
+        robot.apply(loads(text, origin=str(Path(__file__).parent / "robot.yaml")))
+        assert viewer.until("unadvertise")["channelIds"] == [gone]
+        assert viewer.channel("/later")["id"] != gone
+
+
+def test_a_role_sees_and_does_what_it_may(serve: Serve, tmp_path: Path) -> None:
+    access, token = tmp_path / "access.yaml", make_token()
+    access.write_text(
+        "version: 1\n"
+        "roles: {viewer: {see: [numbers, echo, add], request: [numbers]}}\n"
+        f"tokens: [{{name: screen, role: viewer, sha256: {hash_token(token)}}}]\n",
+        encoding="utf-8",
+    )
+    with Viewer(serve(access=access), query=f"?token={token}") as viewer:
+        viewer.service("/add")
+        assert {*viewer.channels} == {"/numbers", "/echo"}
+        viewer.subscribe("/echo")
+        assert "echo" in viewer.until("status")["message"]
+        viewer.send("advertise", channels=[{"id": 1, "topic": "/echo", "encoding": "json"}])
+        assert viewer.until("status")["level"] == 2
+        viewer.call("/add", HEADER + struct.pack("<dd", 1, 2))
+        assert "call" in viewer.until("serviceCallFailure")["message"]
+        viewer.send("advertise", channels=[{"id": 1, "topic": "/note", "encoding": "json"}])
+        assert "no such input" in viewer.until("status")["message"]
+        viewer.send("subscribeConnectionGraph")
+        assert "picture" not in json.dumps(viewer.until("connectionGraphUpdate"))
+
+
+@pytest.mark.parametrize(
+    "frame",
+    ["[]", "{}", '{"op": 3}', '{"op": "subscribe"}', '{"op": "subscribe", "subscriptions": [1]}',
+     '{"op": "getParameters", "parameterNames": []}', b"", b"\1", b"\2\0", b"\1\0\0\0\0"],
+)  # fmt: skip
+def test_a_message_that_is_wrong_is_answered_and_the_viewer_stays(
+    serve: Serve, frame: str | bytes
+) -> None:
+    with Viewer(serve()) as viewer:
+        viewer.socket.send(frame)
+        assert viewer.until("status")["level"] == 2
+        viewer.subscribe("/numbers")
+        numbers_script.put({"data": 1})
+        assert viewer.until(1)["data"] == int32(1)
+
+
+def test_a_viewer_that_does_not_read_gets_what_is_newest(serve: Serve, robot: RobotManager) -> None:
+    with Viewer(serve(Limits(queue_messages=8))) as viewer:
+        viewer.subscribe("/picture")
+        wait(lambda: pictures_script.started, "nothing plays", patience())
+        count = 200
+        for number in range(count):
+            pictures_script.put({"width": number, "data": bytes(1_000_000)})
+        wait(
+            lambda: sum(route.delivered for route in robot.status().routes) >= count,
+            "not all were emitted",
+            patience(),
+        )
+        seen: list[int] = []
+        while not seen or seen[-1] != count - 1:
+            seen.append(struct.unpack_from("<i", viewer.until(1)["data"], 4)[0])
+        assert seen == sorted(seen)
+        assert len(seen) < count
+
+
+def test_many_messages_to_one_viewer_are_all_there(serve: Serve) -> None:
+    count = 4_000
+    with Viewer(serve(Limits(queue_messages=count, queue_seconds=600.0))) as viewer:
+        viewer.subscribe("/numbers")
+        wait(lambda: numbers_script.started, "nothing plays", patience())
+        for start in range(0, count, 50):
+            numbers_script.put(*({"data": number} for number in range(start, start + 50)))
+            assert [viewer.until(1)["data"] for _ in range(50)] == [
+                int32(number) for number in range(start, start + 50)
+            ]
