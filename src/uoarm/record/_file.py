@@ -7,7 +7,7 @@ import os
 from collections.abc import Mapping
 from itertools import count
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import IO, TYPE_CHECKING, cast
 
 from uoarm._origin import install_command
 from uoarm._version import __version__
@@ -106,7 +106,7 @@ class McapFile:
         except OSError as error:
             raise UsageError(f"{path} cannot be made: {error}") from error
         self._writer = Writer(
-            self._output,
+            cast("IO[bytes]", self._output),
             chunk_size=chunk_octets,
             compression=CompressionType[compression.upper()],
         )
