@@ -12,7 +12,7 @@ import sys
 import threading
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 from uoarm.testing import patience
 
@@ -44,6 +44,14 @@ MORTAL = {"FASTRTPS_DEFAULT_PROFILES_FILE": str(HERE / "mortal.xml")}
 """Others notice within a second or two that a process was killed."""
 MORTAL_CALM = {"FASTRTPS_DEFAULT_PROFILES_FILE": str(HERE / "mortal_calm.xml")}
 """Within four seconds: for one that must not count as gone before, however busy the machine is."""
+
+
+def own_line(output: IO[str]) -> str:
+    """Return the next line that a program wrote itself, or nothing at the end.
+
+    Fast DDS writes its log to the output, too, as of a port whose process was killed.
+    """
+    return next((line for line in output if "[RTPS_" not in line), "")
 
 
 class Peer:

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import pytest
 from endpoints import Inbox, endpoint, source
+from peers import own_line
 from uoarm_ros2.__main__ import main
 from uoarm_ros2._interface_sources import in_build_order, packages_in
 from uoarm_ros2._interface_wheels import write_wheel
@@ -140,7 +141,7 @@ def claw() -> Iterator[Callable[[Path], None]]:
         )
         started.append(process)
         assert process.stdout is not None
-        assert process.stdout.readline() == "ready\n"
+        assert own_line(process.stdout) == "ready\n"
 
     yield start
     for process in started:

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import IO
 
 import pytest
+from peers import own_line
 
 from uoarm._control import RobotManager
 from uoarm.testing import patience
@@ -60,7 +61,7 @@ def in_background(run: Run, command: str) -> None:
 
 def lines(stream: IO[str] | None, count: int) -> list[str]:
     assert stream is not None
-    return [stream.readline() for _ in range(count)]
+    return [own_line(stream) for _ in range(count)]
 
 
 def interrupted(process: subprocess.Popen[str]) -> int:

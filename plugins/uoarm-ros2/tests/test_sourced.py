@@ -9,7 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from peers import Peer
+from peers import Peer, own_line
 from sourced import Sourced
 
 from uoarm.testing import patience, wait
@@ -86,7 +86,7 @@ def test_a_workspace_over_it_is_built_and_used(sourced: Sourced, tmp_path: Path)
     )
     try:
         assert node.stdout is not None
-        assert node.stdout.readline() == "ready\n"
+        assert own_line(node.stdout) == "ready\n"
         found = json.loads(sourced.run("-c", USE))
         assert found == [2.5, {"success": True, "message": "elbow"}, {"done": True}]
     finally:
