@@ -115,6 +115,16 @@ def test_the_octets_of_a_known_message() -> None:
     assert same(deserialiser(structure)(b"\0\1\0\0" + body), message)
 
 
+def test_a_float_that_is_whole_is_an_integer() -> None:
+    structure = structure_of_definition(
+        RosDefinition("lab/msg/Whole", "uint8 a\nint32[] b\nfloat64 c\n")
+    )
+    octets = b"".join(serialiser(structure)({"a": 2.0, "b": [1.0, -2], "c": 3}))
+    assert same(deserialiser(structure)(octets), {"a": 2, "b": [1, -2], "c": 3.0})
+    with pytest.raises(MessageError, match="does not fit"):
+        serialiser(structure)({"a": 2.5, "b": [], "c": 3})
+
+
 def test_the_other_byte_order_and_the_packed_form_are_read() -> None:
     structure = structure_of_definition(RosDefinition("lab/msg/Two", "uint8 a\nint32[] b\n"))
     message = {"a": 1, "b": array("i", [-2, 3])}

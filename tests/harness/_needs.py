@@ -59,6 +59,8 @@ class Need:
 VISION = "pip install -e '.[vision-lbph,vision-dlib]'"
 ROS = frozenset({("Linux", "x86_64")})
 NEEDS = {
+    "record": Need("pip install -e '.[record]'", packages=("mcap", "orjson", "cbor2")),
+    "bags": Need("pip install -e '.[bags]'", packages=("rosbags",)),
     "vision": Need(VISION, packages=("cv2", "dlib", "face_recognition_models")),
     "records": Need(
         "pip install -e '.[healthbot]'", packages=("httpx", "sqlalchemy", "starlette", "uvicorn")
@@ -120,6 +122,8 @@ HEALTHBOT = ("ros2", "rtm", "rocos", "records", "vision")
 MODULES = {
     "tests/examples/test_vision_*.py": ("vision",),
     "tests/examples/test_records.py": ("records",),
+    "tests/record/*": ("record",),
+    "tests/cli/test_record.py": ("record",),
     "tests/examples/test_healthbot.py": HEALTHBOT,
     "tests/examples/test_mixed.py": ("ros2", "ros1", "mqtt", "mosquitto"),
     "tests/examples/test_warehouse.py": ("ros2", "rtm", "vda5050", "mosquitto"),

@@ -21,6 +21,7 @@ from uoarm.model import Component, Edge, Function, Input, Plan, Reason, Rejectio
 
 __all__ = ["Search"]
 
+_RECORDED = "x-recorded"  # marks structures of the bridge `recording`
 _CHECK_SECONDS = 30.0
 
 
@@ -200,6 +201,17 @@ class Search:
             wanted = port.source.port or "default"
             text = f"{producer.name} has no output {wanted!r} for {consumer.name}; it has {has}"
             return _Refusal((Reason(text),))
+        given = structures.by_port[f"output.{output.name}"].schema
+        if (
+            port.endpoint.command is not None
+            and isinstance(given, Mapping)
+            and given.get(_RECORDED) is True
+        ):
+            sentence = (
+                f"{producer.name} gives what was recorded, and {consumer.name} moves something: "
+                "`allow_motion: true` in the options of the recording's bridge lets it"
+            )
+            return _Refusal((Reason(sentence),))
         begun = self._clock()
         made = self._fit.edge(producer, output, structures, consumer, port)
         took = self._clock() - begun

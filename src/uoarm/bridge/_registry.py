@@ -25,6 +25,8 @@ if TYPE_CHECKING:
 __all__ = ["Registry"]
 
 _GROUP = "uoarm.bridges"
+# Of the core, beside the plugin `python`, which has an entry point as others have.
+_OWN = {"recording": "uoarm.record.plugin"}
 # The extra is what most need: ROS 2 itself, where none is sourced.
 _KNOWN = {
     "ros2": ("uoarm-ros2", "jazzy"),
@@ -49,7 +51,7 @@ class Registry:
     """
 
     def __init__(self, points: Iterable[EntryPoint] | None = None) -> None:
-        found = installed(_GROUP) if points is None else points
+        found = _all_installed() if points is None else points
         self._unread = sorted(found, key=lambda point: point.name)
         self._plugins = frozenset(point.name for point in self._unread)
         # Guards the three below from threads that ask for types at the same time: a plugin is
@@ -180,6 +182,14 @@ class Registry:
             self._known[kind.name] = kind
             return
         self._problems.append(PluginProblem(plugin, cause))
+
+
+def _all_installed() -> Iterator[EntryPoint]:
+    from importlib.metadata import EntryPoint  # noqa: PLC0415 - slow import
+
+    yield from installed(_GROUP)
+    for name, module in _OWN.items():
+        yield EntryPoint(name, module, _GROUP)
 
 
 class _Types(Mapping[str, BridgeType]):

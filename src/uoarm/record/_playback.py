@@ -1,0 +1,233 @@
+"""When each message of a recording is due: a timeline without a clock, and the wait for it."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from enum import Enum
+
+from attrs import frozen
+
+__all__ = ["Playback", "PlaybackStatus", "PlaybackTurn", "Timeline"]
+
+_NANO = 1_000_000_000
+_STEP_SECONDS = 1.0
+
+
+class Timeline:
+    """Where a recording is, in nanoseconds from its first message on; loops go on counting.
+
+    Args:
+        rate: seconds of the recording in a second; None: as fast as messages are taken.
+        begin: where it begins.
+        is_paused: whether it stands.
+    """
+
+    def __init__(self, rate: float | None, begin: int = 0, *, is_paused: bool = False) -> None:
+        self.rate, self.is_paused = rate, is_paused
+        self._anchor = begin
+        self._anchor_time: float | None = None
+
+    def start(self, now: float) -> None:
+        """It is played from now on, unless it stands; nothing where it began before."""
+        if self._anchor_time is None:
+            self._anchor_time = now
+
+    def position(self, now: float) -> int:
+        """Return where it is. As fast as messages are taken, that is where the last one was."""
+        if self.is_paused or self.rate is None or self._anchor_time is None:
+            return self._anchor
+        return self._anchor + int((now - self._anchor_time) * self.rate * _NANO)
+
+    def wait(self, place: int, now: float) -> float | None:
+        """Return the seconds until a message is due, 0 where it is; None: not as things are."""
+        if self.is_paused:
+            return 0.0 if place <= self._anchor else None
+        if self.rate is None:
+            return 0.0
+        return max(0.0, (place - self.position(now)) / _NANO / self.rate)
+
+    def passed(self, place: int) -> None:
+        """A message was handed on."""
+        if self.rate is None and not self.is_paused:
+            self._anchor = max(self._anchor, place)
+
+    def pause(self, now: float) -> None:
+        """Stand, where it is."""
+        self._go_to(self.position(now), now)
+        self.is_paused = True
+
+    def play(self, now: float) -> None:
+        """Go on."""
+        self._go_to(self.position(now), now)
+        self.is_paused = False
+
+    def set_rate(self, rate: float | None, now: float) -> None:
+        """Go on at another rate from here."""
+        self._go_to(self.position(now), now)
+        self.rate = rate
+
+    def seek(self, place: int, now: float) -> None:
+        """Go somewhere else."""
+        self._go_to(place, now)
+
+    def _go_to(self, place: int, now: float) -> None:
+        self._anchor = place
+        if self._anchor_time is not None:
+            self._anchor_time = now
+
+
+class PlaybackTurn(Enum):
+    """What a reader does after it has waited for a message."""
+
+    PLAY = "play"
+    ELSEWHERE = "elsewhere"
+    STOP = "stop"
+
+
+@frozen
+class PlaybackStatus:
+    """Where a recording is.
+
+    Attributes:
+        position: seconds from its first message on.
+        duration: seconds from the first to the last.
+        rate: seconds of it in a second; None: as fast as messages are taken.
+        is_paused: whether it stands.
+        began: when its first message came, in seconds since the epoch.
+    """
+
+    position: float
+    duration: float
+    rate: float | None
+    is_paused: bool
+    began: float
+
+
+class Playback:
+    """One timeline for all readers of a recording, and the waits of their threads.
+
+    Args:
+        timeline: nothing else may use it.
+        start: of the recording, in nanoseconds since the epoch.
+        length: of it, in nanoseconds.
+        clock: a monotonic clock, in seconds.
+    """
+
+    def __init__(
+        self,
+        timeline: Timeline,
+        start: int,
+        length: int,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._timeline, self._clock = timeline, clock
+        self.start, self.length = start, length
+        self._begin = timeline.position(0.0)
+        # Guards the timeline and all that follows, between the threads of readers and of callers;
+        # readers wait at it, and look at the timeline again whenever it is moved.
+        self._moved = threading.Condition()
+        self._readers: set[object] = set()
+        self._next: dict[object, int] = {}  # of the readers that wait: the time of their message
+        self._is_stepping = False
+        self.generation = 0
+
+    def begin(self, reader: object) -> tuple[int, int]:
+        """Have it begin, where it has not; returns where a reader begins, and the generation."""
+        with self._moved:
+            self._timeline.start(self._clock())
+            self._readers.add(reader)
+            return self._begin, self.generation
+
+    def end(self, reader: object) -> None:
+        """A reader has nothing more, or is closed."""
+        with self._moved:
+            self._readers.discard(reader)
+            self._moved.notify_all()
+
+    def wait(
+        self, reader: object, place: int, generation: int, is_over: Callable[[], bool]
+    ) -> PlaybackTurn:
+        """Wait until a message is due."""
+        with self._moved:
+            self._next[reader] = place
+            if self._is_stepping:
+                self._moved.notify_all()
+            try:
+                while True:
+                    if is_over():
+                        return PlaybackTurn.STOP
+                    if generation != self.generation:
+                        return PlaybackTurn.ELSEWHERE
+                    seconds = self._timeline.wait(place, self._clock())
+                    if seconds == 0:
+                        self._timeline.passed(place)
+                        return PlaybackTurn.PLAY
+                    self._moved.wait(seconds)
+            finally:
+                del self._next[reader]
+
+    def pause(self) -> None:
+        """Stand."""
+        self._move(lambda: self._timeline.pause(self._clock()))
+
+    def play(self) -> None:
+        """Go on."""
+        self._move(lambda: self._timeline.play(self._clock()))
+
+    def set_rate(self, rate: float | None) -> None:
+        """Go on at another rate."""
+        self._move(lambda: self._timeline.set_rate(rate, self._clock()))
+
+    def step(self) -> None:
+        """Let the next message pass, and what has the same time; stand before and after.
+
+        Waits a second at most for readers that have a message in hand: theirs may be the next one.
+        """
+        with self._moved:
+            now = self._clock()
+            self._timeline.pause(now)
+            self._moved.notify_all()
+            self._is_stepping = True
+            self._moved.wait_for(self._is_still, _STEP_SECONDS)
+            self._is_stepping = False
+            now = self._clock()
+            ahead = [place for place in self._next.values() if place > self._timeline.position(now)]
+            if ahead:
+                self._timeline.seek(min(ahead), now)
+            self._moved.notify_all()
+
+    def seek(self, seconds: float) -> None:
+        """Go to so many seconds after the first message."""
+
+        def move() -> None:
+            self._begin = max(0, min(self.length, int(seconds * _NANO)))
+            self._timeline.seek(self._begin, self._clock())
+            self.generation += 1
+
+        self._move(move)
+
+    def status(self) -> PlaybackStatus:
+        """Return where it is now."""
+        with self._moved:
+            timeline, place = self._timeline, self._timeline.position(self._clock())
+            if self.length:
+                place = place % self.length if place > self.length else place
+            return PlaybackStatus(
+                round(place / _NANO, 6),
+                self.length / _NANO,
+                timeline.rate,
+                timeline.is_paused,
+                self.start / _NANO,
+            )
+
+    def _is_still(self) -> bool:
+        """Say whether each reader waits for a message that lies ahead."""
+        place = self._timeline.position(self._clock())
+        return all(self._next.get(reader, place) > place for reader in self._readers)
+
+    def _move(self, move: Callable[[], object]) -> None:
+        with self._moved:
+            move()
+            self._moved.notify_all()

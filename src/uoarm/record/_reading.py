@@ -1,0 +1,471 @@
+"""An MCAP file that is read: by its index, or record by record where it has none.
+
+Nothing in a file is believed: every length is held against what is there and against a bound before
+memory is taken for it. What cannot be read is passed over and named; the rest is read.
+"""
+
+from __future__ import annotations
+
+import heapq
+import struct
+import zlib
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import BinaryIO, Protocol
+
+from attrs import define, field, frozen
+
+from uoarm.errors import BridgeError, FailureReason
+
+__all__ = ["FileChannel", "McapReader", "RecordedFile", "StoredMessage"]
+
+_MAGIC = b"\x89MCAP0\r\n"
+_HEAD = struct.Struct("<BQ")
+_MESSAGE = struct.Struct("<HIQQ")
+_CHUNK = struct.Struct("<QQQI")
+_FOOTER_OCTETS = _HEAD.size + 20 + len(_MAGIC)
+_FOOTER, _SCHEMA, _CHANNEL, _MESSAGE_RECORD, _CHUNK_RECORD = 2, 3, 4, 5, 6
+_CHUNK_INDEX, _STATISTICS, _DATA_END = 8, 11, 15
+_MOST_RECORD = 268_435_456
+_MOST_SUMMARY = 67_108_864
+_MOST_CHANNELS = 10_000
+_MOST_HELD = 268_435_456
+_LOOSE_OCTETS = 1 << 20
+_MOST_NOTES = 20
+
+
+@frozen
+class FileChannel:
+    """A channel of a file, as the file states it."""
+
+    topic: str
+    encoding: str
+    schema_name: str = ""
+    schema_encoding: str = ""
+    schema_data: bytes = b""
+    metadata: Mapping[str, str] = field(factory=dict, hash=False)
+
+
+@frozen
+class StoredMessage:
+    """A message as it stands in a file; the time in nanoseconds since the epoch."""
+
+    time: int
+    data: bytes | memoryview
+
+
+class RecordedFile(Protocol):
+    """A file that was opened: its channels by topic, its messages, and what cannot be read.
+
+    Attributes:
+        start: the time of the first message, in nanoseconds since the epoch; 0 where there is none.
+        end: that of the last.
+        notes: what cannot be read, and why.
+    """
+
+    start: int
+    end: int
+    notes: list[str]
+
+    @property
+    def channels(self) -> Mapping[str, FileChannel]: ...
+
+    def messages(
+        self, topic: str, since: int, on_damage: Callable[[str], object]
+    ) -> Iterator[StoredMessage]:
+        """Yield the messages of a topic from a time on, in the order of their times."""
+
+
+@define
+class _Part:
+    """A chunk, or messages that stand outside of any, one after another.
+
+    Attributes:
+        at: where its records begin; of a chunk, the content of its record.
+        octets: of them.
+        is_chunk: which of the two it is.
+        start: the time of its first message.
+        end: that of its last.
+    """
+
+    at: int
+    octets: int
+    is_chunk: bool
+    start: int
+    end: int
+
+
+class _DamageError(Exception):
+    """Something that cannot be read; the text says what."""
+
+
+class McapReader:
+    """One file, which may be read in several threads at a time.
+
+    Args:
+        path: of the file.
+        follows: whether another process writes it still: there is no index then.
+
+    Raises:
+        BridgeError: it is not there, or no MCAP file.
+    """
+
+    def __init__(self, path: Path, *, follows: bool = False) -> None:
+        self.path = path
+        self.start = self.end = 0
+        self._channels: dict[str, FileChannel] = {}
+        self.notes: list[str] = []
+        self._ids: dict[int, FileChannel] = {}
+        self._schemas: dict[int, tuple[str, str, bytes]] = {}
+        self._parts: list[_Part] = []
+        self._size = self._size_read = 0
+        try:
+            with path.open("rb") as file:
+                if file.read(len(_MAGIC)) != _MAGIC:
+                    raise BridgeError(f"{path} is no MCAP file", FailureReason.UNSUPPORTED)
+                self._size = file.seek(0, 2)
+                if follows or not self._read_summary(file):
+                    self._scan(file)
+        except OSError as error:
+            text = f"{path} cannot be read: {error.strerror or error}"
+            raise BridgeError(text, FailureReason.UNAVAILABLE) from error
+        self._parts.sort(key=lambda part: part.start)
+        if self._parts:
+            self.start = self._parts[0].start
+            self.end = max(part.end for part in self._parts)
+
+    @property
+    def channels(self) -> Mapping[str, FileChannel]:
+        """The channels by topic; more may come where it is followed."""
+        return self._channels
+
+    def messages(
+        self, topic: str, since: int, on_damage: Callable[[str], object]
+    ) -> Iterator[StoredMessage]:
+        """Yield the messages of a topic from a time on, in the order of their times.
+
+        A part is read when its first message may be the next one. Of parts that overlap no more are
+        held than find room: after that the order is that of the parts.
+        """
+        wanted = self.channels[topic]
+        ids = {number for number, channel in self._ids.items() if channel == wanted}
+        waiting: list[tuple[int, int, int, bytes | memoryview]] = []
+        parts = [part for part in self._parts if part.end >= since]
+        place = held = 0
+        with self.path.open("rb") as file:
+            while place < len(parts) or waiting:
+                while place < len(parts) and (
+                    not waiting or (parts[place].start <= waiting[0][0] and held < _MOST_HELD)
+                ):
+                    part = parts[place]
+                    try:
+                        for number, (time, data) in enumerate(self._messages_of(file, part, ids)):
+                            if time >= since:
+                                heapq.heappush(waiting, (time, place, number, data))
+                                held += len(data)
+                    except _DamageError as error:
+                        on_damage(str(error))
+                    place += 1
+                if waiting:
+                    time, _, _, octets = heapq.heappop(waiting)
+                    held -= len(octets)
+                    yield StoredMessage(time, octets)
+
+    def follow(
+        self, topic: str, stop: Callable[[float], bool], on_damage: Callable[[str], object]
+    ) -> Iterator[StoredMessage]:
+        """Yield what comes into the file from now on; `stop` waits, and says whether to end.
+
+        Raises:
+            BridgeError: the file is gone, or was cut.
+        """
+        at = self._size_read
+        with self.path.open("rb") as file:
+            while True:
+                size = file.seek(0, 2)
+                if size < at or not self.path.exists():
+                    text = f"{self.path} was cut or is gone"
+                    raise BridgeError(text, FailureReason.UNAVAILABLE)
+                for opcode, place, octets in self._records(file, at, size, note=False):
+                    at = place + octets
+                    if opcode in {_DATA_END, _FOOTER}:
+                        return
+                    try:
+                        part = self._take_record(file, opcode, place, octets)
+                        if part is None:
+                            continue
+                        wanted = self.channels.get(topic)
+                        ids = {n for n, channel in self._ids.items() if channel == wanted}
+                        for time, data in self._messages_of(file, part, ids):
+                            yield StoredMessage(time, data)
+                    except _DamageError as error:
+                        on_damage(str(error))
+                if stop(_POLL_SECONDS):
+                    return
+
+    # Reading the whole: the index, or all records.
+
+    def _read_summary(self, file: BinaryIO) -> bool:
+        """Read the summary; False where there is none that can be used."""
+        if self._size < 2 * len(_MAGIC) + _FOOTER_OCTETS:
+            return False
+        file.seek(self._size - _FOOTER_OCTETS)
+        footer = file.read(_FOOTER_OCTETS)
+        opcode, octets = _HEAD.unpack_from(footer)
+        if footer[-len(_MAGIC) :] != _MAGIC or (opcode, octets) != (_FOOTER, 20):
+            return False
+        start = int.from_bytes(footer[_HEAD.size : _HEAD.size + 8], "little")
+        end = self._size - _FOOTER_OCTETS
+        if not len(_MAGIC) < start < end or end - start > _MOST_SUMMARY:
+            return False
+        count = 0
+        try:
+            for opcode, place, octets in self._records(file, start, end):
+                if opcode in {_SCHEMA, _CHANNEL}:
+                    self._take_record(file, opcode, place, octets)
+                elif opcode == _CHUNK_INDEX:
+                    self._parts.append(self._indexed(file, place, octets))
+                elif opcode == _STATISTICS:
+                    count = int.from_bytes(_content(file, place, octets)[:8], "little")
+        except (_DamageError, struct.error):
+            self._forget()
+            return False
+        # Messages that stand outside of chunks have no index; neither may the schemas be repeated.
+        is_whole = bool(self._ids) and (bool(self._parts) or not count) and not self.notes
+        if not is_whole:
+            self._forget()
+        return is_whole
+
+    def _forget(self) -> None:
+        self._channels, self._ids, self._schemas, self._parts = {}, {}, {}, []
+        self.notes.clear()
+
+    def _indexed(self, file: BinaryIO, place: int, octets: int) -> _Part:
+        start, end, at, length = struct.unpack_from("<QQQQ", _content(file, place, octets))
+        if not len(_MAGIC) <= at < self._size or not _HEAD.size < length <= self._size - at:
+            raise _DamageError("the index leads out of the file")
+        return _Part(at + _HEAD.size, length - _HEAD.size, is_chunk=True, start=start, end=end)
+
+    def _scan(self, file: BinaryIO) -> None:
+        """Read every record, one chunk at a time."""
+        self._size_read = len(_MAGIC)
+        is_whole = False
+        for opcode, place, octets in self._records(file, len(_MAGIC), self._size):
+            if opcode in {_DATA_END, _FOOTER}:
+                is_whole = True
+                break
+            self._size_read = place + octets
+            try:
+                part = self._take_record(file, opcode, place, octets)
+            except _DamageError as error:
+                self._note(str(error))
+                continue
+            if part is not None:
+                self._add_part(part)
+        if not is_whole and not self.notes:
+            self._note(f"it has no end: {self._size_read:,} of {self._size:,} octets can be read")
+
+    def _add_part(self, part: _Part) -> None:
+        last = self._parts[-1] if self._parts else None
+        if (
+            last is not None
+            and not part.is_chunk
+            and not last.is_chunk
+            and last.at + last.octets + _HEAD.size == part.at
+            and last.octets < _LOOSE_OCTETS
+        ):
+            last.octets += _HEAD.size + part.octets
+            last.start, last.end = min(last.start, part.start), max(last.end, part.end)
+            return
+        self._parts.append(part)
+
+    def _records(
+        self, file: BinaryIO, start: int, end: int, *, note: bool = True
+    ) -> Iterator[tuple[int, int, int]]:
+        """Yield opcode, place and length of the content of each record that is whole."""
+        at = start
+        while at < end:
+            file.seek(at)
+            head = file.read(_HEAD.size)
+            if len(head) < _HEAD.size:
+                why = "ends within a record"
+            else:
+                opcode, octets = _HEAD.unpack(head)
+                place = at + _HEAD.size
+                if octets <= end - place:
+                    yield opcode, place, octets
+                    at = place + octets
+                    continue
+                why = f"ends within a record of {octets:,} octets"
+            if note:
+                self._note(f"it {why}: {at:,} of {self._size:,} octets can be read")
+            return
+
+    def _note(self, text: str) -> None:
+        if len(self.notes) < _MOST_NOTES:
+            self.notes.append(text)
+
+    def _take_record(self, file: BinaryIO, opcode: int, place: int, octets: int) -> _Part | None:
+        """Take in one record; returns what has messages."""
+        if opcode in {_SCHEMA, _CHANNEL}:
+            self._take_definition(opcode, _content(file, place, octets))
+        elif opcode == _MESSAGE_RECORD:
+            file.seek(place)
+            head = file.read(_MESSAGE.size)
+            if octets < _MESSAGE.size or len(head) < _MESSAGE.size:
+                raise _DamageError(f"a message at {place:,} is too short")
+            time = _MESSAGE.unpack(head)[2]
+            return _Part(
+                place - _HEAD.size, _HEAD.size + octets, is_chunk=False, start=time, end=time
+            )
+        elif opcode == _CHUNK_RECORD:
+            part = _Part(place, octets, is_chunk=True, start=0, end=0)
+            times = []
+            for inner, content in _inner_records(self._chunk(file, part), place):
+                if inner == _MESSAGE_RECORD:
+                    times.append(_MESSAGE.unpack_from(content)[2])
+                elif inner in {_SCHEMA, _CHANNEL}:
+                    self._take_definition(inner, bytes(content))
+            if times:
+                part.start, part.end = min(times), max(times)
+                return part
+        return None
+
+    def _take_definition(self, opcode: int, octets: bytes) -> None:
+        content = _Content(octets)
+        if opcode == _CHANNEL:
+            self._take_channel(content)
+            return
+        number = content.number(2)
+        self._schemas[number] = (content.text(), content.text(), content.octets(4))
+
+    def _take_channel(self, content: _Content) -> None:
+        number, schema = content.number(2), content.number(2)
+        topic, encoding = content.text(), content.text()
+        inner = _Content(content.octets(4))
+        metadata = {}
+        while not inner.is_over:
+            key = inner.text()
+            metadata[key] = inner.text()
+        if number in self._ids:
+            return
+        if len(self._ids) >= _MOST_CHANNELS:
+            raise _DamageError(f"it has more than {_MOST_CHANNELS:,} channels")
+        name, kind, data = self._schemas.get(schema, ("", "", b""))
+        channel = FileChannel(topic, encoding, name, kind, data, metadata)
+        self._ids[number] = channel
+        known = self._channels.setdefault(topic, channel)
+        if known != channel:
+            self._note(f"{topic} has another channel of another kind, which is not read")
+
+    # Reading messages.
+
+    def _messages_of(
+        self, file: BinaryIO, part: _Part, ids: set[int]
+    ) -> Iterator[tuple[int, memoryview]]:
+        if part.is_chunk:
+            data = self._chunk(file, part)
+        else:
+            data = memoryview(_content(file, part.at, part.octets))
+        for opcode, content in _inner_records(data, part.at):
+            if opcode == _MESSAGE_RECORD:
+                number, _, time, _ = _MESSAGE.unpack_from(content)
+                if number in ids:
+                    yield time, content[_MESSAGE.size :]
+
+    def _chunk(self, file: BinaryIO, part: _Part) -> memoryview:
+        """Return the records of a chunk, unpacked."""
+        content = _Content(_content(file, part.at, part.octets))
+        where = f"the chunk at {part.at - _HEAD.size:,}"
+        _, _, size, crc = _CHUNK.unpack(content.take(_CHUNK.size))
+        compression = content.text()
+        packed = content.octets(8)
+        if size > _MOST_RECORD:
+            raise _DamageError(f"{where} has {size:,} octets; {_MOST_RECORD:,} are read")
+        try:
+            data = _unpacked(compression, packed, size)
+        except _DamageError as error:
+            raise _DamageError(f"{where} {error}") from None
+        except Exception as error:  # noqa: BLE001 - of libraries, each with errors of its own
+            raise _DamageError(f"{where} cannot be unpacked: {error}") from None
+        if len(data) != size:
+            raise _DamageError(f"{where} has {len(data):,} octets, not {size:,}")
+        if crc and zlib.crc32(data) != crc:
+            raise _DamageError(f"{where} has another checksum than it states")
+        return memoryview(data)
+
+
+_POLL_SECONDS = 0.05
+
+
+def _unpacked(compression: str, packed: bytes, size: int) -> bytes:
+    """Return what was compressed; takes no more memory than for the size that is stated."""
+    if compression == "":
+        return packed
+    if compression == "zstd":
+        import zstandard  # noqa: PLC0415 - of the extra
+
+        stated = zstandard.frame_content_size(packed)
+        if stated > size:
+            raise _DamageError(f"has {stated:,} octets, not {size:,}")
+        return zstandard.ZstdDecompressor().decompress(packed, max_output_size=size)
+    if compression == "lz4":
+        from lz4.frame import LZ4FrameDecompressor  # noqa: PLC0415 - of the extra
+
+        unpacked: bytes = LZ4FrameDecompressor().decompress(packed, max_length=size + 1)
+        return unpacked
+    raise _DamageError(f"is compressed by {compression[:40]!r}, which is not known")
+
+
+def _inner_records(data: memoryview, where: int) -> Iterator[tuple[int, memoryview]]:
+    """Yield opcode and content of the records of a chunk."""
+    at, end = 0, len(data)
+    while at < end:
+        if end - at < _HEAD.size:
+            raise _DamageError(f"the chunk at {where:,} ends within a record")
+        opcode, octets = _HEAD.unpack_from(data, at)
+        at += _HEAD.size
+        least = _MESSAGE.size if opcode == _MESSAGE_RECORD else 0
+        if not least <= octets <= end - at:
+            raise _DamageError(f"the chunk at {where:,} has a record of {octets:,} octets")
+        yield opcode, data[at : at + octets]
+        at += octets
+
+
+def _content(file: BinaryIO, place: int, octets: int) -> bytes:
+    if octets > _MOST_RECORD:
+        raise _DamageError(
+            f"a record at {place:,} has {octets:,} octets; {_MOST_RECORD:,} are read"
+        )
+    file.seek(place)
+    content = file.read(octets)
+    if len(content) < octets:
+        raise _DamageError(f"the record at {place:,} is cut short")
+    return content
+
+
+class _Content:
+    """The content of one record, from its front on; raises _DamageError where it is too short."""
+
+    def __init__(self, content: bytes) -> None:
+        self._content, self._at = content, 0
+
+    @property
+    def is_over(self) -> bool:
+        return self._at >= len(self._content)
+
+    def take(self, octets: int) -> bytes:
+        taken = self._content[self._at : self._at + octets]
+        if len(taken) < octets:
+            raise _DamageError("a record states more octets than it has")
+        self._at += octets
+        return taken
+
+    def number(self, octets: int) -> int:
+        return int.from_bytes(self.take(octets), "little")
+
+    def octets(self, prefix: int) -> bytes:
+        return self.take(self.number(prefix))
+
+    def text(self) -> str:
+        return self.octets(4).decode("utf-8", "replace")

@@ -1,0 +1,87 @@
+"""A recording's timeline, without a clock; and that those who wait for it are moved."""
+
+from __future__ import annotations
+
+import threading
+
+import pytest
+
+from uoarm.record._playback import Playback, PlaybackTurn, Timeline
+from uoarm.testing import Background, ManualClock, patience, wait
+
+SECOND = 10**9
+
+
+def test_a_message_is_due_at_its_time() -> None:
+    timeline = Timeline(2.0)
+    timeline.start(100.0)
+    timeline.start(105.0)  # the second reader changes nothing
+    assert timeline.wait(4 * SECOND, 100.0) == pytest.approx(2.0)
+    assert timeline.wait(4 * SECOND, 102.0) == 0
+    assert timeline.position(101.0) == 2 * SECOND
+
+
+def test_what_stands_lets_nothing_pass_that_lies_ahead() -> None:
+    timeline = Timeline(1.0)
+    timeline.start(0.0)
+    timeline.pause(3.0)
+    assert timeline.wait(3 * SECOND, 9.0) == 0
+    assert timeline.wait(3 * SECOND + 1, 9.0) is None
+    timeline.play(10.0)
+    assert timeline.wait(4 * SECOND, 10.0) == pytest.approx(1.0)
+
+
+def test_another_rate_holds_from_here_on() -> None:
+    timeline = Timeline(1.0)
+    timeline.start(0.0)
+    timeline.set_rate(10.0, 1.0)
+    assert timeline.position(2.0) == 11 * SECOND
+    timeline.set_rate(None, 2.0)
+    assert timeline.wait(10**15, 2.0) == 0
+
+
+def test_a_seek_goes_on_from_there() -> None:
+    timeline = Timeline(1.0, 5 * SECOND)
+    timeline.start(0.0)
+    assert timeline.position(1.0) == 6 * SECOND
+    timeline.seek(2 * SECOND, 1.0)
+    assert timeline.position(2.0) == 3 * SECOND
+
+
+def test_it_stands_from_the_beginning_where_it_is_asked_to() -> None:
+    timeline = Timeline(1.0, is_paused=True)
+    timeline.start(0.0)
+    assert timeline.wait(1, 50.0) is None
+    assert timeline.wait(0, 50.0) == 0
+
+
+def never() -> bool:
+    return False
+
+
+def test_readers_that_wait_are_moved() -> None:
+    clock = ManualClock()
+    playback = Playback(Timeline(1.0, is_paused=True), 0, 10 * SECOND, clock)
+    begin, generation = playback.begin("a")
+    assert (begin, generation) == (0, 0)
+    first = Background(lambda: playback.wait("a", 2 * SECOND, generation, never))
+    second = Background(lambda: playback.wait("b", 3 * SECOND, generation, never))
+    wait(lambda: len(playback._next) == 2)
+    playback.step()
+    assert first.result(patience()) is PlaybackTurn.PLAY
+    playback.seek(7.0)
+    assert second.result(patience()) is PlaybackTurn.ELSEWHERE
+    assert playback.begin("a") == (7 * SECOND, 1)
+    status = playback.status()
+    assert (status.position, status.duration, status.is_paused) == (7.0, 10.0, True)
+
+
+def test_a_reader_that_is_over_stops() -> None:
+    playback = Playback(Timeline(1.0, is_paused=True), 0, 10 * SECOND)
+    _, generation = playback.begin("a")
+    over = threading.Event()
+    waiting = Background(lambda: playback.wait("a", SECOND, generation, over.is_set))
+    wait(lambda: playback._next)
+    over.set()
+    playback.end("a")
+    assert waiting.result(patience()) is PlaybackTurn.STOP

@@ -1,0 +1,292 @@
+"""A recording is a component: what was recorded comes out again, in order, and proven."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from mcap.writer import CompressionType, IndexType, Writer
+from tests.record.conftest import COUNT, PICTURE
+
+from uoarm import RobotManager
+from uoarm.config import loads
+from uoarm.errors import BridgeError, ResolutionError
+from uoarm.model import Endpoint, MessageStructure, QueuePolicy, Role
+from uoarm.record._bridge import RecordingBridge
+from uoarm.record._reading import McapReader
+from uoarm.testing import Collector, MemoryBridge, patience, wait
+
+BLOCK = QueuePolicy(length=1000, policy="block", timeout=600)
+REPLAY = """
+version: 1
+bridges:
+  memory: {plugin: memory}
+  tape: {plugin: recording, options: {file: FILE, rate: fast}}
+functions:
+  counter:
+    components:
+      - {name: clicks, bridge: memory, priority: 2, output: {endpoint: [clicks]}}
+      - {name: of_then, bridge: tape, priority: 1, output: {endpoint: [/counter]}}
+  doubled:
+    components:
+      - {name: doubler, bridge: memory, input: {from: counter, endpoint: [doubler]},
+         output: {endpoint: [doubler]}}
+  base:
+    components:
+      - name: motor
+        bridge: memory
+        input: {from: counter, endpoint: [motor], lifetime: 1, meaning: stated,
+                stop: {message: {n: 0}}}
+"""
+MESSAGES = [{"n": n} for n in range(300)]
+
+
+def record(make_robot: Callable[[], RobotManager], bridge: MemoryBridge, path: Path) -> Path:
+    clicks, eye = bridge.emitter("clicks", COUNT), bridge.emitter("eye", PICTURE)
+    robot = make_robot()
+    with robot.record("counter", "camera", path=path, queue=BLOCK):
+        for message in MESSAGES:
+            clicks.emit(message)
+        eye.emit({"width": 3, "name": "eye", "data": b"abc"})
+    bridge.die("clicks")
+    bridge.die("eye")
+    return path
+
+
+@pytest.fixture
+def tape(make_robot: Any, bridge: MemoryBridge, tmp_path: Path) -> Path:
+    return record(make_robot, bridge, tmp_path / "run.mcap")
+
+
+def played(path: Path, topic: str, count: int, **options: object) -> list[Any]:
+    made = RecordingBridge("tape", {"file": str(path), "rate": "fast", **options})
+    try:
+        collector = Collector()
+        endpoint = Endpoint("tape", "run", Role.OUTPUT, (topic,))
+        structure = made.describe(endpoint).message
+        assert structure is not None
+        source = made.open_source(endpoint, structure, collector.deliver)
+        messages = collector.wait(count, patience())
+        source.close()
+        return list(messages)
+    finally:
+        made.close()
+
+
+def test_what_was_recorded_comes_out_again(tape: Path) -> None:
+    assert played(tape, "/counter", len(MESSAGES)) == MESSAGES
+    (picture,) = played(tape, "/camera", 1)
+    assert picture == {"width": 3, "name": "eye", "data": b"abc"}
+
+
+def test_it_says_that_it_is_recorded_and_what_it_has(tape: Path) -> None:
+    made = RecordingBridge("tape", {"file": str(tape)})
+    (found,) = made.discover()
+    assert found.name == "run"
+    assert found.detail.startswith("recorded: run.mcap, from ")
+    described = {endpoint.address[0]: description for endpoint, description in found.endpoints}
+    assert set(described) == {"/counter", "/camera"}
+    marked = MessageStructure({**COUNT, "x-recorded": True}, native_type="clicks/Row")
+    assert described["/counter"].message == marked
+    assert described["/counter"].note.startswith("recorded: run.mcap")
+    assert made.facts()["recorded"] == "run.mcap"
+    made.close()
+
+
+def test_it_takes_over_when_the_sensor_dies(
+    tape: Path, bridge: MemoryBridge, make_robot: Any
+) -> None:
+    clicks = bridge.emitter("clicks", COUNT)
+    robot = make_robot(REPLAY.replace("FILE", json.dumps(str(tape))))
+    with robot.request("counter", queue=BLOCK) as connection:
+        clicks.emit({"n": -1})
+        assert connection.get(patience()) == {"n": -1}
+        bridge.die("clicks")
+        assert [connection.get(patience()) for _ in MESSAGES] == MESSAGES
+        wait(lambda: connection.gaps, "the gap is noted")
+        (gap,) = connection.gaps
+        assert gap.after == ("of_then",)
+        assert any("recorded: run.mcap" in warning for warning in connection.plan.warnings)
+
+
+def test_the_proof_says_what_drifted_since(
+    tape: Path, bridge: MemoryBridge, make_robot: Any
+) -> None:
+    narrow = {**COUNT, "properties": {"n": {"type": "integer", "maximum": 255}}}
+    doubler = bridge.loop("doubler", narrow)
+    assert doubler is not None
+    robot = make_robot(REPLAY.replace("FILE", json.dumps(str(tape))))
+    with pytest.raises(ResolutionError, match="of_then"):
+        robot.resolve("doubled")
+
+
+def test_it_moves_nothing_unless_that_is_said(
+    tape: Path, bridge: MemoryBridge, make_robot: Any
+) -> None:
+    bridge.taker("motor", COUNT)
+    text = REPLAY.replace("FILE", json.dumps(str(tape)))
+    with pytest.raises(ResolutionError, match="gives what was recorded, and motor moves something"):
+        make_robot(text).resolve("base")
+    allowed = make_robot(text.replace("rate: fast", "rate: fast, allow_motion: true"))
+    assert allowed.resolve("base").provider.component.name == "motor"
+
+
+def test_it_is_played_paused_stepped_and_sought_by_its_service(tape: Path) -> None:
+    text = f"""
+version: 1
+bridges: {{tape: {{plugin: recording, options: {{file: {json.dumps(str(tape))}, paused: true}}}}}}
+functions:
+  counter: {{components: [{{name: then, bridge: tape, output: {{endpoint: [/counter]}}}}]}}
+  tape: {{components: [{{name: control, bridge: tape, service: {{endpoint: ["@control"]}}}}]}}
+"""
+    with RobotManager(loads(text)) as robot, robot.request("counter", queue=BLOCK) as counter:
+        status = robot.call("tape", {})
+        assert status["is_paused"]
+        for n in (0, 1):
+            robot.call("tape", {"step": True})
+            assert counter.get(patience()) == {"n": n}
+        assert robot.call("tape", {"seek": 0})["position"] == 0
+        robot.call("tape", {"step": True})
+        assert counter.get(patience()) == {"n": 0}
+        assert robot.call("tape", {"rate": "fast", "pause": False})["rate"] is None
+        rest = [counter.get(patience()) for _ in MESSAGES[1:]]
+        assert rest == MESSAGES[1:]
+        wait(lambda: counter.ended, "the recording has been played")
+
+
+def test_it_loops_and_begins_where_it_is_asked_to(tape: Path) -> None:
+    again = played(tape, "/counter", 2 * len(MESSAGES), loop=True)
+    assert again[: 2 * len(MESSAGES)] == MESSAGES + MESSAGES
+    with pytest.raises(BridgeError, match="`from` is 1e\\+06 s"):
+        RecordingBridge("tape", {"file": str(tape), "from": 1e6})
+
+
+def test_a_slow_consumer_is_waited_for(tape: Path, bridge: MemoryBridge, make_robot: Any) -> None:
+    robot = make_robot(REPLAY.replace("FILE", json.dumps(str(tape))))
+    queue = QueuePolicy(length=1, policy="block", timeout=600)
+    with robot.request("counter", queue=queue) as connection:
+        assert [connection.get(patience()) for _ in MESSAGES] == MESSAGES
+
+
+# Files of others, and broken ones.
+
+
+def foreign_file(path: Path, **options: Any) -> Path:
+    with path.open("wb") as file:
+        writer = Writer(file, **options)
+        writer.start("ros2")
+        schema = writer.register_schema("lab/msg/Count", "ros2msg", b"int32 n\nuint8[] data\n")
+        picture = writer.register_schema(
+            "Picture",
+            "jsonschema",
+            json.dumps(
+                {
+                    "type": "object",
+                    "properties": {"data": {"type": "string", "contentEncoding": "base64"}},
+                }
+            ).encode(),
+        )
+        proto = writer.register_schema("Proto", "protobuf", b"\0")
+        counted = writer.register_channel("/count", "cdr", schema)
+        pictures = writer.register_channel("/picture", "json", picture)
+        protos = writer.register_channel("/proto", "protobuf", proto)
+        loose = writer.register_channel("/loose", "json", 0)
+        for n in range(100):
+            octets = b"\0\1\0\0" + n.to_bytes(4, "little") + b"\2\0\0\0hi"
+            writer.add_message(counted, 1000 + (99 - n if options.get("back") else n), octets, 0)
+        writer.add_message(pictures, 1000, b'{"data": "aGk="}', 0)
+        writer.add_message(protos, 1000, b"\1\2", 0)
+        writer.add_message(loose, 1000, b"[1, 2]", 0)
+        writer.finish()  # type: ignore[no-untyped-call]  # of mcap
+    return path
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {},
+        {"compression": CompressionType.LZ4, "chunk_size": 200},
+        {"compression": CompressionType.NONE, "chunk_size": 200},
+        {"use_chunking": False},
+        {"use_chunking": False, "use_statistics": False, "repeat_channels": False},
+        {"index_types": IndexType.NONE, "chunk_size": 200},
+        {"repeat_channels": False, "repeat_schemas": False},
+    ],
+    ids=str,
+)
+def test_files_of_others_are_read_however_they_are_written(tmp_path: Path, options: Any) -> None:
+    path = foreign_file(tmp_path / "other.mcap", **options)
+    assert played(path, "/count", 100) == [{"n": n, "data": b"hi"} for n in range(100)]
+    assert played(path, "/picture", 1) == [{"data": b"hi"}]
+
+
+def test_what_is_not_read_is_refused_by_name(tmp_path: Path) -> None:
+    path = foreign_file(tmp_path / "other.mcap")
+    made = RecordingBridge("tape", {"file": str(path)})
+    with pytest.raises(BridgeError, match=r"/proto has messages as 'protobuf'.*what is read is"):
+        made.describe(Endpoint("tape", "x", Role.OUTPUT, ("/proto",)))
+    assert made.describe(Endpoint("tape", "x", Role.OUTPUT, ("/loose",))).message is None
+    with pytest.raises(BridgeError, match="no channel '/none'; it has /count"):
+        made.describe(Endpoint("tape", "x", Role.OUTPUT, ("/none",)))
+    with pytest.raises(BridgeError, match="a recording has no inputs"):
+        made.open_sink(Endpoint("tape", "x", Role.INPUT, ("/count",)), MessageStructure(True))
+    (found,) = made.discover()
+    assert "/proto" in found.detail
+    made.close()
+
+
+@pytest.mark.parametrize("cut", [1, 30, 300, 1000])
+def test_the_readable_part_of_a_cut_file_is_read_and_the_rest_named(
+    tmp_path: Path, cut: int
+) -> None:
+    path = foreign_file(tmp_path / "cut.mcap", chunk_size=200, compression=CompressionType.NONE)
+    octets = path.read_bytes()
+    path.write_bytes(octets[:-cut])
+    reader = McapReader(path)
+    messages = list(reader.messages("/count", 0, pytest.fail))
+    assert 0 < len(messages) <= 100
+    assert [message.time for message in messages] == list(range(1000, 1000 + len(messages)))
+    if cut > 30:
+        assert reader.notes or len(messages) == 100
+
+
+def test_a_file_that_is_none_says_so(tmp_path: Path) -> None:
+    (tmp_path / "text.mcap").write_text("hello")
+    with pytest.raises(BridgeError, match="is no MCAP file"):
+        McapReader(tmp_path / "text.mcap")
+    with pytest.raises(BridgeError, match="cannot be read: No such file"):
+        McapReader(tmp_path / "none.mcap")
+
+
+def test_no_length_in_a_file_is_believed(tmp_path: Path) -> None:
+    path = foreign_file(tmp_path / "bad.mcap", chunk_size=200)
+    octets = path.read_bytes()
+    for place in range(8, len(octets) - 8, 29):
+        broken = bytearray(octets)
+        broken[place : place + 8] = b"\xff" * 8
+        path.write_bytes(broken)
+        damages: list[str] = []
+        try:
+            reader = McapReader(path)
+            for topic in reader.channels:
+                for _ in reader.messages(topic, 0, damages.append):
+                    pass
+        except BridgeError:
+            continue
+
+
+def test_a_bag_of_ros_1_is_read(tmp_path: Path) -> None:
+    rosbags = pytest.importorskip("rosbags.rosbag1")
+    typesys = pytest.importorskip("rosbags.typesys")
+    store = typesys.get_typestore(typesys.Stores.ROS1_NOETIC)
+    path = tmp_path / "old.bag"
+    with rosbags.Writer(path) as writer:
+        connection = writer.add_connection("/text", "std_msgs/msg/String", typestore=store)
+        kind = store.types["std_msgs/msg/String"]
+        for n in range(10):
+            text = store.serialize_ros1(kind(data=f"text {n}"), "std_msgs/msg/String")
+            writer.write(connection, 1000 + n, text)
+    assert played(path, "/text", 10) == [{"data": f"text {n}"} for n in range(10)]
