@@ -121,7 +121,7 @@ def test_a_float_that_is_whole_is_an_integer() -> None:
     )
     octets = b"".join(serialiser(structure)({"a": 2.0, "b": [1.0, -2], "c": 3}))
     assert same(deserialiser(structure)(octets), {"a": 2, "b": [1, -2], "c": 3.0})
-    with pytest.raises(MessageError, match="does not fit"):
+    with pytest.raises(MessageError, match="expected an integer"):
         serialiser(structure)({"a": 2.5, "b": [], "c": 3})
 
 

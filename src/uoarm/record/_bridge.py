@@ -215,6 +215,10 @@ class _RecordedSource(Source):
         self._bridge, self._reading, self._deliver = bridge, reading, deliver
         self._over = threading.Event()
         self._playback = bridge.playback
+        # In the thread that opens: what is written from then on is given.
+        self._place = 0
+        if bridge._follows and bridge._mcap is not None:  # noqa: SLF001 - its own module
+            self._place = bridge._mcap.end_of_records()  # noqa: SLF001 - its own module
         self._thread = threading.Thread(
             target=self._run, name=f"uoarm-{bridge.name}-recording", daemon=True
         )
@@ -249,7 +253,7 @@ class _RecordedSource(Source):
     def _follow(self, topic: str) -> None:
         file = self._bridge._mcap  # noqa: SLF001 - its own module
         assert file is not None, "only such a file is followed"
-        for message in file.follow(topic, self._over.wait, self._deliver.unreadable):
+        for message in file.follow(topic, self._place, self._over.wait, self._deliver.unreadable):
             if self._over.is_set():
                 return
             self._hand_over(message.data)

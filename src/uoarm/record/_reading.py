@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import heapq
 import struct
+import threading
 import zlib
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
@@ -118,14 +119,16 @@ class McapReader:
         self._ids: dict[int, FileChannel] = {}
         self._schemas: dict[int, tuple[str, str, bytes]] = {}
         self._parts: list[_Part] = []
-        self._size = self._size_read = 0
+        self._size, self._size_read = 0, len(_MAGIC)
+        # Guards the place up to which a growing file was read, between sources that open.
+        self._growing = threading.Lock()
         try:
             with path.open("rb") as file:
                 if file.read(len(_MAGIC)) != _MAGIC:
                     raise BridgeError(f"{path} is no MCAP file", FailureReason.UNSUPPORTED)
                 self._size = file.seek(0, 2)
                 if follows or not self._read_summary(file):
-                    self._scan(file)
+                    self._scan(file, len(_MAGIC))
         except OSError as error:
             text = f"{path} cannot be read: {error.strerror or error}"
             raise BridgeError(text, FailureReason.UNAVAILABLE) from error
@@ -171,15 +174,29 @@ class McapReader:
                     held -= len(octets)
                     yield StoredMessage(time, octets)
 
+    def end_of_records(self) -> int:
+        """Return where the last record that is whole now ends, and take in its definitions.
+
+        Raises:
+            OSError: the file cannot be read.
+        """
+        with self._growing, self.path.open("rb") as file:
+            self._size = file.seek(0, 2)
+            self._scan(file, self._size_read)
+            return self._size_read
+
     def follow(
-        self, topic: str, stop: Callable[[float], bool], on_damage: Callable[[str], object]
+        self,
+        topic: str,
+        at: int,
+        stop: Callable[[float], bool],
+        on_damage: Callable[[str], object],
     ) -> Iterator[StoredMessage]:
-        """Yield what comes into the file from now on; `stop` waits, and says whether to end.
+        """Yield what comes into the file from a place on; `stop` waits, and says whether to end.
 
         Raises:
             BridgeError: the file is gone, or was cut.
         """
-        at = self._size_read
         with self.path.open("rb") as file:
             while True:
                 size = file.seek(0, 2)
@@ -246,11 +263,10 @@ class McapReader:
             raise _DamageError("the index leads out of the file")
         return _Part(at + _HEAD.size, length - _HEAD.size, is_chunk=True, start=start, end=end)
 
-    def _scan(self, file: BinaryIO) -> None:
-        """Read every record, one chunk at a time."""
-        self._size_read = len(_MAGIC)
+    def _scan(self, file: BinaryIO, start: int) -> None:
+        """Read every record from a place on, one chunk at a time."""
         is_whole = False
-        for opcode, place, octets in self._records(file, len(_MAGIC), self._size):
+        for opcode, place, octets in self._records(file, start, self._size):
             if opcode in {_DATA_END, _FOOTER}:
                 is_whole = True
                 break
