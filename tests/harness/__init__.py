@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 from hypothesis import given, settings
 from hypothesis.strategies import none
-from tests.harness import _delays, _leaks, _limits, _needs, _places
+from tests.harness import _delays, _kit, _leaks, _limits, _needs, _places
 from tests.harness._steps import longest_step
 from xdist.remote import Producer
 from xdist.scheduler import LoadScopeScheduling
@@ -194,6 +194,18 @@ def pytest_runtest_teardown(item: pytest.Item) -> Generator[None, None, None]:
     if left:
         _leaks.end_processes(item.nodeid)
         pytest.fail(f"{item.nodeid} left behind:\n" + "\n".join(left), pytrace=False)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(
+    item: pytest.Item, call: pytest.CallInfo[None]
+) -> Generator[None, pytest.TestReport, pytest.TestReport]:
+    """Fail a test of the conformance kit whose skip is in no table, or whose row is out of date."""
+    del call
+    report = yield
+    if mistake := _kit.mistake_of(item, report):
+        report.outcome, report.longrepr = "failed", f"{item.nodeid}: {mistake}"
+    return report
 
 
 def pytest_sessionfinish(session: pytest.Session) -> None:

@@ -435,3 +435,62 @@ def test_the_tests_of_each_plugin_are_run_by_default_and_at_length(folder: Path)
     ran = {tier.name: tier.arguments for tier in TIERS if place in tier.arguments}
     assert ["not long" in ran[name] for name in BY_DEFAULT if name in ran] == [True]
     assert [ran[name] for name in NAMES["long"] if name in ran] == [(place,)]
+
+
+KIT = """
+    import pytest
+    from uoarm.model import Endpoint, Role
+    from uoarm.testing import MemoryBridge
+    from uoarm.testing.conformance import BridgeConformance, Pair, World
+
+    class Memory(World):
+        def bridge(self):
+            made = MemoryBridge()
+            made.loop("text", {"type": "string"})
+            return made
+
+        def pair(self, kind):
+            ends = (Endpoint("memory", kind, role, (kind,)) for role in (Role.INPUT, Role.OUTPUT))
+            return Pair(*ends)
+
+        def missing(self):
+            return Endpoint("memory", "nowhere", Role.OUTPUT, ("nowhere",))
+
+    class TestMemory(BridgeConformance):
+        kinds = ("text",)
+
+        @pytest.fixture
+        def world(self):
+            return Memory()
+"""
+KIT_PAGE = """
+## What the kit skips
+
+| bridge | test or section | why |
+|---|---|---|
+| `memory` | kinds do not mix (text); a death is reported with its cause | it has one kind |
+| `memory` | closing twice is closing once | it does not close |
+| `other` | a retained message comes first | of another bridge |
+"""
+
+
+def test_a_skip_of_the_kit_and_its_row_in_the_table_need_one_another(
+    run: Run, tmp_path: Path
+) -> None:
+    page = tmp_path / "bridges.md"
+    page.write_text(KIT_PAGE, encoding="utf-8")
+    wanted = "kinds_do or test_a_death or test_closing_twice or retained"
+    set_up = [
+        "from pathlib import Path",
+        "from tests.harness import _kit",
+        "_kit._BRIDGES['test_'] = 'memory'",
+        f"_kit._PAGE = Path({str(page)!r})",
+    ]
+    found = run(KIT, "-k", wanted, set_up="\n".join(set_up))
+    found.assert_outcomes(skipped=2, failed=2)
+    found.stdout.fnmatch_lines(
+        [
+            "*closing_twice*: no longer skipped: take it out of the row of 'memory' under *",
+            "*retained*: skipped, as the world retains nothing: have the world give it, or add *",
+        ]
+    )

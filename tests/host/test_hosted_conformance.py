@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import pytest
 from attrs import evolve
+from tests.local.test_python_conformance import samples
 
 from uoarm._host import RemoteBridge
 from uoarm.bridge import Bridge
-from uoarm.model import BridgeSpec, Endpoint, Role
+from uoarm.model import BridgeSpec, Endpoint, Message, Role
 from uoarm.testing import patience
 from uoarm.testing.conformance import BridgeConformance, Pair, Served, Victim, World
 
@@ -21,7 +22,7 @@ class HostedWorld(World):
     """The components of the in-process suite, and two that are told through a file."""
 
     def __init__(self, folder: Path) -> None:
-        self._killed = folder / "killed"
+        self._folder = folder
 
     def spec(self) -> BridgeSpec:
         path = [str(TESTS / "local"), str(TESTS / "host" / "parts")]
@@ -33,9 +34,19 @@ class HostedWorld(World):
     def missing(self) -> Endpoint:
         return at("parts:Nowhere", Role.OUTPUT)
 
+    def samples(self, kind: str) -> Sequence[Message]:
+        return samples(kind)
+
     def victim(self) -> Victim:
-        endpoint = at("hosted_kit_parts:until_killed", Role.OUTPUT, killed=str(self._killed))
-        return Victim(endpoint, self._killed.touch)
+        return self.victims()[0]
+
+    def victims(self) -> Sequence[Victim]:
+        made = []
+        for name in ("first", "second"):
+            killed = self._folder / name
+            endpoint = at("hosted_kit_parts:until_killed", Role.OUTPUT, killed=str(killed))
+            made.append(Victim(evolve(endpoint, component=name), killed.touch))
+        return made
 
     def served(self) -> Served:
         double, broken = at("parts:double", Role.SERVICE), at("parts:broken", Role.SERVICE)

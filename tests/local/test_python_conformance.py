@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import pytest
+from attrs import evolve
 
-from uoarm.bridge import Bridge
-from uoarm.local import PythonBridge
-from uoarm.model import Endpoint, Role
+from uoarm.model import BridgeSpec, Endpoint, Message, Role
 from uoarm.testing.conformance import BridgeConformance, Pair, Served, Victim, World
 
 HERE = Path(__file__).parent
@@ -20,11 +19,12 @@ class PythonWorld(World):
     """The classes and functions of `parts.py`."""
 
     def __init__(self) -> None:
-        self._killed = threading.Event()
+        self._killed = [threading.Event() for _ in range(2)]
         self._released = threading.Event()
 
-    def bridge(self) -> Bridge:
-        return PythonBridge("python", {"path": [str(HERE)], "discover": ["parts:Numbers"]})
+    def spec(self) -> BridgeSpec:
+        options = {"path": [str(HERE)], "discover": ["parts:Numbers"]}
+        return BridgeSpec("python", "python", options)
 
     def pair(self, kind: str) -> Pair:
         return Pair(at(kind, Role.INPUT), at(kind, Role.OUTPUT))
@@ -32,9 +32,19 @@ class PythonWorld(World):
     def missing(self) -> Endpoint:
         return at("Nowhere", Role.OUTPUT)
 
+    def samples(self, kind: str) -> Sequence[Message]:
+        return samples(kind)
+
     def victim(self) -> Victim:
-        endpoint = at("until_killed", Role.OUTPUT, killed=self._killed)
-        return Victim(endpoint, self._killed.set)
+        return self.victims()[0]
+
+    def victims(self) -> Sequence[Victim]:
+        return [
+            Victim(
+                evolve(at("until_killed", Role.OUTPUT, killed=killed), component=name), killed.set
+            )
+            for name, killed in zip(("first", "second"), self._killed, strict=True)
+        ]
 
     def served(self) -> Served:
         silent = at("silent", Role.SERVICE, released=self._released)
@@ -42,8 +52,26 @@ class PythonWorld(World):
         return Served(double, {"value": 21}, {"value": 42}, broken, silent)
 
     def close(self) -> None:
-        self._killed.set()
+        for killed in self._killed:
+            killed.set()
         self._released.set()
+
+
+def samples(kind: str) -> Sequence[Message]:
+    number = {"small": -128, "large": 2**64 - 1, "real": 5e-324, "truth": True}
+    text = {"text": "Kia ora \u2192 \U0001f916\r\n\t\0", "kind": "b"}
+    made: dict[str, Message] = {
+        "Numbers": number,
+        "Texts": text,
+        "Pixels": {"width": 1024, "data": bytes(range(256)) * 8192},
+        "Everything": {
+            "numbers": [number] * 300,
+            "texts": {"": text, "\u2192": text},
+            "either": None,
+            "pair": [False, -0.0],
+        },
+    }
+    return [made[kind]]
 
 
 def at(name: str, role: Role, **parameters: object) -> Endpoint:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import queue
 import threading
@@ -27,7 +28,7 @@ from uoarm.bridge import (
 )
 from uoarm.errors import BridgeError, FailureReason, UoarmError
 from uoarm.model import Deliver, Endpoint, Health, Message, MessageStructure, Options, Role
-from uoarm.testing import MemoryBridge
+from uoarm.testing import Background, MemoryBridge
 from uoarm.testing.conformance._describing import Declaring, Describing
 from uoarm.testing.conformance._ending import EndingRules
 from uoarm.testing.conformance._failures import Breaking, DisturbanceRules
@@ -254,6 +255,19 @@ def one_buffer(deliver: Deliver) -> Deliver:
     return fill
 
 
+def few_buffers(deliver: Deliver) -> Deliver:
+    """Write into nine buffers in turn: a burst has eight messages at most."""
+    buffers = itertools.cycle([dict[str, Any]() for _ in range(9)])
+
+    def fill(message: Any) -> None:
+        buffer = next(buffers)
+        buffer.clear()
+        buffer.update(message)
+        deliver(buffer)
+
+    return fill
+
+
 def steals(world: BadWorld, bridge: MemoryBridge) -> None:
     newest: list[Deliver] = []
 
@@ -363,6 +377,17 @@ def empty_reply(world: BadWorld, bridge: MemoryBridge, call: Any) -> Any:
     return called
 
 
+def late_in_other_words(world: BadWorld, bridge: MemoryBridge, call: Any) -> Any:
+    def called(*given: Any) -> Message:
+        calling, timeout = Background(lambda: call(*given)), given[-1]
+        try:
+            return calling.result(timeout)
+        except AssertionError:
+            raise BridgeError("no reply came") from None
+
+    return called
+
+
 def fails_to_close(*_: Any) -> Any:
     def close() -> None:
         raise OSError("bad file descriptor")
@@ -420,6 +445,10 @@ def forgets_what_it_said(world: BadWorld, bridge: MemoryBridge, describe: Any) -
 def schema_of(schema: Any) -> Spoil:
     said = Description(MessageStructure(schema))
     return step("_describe", lambda *_: lambda endpoint: said)
+
+
+def takes_the_first_part(world: BadWorld, bridge: MemoryBridge, describe: Any) -> Any:
+    return lambda endpoint: endpoint.address[0] and describe(endpoint)
 
 
 def ghost(world: BadWorld, bridge: MemoryBridge, discover: Any) -> Any:
@@ -491,6 +520,26 @@ def leaks_a_thread(world: BadWorld, bridge: MemoryBridge, close: Any) -> Any:
         threading.Thread(target=world.ended.wait, daemon=True).start()
 
     return closed
+
+
+def keeps_receivers(world: BadWorld, bridge: MemoryBridge) -> None:
+    table: list[Deliver] = []
+
+    def wrap(deliver: Deliver) -> Deliver:
+        table.append(deliver)
+        return deliver
+
+    delivering(wrap)(world, bridge)
+
+
+def keeps_handlers(world: BadWorld, bridge: MemoryBridge, serve: Any) -> Any:
+    table: list[Any] = []
+
+    def served(endpoint: Endpoint, structures: Any, handler: Any) -> Any:
+        table.append(handler)
+        return serve(endpoint, structures, handler)
+
+    return served
 
 
 def leaks_a_descriptor(world: BadWorld, bridge: MemoryBridge, made: Source) -> None:
@@ -793,6 +842,13 @@ BUGS: tuple[Bug, ...] = (
     ),
     Bug(
         MESSAGES,
+        "hands out few buffers that later messages overwrite",
+        delivering(few_buffers),
+        Flow.test_bursts_keep_their_order,
+        "afterwards",
+    ),
+    Bug(
+        MESSAGES,
         "gives each message to the newest receiver only",
         steals,
         Flow.test_two_receivers_get_the_same,
@@ -974,6 +1030,13 @@ BUGS: tuple[Bug, ...] = (
     ),
     Bug(
         WORDS,
+        "has the framework's own exception for an address without parts",
+        step("_describe", takes_the_first_part),
+        Describing.test_an_address_without_parts_is_refused,
+        "expected NOT_FOUND or UNAVAILABLE or BAD_ENDPOINT",
+    ),
+    Bug(
+        WORDS,
         "opens what is not there",
         step("_open_source", opens_nothing),
         Describing.test_what_is_not_there_does_not_open,
@@ -1055,6 +1118,20 @@ BUGS: tuple[Bug, ...] = (
         step("_close", closes_others),
         EndingRules.test_bridges_live_side_by_side,
         "there is no component",
+    ),
+    Bug(
+        CLOSING,
+        "keeps in a table what its closed channels delivered to",
+        keeps_receivers,
+        EndingRules.test_what_is_closed_keeps_nothing_of_who_used_it,
+        "the bridge still holds",
+    ),
+    Bug(
+        CLOSING,
+        "keeps in a table the functions that it served",
+        step("_serve", keeps_handlers),
+        EndingRules.test_what_is_closed_keeps_nothing_of_who_used_it,
+        "the bridge still holds",
     ),
     Bug(
         CLOSING,
@@ -1286,6 +1363,13 @@ BUGS: tuple[Bug, ...] = (
         step("_call", answers_others),
         ServiceRules.test_several_threads_may_call_at_once,
         "the reply to {'value'",
+    ),
+    Bug(
+        SERVICES,
+        "ends a call that is late with an error of another class",
+        step("_call", late_in_other_words),
+        ServiceRules.test_a_service_that_is_silent_ends_in_time,
+        "no reply came",
     ),
     Bug(
         SERVICES,

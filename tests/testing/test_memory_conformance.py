@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
 
@@ -112,6 +112,16 @@ class MemoryWorld(World):
 
     def unreadable(self, kind: str) -> Callable[[], object]:
         return lambda: self._loops[kind].emit_native(("garbled", "beyond", "repair"))
+
+    def samples(self, kind: str) -> Sequence[Message]:
+        made: dict[str, list[object]] = {
+            "byte": [0, 255],
+            "text": ["", "Kia ora \u2192 \U0001f916\r\n\t\0"],
+            "number": [-0.0, 5e-324, 1.7976931348623157e308],
+            "list": [[], [True, False] * 1000],
+            "octets": [b"", bytes(range(256)) * 8192],
+        }
+        return [{"value": value} for value in made[kind]]
 
     def retained(self) -> Retained:
         def emit() -> Message:

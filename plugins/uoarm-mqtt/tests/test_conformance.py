@@ -34,4 +34,4 @@ class TestInAHost(TestMqttBridge):
     """The whole suite with the bridge in a process of its own."""
 
     hosted = True
-    kinds = ("nested",)
+    kinds = ("nested", "text")

@@ -150,7 +150,7 @@ class TestOverTcp(BridgeConformance):
 class TestInAHost(BridgeConformance):
     """The whole suite with the bridge in a process of its own."""
 
-    kinds = ("octets",)
+    kinds = ("octets", "text")
 
     @pytest.fixture
     def world(self) -> Iterator[World]:

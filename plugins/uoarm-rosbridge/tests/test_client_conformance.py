@@ -101,7 +101,12 @@ class ServerWorld(World):
     def samples(self, kind: str) -> Sequence[Message]:
         if kind == "image":
             return [{"width": 1024, "data": bytes(range(256)) * 8192}]
-        return []
+        if kind == "arrays":
+            points = [{"x": -0.0, "y": 5e-324}] * 300
+            return [{"numbers": [1e308, -1e-308], "points": points, "texts": [""]}]
+        whole = {"small": 255, "signed": -(2**31), "wide": 2**53 - 1}
+        text = "Kia ora \u2192 \U0001f916\r\n\t"
+        return [{"flag": True, **whole, "real": 0.1, "text": text}]
 
     def client(self) -> Ros:
         """Connect a client that plays a node behind the server."""

@@ -26,9 +26,9 @@ HOSTS = importlib.util.find_spec("zenoh") is not None
 
 @pytest.mark.skipif(not HOSTS, reason="needs uoarm[hosts]")
 class TestHostedRtmBridge(BridgeConformance):
-    """The suite through a bridge host, whose link has its own tests: one kind is enough."""
+    """The suite through a bridge host, whose link has its own tests: two kinds are enough."""
 
-    kinds = ("ranges",)
+    kinds = ("ranges", "text")
     hosted = True
 
     @pytest.fixture

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import gc
 import threading
-from collections.abc import Mapping
+import weakref
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from typing import ClassVar
 
@@ -11,9 +13,10 @@ import pytest
 
 from uoarm.bridge import Bridge, Channel
 from uoarm.errors import BridgeError, FailureReason, UoarmError
-from uoarm.model import Message
+from uoarm.model import Endpoint, Message
 from uoarm.testing._collector import Background, Collector
 from uoarm.testing._resources import Census
+from uoarm.testing._time import wait
 from uoarm.testing.conformance._world import World, line, rules, structure_of
 
 __all__ = ["EndingRules"]
@@ -193,6 +196,24 @@ class EndingRules:
             first.close()
             second.close()
 
+    def test_what_is_closed_keeps_nothing_of_who_used_it(
+        self, world: World, bridge: Bridge, kind: str
+    ) -> None:
+        """A receiver that stays in a table after its close is there for as long as the bridge."""
+        receivers: list[Callable[[], object]] = [
+            weakref.ref(_received_by_a_line(world, bridge, kind)) for _ in range(2)
+        ]
+        places = world.servable()
+        if places is not None:
+            receivers.append(weakref.ref(_served_and_closed(bridge, places[0])))
+
+        def are_gone() -> bool:
+            gc.collect()
+            return not any(receiver() for receiver in receivers)
+
+        text = "the bridge still holds what a closed channel delivered to, or called"
+        wait(are_gone, text, world.patience)
+
     def test_no_thread_and_no_descriptor_stays_behind(self, world: World) -> None:
         def cycle() -> None:
             bridge = world.bridge()
@@ -208,6 +229,32 @@ class EndingRules:
         for _ in range(_CYCLES):
             cycle()
         census.check(world.patience)
+
+
+def _received_by_a_line(world: World, bridge: Bridge, kind: str) -> Collector:
+    """Return what a source delivered to until it was closed; nothing else holds it."""
+    pair, receiver = world.pair(kind), Collector()
+    structure = structure_of(bridge, pair, incoming=False)
+    source = bridge.open_source(pair.source, structure, receiver)
+    with line(world, bridge, kind) as through:
+        world.await_receivers(kind, 2)
+        through.carries(through.example())
+        receiver.wait(1, world.patience)
+    source.close()
+    return receiver
+
+
+class _Handler:
+    """A function that is served, and that nothing else holds."""
+
+    def __call__(self, request: Message) -> Message:
+        return request
+
+
+def _served_and_closed(bridge: Bridge, offered: Endpoint) -> _Handler:
+    handler = _Handler()
+    bridge.serve(offered, handler).close()
+    return handler
 
 
 def _settle(taken: list[Message]) -> None:

@@ -89,14 +89,20 @@ class Flow:
 
     def test_bursts_keep_their_order(self, world: World, bridge: Bridge, kind: str) -> None:
         with line(world, bridge, kind) as through:
+            kept: list[Message] = []
 
             @settings(max_examples=10, **_SETTINGS)
             @given(st.lists(instances(through.structure.schema), min_size=2, max_size=8))
             def keeps(messages: list[Message]) -> None:
-                through.carries(*(message for message in messages if world.takes(kind, message)))
+                taken = [message for message in messages if world.takes(kind, message)]
+                kept.extend(world.carried(kind, message) for message in taken)
+                through.carries(*taken)
 
             keeps()
             assert through.collector.overlaps == 0
+            # A consumer may keep a message: what comes later must not write over it.
+            for sent, came in zip(kept, through.collector.messages, strict=True):
+                assert same(came, sent), f"{sent!r} came, and became {came!r} afterwards"
 
     def test_recorded_samples_survive(self, world: World, bridge: Bridge, kind: str) -> None:
         samples = world.samples(kind)

@@ -155,5 +155,7 @@ class ServiceRules:
     def test_a_call_to_what_is_not_there_is_an_error(self, world: World, bridge: Bridge) -> None:
         if not bridge.capabilities.call:
             pytest.skip("the bridge does not call")
-        with pytest.raises(BridgeError):
+        with pytest.raises(BridgeError) as caught:
             bridge.call(world.missing(), {}, timeout=_SHORT_SECONDS)
+        reason = caught.value.reason
+        assert reason is not FailureReason.RAISED, f"{caught.value} came by itself, and not of it"
