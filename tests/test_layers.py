@@ -98,7 +98,7 @@ WITHIN = {
         {"front_end"},
         {"http"},
         {"_options"},
-        {"_server"},
+        {"_server", "_service_manager"},
         {"_running"},
         {"__init__"},
     ],

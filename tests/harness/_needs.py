@@ -115,6 +115,7 @@ NEEDS = {
             "usr/lib/faketime/libfaketimeMT.so.1",
         ),
     ),
+    "systemd": Need("apt install systemd", programs=("systemd-analyze",)),
     "festival": Need("apt install festival festvox-kallpc16k", programs=("text2wave",)),
 }
 HEALTHBOT = ("ros2", "rtm", "rocos", "records", "vision")

@@ -23,6 +23,7 @@ from uoarm._support.allocator import keep_memory
 from uoarm._switch_interval import short_switch_interval
 from uoarm.server._options import ServerOptions
 from uoarm.server._server import Server
+from uoarm.server._service_manager import ServiceManager
 from uoarm.server.front_end import FrontEnd
 from uoarm.server.http import NoRoomError
 
@@ -46,6 +47,9 @@ def run(
 ) -> None:
     """Serve until SIGTERM or Ctrl-C, then close properly. Only in the main thread.
 
+    Where a service manager such as systemd started the process, it is said when the server listens
+    and when it stops, and the loop gives a sign of life twice in the time of the watchdog.
+
     Meanwhile threads of this process that compute have turns of 0.5 ms instead of 5 ms, so that
     the loop waits less for them (`sys.setswitchinterval`). `UOARM_SWITCH_INTERVAL` says another
     number of milliseconds. The collector of cycles rarely looks at all that lives. And glibc's
@@ -60,7 +64,8 @@ def run(
 
     Raises:
         ConfigurationError: the settings are not safe, or a file of theirs has mistakes.
-        UsageError: `UOARM_SWITCH_INTERVAL` is no such number.
+        UsageError: `UOARM_SWITCH_INTERVAL`, `NOTIFY_SOCKET` or `WATCHDOG_USEC` is not what it
+            should be.
         OSError: a port is taken.
     """
     keep_memory()
@@ -167,19 +172,32 @@ def _short_collections() -> Iterator[None]:
 async def _until_signal(server: Server, ready: Callable[[Server], None] | None) -> None:
     loop = asyncio.get_running_loop()
     stop = asyncio.Event()
+    service_manager = ServiceManager()
     for signals in _SIGNALS:
         loop.add_signal_handler(signals, stop.set)
     default_in_children(_SIGNALS)
     await server.start()
+    living = asyncio.ensure_future(_give_signs_of_life(service_manager))
     try:
         if ready is not None:
             ready(server)
+        service_manager.ready(f"listening on port {', '.join(map(str, server.ports))}")
         await stop.wait()
     finally:
+        service_manager.stopping()
         await server.stop()
+        living.cancel()
         # Closing the loop closes where signals are told to it before it stops hearing of them:
         # another one in between would be shown as an exception.
         signal.set_wakeup_fd(-1)
+
+
+async def _give_signs_of_life(service_manager: ServiceManager) -> None:
+    """Say again and again that the loop turns, as long as the service manager expects it."""
+    seconds = service_manager.watchdog_seconds
+    while seconds is not None:
+        service_manager.alive()
+        await asyncio.sleep(seconds / 2)
 
 
 def _run_loop(loop: asyncio.AbstractEventLoop, work: Coroutine[Any, Any, None]) -> None:
