@@ -44,13 +44,26 @@ _SECONDS = 60.0
 
 @click.command()
 @takes_configuration()
+@click.option(
+    "--recording",
+    type=click.Path(path_type=Path),
+    help="Hold what was recorded against the configuration of today instead.",
+)
 @json_option
-def check(file: str, *, as_json: bool) -> None:
+def check(file: str, *, recording: Path | None, as_json: bool) -> None:
     """Say everything that is wrong with a configuration FILE.
 
     Python components that run in this environment are imported, to check their parameters. What is
     not here, a module or a plugin, is a warning: the file may be for another machine.
+
+    With --recording each message of the recording is adapted and held against every input that its
+    function feeds now, and the structure of then is proven against it. The exit code is 1 where one
+    does not fit, or nothing could be checked.
     """
+    if recording is not None:
+        from uoarm.cli._record import check_against  # noqa: PLC0415 - needs an extra
+
+        check_against(file, recording, as_json=as_json)
     _say_that_it_takes_a_while(file)
     registry = Registry()
     report = inspect(file, registry.types, parameters=True, missing=registry.missing)

@@ -9,7 +9,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import click
 
@@ -17,17 +17,25 @@ from uoarm._forks import default_in_children
 from uoarm.cli._file import takes_configuration
 from uoarm.cli._shared import (
     BRIDGE,
+    REFUSED,
     FunctionArgument,
     fail,
     json_option,
     open_robot,
     print_error,
+    print_json,
 )
 from uoarm.errors import UoarmError
-from uoarm.model import to_json, write_json
-from uoarm.record import Recording, RecordingStatus
+from uoarm.model import format_reason, to_json, write_json
+from uoarm.record import (
+    ChannelCheck,
+    Recording,
+    RecordingCheck,
+    RecordingStatus,
+    check_recording,
+)
 
-__all__ = ["record"]
+__all__ = ["check_against", "record"]
 
 _PROGRESS_SECONDS = 1.0
 _MEBI = 1024 * 1024
@@ -147,3 +155,40 @@ def summary(status: RecordingStatus) -> str:
         text = f"{channel.recorded:,} messages as {channel.encoding}"
         lines.append(f"  {channel.function}: {text}{more}{lost}")
     return "\n".join(lines)
+
+
+def check_against(file: str, recording: Path, *, as_json: bool) -> NoReturn:
+    """Print whether a recording passes a configuration, and exit."""
+    with open_robot(file) as robot:
+        result = check_recording(recording, robot)
+    if as_json:
+        print_json({"is_passed": result.is_passed, **to_json(result)})
+    else:
+        click.echo("\n".join(_report(result)))
+    sys.exit(0 if result.is_passed else REFUSED)
+
+
+def _report(result: RecordingCheck) -> Iterator[str]:
+    for note in result.notes:
+        yield f"{result.file}: {note}"
+    for channel in result.channels:
+        yield from _channel_lines(channel)
+    if not any(channel.consumers for channel in result.channels):
+        yield f"{result.file}: nothing could be checked"
+
+
+def _channel_lines(channel: ChannelCheck) -> Iterator[str]:
+    cause = f": {channel.cause}" if channel.cause else ""
+    unreadable = f", {channel.unreadable:,} cannot be read" if channel.unreadable else ""
+    yield f"{channel.topic}: {channel.messages:,} messages{unreadable}{cause}"
+    for consumer in channel.consumers:
+        if consumer.unchecked:
+            yield f"  {consumer.place}: not checked: {consumer.unchecked}"
+            continue
+        yield f"  {consumer.place}: {consumer.passed:,} fit, {consumer.failed:,} do not"
+        for reason in consumer.reasons:
+            yield from (f"    not proven: {line}" for line in format_reason(reason)[:1])
+        first = consumer.first
+        if first is not None:
+            where = f"message {first.number:,} of {first.time}, {first.seconds:.3f} s"
+            yield f"    first: {where}: {first.cause}"

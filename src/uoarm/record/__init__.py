@@ -8,15 +8,39 @@ from typing import TYPE_CHECKING
 from uoarm._deferred import deferred
 
 if TYPE_CHECKING:
+    from uoarm.record._checking import (
+        ChannelCheck,
+        ConsumerCheck,
+        FailedMessage,
+        RecordingCheck,
+        check_recording,
+    )
     from uoarm.record._options import RecordOptions
     from uoarm.record._recording import RecordedChannel, Recording, RecordingStatus
 
-__all__ = ["RecordOptions", "RecordedChannel", "Recording", "RecordingStatus"]
+__all__ = [
+    "ChannelCheck",
+    "ConsumerCheck",
+    "FailedMessage",
+    "RecordOptions",
+    "RecordedChannel",
+    "Recording",
+    "RecordingCheck",
+    "RecordingStatus",
+    "check_recording",
+]
 
 if not TYPE_CHECKING:
     __getattr__, __dir__ = deferred(
         __name__,
         {
+            "_checking": (
+                "ChannelCheck",
+                "ConsumerCheck",
+                "FailedMessage",
+                "RecordingCheck",
+                "check_recording",
+            ),
             "_options": ("RecordOptions",),
             "_recording": ("RecordedChannel", "Recording", "RecordingStatus"),
         },

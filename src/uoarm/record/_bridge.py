@@ -22,7 +22,7 @@ from uoarm.bridge import (
 )
 from uoarm.errors import BridgeError, FailureReason, MessageError
 from uoarm.model import Endpoint, Health, Message, MessageStructure, Options, Role, to_json
-from uoarm.record._bags import BagReader
+from uoarm.record._checking import open_recording
 from uoarm.record._file import require_mcap
 from uoarm.record._forms import EVENTS_TOPIC
 from uoarm.record._playback import Playback, PlaybackTurn, Timeline
@@ -82,10 +82,10 @@ class RecordingBridge(Bridge):
         self._may_move = bool(given.get("allow_motion", False))
         self._mcap: McapReader | None = None
         self._file: RecordedFile
-        if self._path.suffix == ".mcap":
-            self._file = self._mcap = McapReader(self._path, follows=self._follows)
+        if self._follows:
+            self._file = self._mcap = McapReader(self._path, follows=True)
         else:
-            self._file = BagReader(self._path)
+            self._file = open_recording(self._path)
         begin = int(given.get("from", 0.0) * _NANO)
         length = self._file.end - self._file.start
         if begin > length:

@@ -112,7 +112,7 @@ class McapReader:
     """
 
     def __init__(self, path: Path, *, follows: bool = False) -> None:
-        self.path = path
+        self.path, self._follows = path, follows
         self.start = self.end = 0
         self._channels: dict[str, FileChannel] = {}
         self.notes: list[str] = []
@@ -278,7 +278,7 @@ class McapReader:
                 continue
             if part is not None:
                 self._add_part(part)
-        if not is_whole and not self.notes:
+        if not is_whole and not self.notes and not self._follows:
             self._note(f"it has no end: {self._size_read:,} of {self._size:,} octets can be read")
 
     def _add_part(self, part: _Part) -> None:

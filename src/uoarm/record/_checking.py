@@ -1,0 +1,295 @@
+"""Whether what was recorded passes today's configuration: by proof, and message for message."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from datetime import datetime, timezone
+from pathlib import Path
+from typing import Protocol
+
+from attrs import define, frozen
+
+from uoarm._adapt import MappingError, UnfitError, adapt, check_edge, parse
+from uoarm._dataplane import make_check
+from uoarm.errors import BridgeError, MessageError, UoarmError
+from uoarm.model import (
+    Component,
+    Input,
+    Message,
+    MessageStructure,
+    Reason,
+    Robot,
+    ValidationMode,
+)
+from uoarm.record._bags import BagReader
+from uoarm.record._file import require_mcap
+from uoarm.record._forms import EVENTS_TOPIC
+from uoarm.record._reading import FileChannel, McapReader, RecordedFile
+from uoarm.record._structures import reading_of
+
+__all__ = [
+    "ChannelCheck",
+    "ConsumerCheck",
+    "FailedMessage",
+    "RecordingCheck",
+    "check_recording",
+    "open_recording",
+]
+
+_NANO = 1_000_000_000
+
+
+class CheckedRobot(Protocol):
+    """A manager, as far as a check uses it."""
+
+    @property
+    def config(self) -> Robot: ...
+    def structures(self, component: str) -> Mapping[str, MessageStructure]: ...
+
+
+@frozen
+class FailedMessage:
+    """A message that does not pass.
+
+    Attributes:
+        number: of the channel's messages, from 1.
+        time: when it was recorded, in UTC.
+        seconds: after the first message of the file.
+        cause: the field and what is wrong with it.
+    """
+
+    number: int
+    time: str
+    seconds: float
+    cause: str
+
+
+@frozen
+class ConsumerCheck:
+    """One place at which the messages of a channel are taken today.
+
+    Attributes:
+        place: `detector.image`, or the provider of today where no component takes them.
+        reasons: why the structure of then is not proven to fit; empty where it is.
+        unchecked: why nothing could be held against it; empty where it was.
+        passed: messages that fit, adapted first where the configuration says so.
+        failed: messages that do not.
+        first: the first of those.
+    """
+
+    place: str
+    reasons: tuple[Reason, ...] = ()
+    unchecked: str = ""
+    passed: int = 0
+    failed: int = 0
+    first: FailedMessage | None = None
+
+
+@frozen
+class ChannelCheck:
+    """One channel of the recording.
+
+    Attributes:
+        topic: of it.
+        function: whose messages it has; empty where the configuration has none of its name.
+        messages: how many could be read.
+        unreadable: how many could not, or parts of the file with any number of them.
+        cause: why nothing was checked, or the first thing that cannot be read.
+        consumers: where they are taken.
+    """
+
+    topic: str
+    function: str
+    messages: int = 0
+    unreadable: int = 0
+    cause: str = ""
+    consumers: tuple[ConsumerCheck, ...] = ()
+
+    @property
+    def is_passed(self) -> bool:
+        """Whether nothing speaks against it."""
+        return not self.unreadable and not any(
+            consumer.reasons or consumer.failed for consumer in self.consumers
+        )
+
+
+@frozen
+class RecordingCheck:
+    """A whole recording.
+
+    Attributes:
+        file: its path.
+        channels: those it has, but for the events.
+        notes: what of the file cannot be read.
+    """
+
+    file: str
+    channels: tuple[ChannelCheck, ...]
+    notes: tuple[str, ...] = ()
+
+    @property
+    def is_passed(self) -> bool:
+        """Whether all that could be checked passes, and something could."""
+        consumers = [consumer for channel in self.channels for consumer in channel.consumers]
+        is_checked = any(not consumer.unchecked for consumer in consumers)
+        return is_checked and all(channel.is_passed for channel in self.channels)
+
+
+def open_recording(path: Path) -> RecordedFile:
+    """Return a recording of any kind that is read.
+
+    Raises:
+        BridgeError: it is not there, or none.
+        PluginError: what it takes is not installed.
+    """
+    require_mcap()
+    return McapReader(path) if path.suffix == ".mcap" else BagReader(path)
+
+
+def check_recording(path: Path, robot: CheckedRobot) -> RecordingCheck:
+    """Hold every message of a recording against what takes its function today.
+
+    Raises:
+        BridgeError: the recording is not there, or none.
+        PluginError: what it takes is not installed.
+    """
+    file = open_recording(path)
+    channels = tuple(
+        _check_channel(file, channel, robot)
+        for topic, channel in sorted(file.channels.items())
+        if topic != EVENTS_TOPIC
+    )
+    return RecordingCheck(str(path), channels, tuple(file.notes))
+
+
+@define
+class _Consumer:
+    """A place while messages are held against it."""
+
+    place: str
+    reasons: tuple[Reason, ...] = ()
+    unchecked: str = ""
+    check: Callable[[Message], object] | None = None
+    passed: int = 0
+    failed: int = 0
+    first: FailedMessage | None = None
+
+    def result(self) -> ConsumerCheck:
+        return ConsumerCheck(
+            self.place, self.reasons, self.unchecked, self.passed, self.failed, self.first
+        )
+
+
+@define
+class _Unreadable:
+    count: int = 0
+    first: str = ""
+
+    def add(self, why: str) -> None:
+        self.count += 1
+        self.first = self.first or why
+
+
+def _check_channel(file: RecordedFile, channel: FileChannel, robot: CheckedRobot) -> ChannelCheck:
+    name = channel.metadata.get("uoarm.function") or channel.topic.strip("/").replace("/", ".")
+    function, _, port = name.partition(".")
+    if function not in robot.config.functions:
+        return ChannelCheck(channel.topic, "", cause="the configuration has no such function")
+    try:
+        reading = reading_of(channel)
+    except BridgeError as error:
+        return ChannelCheck(channel.topic, name, cause=str(error))
+    consumers = list(_consumers(function, port, reading.structure, robot))
+    unreadable, count = _Unreadable(), 0
+    for message in file.messages(channel.topic, 0, unreadable.add):
+        try:
+            value = reading.decode(message.data)
+        except MessageError as error:
+            unreadable.add(str(error))
+            continue
+        count += 1
+        for consumer in consumers:
+            if consumer.check is None:
+                continue
+            try:
+                consumer.check(value)
+            except MessageError as error:
+                consumer.failed += 1
+                if consumer.first is None:
+                    consumer.first = _failed(count, message.time, file.start, str(error))
+            else:
+                consumer.passed += 1
+    return ChannelCheck(
+        channel.topic,
+        name,
+        count,
+        unreadable.count,
+        unreadable.first,
+        tuple(consumer.result() for consumer in consumers),
+    )
+
+
+def _failed(number: int, time: int, start: int, cause: str) -> FailedMessage:
+    moment = datetime.fromtimestamp(time / _NANO, timezone.utc)
+    text = moment.isoformat(timespec="milliseconds").replace("+00:00", "Z")
+    return FailedMessage(number, text, round((time - start) / _NANO, 6), cause)
+
+
+def _consumers(
+    function: str, port: str, recorded: MessageStructure | None, robot: CheckedRobot
+) -> Iterator[_Consumer]:
+    """Yield each input that the function feeds; where there is none, what provides it today."""
+    found = False
+    for component in robot.config.components():
+        for item in component.inputs:
+            source = item.source
+            if source is not None and (source.function, source.port or "") == (function, port):
+                found = True
+                yield _of_input(component, item, recorded, robot)
+    if found:
+        return
+    for component in robot.config.functions[function].components:
+        output = component.output(port or None)
+        if output is None or robot.config.bridges[component.bridge].plugin == "recording":
+            continue
+        place = f"{component.name}.{output.name}"
+        try:
+            structure = robot.structures(component.name)[f"output.{output.name}"]
+        except UoarmError as error:
+            yield _Consumer(place, unchecked=str(error))
+            continue
+        yield _Consumer(place, check=make_check(structure, ValidationMode.ALWAYS, place))
+        return
+
+
+def _of_input(
+    component: Component, item: Input, recorded: MessageStructure | None, robot: CheckedRobot
+) -> _Consumer:
+    place = f"{component.name}.{item.name}"
+    try:
+        taken = robot.structures(component.name)[f"input.{item.name}"]
+    except UoarmError as error:
+        return _Consumer(place, unchecked=str(error))
+    reasons: tuple[Reason, ...] = ()
+    if recorded is None:
+        reasons = (Reason("the file does not state what its messages are like"),)
+    else:
+        verdict = check_edge(recorded, taken, item.mapping, item.allow_loss, item.meaning)
+        reasons = () if verdict.compatible else verdict.reasons
+    check = make_check(taken, ValidationMode.ALWAYS, place)
+    assert check is not None, "all are checked"
+    if item.mapping is None:
+        return _Consumer(place, reasons, check=check)
+    try:
+        made = adapt(
+            parse(item.mapping), True if recorded is None else recorded.schema, taken.schema
+        ).make
+    except (MappingError, UnfitError) as error:
+        return _Consumer(
+            place, reasons or (Reason(str(error)),), f"the map cannot be used: {error}"
+        )
+
+    def adapted(message: Message) -> None:
+        check(made(message))
+
+    return _Consumer(place, reasons, check=adapted)

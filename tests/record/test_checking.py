@@ -1,0 +1,133 @@
+"""What was recorded is held against the configuration of today."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+from click.testing import CliRunner
+from tests.record.conftest import COUNT
+
+from uoarm import RobotManager
+from uoarm.cli import main
+from uoarm.config import loads
+from uoarm.model import QueuePolicy
+from uoarm.record import check_recording
+from uoarm.record._reading import McapReader
+from uoarm.testing import MemoryBridge
+
+PARTS = """
+from collections.abc import Iterator
+from typing import Annotated, TypedDict
+
+from uoarm.local import Range
+
+
+class Count(TypedDict):
+    n: int
+
+
+class Small(TypedDict):
+    amount: Annotated[int, Range(0, 99)]
+
+
+def numbers() -> Iterator[Count]:
+    yield {"n": 1}
+
+
+def take(message: Count) -> Count:
+    return message
+
+
+def narrow(message: Small) -> Small:
+    return message
+"""
+ROBOT = """
+version: 1
+bridges: {python: {}}
+functions:
+  counter: {components: [{name: numbers, bridge: python, output: {endpoint: ["parts:numbers"]}}]}
+  same:
+    components:
+      - {name: taker, bridge: python, input: {from: counter, endpoint: ["parts:take"]},
+         output: {endpoint: ["parts:take"]}}
+  small:
+    components:
+      - name: narrower
+        bridge: python
+        input: {from: counter, endpoint: ["parts:narrow"], map: {amount: n}}
+        output: {endpoint: ["parts:narrow"]}
+"""
+ALONE = ROBOT.partition("  same:")[0]
+
+
+@pytest.fixture
+def tape(bridge: MemoryBridge, make_robot: Any, tmp_path: Path) -> Path:
+    clicks = bridge.emitter("clicks", COUNT)
+    queue = QueuePolicy(length=1000, policy="block", timeout=600)
+    (tmp_path / "parts.py").write_text(PARTS)
+    with make_robot().record("counter", path=tmp_path / "run.mcap", queue=queue):
+        for n in range(150):
+            clicks.emit({"n": n})
+    return tmp_path / "run.mcap"
+
+
+def test_each_input_is_held_against_each_message(tape: Path) -> None:
+    with RobotManager(loads(ROBOT, origin=str(tape.with_name("robot.yaml")))) as robot:
+        result = check_recording(tape, robot)
+    (channel,) = result.channels
+    assert (channel.topic, channel.function, channel.messages) == ("/counter", "counter", 150)
+    taker, narrower = channel.consumers
+    assert (taker.place, taker.passed, taker.failed, taker.reasons) == (
+        "taker.default", 150, 0, (),
+    )  # fmt: skip
+    assert (narrower.passed, narrower.failed) == (100, 50)
+    assert narrower.reasons
+    assert narrower.first is not None
+    assert narrower.first.number == 101
+    assert "amount" in narrower.first.cause
+    assert not result.is_passed
+
+
+def checked(tape: Path, robot: str, *more: str) -> tuple[int, str]:
+    file = tape.with_name("robot.yaml")
+    file.write_text(robot)
+    done = CliRunner().invoke(main, ["check", "--recording", str(tape), str(file), *more])
+    return done.exit_code, done.output
+
+
+def test_the_command_says_it_with_its_exit_code(tape: Path) -> None:
+    code, text = checked(tape, ROBOT)
+    assert code == 1, text
+    assert "taker.default: 150 fit, 0 do not" in text
+    assert "first: message 101 of 2" in text
+    code, text = checked(tape, ROBOT.partition("  small:")[0], "--json")
+    assert code == 0, text
+    data = json.loads(text)
+    assert data["is_passed"] is True
+    assert data["channels"][0]["consumers"][0]["passed"] == 150
+
+
+def test_what_feeds_nothing_is_held_against_its_provider(tape: Path) -> None:
+    code, text = checked(tape, ALONE)
+    assert (code, "numbers.default: 150 fit, 0 do not" in text) == (0, True), text
+
+
+def test_what_cannot_be_checked_is_no_success(tape: Path) -> None:
+    code, text = checked(tape, ALONE.replace("counter", "other"))
+    assert (code, "the configuration has no such function" in text) == (1, True), text
+    code, text = checked(tape, ALONE.replace("parts:numbers", "gone:numbers"))
+    assert (code, "not checked: " in text) == (1, True), text
+    code, text = checked(tape.with_name("none.mcap"), ALONE)
+    assert (code, "cannot be read: No such file" in text) == (4, True), text
+
+
+def test_what_cannot_be_read_is_no_success(tape: Path) -> None:
+    (part,) = McapReader(tape)._parts
+    octets = bytearray(tape.read_bytes())
+    octets[part.at + part.octets // 2] ^= 0xFF
+    tape.write_bytes(octets)
+    code, text = checked(tape, ALONE)
+    assert (code, "0 messages, 1 cannot be read: the chunk at" in text) == (1, True), text
