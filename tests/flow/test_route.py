@@ -130,6 +130,25 @@ def test_closing_from_within_the_consumer_does_not_wait_for_itself() -> None:
     assert closed.wait(patience())
 
 
+@pytest.mark.parametrize(
+    ("interval", "still", "silent"), [(0.01, 0.9, 1.1), (0.2, 0.9, 1.1), (5.0, 14.0, 15.5)]
+)
+def test_the_rate_is_zero_once_several_messages_are_late(
+    interval: float, still: float, silent: float
+) -> None:
+    clock = Clock()
+    route = Route("a", "b", lambda _: None, clock=clock)
+    for _ in range(max(4, int(3 / interval))):
+        clock.now += interval
+        route.deliver(1)
+    last = route.status().rate
+    assert last == pytest.approx(1 / interval, rel=0.15)
+    clock.now += still
+    assert route.status().rate == last
+    clock.now += silent - still
+    assert route.status().rate == 0
+
+
 def test_rate_and_age_follow_the_clock() -> None:
     clock = Clock()
     route = Route("a", "b", lambda _: None, clock=clock)

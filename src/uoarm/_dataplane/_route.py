@@ -20,6 +20,7 @@ Judge = Callable[[Message, bool], None]
 """Raises MessageError for a message that is not what it should be, as it came or adapted."""
 
 _WINDOW_SECONDS = 1.0
+_LATE_INTERVALS = 3  # after which a source that was regular is said to stand still
 _WORKER_SECONDS = 1.0
 _LOSSES = frozenset({"queue-full", "queue-octets", "blocked-too-long"})
 
@@ -360,7 +361,11 @@ class Route:
         self._window_count = 0
 
     def _rate(self, now: float) -> float | None:
-        elapsed = now - self._window_start
-        if elapsed >= 2 * _WINDOW_SECONDS or (self._window_rate is None and self.received > 1):
-            return self._window_count / elapsed if elapsed > 0 else None
-        return self._window_rate
+        """Return messages a second, 0 once several are late: that of a slow source stands."""
+        rate, elapsed = self._window_rate, now - self._window_start
+        if rate is None and self.received > 1 and elapsed > 0:
+            rate = self._window_count / elapsed
+        if rate and self.last_time is not None:
+            is_silent = now - self.last_time > max(_WINDOW_SECONDS, _LATE_INTERVALS / rate)
+            return 0.0 if is_silent else rate
+        return rate

@@ -1,7 +1,7 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
 import { readAddress, writeAddress } from "../../../src/uoarm/server/static/app/address.js";
-import { pretty, rate, short, span } from "../../../src/uoarm/server/static/app/format.js";
+import { pretty, rate, short, span, stamp } from "../../../src/uoarm/server/static/app/format.js";
 import { numbersOf, Series, traced } from "../../../src/uoarm/server/static/app/numbers.js";
 import { findPicture, pixelsOf } from "../../../src/uoarm/server/static/app/picture.js";
 
@@ -36,6 +36,14 @@ test("numbers are found by path, long lists left out", () => {
   assert.deepEqual(numbersOf(message), [["a", 1], ["b.c.0", 2], ["b.c.1", 1]]);
   assert.deepEqual(numbersOf(5), [["value", 5]]);
   assert.ok(numbersOf(Object.fromEntries(Array.from({ length: 500 }, (_, at) => [at, at]))).length <= 24);
+});
+
+test("no line is drawn of a time, and a time is shown as one", () => {
+  const message = { header: { stamp: { sec: 1795715647, nanosec: 250000000 } }, x: 1, lasts: { secs: 2, nsecs: 0 } };
+  assert.deepEqual(numbersOf(message), [["x", 1]]);
+  assert.ok(pretty(message).includes('"stamp": "2026-11-26 17:54:07.250 UTC"'));
+  assert.deepEqual(JSON.parse(pretty(message)).lasts, { secs: 2, nsecs: 0 });
+  assert.deepEqual([stamp(null), stamp({ sec: 1795715647 }), stamp({ sec: 5, nanosec: 0 })], [null, null, null]);
 });
 
 test("a line keeps its last points only", () => {

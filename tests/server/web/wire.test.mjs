@@ -81,6 +81,10 @@ test("a watch has the latest message, lines of numbers, and its end", async () =
   for (time = 1; time <= 3; time += 1) watches.take("c1", { x: time * 2 });
   assert.deepEqual([watch.latest, watch.taken, watches.rate(watch)], [{ x: 6 }, 3, 1]);
   assert.deepEqual(watch.series.get("x").values, [2, 4, 6]);
+  time = 3 + 3;
+  assert.equal(watches.rate(watch), 1);
+  time = 3 + 3.1;
+  assert.equal(watches.rate(watch), 0);
   for (let at = 0; at < 500; at += 1) watches.take("c1", { [`name${at}`]: at });
   assert.ok(watch.series.size <= 48);
   watches.ended({ connection: "c1", state: "failed", cause: "unplugged" });

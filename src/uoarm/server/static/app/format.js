@@ -1,5 +1,6 @@
 // Numbers and times as short text.
 
+const SINCE = 946684800; // 2000: what is less is a duration, or the time of a simulation
 const UNITS = [[1e9, "G"], [1e6, "M"], [1e3, "k"]];
 
 /** 1234567 as "1.23 M"; what is below a thousand keeps at most three figures. */
@@ -29,9 +30,17 @@ export const noun = (count, word) => (count === 1 ? word : `${word}s`);
 /** A number of things: plural(1, "drop") is "1 drop". */
 export const plural = (count, word) => `${short(count)} ${noun(count, word)}`;
 
-/** Any message as indented text, cut where it is long: lists, strings, the whole. */
+/** A time of ROS as "2026-11-26 18:02:03.250 UTC"; null: it is none, or a duration. */
+export function stamp(value) {
+  const [seconds, parts] = [value?.sec ?? value?.secs, value?.nanosec ?? value?.nsecs];
+  if (Object.keys(value ?? {}).length !== 2 || !(seconds >= SINCE) || !(parts >= 0)) return null;
+  return `${new Date(seconds * 1000 + parts / 1e6).toISOString().replace("T", " ").replace("Z", "")} UTC`;
+}
+
+/** Any message as indented text, cut where it is long: lists, strings, the whole. Times are times. */
 export function pretty(message, { items = 40, letters = 200, whole = 20000 } = {}) {
   const cut = (_, value) => {
+    if (value !== null && typeof value === "object" && stamp(value) !== null) return stamp(value);
     if (typeof value === "string" && value.length > letters) {
       return `${value.slice(0, letters)}… (${short(value.length)} characters)`;
     }

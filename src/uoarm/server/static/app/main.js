@@ -32,9 +32,9 @@ function App({ store }) {
   };
   const given = { system: store.system, shown, selected, select };
   const view = useMemo(() => {
-    if (!NARROWED.has(address.view)) return null;
+    if (!NARROWED.has(address.view) || !store.loaded) return null;
     return address.view === "list" ? html`<${List} ...${given} />` : html`<${Graph} ...${given} />`;
-  }, [store.system, shown, selected, address.view, address.tab]);
+  }, [store.system, store.loaded, shown, selected, address.view, address.tab]);
 
   return html`
     <${Header} store=${store} address=${address} query=${query} setQuery=${setQuery} />
@@ -44,7 +44,7 @@ function App({ store }) {
         ? html`<${Lock} tried=${store.wire.token !== ""} unlock=${(token) => unlock(store, token)} />`
         : html`
           <div class="view">
-            ${NARROWED.has(address.view) && html`<${Summary} system=${store.system} filter=${filter} setFilter=${setFilter} />`}
+            ${NARROWED.has(address.view) && html`<${Summary} system=${store.system} loaded=${store.loaded} filter=${filter} setFilter=${setFilter} />`}
             ${address.view === "configuration" && html`<${Configuration} store=${store} query=${query} />`}
             ${address.view === "timeline" && html`<${Timeline} events=${store.events} since=${store.since} query=${query}
               owners=${store.owners} session=${store.hello?.session} open=${follow} />`}

@@ -4,7 +4,13 @@ const MOST_PATHS = 24;
 const DEEPEST = 4;
 const MOST_ITEMS = 8;
 
-/** [path, number] of what is numeric in a message, the first few. Long lists are left out. */
+/** Whether a value is a time of ROS: seconds since 1970 or a duration, which no line is drawn of. */
+const isTime = (value) => {
+  const names = Object.keys(value);
+  return names.length === 2 && (("sec" in value && "nanosec" in value) || ("secs" in value && "nsecs" in value));
+};
+
+/** [path, number] of what is numeric in a message, the first few. Long lists and times are left out. */
 export function numbersOf(message) {
   const found = [];
   walk(message, "", 0, found);
@@ -15,7 +21,7 @@ function walk(value, path, depth, found) {
   if (found.length >= MOST_PATHS || depth > DEEPEST) return;
   if (typeof value === "number") found.push([path || "value", value]);
   else if (typeof value === "boolean") found.push([path || "value", Number(value)]);
-  else if (value !== null && typeof value === "object") {
+  else if (value !== null && typeof value === "object" && !isTime(value)) {
     if (Array.isArray(value) && value.length > MOST_ITEMS) return;
     for (const [name, item] of Object.entries(value)) {
       walk(item, path ? `${path}.${name}` : name, depth + 1, found);

@@ -44,7 +44,8 @@ function skip(event) {
 }
 
 /** Counts over everything, and what narrows the view. */
-export function Summary({ system, filter, setFilter }) {
+export function Summary({ system, loaded, filter, setFilter }) {
+  if (!loaded) return html`<div class="summary"><p role="status">Asking the robot what it has …</p></div>`;
   const rows = system.functions.flatMap((func) => func.rows);
   const running = rows.filter((row) => row.open).length;
   const lost = rows.filter((row) => row.health === "lost").length;

@@ -14,6 +14,7 @@ export class Store {
     this.link = "opening";
     this.hello = null;
     this.functions = [];
+    this.loaded = false; // whether what there is has come at all
     this.status = NOTHING;
     this.events = [];
     this.since = new Date();
@@ -82,6 +83,7 @@ export class Store {
     const ask = (...asked) => this.wire.ask(...asked);
     const [list, status] = await Promise.all([ask("List"), ask("Status", "watch")]);
     this.functions = list.functions;
+    this.loaded = true;
     this.events = [];
     this.#happened(status.past ?? []);
     this.#see(mergeStatus(null, status));

@@ -7,7 +7,7 @@ import { Picture } from "./pixels.js";
 import { Spark } from "./spark.js";
 import { Facts, html, Icon, Notice } from "./ui.js";
 
-const PACES = [[0, "every message"], [0.1, "10 a second"], [0.5, "2 a second"], [2, "func in 2 s"]];
+const PACES = [[0, "every message"], [0.1, "10 a second"], [0.5, "2 a second"], [2, "1 in 2 s"]];
 
 export function Watch({ store, func }) {
   const [output, setOutput] = useState(func.outputs[0]);

@@ -4,6 +4,8 @@ import { numbersOf, Series } from "./numbers.js";
 
 const MOST_LINES = 48; // names may differ from message to message
 const RATE_OVER = 5; // seconds
+const SILENT = 1; // seconds without a message, and
+const LATE = 3; // messages that are late: then a rate is 0
 
 export class Watches {
   constructor(wire, changed, now = () => performance.now() / 1000) {
@@ -100,10 +102,13 @@ export class Watches {
     }
   }
 
+  /** Messages a second; 0 once several are late, as the robot has it for its flows. */
   rate(watch) {
     const { arrivals } = watch;
     const time = arrivals.at(-1) - arrivals[0];
-    return arrivals.length > 1 && time > 0 ? (arrivals.length - 1) / time : null;
+    if (arrivals.length < 2 || time <= 0) return null;
+    const every = time / (arrivals.length - 1);
+    return this.now() - arrivals.at(-1) > Math.max(SILENT, LATE * every) ? 0 : 1 / every;
   }
 
   #is(watch, { connection, components, inputs, warnings }) {
