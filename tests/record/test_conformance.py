@@ -77,6 +77,7 @@ class RecordingWorld(World):
         }
         assert {form.message_encoding for form in self.forms.values()} == {"json", "cdr"}
         self.file = McapFile(path, "none", 1 << 20)
+        self.file.begin("")
         for form in self.forms.values():
             self.file.add_channel(form)
             # A chunk without messages is not written, and channels stand in chunks.

@@ -112,11 +112,10 @@ class McapFile:
         )
         self._channels: dict[ChannelForm, int] = {}
         self._waiting = 0
-        try:
-            self._writer.start(library=f"uoarm {__version__}")
-        except OSError as error:
-            self._output.close()
-            raise UsageError(f"{path} cannot be written: {error}") from error
+
+    def begin(self, profile: str) -> None:
+        """Write what stands before all else; `ros2` where every channel is one of ROS 2."""
+        self._writer.start(profile, f"uoarm {__version__}")
         self._mark()
 
     @property

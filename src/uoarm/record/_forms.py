@@ -9,15 +9,16 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Callable, Mapping
+from functools import lru_cache
 
 from attrs import field, frozen
 
 from uoarm import cdr
-from uoarm.cdr import RosDefinition, definition_of
+from uoarm.cdr import RosDefinition, definition_of, structure_of_definition
 from uoarm.errors import MessageError
 from uoarm.model import Message, MessageStructure, write_json
 
-__all__ = ["EVENTS", "EVENTS_TOPIC", "ChannelForm", "form_of"]
+__all__ = ["EVENTS", "EVENTS_TOPIC", "ChannelForm", "form_of", "ros_events"]
 
 _ROS_TYPE = re.compile(r"[a-z][a-z0-9_]*/msg/[A-Z][A-Za-z0-9_]*")
 _WORD = re.compile(r"[A-Za-z0-9]+")
@@ -143,4 +144,28 @@ EVENTS = ChannelForm(
     EVENTS_TOPIC, "uoarm.Event", "jsonschema", write_json(_EVENT_SCHEMA).encode(), "json",
     _encode_event,
 )  # fmt: skip
-"""The channel of events, in every file."""
+"""The channel of events, in every file with other channels of JSON."""
+
+_ROS_EVENT = """uint64 number
+float64 time
+string subject
+string change
+string cause
+string function
+string gap
+"""
+
+
+@lru_cache(maxsize=1)
+def ros_events() -> ChannelForm:
+    """Return the channel of events in a file of ROS 2 alone, whose readers know nothing else."""
+    definition = RosDefinition("uoarm/msg/Event", _ROS_EVENT)
+    write = cdr.Codec(structure_of_definition(definition)).encode_parts
+
+    def encode(message: Message) -> bytes:
+        gap = write_json(message["gap"]) if "gap" in message else ""
+        complete = {"number": 0, "time": 0.0, **message, "gap": gap}
+        return b"".join(write({name: complete[name] for name in _ROS_EVENT.split()[1::2]}))
+
+    text = definition.text.encode()
+    return ChannelForm(EVENTS_TOPIC, definition.name, "ros2msg", text, "cdr", encode)

@@ -22,7 +22,7 @@ from uoarm.errors import MessageError, UoarmError, UsageError
 from uoarm.model import Gap, Message, Plan, Robot, StatusEvent, message_octets
 from uoarm.record._documents import documents, event_message, gap_message
 from uoarm.record._file import McapFile, free_path, require_mcap
-from uoarm.record._forms import EVENTS, ChannelForm, form_of
+from uoarm.record._forms import EVENTS, ChannelForm, form_of, ros_events
 from uoarm.record._options import Due, Instant, RecordingSchedule, RecordOptions
 
 __all__ = ["RecordedChannel", "Recording", "RecordingStatus"]
@@ -171,6 +171,7 @@ class Recording:
         # Appended to by the thread of the manager's listeners, taken from by the writer.
         self._events: deque[tuple[Instant, Mapping[str, Any]]] = deque(maxlen=_MOST_EVENTS)
         self._wanted: deque[tuple[str, Future[str]]] = deque()
+        self._event_form = EVENTS
         self._ring: deque[_Kept] = deque()
         self._ring_octets = 0
         self._file: McapFile | None = None
@@ -290,6 +291,10 @@ class Recording:
                 metadata["uoarm.qos"] = str(endpoint.options["qos"])
             structure = step.structures[f"output.{connection.output}"]
             track.form = form_of(track.function, structure, metadata)
+
+        forms = [track.form for track in self._tracks if track.form is not None]
+        if all(form.message_encoding == "cdr" for form in forms):
+            self._event_form = ros_events()
 
     def _taker(self, track: _Track) -> Callable[[Message], None]:
         put, clock = self._queue.put, self._clock
@@ -422,6 +427,8 @@ class Recording:
 
     def _describe(self, file: McapFile, at: Instant) -> None:
         """Write what a file has before its first message."""
+        events = self._event_form
+        file.begin("ros2" if events.message_encoding == "cdr" else "")
         plans = {
             track.function: track.connection.plan
             for track in self._tracks
@@ -434,7 +441,7 @@ class Recording:
             "uoarm.recording",
             {"functions": ", ".join(plans), "began": str(at.wall), "number": str(len(self._files))},
         )
-        file.add_channel(EVENTS)
+        file.add_channel(events)
         for track in self._tracks:
             assert track.form is not None, "it was opened"
             file.add_channel(track.form)
@@ -461,7 +468,7 @@ class Recording:
             self._write_event(file, at, event)
 
     def _write_event(self, file: McapFile, at: Instant, event: Mapping[str, Any]) -> None:
-        file.add_message(EVENTS, at.wall, EVENTS.encode(event), 0)
+        self._add_event(file, at, event)
         for track in self._tracks:
             connection = track.connection
             if connection is None or event["subject"] != f"connection {connection.id}":
@@ -472,7 +479,10 @@ class Recording:
                     break
                 track.gaps += 1
                 message = gap_message(track.function, connection.id, gap)
-                file.add_message(EVENTS, at.wall, EVENTS.encode(message), 0)
+                self._add_event(file, at, message)
+
+    def _add_event(self, file: McapFile, at: Instant, event: Mapping[str, Any]) -> None:
+        file.add_message(self._event_form, at.wall, self._event_form.encode(event), 0)
 
     def _end_file(self, file: McapFile) -> None:
         """Write what a file has behind its last message."""
@@ -485,7 +495,7 @@ class Recording:
             for gap in connection.gaps[track.gaps :]:
                 track.gaps += 1
                 message = gap_message(track.function, connection.id, gap)
-                file.add_message(EVENTS, at.wall, EVENTS.encode(message), 0)
+                self._add_event(file, at, message)
         with self._counting:
             dropped = dict(self._dropped)
         counts = {
@@ -535,7 +545,7 @@ class Recording:
         assert options.ring is not None, "only with a ring"
         while self._events:
             moment, event = self._events.popleft()
-            self._keep(_Kept(EVENTS, moment, EVENTS.encode(event), 0))
+            self._keep(_Kept(self._event_form, moment, self._event_form.encode(event), 0))
         if track is not None:
             data = self._encoded(track, message)
             if data is not None:
