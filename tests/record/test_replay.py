@@ -213,7 +213,9 @@ def foreign_file(path: Path, **options: Any) -> Path:
         {"use_chunking": False},
         {"use_chunking": False, "use_statistics": False, "repeat_channels": False},
         {"index_types": IndexType.NONE, "chunk_size": 200},
+        {"index_types": IndexType.NONE, "use_statistics": False, "chunk_size": 200},
         {"repeat_channels": False, "repeat_schemas": False},
+        {"repeat_schemas": False, "chunk_size": 200},
     ],
     ids=str,
 )

@@ -119,6 +119,7 @@ class McapReader:
         self._ids: dict[int, FileChannel] = {}
         self._schemas: dict[int, tuple[str, str, bytes]] = {}
         self._parts: list[_Part] = []
+        self._has_schemas = True  # of all channels that say that they have one
         self._size, self._size_read = 0, len(_MAGIC)
         # Guards the place up to which a growing file was read, between sources that open.
         self._growing = threading.Lock()
@@ -235,7 +236,8 @@ class McapReader:
         end = self._size - _FOOTER_OCTETS
         if not len(_MAGIC) < start < end or end - start > _MOST_SUMMARY:
             return False
-        count = 0
+        chunks: int | None = None
+        has_messages = True
         try:
             for opcode, place, octets in self._records(file, start, end):
                 if opcode in {_SCHEMA, _CHANNEL}:
@@ -243,18 +245,28 @@ class McapReader:
                 elif opcode == _CHUNK_INDEX:
                     self._parts.append(self._indexed(file, place, octets))
                 elif opcode == _STATISTICS:
-                    count = int.from_bytes(_content(file, place, octets)[:8], "little")
+                    content = _Content(_content(file, place, octets))
+                    has_messages = content.number(8) > 0
+                    content.take(14)  # counts of schemas, channels, attachments and metadata
+                    chunks = content.number(4)
         except (_DamageError, struct.error):
             self._forget()
             return False
-        # Messages that stand outside of chunks have no index; neither may the schemas be repeated.
-        is_whole = bool(self._ids) and (bool(self._parts) or not count) and not self.notes
+        # Messages outside of chunks have no index, and each part of a summary may be left out.
+        is_whole = (
+            bool(self._ids)
+            and self._has_schemas
+            and (bool(self._parts) or not has_messages)
+            and chunks in {None, len(self._parts)}
+            and not self.notes
+        )
         if not is_whole:
             self._forget()
         return is_whole
 
     def _forget(self) -> None:
         self._channels, self._ids, self._schemas, self._parts = {}, {}, {}, []
+        self._has_schemas = True
         self.notes.clear()
 
     def _indexed(self, file: BinaryIO, place: int, octets: int) -> _Part:
@@ -367,6 +379,7 @@ class McapReader:
             return
         if len(self._ids) >= _MOST_CHANNELS:
             raise _DamageError(f"it has more than {_MOST_CHANNELS:,} channels")
+        self._has_schemas = self._has_schemas and (not schema or schema in self._schemas)
         name, kind, data = self._schemas.get(schema, ("", "", b""))
         channel = FileChannel(topic, encoding, name, kind, data, metadata)
         self._ids[number] = channel
