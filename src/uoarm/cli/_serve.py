@@ -302,10 +302,12 @@ def say(server: Server, settings: ServerOptions, *, err: bool = False) -> None:
 
     s = "s" if settings.secured else ""
     main, *more = (settings.place_from_here(port) for port in server.ports)
-    paths = ("/", *(front_end.path for front_end in server.front_ends))
+    paths = ("/", *(front_end.path for front_end in server.front_ends if front_end.start))
     click.echo(f"serving {' and '.join(f'ws{s}://{main}{path}' for path in paths)}", err=err)
     for name, place in zip(settings.front_end_ports, more, strict=True):
-        click.echo(f"serving ws{s}://{place}/ for {name} clients", err=err)
+        front_end = next(item for item in server.front_ends if item.name == name)
+        kind, path = ("ws", "/") if front_end.start else ("http", front_end.path)
+        click.echo(f"serving {kind}{s}://{place}{path} for {name} clients", err=err)
     certificate = settings.certificate_file()
     if certificate is not None:
         click.echo(f"certificate {certificate}, SHA-256 {fingerprint_of(certificate)}", err=err)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import functools
 import logging
 import os
 import time
@@ -22,12 +23,13 @@ from uoarm.errors import ConfigurationError
 from uoarm.model import StatusEvent
 from uoarm.server._options import ServerOptions
 from uoarm.server.access import Admission, Audit
-from uoarm.server.front_end import FrontEnd, MakeSession
+from uoarm.server.front_end import FrontEnd, HttpPlace, MakeSession
 from uoarm.server.http import (
     BACKLOG,
     OWN_PATHS,
     FrontEnds,
     HandshakeHandler,
+    ListeningSocket,
     Metrics,
     Totals,
     connections_possible,
@@ -37,6 +39,7 @@ from uoarm.server.session import (
     DEFLATE,
     ConnectedClient,
     FrameDecoder,
+    GuestBook,
     NativeSession,
     Session,
     SessionStore,
@@ -102,6 +105,9 @@ class Server:
         self._clients: dict[ConnectedClient, None] = {}
         self._store = SessionStore(self._limits, self._end)
         self._listening: list[Listening] = []
+        self._serving: list[asyncio.Task[None]] = []
+        self._sockets_of_others: list[ListeningSocket] = []
+        self._guests: GuestBook | None = None
         self._ports: list[int] = []
         self._sockets = Sockets(room, self._limits)
         self._registry: FeedRegistry | None = None
@@ -121,6 +127,18 @@ class Server:
         return self._front_ends.usable
 
     @property
+    def backend(self) -> FeedRegistry:
+        """The robot, as front ends have it; once it is started."""
+        assert self._registry is not None, "the server was started"
+        return self._registry
+
+    @property
+    def guests(self) -> GuestBook:
+        """Who comes with requests, as front ends admit them; once it is started."""
+        assert self._guests is not None, "the server was started"
+        return self._guests
+
+    @property
     def held_octets(self) -> int:
         """Octets of decoded values that are held for all clients; 0 before it is started."""
         return 0 if self._registry is None else self._registry.memory.held
@@ -138,13 +156,20 @@ class Server:
         """
         registry = self._registry = FeedRegistry(self._robot, self._limits)
         self._shared = Shared(registry)
+        self._guests = GuestBook(
+            self._admission, self._audit, registry, self._connected, self._totals.refuse
+        )
         self._stop_listening = self._robot.listen(self._audit_lease)
         metrics = Metrics(registry, self._totals, lambda: self._clients, self._store)
         try:
             self._start_front_ends(registry)
             await self._listen(self._settings.port, registry, metrics.text, None)
             for name, port in self._settings.front_end_ports.items():
-                await self._listen(port, registry, metrics.text, self._front_ends.find(name))
+                front_end = self._front_ends.find(name)
+                if front_end is not None and front_end.serve is not None:
+                    await self._serve_http(port, registry, front_end)
+                else:
+                    await self._listen(port, registry, metrics.text, front_end)
         except BaseException:
             await self.stop()
             raise
@@ -165,6 +190,14 @@ class Server:
             watch.cancel()
         for listening in self._listening:
             listening.close(close_connections=False)
+        for serving in self._serving:
+            serving.cancel()
+        if self._serving:
+            await asyncio.wait(self._serving, timeout=self._limits.stop_seconds / 4)
+        for listener in self._sockets_of_others:
+            listener.close()
+        if self._guests is not None:
+            self._guests.close()
         if self._registry is not None:
             self._registry.views.close()  # long answers would keep outboxes from being emptied
         limit = self._limits.stop_seconds / 4
@@ -189,6 +222,8 @@ class Server:
 
     def _start_front_ends(self, registry: FeedRegistry) -> None:
         for front_end in self._front_ends.usable:
+            if front_end.start is None:
+                continue
             try:
                 self._make_session[front_end.name] = foreign(front_end.start, registry)
             except Exception as error:
@@ -220,16 +255,7 @@ class Server:
             assert isinstance(socket, TurnConnection), "_make_connection makes no others"
             await self._handle(socket, handshakes, registry)
 
-        try:
-            sockets = await listen(self._settings.host, port)
-        except OSError as error:
-            number = error.errno or 0  # of the resolver's errors it is negative
-            reason = os.strerror(number) if number > 0 else error.strerror or str(error)
-            raise OSError(
-                number, f"cannot listen on {self._settings.place(port)}: {reason}"
-            ) from error
-        self._ports.append(sockets[0].getsockname()[1])
-        for listener in sockets:
+        for listener in await self._bind(port):
             listening = serve(
                 handle,
                 sock=listener,
@@ -248,6 +274,27 @@ class Server:
                 max_size=limits.message_bytes,
             )
             self._listening.append(await listening)
+
+    async def _bind(self, port: int) -> list[ListeningSocket]:
+        try:
+            sockets = await listen(self._settings.host, port)
+        except OSError as error:
+            number = error.errno or 0  # of the resolver's errors it is negative
+            reason = os.strerror(number) if number > 0 else error.strerror or str(error)
+            raise OSError(
+                number, f"cannot listen on {self._settings.place(port)}: {reason}"
+            ) from error
+        self._ports.append(sockets[0].getsockname()[1])
+        return sockets
+
+    async def _serve_http(self, port: int, registry: FeedRegistry, front_end: FrontEnd) -> None:
+        assert front_end.serve is not None, "others are not served so"
+        sockets = await self._bind(port)
+        self._sockets_of_others += sockets
+        place = HttpPlace(registry, self.guests, tuple(sockets), self._tls)
+        serving = asyncio.ensure_future(foreign(front_end.serve, place))
+        serving.add_done_callback(functools.partial(_take_end, front_end))
+        self._serving.append(serving)
 
     def _make_connection(self, *arguments: Any, **options: Any) -> ServerConnection:
         return TurnConnection(self._sockets, *arguments, **options)
@@ -336,6 +383,7 @@ class Server:
         role = cache(self._admission.role)
         self._store.refresh(now, role)
         self._sockets.check(now)
+        self.guests.check()
         for client in list(self._clients):
             if role(client.credentials) != client.role:
                 client.dismiss("its rights have changed or ended; connect again")
@@ -351,6 +399,12 @@ class Server:
 
     def _health(self) -> dict[str, object]:
         return {"status": "ok", "clients": len(self._clients)}
+
+
+def _take_end(front_end: FrontEnd, serving: asyncio.Task[None]) -> None:
+    """Log that a front end serves no more, which it does until it is cancelled."""
+    if not serving.cancelled():
+        _log.error("%s has ended", front_end, exc_info=serving.exception())
 
 
 def _module_of(session: Session) -> str:

@@ -1,4 +1,6 @@
-"""The contract of front ends: what serves another protocol on the same robot, over WebSocket.
+"""The contract of front ends: what serves another protocol on the same robot.
+
+Most speak over WebSocket; one may bring HTTP of its own (`FrontEnd.serve`).
 
 A front end gets the manager, the forms of messages, the rights of each client and the limits that
 hold for it. The server does the rest: TLS, tokens, origins, bounds of connections and rates, pings,
@@ -8,8 +10,10 @@ must not wait, unless it says otherwise.
 
 from __future__ import annotations
 
-from collections.abc import Awaitable, Callable, Hashable, Iterable, Mapping
-from typing import Protocol, TypeAlias, TypeVar
+import socket
+import ssl
+from collections.abc import Awaitable, Callable, Coroutine, Hashable, Iterable, Mapping
+from typing import Any, Protocol, TypeAlias, TypeVar
 
 from attrs import Attribute, field, frozen
 
@@ -24,7 +28,7 @@ from uoarm._wire import (
     read_text,
     write_binary,
 )
-from uoarm.model import LeaseHolder, Message, MessageStructure, Plan
+from uoarm.model import LeaseHolder, Message, MessageStructure, Plan, StopReport
 from uoarm.server._failures import (
     BusyError,
     LimitError,
@@ -34,15 +38,41 @@ from uoarm.server._failures import (
     without_frames,
 )
 from uoarm.server._limits import Limits
-from uoarm.server.access import AccessRole, DeniedError, Operation, RoleView, RoleViews
-from uoarm.server.session import Session
+from uoarm.server.access import (
+    AccessRole,
+    Approval,
+    ApprovalDesk,
+    ApprovalEnvelope,
+    ApprovalError,
+    ApprovalFoundation,
+    ApprovalPhase,
+    ApprovalWish,
+    DeniedError,
+    Operation,
+    RefusedError,
+    RoleView,
+    RoleViews,
+    Supervision,
+)
+from uoarm.server.session import (
+    Discoveries,
+    Guest,
+    GuestBook,
+    Session,
+    show_approval,
+    show_plan,
+    show_stop,
+    visible_status,
+)
 from uoarm.server.streams import (
     Account,
+    ChangeNotice,
     Charge,
     Done,
     Envelope,
     Feed,
     FeedKey,
+    FeedRegistry,
     InputSender,
     Lane,
     Listener,
@@ -50,6 +80,7 @@ from uoarm.server.streams import (
     MemoryUse,
     Read,
     Shares,
+    Watcher,
     check_message,
     read_message,
 )
@@ -60,17 +91,29 @@ __all__ = [
     "TEXT_FORM",
     "AccessRole",
     "Account",
+    "Approval",
+    "ApprovalDesk",
+    "ApprovalEnvelope",
+    "ApprovalError",
+    "ApprovalFoundation",
+    "ApprovalPhase",
+    "ApprovalWish",
     "Backend",
     "BusyError",
+    "ChangeNotice",
     "Charge",
     "Client",
     "DeniedError",
+    "Discoveries",
     "Done",
     "Envelope",
     "Feed",
     "FeedKey",
     "Form",
     "FrontEnd",
+    "Guest",
+    "GuestBook",
+    "HttpPlace",
     "InputSender",
     "Lane",
     "LimitError",
@@ -81,10 +124,12 @@ __all__ = [
     "Operation",
     "Outbox",
     "Read",
+    "RefusedError",
     "RoleView",
     "RoleViews",
     "Session",
     "Shares",
+    "Supervision",
     "UnknownError",
     "check_message",
     "code_of",
@@ -94,6 +139,10 @@ __all__ = [
     "read_binary",
     "read_message",
     "read_text",
+    "show_approval",
+    "show_plan",
+    "show_stop",
+    "visible_status",
     "without_frames",
     "write_binary",
 ]
@@ -253,6 +302,50 @@ class Backend(Protocol):
             UoarmError: as `RobotManager.call`.
         """
 
+    @property
+    def approvals(self) -> ApprovalDesk:
+        """What needs an approval, and those that are asked for."""
+
+    async def call_planned(
+        self,
+        plan: Plan,
+        revision: int,
+        message: Message,
+        read: Read,
+        timeout: float,
+        began: Callable[[Callable[[], bool]], None],
+    ) -> Message:
+        """Call the service of this very plan, and of no other.
+
+        Args:
+            plan: as `resolve` found it.
+            revision: of the configuration that it is of; of another one it is not called.
+            message: the request as it came.
+            read: makes its logical value by the service's structure, in a worker.
+            timeout: seconds, which no limit of the server shortens.
+            began: called in the worker with what cancels the call, which says whether it could be.
+
+        Raises:
+            ApprovalError: the configuration is another one.
+            UsageError: the function is a stream.
+            BusyError: every worker is taken.
+            UoarmError: as `RobotManager.call`.
+        """
+
+    async def stop_all(self, key: Hashable, act: Callable[[StopReport], T]) -> tuple[StopReport, T]:
+        """Stop what moves, for all who ask while it lasts; goes on when they are gone.
+
+        Args:
+            key: of `act`, which is done once for all who give the same.
+            act: what the report is for, in a thread that stops.
+        """
+
+    def watch(self, watcher: Watcher) -> None:
+        """Notify a watcher of every change of the robot, from now on."""
+
+    def unwatch(self, watcher: Watcher) -> None:
+        """Notify a watcher no more. Idempotent."""
+
     async def resolve(self, name: str) -> Plan:
         """Find a plan; raises as `RobotManager.resolve`, and BusyError."""
 
@@ -317,6 +410,23 @@ def _is_path(front_end: FrontEnd, attribute: Attribute[str], value: str) -> None
 
 
 @frozen
+class HttpPlace:
+    """Where a front end with HTTP of its own listens, and whom it lets in.
+
+    Attributes:
+        backend: the robot.
+        guests: admit each request; nothing is done for one that was not.
+        sockets: bound and listening; the server closes them.
+        tls: what TLS is spoken with; None: none is.
+    """
+
+    backend: FeedRegistry
+    guests: GuestBook
+    sockets: tuple[socket.socket, ...]
+    tls: ssl.SSLContext | None
+
+
+@frozen
 class FrontEnd:
     """A protocol that clients of a server may speak.
 
@@ -325,9 +435,11 @@ class FrontEnd:
         summary: one line for people.
         path: of its endpoint, `/name`; what the server has itself it keeps.
         start: called once when a server starts, in its loop; returns what makes the session of a
-            client. What is common to all clients of the protocol belongs to it.
+            client. What is common to all clients of the protocol belongs to it. None: `serve`.
         subprotocols: WebSocket subprotocols that it speaks, of which the client's first choice is
             taken. With none, or where the client offers none of them, there is no subprotocol.
+        serve: serves HTTP of its own until it is cancelled, in the server's loop, on a port of its
+            own: without one (`ServerOptions.front_end_ports`) it is not called. None: `start`.
         contract: the version of this contract that it was written for: a number that stands in
             its source, never `CONTRACT_VERSION`, which is that of the uoarm that runs.
     """
@@ -335,9 +447,14 @@ class FrontEnd:
     name: str
     summary: str
     path: str = field(validator=_is_path)
-    start: Callable[[Backend], MakeSession]
+    start: Callable[[Backend], MakeSession] | None = None
     subprotocols: tuple[str, ...] = ()
+    serve: Callable[[HttpPlace], Coroutine[Any, Any, None]] | None = None
     contract: int = field(kw_only=True)
+
+    def __attrs_post_init__(self) -> None:
+        if (self.start is None) is (self.serve is None):
+            raise ValueError(f"{self}: expected either start or serve")
 
     def __str__(self) -> str:
         """Return how it is named to people."""

@@ -3,6 +3,7 @@
 from uoarm.server.http._handshake import OWN_PATHS, FrontEnds, HandshakeHandler
 from uoarm.server.http._listener import (
     BACKLOG,
+    ListeningSocket,
     NoRoomError,
     connections_possible,
     fingerprint_of,
@@ -17,6 +18,7 @@ __all__ = [
     "OWN_PATHS",
     "FrontEnds",
     "HandshakeHandler",
+    "ListeningSocket",
     "Metrics",
     "NoRoomError",
     "Totals",

@@ -92,7 +92,12 @@ class FrontEnds:
     def at(self, path: str) -> FrontEnd | None:
         """Return the front end whose endpoint a path is."""
         return next(
-            (front_end for front_end in self._by_name.values() if front_end.path == path), None
+            (
+                front_end
+                for front_end in self._by_name.values()
+                if front_end.path == path and front_end.start is not None
+            ),
+            None,
         )
 
     def find(self, name: str) -> FrontEnd | None:
@@ -221,7 +226,7 @@ class HandshakeHandler:
                 return await self._page(connection, head)
             self._enter(connection, head)
         except RefusedError as error:
-            self._totals.refused += 1
+            self._totals.refuse()
             self._audit.arrival(address_of(connection), "", "", str(error))
             if isinstance(error, WrongTokenError):
                 await self._wait(connection)
@@ -275,7 +280,7 @@ class HandshakeHandler:
             return self._others
         front_end = self._others.at(path)
         if front_end is None and path not in _NATIVE_PATHS:
-            there = " or ".join(["/", *(end.path for end in self._others.usable)])
+            there = " or ".join(["/", *(end.path for end in self._others.usable if end.start)])
             raise RefusedError(HTTPStatus.NOT_FOUND, f"there is no endpoint here; try {there}")
         return front_end
 

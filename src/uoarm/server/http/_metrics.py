@@ -34,6 +34,10 @@ class Totals:
     sent: int = 0
     sent_bytes: int = 0
 
+    def refuse(self) -> None:
+        """Count a client that was not let in."""
+        self.refused += 1
+
     def add(self, client: ConnectedClient) -> None:
         """Keep the counts of a client that goes."""
         self.received += client.received

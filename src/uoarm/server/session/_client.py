@@ -6,7 +6,6 @@ import asyncio
 import contextlib
 import functools
 import logging
-import secrets
 import time
 from collections.abc import Callable
 from typing import Protocol
@@ -16,10 +15,9 @@ from websockets.frames import CloseCode
 
 from uoarm._raised import foreign
 from uoarm._support.aio_deadlines import result_within
-from uoarm.model import Spending, StopReport
+from uoarm.model import Spending
 from uoarm.server._limits import Limits
 from uoarm.server.access import (
-    AccessRole,
     ApprovalError,
     Audit,
     Credentials,
@@ -28,6 +26,7 @@ from uoarm.server.access import (
     Supervision,
 )
 from uoarm.server.session._connection import TurnConnection, address_of
+from uoarm.server.session._guests import AdmittedClient
 from uoarm.server.session._incoming import FrameDecoder, RateLimiter
 from uoarm.server.streams import Account, Outbox, acting
 
@@ -62,7 +61,7 @@ class Session(Protocol):
         """Give back everything that only this client used."""
 
 
-class ConnectedClient:
+class ConnectedClient(AdmittedClient):
     """Transport of one client, the same for every protocol.
 
     Args:
@@ -76,9 +75,6 @@ class ConnectedClient:
         supervision: says what needs an approval.
 
     Attributes:
-        identity: name of the session, for logs and the client itself.
-        principal: the person or program that it is of.
-        role: its rights.
         is_cut: whether the server ended its connection.
         is_kept: whether its session outlives a drop of its connection.
         is_leaving: set when its connection goes on with another session.
@@ -97,15 +93,10 @@ class ConnectedClient:
         audit: Audit,
         supervision: Supervision,
     ) -> None:
-        self.identity = secrets.token_hex(6)
+        super().__init__(grant, limits, account, audit)
         self.credentials = credentials
-        self.role: AccessRole = grant.role
-        self.principal = grant.principal
         self._supervision = supervision
-        self.limits = limits
         self._decoder = decoder
-        self.account = account
-        self._audit = audit
         self.outbox = Outbox(limits.queue_bytes, limits.control_messages, account)
         self.received = 0
         self.sent = 0
@@ -130,30 +121,19 @@ class ConnectedClient:
         return self._socket.unread_octets
 
     def require(self, operation: Operation, function: str) -> None:
-        """Refuse what its role does not allow; the audit log has either outcome.
+        """Refuse what its role does not allow, and what it may do with an approval only.
 
         Raises:
             DeniedError: it may not.
         """
         needs = self.role.supervised and self._supervision.reason(operation, function)
-        allowed = not needs and self.role.allows(operation, function)
-        self._audit.note(self.identity, self.role, operation, function, allowed=allowed)
-        self.role.require(operation, function)
         if needs:
+            self._audit.note(self.identity, self.role, operation, function, allowed=False)
             raise ApprovalError(
                 f"role {self.role.name!r} is supervised and needs an approval, which it asks for "
                 f"by the Model Context Protocol only: {needs}"
             )
-
-    def require_all(self, operation: Operation) -> None:
-        """Refuse what its role may not do to everything, as `require` does for a function."""
-        allowed = self.role.allows_all(operation)
-        self._audit.note(self.identity, self.role, operation, "*", allowed=allowed)
-        self.role.require_all(operation)
-
-    def note_stop(self, report: StopReport) -> None:
-        """Write to the audit log what a stop came to that it asked for."""
-        self._audit.stopped(self.identity, self.role.name, report)
+        super().require(operation, function)
 
     def note_release(self, cause: str = "") -> None:
         """Write to the audit log that it released, or why that failed."""

@@ -2,7 +2,13 @@
 
 from uoarm.server.streams._client_streams import ClientStreams, feed_key
 from uoarm.server.streams._feed import Envelope, Feed, FeedKey, Listener
-from uoarm.server.streams._feed_registry import ChangeNotice, FeedRegistry, Read, shown_event
+from uoarm.server.streams._feed_registry import (
+    ChangeNotice,
+    FeedRegistry,
+    Read,
+    Watcher,
+    shown_event,
+)
 from uoarm.server.streams._input_sender import Done, InputSender, check_message, read_message
 from uoarm.server.streams._memory import Account, Charge, MemoryUse, Shares, acting
 from uoarm.server.streams._outbox import Lane, Outbox
@@ -26,6 +32,7 @@ __all__ = [
     "Outbox",
     "Read",
     "Shares",
+    "Watcher",
     "acting",
     "check_message",
     "feed_key",

@@ -332,7 +332,7 @@ class FeedRegistry:
             revision: of the configuration that it is of; of another one it is not called.
             message: the request as it came.
             read: makes its logical value, by the service's structure.
-            timeout: seconds; the limit for all clients holds as well.
+            timeout: seconds, which no limit of the server shortens.
             began: called in the worker with what cancels the call.
 
         Raises:
@@ -340,7 +340,6 @@ class FeedRegistry:
             UsageError: the function is a stream.
             UoarmError: as `RobotManager.call`, and BusyError.
         """
-        limit = min(timeout, self.limits.call_seconds)
 
         def work() -> Message:
             structure = plan.provider.structures.get("request")
@@ -349,7 +348,7 @@ class FeedRegistry:
             if self.robot.revision != revision:
                 raise ApprovalError(f"the configuration is not revision {revision} any more")
             return self.robot._call_planned(  # noqa: SLF001 - of the house
-                plan, read(structure, message), limit, began
+                plan, read(structure, message), timeout, began
             )
 
         return await self.workers.start(work)
