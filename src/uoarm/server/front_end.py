@@ -28,7 +28,7 @@ from uoarm._wire import (
     read_text,
     write_binary,
 )
-from uoarm.model import LeaseHolder, Message, MessageStructure, Plan, StopReport
+from uoarm.model import LeaseHolder, Message, MessageStructure, Plan, StatusEvent, StopReport
 from uoarm.server._failures import (
     BusyError,
     LimitError,
@@ -339,6 +339,9 @@ class Backend(Protocol):
             key: of `act`, which is done once for all who give the same.
             act: what the report is for, in a thread that stops.
         """
+
+    def past(self) -> list[tuple[float, StatusEvent]]:
+        """Return the last changes of the robot: seconds ago, and the change."""
 
     def watch(self, watcher: Watcher) -> None:
         """Notify a watcher of every change of the robot, from now on."""

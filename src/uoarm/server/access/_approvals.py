@@ -463,6 +463,12 @@ class ApprovalDesk:
         self._report()
         return approval if approval and approval.wish.requester == requester else None
 
+    def asked_by(self, requester: str) -> list[Approval]:
+        """Return those that a principal has asked for, oldest first."""
+        approvals = self._book.all(self._clock())
+        self._report()
+        return [approval for approval in approvals if approval.wish.requester == requester]
+
     def left(self, approval: Approval) -> float:
         """Return the seconds until one ends by itself."""
         return max(0.0, approval.expires - self._clock()) if approval.is_open else 0.0

@@ -1,0 +1,295 @@
+"""Which tools and resources a role has: names, schemas, hints, and why one is left out."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Iterator, Mapping
+from enum import Enum
+
+from attrs import field, frozen
+from mcp_types import Resource, Tool, ToolAnnotations
+
+from uoarm.errors import UoarmError
+from uoarm.model import Function, MessageStructure, Plan, Robot
+from uoarm.server.front_end import AccessRole, Backend, Operation
+from uoarm_mcp._schemas import (
+    OWN_INPUTS,
+    ToolArguments,
+    output_schema,
+    read_input,
+    read_output,
+)
+
+__all__ = ["STREAM", "Catalogue", "CatalogueMaker", "FunctionTool", "ToolKind", "uri_of"]
+
+STREAM = "uoarm://stream/"
+_AT_ONCE = 8
+_FIND_SECONDS = 10.0
+_OWN: Mapping[str, str] = {
+    "plan": """Say what a request would open and why, or why not, with the counterexample and what
+would fit nearly. With arguments: check them, and ask for the approval that doing it needs; the
+handle is that of the plan, of its approval and of doing it. Nothing is opened or moved.""",
+    "status": """Say how the robot is: functions, components, connections, what is held, one's goals
+and approvals, and which tools are left out and why.""",
+    "explain_failure": "Say why a function cannot be had or has failed, or how a goal ended.",
+    "discover": "List what the robot's frameworks have now, configured or not.",
+    "stop": "Stop what moves: everything, where one may; else all that one has moved oneself.",
+    "goal_status": "Say how a goal or an approval stands; does not wait.",
+    "wait": "Wait for the end of a goal, or for the decision about an approval, shortly.",
+    "cancel": "Cancel a goal.",
+}
+_ACTING = frozenset({"stop", "cancel"})
+
+
+class ToolKind(Enum):
+    """What a tool does with a function."""
+
+    CALL = "call"
+    SEND = "send"
+    READ = "read"
+
+
+_OPERATIONS = {
+    ToolKind.CALL: Operation.CALL,
+    ToolKind.SEND: Operation.SEND,
+    ToolKind.READ: Operation.REQUEST,
+}
+
+
+@frozen
+class FunctionTool:
+    """A tool that is made of a function.
+
+    Attributes:
+        function: the function.
+        kind: what it does with it.
+        port: the input that it sends to, the first output that it reads; empty: the only one.
+        outputs: those that it can read.
+        needs: why it needs an approval; empty: it needs none.
+        tool: as it is listed.
+    """
+
+    function: str
+    kind: ToolKind
+    port: str
+    outputs: tuple[str, ...]
+    needs: str
+    tool: Tool
+
+    @property
+    def operation(self) -> Operation:
+        """The right that it takes."""
+        return _OPERATIONS[self.kind]
+
+
+@frozen
+class Catalogue:
+    """What a role has.
+
+    Attributes:
+        tools: of functions, by name.
+        own: tools that every robot has.
+        resources: streams, by address.
+        left_out: what has no tool, and why.
+    """
+
+    tools: Mapping[str, FunctionTool] = field(factory=dict)
+    own: tuple[Tool, ...] = ()
+    resources: Mapping[str, Resource] = field(factory=dict)
+    left_out: Mapping[str, str] = field(factory=dict)
+
+
+def uri_of(function: str, output: str) -> str:
+    """Return the address of a stream."""
+    return f"{STREAM}{function}" if not output else f"{STREAM}{function}/{output}"
+
+
+class CatalogueMaker:
+    """Makes the catalogue of each role, once for each configuration; in the server's loop.
+
+    Args:
+        backend: the robot.
+    """
+
+    def __init__(self, backend: Backend) -> None:
+        self._backend = backend
+        self._robot: Robot | None = None
+        self._plans: dict[str, Plan] = {}
+        self._made: dict[AccessRole, Catalogue] = {}
+        self._turns = asyncio.Semaphore(_AT_ONCE)
+        self._making: dict[AccessRole, asyncio.Task[Catalogue]] = {}
+
+    def forget(self) -> None:
+        """Look again at what could not be had: something of the robot has changed."""
+        self._made.clear()
+
+    async def of(self, role: AccessRole) -> Catalogue:
+        """Return the catalogue of a role."""
+        robot = self._backend.robot.config
+        if self._robot is not robot:
+            self._robot = robot
+            self._plans.clear()
+            self._made.clear()
+        made = self._made.get(role)
+        if made is not None:
+            return made
+        making = self._making.get(role)
+        if making is None:
+            making = self._making[role] = asyncio.ensure_future(self._make(robot, role))
+            making.add_done_callback(lambda _: self._making.pop(role, None))
+        return await asyncio.shield(making)
+
+    async def _make(self, robot: Robot, role: AccessRole) -> Catalogue:
+        view = self._backend.role_views.of(role)
+        visible = [name for name in robot.functions if view.has_function(name)]
+        reasons = dict(zip(visible, await asyncio.gather(*map(self._find, visible)), strict=True))
+        tools: dict[str, FunctionTool] = {}
+        resources: dict[str, Resource] = {}
+        left_out: dict[str, str] = {}
+        for name in visible:
+            function = robot.functions[name]
+            if name not in self._plans:
+                left_out[name] = view.text(reasons[name], name)
+                continue
+            for made in self._tools(function, self._plans[name]):
+                if not role.allows(made.operation, name):
+                    left_out[made.tool.name] = f"the role may not {made.operation.value} {name}"
+                elif made.tool.name in tools or made.tool.name in _OWN:
+                    left_out[f"{made.tool.name} of {name}"] = "another tool has its name"
+                else:
+                    tools[made.tool.name] = made
+            if role.allows(Operation.REQUEST, name):
+                resources |= self._resources(function, self._plans[name])
+        catalogue = Catalogue(tools, _own_tools(role), resources, left_out)
+        if self._robot is robot and not left_out.keys() & set(visible):
+            self._made[role] = catalogue
+        return catalogue
+
+    async def _find(self, name: str) -> str:
+        """Find the plan of a function; return why there is none."""
+        if name in self._plans:
+            return ""
+        try:
+            async with self._turns:
+                plan = await asyncio.wait_for(self._backend.resolve(name), _FIND_SECONDS)
+        except asyncio.TimeoutError:
+            return f"no plan within {_FIND_SECONDS:g} s"
+        except UoarmError as error:
+            return str(error)
+        self._plans[name] = plan
+        return ""
+
+    def _tools(self, function: Function, plan: Plan) -> Iterator[FunctionTool]:
+        component, structures = plan.provider.component, plan.provider.structures
+        if component.service is not None:
+            yield self._acting(
+                function, ToolKind.CALL, "", structures["request"], structures["reply"]
+            )
+        own = [port.name for port in component.inputs if port.source is None]
+        for name in own:
+            port = name if len(own) > 1 else ""
+            yield self._acting(function, ToolKind.SEND, port, structures[f"input.{name}"], None)
+        outputs = tuple(output.name for output in component.outputs)
+        if outputs:
+            yield self._reading(function, outputs, structures[f"output.{outputs[0]}"])
+
+    def _acting(
+        self,
+        function: Function,
+        kind: ToolKind,
+        port: str,
+        taken: MessageStructure,
+        given: MessageStructure | None,
+    ) -> FunctionTool:
+        name = function.name if kind is ToolKind.CALL else f"send_{function.name}"
+        if port:
+            name += f".{port}"
+        if name in _OWN:
+            name = f"call_{name}"
+        needs = self._needs(_OPERATIONS[kind], function.name)
+        what = "Calls" if kind is ToolKind.CALL else "Sends one message to"
+        hints = ToolAnnotations(
+            read_only_hint=False,
+            destructive_hint=bool(needs),
+            idempotent_hint=False,
+            open_world_hint=False,
+        )
+        tool = Tool(
+            name=name,
+            description=_described(function, what, needs),
+            input_schema=ToolArguments(taken).schema,
+            output_schema=output_schema(given),
+            annotations=hints,
+        )
+        return FunctionTool(function.name, kind, port, (), needs, tool)
+
+    def _reading(
+        self, function: Function, outputs: tuple[str, ...], structure: MessageStructure
+    ) -> FunctionTool:
+        needs = self._needs(Operation.REQUEST, function.name)
+        tool = Tool(
+            name=f"read_{function.name}",
+            description=_described(function, "Reads messages of", needs),
+            input_schema=read_input(outputs),
+            output_schema=read_output(structure if len(outputs) == 1 else MessageStructure({})),
+            annotations=ToolAnnotations(
+                read_only_hint=not needs,
+                destructive_hint=bool(needs),
+                idempotent_hint=True,
+                open_world_hint=False,
+            ),
+        )
+        return FunctionTool(function.name, ToolKind.READ, outputs[0], outputs, needs, tool)
+
+    def _resources(self, function: Function, plan: Plan) -> dict[str, Resource]:
+        if self._needs(Operation.REQUEST, function.name):
+            return {}
+        outputs = [output.name for output in plan.provider.component.outputs]
+        made = {}
+        for output in outputs:
+            port = output if len(outputs) > 1 else ""
+            uri = uri_of(function.name, port)
+            made[uri] = Resource(
+                uri=uri,
+                name=uri.removeprefix(STREAM),
+                description=_described(function, "The latest message of", ""),
+                mime_type="application/json",
+            )
+        return made
+
+    def _needs(self, operation: Operation, function: str) -> str:
+        return self._backend.approvals.supervision.reason(operation, function)
+
+
+def _described(function: Function, what: str, needs: str) -> str:
+    text = function.description or f"{what} {function.name}."
+    if function.description:
+        text = f"{text} ({what} {function.name}.)"
+    if needs:
+        text += (
+            " Needs the approval of a person: call it to ask for one, and again with the same "
+            "arguments and x-approval once it is given."
+        )
+    return text
+
+
+def _own_tools(role: AccessRole) -> tuple[Tool, ...]:
+    tools = []
+    for name, description in _OWN.items():
+        if name == "discover" and not role.allows_all(Operation.SEE):
+            continue
+        hints = ToolAnnotations(
+            read_only_hint=name not in _ACTING,
+            destructive_hint=False,
+            idempotent_hint=True,
+            open_world_hint=False,
+        )
+        tools.append(
+            Tool(
+                name=name,
+                description=" ".join(description.split()),
+                input_schema=dict(OWN_INPUTS[name]),
+                annotations=hints,
+            )
+        )
+    return tuple(tools)

@@ -1,0 +1,156 @@
+"""`uoarm mcp`: a robot for one agent on standard input and output, or for several over HTTP."""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import logging
+import os
+import signal
+import sys
+from contextlib import suppress
+from importlib.metadata import version
+from pathlib import Path
+
+from mcp.server.stdio import stdio_server
+
+from uoarm import RobotManager
+from uoarm.errors import ConfigurationError, UoarmError
+from uoarm.plugins import Command, hookimpl
+from uoarm.server import Server, ServerOptions, run
+from uoarm.server.front_end import Discoveries, RefusedError
+from uoarm_mcp._service import AgentService
+
+__all__ = ["main", "uoarm_commands"]
+
+_REFUSED, _MISTAKES, _FAILED, _USED = 1, 3, 4, 5
+_AUDIT_MODE = 0o600
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the command; returns the exit status."""
+    given = _parser().parse_args(arguments)
+    try:
+        options = ServerOptions(
+            host=given.host,
+            port=given.port,
+            access=given.access,
+            certificate=given.certificate,
+            key=given.key,
+            client_authority=given.client_authority,
+            own_certificate=given.tls is not None,
+            front_end_ports={} if given.http is None else {"mcp": given.http},
+        )
+        if given.audit is not None:
+            _keep_audit(given.audit)
+        path = given.file or os.environ.get("UOARM_CONFIG") or "robot.yaml"
+        with RobotManager.from_file(path) as robot:
+            robot.offer(timeout=0)
+            if given.http is None:
+                asyncio.run(_serve_stdio(robot, options, os.environ.get("UOARM_TOKEN", "")))
+            else:
+                run(robot, options, lambda server: _say(server, options))
+    except ConfigurationError as error:
+        return _fail(error, _MISTAKES)
+    except RefusedError as error:
+        return _fail(error, _REFUSED)
+    except UoarmError as error:
+        return _fail(error, _FAILED)
+    except OSError as error:
+        return _fail(error, _USED)
+    return 0
+
+
+@hookimpl
+def uoarm_commands() -> list[Command]:
+    """Return `uoarm mcp`."""
+    return [Command("mcp", main, contract=1)]
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="uoarm mcp",
+        description=f"{__doc__} The token of the agent is UOARM_TOKEN. Approvals are given over "
+        "WebSocket, with `uoarm approve`.",
+    )
+    parser.add_argument("file", nargs="?", help="configuration; else UOARM_CONFIG or robot.yaml")
+    parser.add_argument(
+        "--http", type=int, metavar="PORT", help="serve agents over HTTP at /mcp; 0: a free port"
+    )
+    parser.add_argument("--host", default="127.0.0.1", help="address to listen on")
+    parser.add_argument(
+        "--port", type=int, default=9080, help="of the WebSocket server; 0: a free one"
+    )
+    parser.add_argument("--access", type=Path, help="access file with roles and tokens")
+    parser.add_argument("--audit", type=Path, help="file that the audit log is appended to")
+    parser.add_argument("--tls", choices=["auto"], help="speak TLS with a certificate made here")
+    parser.add_argument("--certificate", type=Path, help="PEM file of the certificate, for TLS")
+    parser.add_argument("--key", type=Path, help="PEM file of its key")
+    parser.add_argument(
+        "--client-authority", type=Path, help="PEM file that client certificates rest on"
+    )
+    return parser
+
+
+async def _serve_stdio(robot: RobotManager, options: ServerOptions, token: str) -> None:
+    """Serve one agent until its input ends, beside the WebSocket server."""
+    server = Server(robot, options)
+    await server.start()
+    loop = asyncio.get_running_loop()
+    stopped = asyncio.Event()
+    for number in (signal.SIGTERM, signal.SIGINT):
+        loop.add_signal_handler(number, stopped.set)
+    service = None
+    try:
+        guest = server.guests.local(token)
+        _say(server, options)
+        service = AgentService(
+            server.backend, Discoveries(server.backend), version("uoarm-mcp"), guest
+        )
+        protocol = service.protocol
+        async with stdio_server() as (incoming, outgoing):
+            serving = asyncio.ensure_future(
+                protocol.run(incoming, outgoing, protocol.create_initialization_options())
+            )
+            ending = asyncio.ensure_future(stopped.wait())
+            await asyncio.wait({serving, ending}, return_when=asyncio.FIRST_COMPLETED)
+            for task in (serving, ending):
+                task.cancel()
+                with suppress(asyncio.CancelledError):
+                    await task
+            if stopped.is_set():
+                # A thread waits for standard input, which cannot be taken back.
+                service.close()
+                await server.stop()
+                robot.close()
+                os._exit(0)
+    finally:
+        if service is not None:
+            service.close()
+        await server.stop()
+
+
+def _say(server: Server, options: ServerOptions) -> None:
+    s = "s" if options.secured else ""
+    places = [options.place_from_here(port) for port in server.ports]
+    sys.stderr.write(f"serving ws{s}://{places[0]}/\n")
+    for place in places[1:]:
+        sys.stderr.write(f"serving http{s}://{place}/mcp for agents\n")
+    if options.access is None:
+        sys.stderr.write("without an access file nothing that moves can be approved\n")
+    sys.stderr.flush()
+
+
+def _keep_audit(path: Path) -> None:
+    """Append the audit log to a file that only this user may read."""
+    os.close(os.open(path, os.O_WRONLY | os.O_APPEND | os.O_CREAT, _AUDIT_MODE))
+    handler = logging.FileHandler(path, mode="a", encoding="utf-8")
+    handler.setFormatter(logging.Formatter("%(message)s"))
+    logger = logging.getLogger("uoarm.audit")
+    logger.addHandler(handler)
+    logger.setLevel(logging.INFO)
+
+
+def _fail(error: BaseException, status: int) -> int:
+    sys.stderr.write(f"error: {error}\n")
+    return status

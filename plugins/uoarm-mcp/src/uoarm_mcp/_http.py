@@ -1,0 +1,225 @@
+"""Streamable HTTP: each request admitted as a handshake is, bounded before it is parsed."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import functools
+from collections.abc import Awaitable, Callable, Iterator, MutableMapping
+from typing import Any
+
+import uvicorn
+from mcp.server.auth.middleware.bearer_auth import AuthenticatedUser
+from mcp.server.auth.provider import AccessToken
+from mcp.server.streamable_http_manager import StreamableHTTPSessionManager
+from uvicorn.protocols.http.h11_impl import H11Protocol
+
+from uoarm.errors import ControlMessageError
+from uoarm.model import Budget, Spending, scan_json
+from uoarm.server.front_end import Discoveries, Guest, HttpPlace, RefusedError
+from uoarm_mcp._service import GUEST, AgentService
+
+__all__ = ["PATH", "serve_http"]
+
+PATH = "/mcp"
+_BODY_OCTETS = 1_048_576
+_CERTIFICATE = "uoarm.certificate"
+_MOST_SESSIONS = 256
+_IDLE_SECONDS = 600.0
+
+_Scope = MutableMapping[str, Any]
+_Receive = Callable[[], Awaitable[MutableMapping[str, Any]]]
+_Send = Callable[[MutableMapping[str, Any]], Awaitable[None]]
+
+
+async def serve_http(place: HttpPlace, version: str) -> None:
+    """Serve agents until this is cancelled."""
+    service = AgentService(place.backend, Discoveries(place.backend), version)
+    sessions = StreamableHTTPSessionManager(
+        service.protocol,
+        session_idle_timeout=_IDLE_SECONDS,
+        max_request_body_size=_BODY_OCTETS,
+        max_sessions=_MOST_SESSIONS,
+    )
+    config = uvicorn.Config(
+        AdmittingApp(place, sessions),
+        http=functools.partial(_BoundedProtocol, place.backend.limits.handshake_seconds),  # type: ignore[arg-type]
+        ws="none",
+        lifespan="off",
+        log_config=None,
+        access_log=False,
+        server_header=False,
+        date_header=False,
+        timeout_graceful_shutdown=1,
+    )
+    config.load()
+    config.ssl = place.tls
+    server = _QuietServer(config)
+    async with sessions.run():
+        serving = asyncio.ensure_future(server.serve(list(place.sockets)))
+        try:
+            await asyncio.shield(serving)
+        finally:
+            service.close()
+            server.should_exit = server.force_exit = True
+            with contextlib.suppress(Exception):
+                await asyncio.wait({serving}, timeout=place.backend.limits.stop_seconds / 8)
+            serving.cancel()
+
+
+class AdmittingApp:
+    """Lets a request in as the server lets in a WebSocket, and bounds what it brings.
+
+    Args:
+        place: whom to let in.
+        sessions: what answers.
+    """
+
+    def __init__(self, place: HttpPlace, sessions: StreamableHTTPSessionManager) -> None:
+        self._place = place
+        self._sessions = sessions
+        self._under_way: dict[Guest, set[asyncio.Task[Any]]] = {}
+
+    async def __call__(self, scope: _Scope, receive: _Receive, send: _Send) -> None:
+        """Answer one request."""
+        if scope["type"] != "http":
+            return
+        headers = [
+            (name.decode("latin-1"), value.decode("latin-1")) for name, value in scope["headers"]
+        ]
+        query = scope.get("query_string", b"").decode("latin-1")
+        path = f"{scope['path']}{query and '?'}{query}"
+        address = (scope.get("client") or ("unknown",))[0]
+        certificate = scope.get(_CERTIFICATE)
+        try:
+            async with self._place.guests.admitted(path, headers, certificate, address) as guest:
+                if scope["path"].rstrip("/") != PATH:
+                    await _answer(send, 404, f"there is no endpoint here; it is {PATH}")
+                    return
+                await self._serve(guest, scope, receive, send)
+        except RefusedError as error:
+            await _answer(send, error.status.value, str(error))
+
+    async def _serve(self, guest: Guest, scope: _Scope, receive: _Receive, send: _Send) -> None:
+        limits = self._place.backend.limits
+        most = min(_BODY_OCTETS, limits.message_bytes)
+        budget = Budget(most, limits.elements, limits.depth, limits.dimensions)
+        spending = Spending(budget)
+        try:
+            body = await asyncio.wait_for(_body(receive, most), limits.message_seconds)
+            if body:
+                scan_json(body.decode(), spending)
+        except asyncio.TimeoutError:
+            await _answer(send, 408, f"the request took more than {limits.message_seconds:g} s")
+            return
+        except ControlMessageError as error:
+            await _answer(send, 413, str(error))
+            return
+        except UnicodeDecodeError:
+            await _answer(send, 400, "the request is not UTF-8")
+            return
+        if body is None:
+            return
+        await guest.pace(len(body), spending.elements)
+        token = AccessToken(token="-", client_id=guest.identity, scopes=[])  # noqa: S106
+        admitted = {**scope, GUEST: guest, "user": AuthenticatedUser(token)}
+        # What lasts, as a stream of notices, ends with the guest's rights.
+        task = asyncio.ensure_future(
+            self._sessions.handle_request(admitted, _again(body, receive), send)
+        )
+        if guest not in self._under_way:
+            self._under_way[guest] = set()
+            guest.on_end(lambda: self._end(guest))
+        self._under_way[guest].add(task)
+        try:
+            await task
+        except asyncio.CancelledError:
+            task.cancel()
+            if not guest.has_ended:
+                raise
+        finally:
+            if guest in self._under_way:
+                self._under_way[guest].discard(task)
+
+    def _end(self, guest: Guest) -> None:
+        for task in self._under_way.pop(guest, set()):
+            task.cancel()
+
+
+async def _body(receive: _Receive, most: int) -> bytes | None:
+    """Return the body of a request; None: its client has gone."""
+    parts, size = [], 0
+    while True:
+        message = await receive()
+        if message["type"] == "http.disconnect":
+            return None
+        part = message.get("body", b"")
+        size += len(part)
+        if size > most:
+            raise ControlMessageError(f"a request may have {most:,} octets")
+        parts.append(part)
+        if not message.get("more_body"):
+            return b"".join(parts)
+
+
+def _again(body: bytes, receive: _Receive) -> _Receive:
+    """Return what gives a body that was read, and then what comes after it."""
+    given = False
+
+    async def again() -> MutableMapping[str, Any]:
+        nonlocal given
+        if given:
+            return await receive()
+        given = True
+        return {"type": "http.request", "body": body, "more_body": False}
+
+    return again
+
+
+async def _answer(send: _Send, status: int, text: str) -> None:
+    body = f"{text}\n".encode()
+    headers = [
+        (b"content-type", b"text/plain; charset=utf-8"),
+        (b"content-length", str(len(body)).encode()),
+        (b"connection", b"close"),
+    ]
+    if status == 401:  # noqa: PLR2004 - of HTTP
+        headers.append((b"www-authenticate", b'Bearer realm="uoarm"'))
+    await send({"type": "http.response.start", "status": status, "headers": headers})
+    await send({"type": "http.response.body", "body": body})
+
+
+class _BoundedProtocol(H11Protocol):
+    """HTTP/1.1 whose first request must come in time, and which knows the client's certificate."""
+
+    def __init__(self, seconds: float, *arguments: Any, **options: Any) -> None:
+        super().__init__(*arguments, **options)
+        self._seconds = seconds
+        self._late: asyncio.TimerHandle | None = None
+
+    def connection_made(self, transport: Any) -> None:
+        super().connection_made(transport)
+        certificate = transport.get_extra_info("peercert")
+        app = self.app
+
+        async def certified(scope: Any, receive: Any, send: Any) -> None:
+            if self._late is not None:
+                self._late.cancel()
+                self._late = None
+            await app({**scope, _CERTIFICATE: certificate}, receive, send)
+
+        self.app = certified
+        self._late = asyncio.get_running_loop().call_later(self._seconds, transport.abort)
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        if self._late is not None:
+            self._late.cancel()
+        super().connection_lost(exc)
+
+
+class _QuietServer(uvicorn.Server):
+    """One that leaves the process's signals to the server that it is a part of."""
+
+    @contextlib.contextmanager
+    def capture_signals(self) -> Iterator[None]:
+        yield

@@ -1,0 +1,234 @@
+"""The JSON Schemas of tools: of the structures of a function, and of what every robot has."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import orjson
+
+from uoarm.errors import MessageError
+from uoarm.model import Message, MessageStructure
+from uoarm.server.front_end import TEXT_FORM
+
+__all__ = [
+    "APPROVAL",
+    "COUNT",
+    "OWN_INPUTS",
+    "SECONDS",
+    "ToolArguments",
+    "output_schema",
+    "read_input",
+    "read_output",
+]
+
+APPROVAL = "x-approval"
+COUNT = 100
+SECONDS = 30.0
+_WHOLE = "message"
+_COMBINED = frozenset({"$ref", "$dynamicRef", "allOf", "anyOf", "oneOf", "not", "if"})
+_HANDLE = {"type": "string", "minLength": 1, "maxLength": 64}
+_NAME = {"type": "string", "minLength": 1, "maxLength": 256}
+_ENVELOPE = {
+    "type": "object",
+    "description": "What may differ from the arguments, where more than one use is asked for.",
+    "properties": {
+        "ranges": {
+            "type": "object",
+            "maxProperties": 64,
+            "description": "Least and greatest number by the path of a field, such as linear.x.",
+            "additionalProperties": {
+                "type": "array",
+                "items": {"type": "number"},
+                "minItems": 2,
+                "maxItems": 2,
+            },
+        },
+        "count": {"type": "integer", "minimum": 1, "maximum": 1000},
+        "rate": {"type": "number", "exclusiveMinimum": 0, "description": "Times a second."},
+    },
+    "additionalProperties": False,
+}
+
+
+def _object(properties: Mapping[str, Any], *required: str) -> dict[str, Any]:
+    return {
+        "type": "object",
+        "properties": dict(properties),
+        "required": list(required),
+        "additionalProperties": False,
+    }
+
+
+OWN_INPUTS: Mapping[str, Mapping[str, Any]] = {
+    "plan": _object(
+        {
+            "function": _NAME,
+            "operation": {
+                "enum": ["call", "send", "request"],
+                "description": "What is to be done: call a service, send to an input, or receive.",
+            },
+            "arguments": {"description": "With which; of send and call."},
+            "port": {**_NAME, "description": "Of send: the input, where there are several."},
+            "envelope": _ENVELOPE,
+            "seconds": {
+                "type": "number",
+                "exclusiveMinimum": 0,
+                "maximum": 3600,
+                "description": "Within which it is done, from the approval on.",
+            },
+        },
+        "function",
+    ),
+    "status": _object({}),
+    "explain_failure": _object({"function": _NAME, "handle": _HANDLE}),
+    "discover": _object({}),
+    "stop": _object({}),
+    "goal_status": _object({"handle": _HANDLE}, "handle"),
+    "wait": _object(
+        {
+            "handle": _HANDLE,
+            "seconds": {"type": "number", "minimum": 0, "maximum": SECONDS},
+        },
+        "handle",
+    ),
+    "cancel": _object({"handle": _HANDLE}, "handle"),
+}
+
+
+class ToolArguments:
+    """How the arguments of a tool carry a message of a structure.
+
+    A message that is an object is the arguments themselves, with `x-approval` beside its fields;
+    any other one is their field `message`.
+
+    Args:
+        structure: of the message.
+    """
+
+    def __init__(self, structure: MessageStructure) -> None:
+        schema = plain_schema(structure)
+        properties = schema.get("properties", {})
+        self._is_whole = not (
+            schema.get("type") == "object"
+            and not _COMBINED & schema.keys()
+            and not any(name.startswith("x-") for name in properties)
+        )
+        beside = {APPROVAL: {**_HANDLE, "description": "The approval that this is done with."}}
+        if self._is_whole:
+            self.schema = _hoisted(schema, lambda moved: _object({_WHOLE: moved, **beside}, _WHOLE))
+        else:
+            self.schema = {**schema, "properties": {**properties, **beside}}
+
+    def split(self, arguments: Mapping[str, Any]) -> tuple[Message, str]:
+        """Return the message of a tool's arguments, and the approval, empty where there is none.
+
+        Raises:
+            MessageError: they hold no message.
+        """
+        approval = arguments.get(APPROVAL, "")
+        if not isinstance(approval, str) or len(approval) > _HANDLE["maxLength"]:  # type: ignore[operator]
+            raise MessageError(f"{APPROVAL}: expected the handle of an approval")
+        rest = {name: value for name, value in arguments.items() if name != APPROVAL}
+        if not self._is_whole:
+            return rest, approval
+        if rest.keys() != {_WHOLE}:
+            raise MessageError(f"expected the one field {_WHOLE!r}, got {sorted(rest)!r:.200}")
+        return rest[_WHOLE], approval
+
+    def join(self, message: Message, approval: str) -> dict[str, Any]:
+        """Return the arguments that carry a message, as they are given with an approval."""
+        whole = {_WHOLE: message} if self._is_whole else dict(message)
+        return {**whole, APPROVAL: approval}
+
+
+def plain_schema(structure: MessageStructure) -> dict[str, Any]:
+    """Return a structure as it is in JSON text; octets are base64 there."""
+    schema = TEXT_FORM.schema(structure.schema)
+    if isinstance(schema, bool):
+        return {} if schema else {"not": {}}
+    plain: dict[str, Any] = orjson.loads(orjson.dumps(schema, default=_plain))
+    return plain
+
+
+def read_input(outputs: tuple[str, ...]) -> dict[str, Any]:
+    """Return what a tool that reads a stream takes."""
+    properties: dict[str, Any] = {
+        "count": {"type": "integer", "minimum": 1, "maximum": COUNT, "default": 1},
+        "seconds": {
+            "type": "number",
+            "minimum": 0,
+            "maximum": SECONDS,
+            "default": 5,
+            "description": "For how long to wait for them.",
+        },
+        "latest": {
+            "type": "boolean",
+            "default": True,
+            "description": "Whether one that came before counts; false: only those from now on.",
+        },
+        "picture": {
+            "type": "boolean",
+            "default": False,
+            "description": "Whether pictures are shown, as JPEG.",
+        },
+        APPROVAL: _HANDLE,
+    }
+    if len(outputs) > 1:
+        properties["output"] = {"enum": list(outputs), "default": outputs[0]}
+    return _object(properties)
+
+
+def output_schema(structure: MessageStructure | None) -> dict[str, Any]:
+    """Return what a tool answers that does something: how it stands, and the result."""
+    made: dict[str, Any] = {
+        "type": "object",
+        "properties": {
+            "state": {
+                "type": "string",
+                "description": "approval-needed, running, or how it ended in the framework's word.",
+            },
+            "handle": {"type": "string"},
+            "summary": {"description": "In the place of a result that is long."},
+            "cause": {"type": "string"},
+            "approval": {"type": "object"},
+            "next": {"type": "string", "description": "What to do next."},
+        },
+        "required": ["state"],
+    }
+    if structure is None:
+        return made
+
+    def around(moved: dict[str, Any]) -> dict[str, Any]:
+        return {**made, "properties": {**made["properties"], "result": moved}}
+
+    return _hoisted(plain_schema(structure), around)
+
+
+def read_output(structure: MessageStructure) -> dict[str, Any]:
+    """Return what a tool answers that reads a stream."""
+
+    def around(moved: dict[str, Any]) -> dict[str, Any]:
+        properties = {
+            "messages": {"type": "array", "items": moved},
+            "summaries": {"type": "array", "description": "Of messages that are long."},
+            "lost": {"type": "integer", "minimum": 0},
+            "ended": {"type": "string", "description": "Why no more will come."},
+            "state": {"type": "string"},
+            "approval": {"type": "object"},
+            "next": {"type": "string"},
+        }
+        return {"type": "object", "properties": properties, "required": ["messages"]}
+
+    return _hoisted(plain_schema(structure), around)
+
+
+def _hoisted(schema: dict[str, Any], around: Any) -> dict[str, Any]:
+    """Put a schema into another one, with its definitions where its references look for them."""
+    inner = {name: part for name, part in schema.items() if name not in {"$defs", "$schema"}}
+    made: dict[str, Any] = around(inner)
+    return {**made, "$defs": schema["$defs"]} if "$defs" in schema else made
+
+
+def _plain(value: Any) -> Any:
+    return dict(value) if isinstance(value, Mapping) else list(value)

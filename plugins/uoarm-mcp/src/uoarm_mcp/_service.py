@@ -1,0 +1,294 @@
+"""The protocol: its methods on what agents have, for every revision that the SDK speaks."""
+
+from __future__ import annotations
+
+import asyncio
+import base64
+import time
+from collections.abc import Callable
+from typing import Any
+
+from mcp.server.context import ServerRequestContext
+from mcp.server.lowlevel import Server as ProtocolServer
+from mcp.server.subscriptions import (
+    InMemorySubscriptionBus,
+    ListenHandler,
+    ResourcesListChanged,
+    ResourceUpdated,
+    ToolsListChanged,
+)
+from mcp.shared.exceptions import MCPError
+from mcp_types import (
+    INVALID_PARAMS,
+    BlobResourceContents,
+    CallToolRequestParams,
+    CallToolResult,
+    EmptyResult,
+    ListResourcesResult,
+    ListToolsResult,
+    PaginatedRequestParams,
+    ReadResourceRequestParams,
+    ReadResourceResult,
+    Resource,
+    SubscribeRequestParams,
+    SubscriptionsListenRequestParams,
+    SubscriptionsListenResult,
+    TextResourceContents,
+    UnsubscribeRequestParams,
+)
+
+from uoarm.errors import UoarmError
+from uoarm.server.front_end import (
+    Backend,
+    ChangeNotice,
+    Discoveries,
+    Guest,
+    UnknownError,
+    code_of,
+)
+from uoarm_mcp._agent import Agent
+from uoarm_mcp._catalogue import STREAM, CatalogueMaker
+from uoarm_mcp._values import KEPT
+
+__all__ = ["GUEST", "AgentService"]
+
+GUEST = "uoarm.guest"
+_INSTRUCTIONS = (
+    "The functions of a robot. What moves something needs the approval of a person: call the tool "
+    "to ask for it, `wait` for the decision, and call it again with x-approval. Work that lasts "
+    "returns a handle at once: use wait, goal_status and cancel. status says which tools are left "
+    "out and why; plan says what a request would do before it does it; stop stops."
+)
+_NOTICE_SECONDS = 0.2
+_MOST_LISTENING = 16
+_MOST_SUBSCRIBED = 64
+_Context = ServerRequestContext[Any, Any]
+
+
+class AgentService:
+    """The agents of one server, and the protocol that all of them speak.
+
+    Args:
+        backend: the robot.
+        discoveries: what its bridges see.
+        local: the guest of requests that come without HTTP; None: there are none.
+    """
+
+    def __init__(
+        self, backend: Backend, discoveries: Discoveries, version: str, local: Guest | None = None
+    ) -> None:
+        self._backend = backend
+        self._discoveries = discoveries
+        self._local = local
+        self._catalogues = CatalogueMaker(backend)
+        self._agents: dict[Guest, Agent] = {}
+        self._listening: dict[Guest, int] = {}
+        self._buses: dict[InMemorySubscriptionBus, None] = {}
+        self._publishing: set[asyncio.Task[None]] = set()
+        self._subscribed: dict[tuple[Guest, int, str], Callable[[], None]] = {}
+        self.protocol: ProtocolServer[Any] = ProtocolServer(
+            "uoarm",
+            version=version,
+            title="uoarm",
+            instructions=_INSTRUCTIONS,
+            on_list_tools=self._list_tools,
+            on_call_tool=self._call_tool,
+            on_list_resources=self._list_resources,
+            on_read_resource=self._read_resource,
+            on_subscribe_resource=self._subscribe,
+            on_unsubscribe_resource=self._unsubscribe,
+            on_subscriptions_listen=self._listen,
+        )
+        backend.watch(self._changed)
+
+    def close(self) -> None:
+        """Let go of everything."""
+        self._backend.unwatch(self._changed)
+        for end in self._subscribed.values():
+            end()
+        self._subscribed.clear()
+        for agent in self._agents.values():
+            agent.close()
+        self._agents.clear()
+
+    def _agent(self, context: _Context) -> Agent:
+        guest = self._local
+        if context.request is not None:
+            guest = context.request.scope.get(GUEST)
+        if guest is None or guest.has_ended:
+            raise MCPError(INVALID_PARAMS, "the rights of this client have ended")
+        guest.act()
+        agent = self._agents.get(guest)
+        if agent is None:
+            agent = self._agents[guest] = Agent(
+                guest, self._backend, self._catalogues, self._discoveries
+            )
+            guest.on_end(lambda: self._forget(guest))
+        return agent
+
+    def _forget(self, guest: Guest) -> None:
+        for key in [key for key in self._subscribed if key[0] is guest]:
+            self._subscribed.pop(key)()
+        agent = self._agents.pop(guest, None)
+        if agent is not None:
+            agent.close()
+
+    async def _list_tools(
+        self, context: _Context, params: PaginatedRequestParams | None
+    ) -> ListToolsResult:
+        del params
+        return ListToolsResult(tools=await self._agent(context).tools())
+
+    async def _call_tool(self, context: _Context, params: CallToolRequestParams) -> CallToolResult:
+        try:
+            return await self._agent(context).call(params.name, params.arguments or {})
+        except UnknownError as error:
+            raise MCPError(INVALID_PARAMS, str(error)) from None
+
+    async def _list_resources(
+        self, context: _Context, params: PaginatedRequestParams | None
+    ) -> ListResourcesResult:
+        del params
+        agent = self._agent(context)
+        catalogue = await agent.catalogue()
+        kept = [
+            Resource(uri=uri, name=uri.removeprefix(KEPT), mime_type=kind, size=size)
+            for uri, kind, size in agent.kept.uris()
+        ]
+        return ListResourcesResult(resources=[*catalogue.resources.values(), *kept])
+
+    async def _read_resource(
+        self, context: _Context, params: ReadResourceRequestParams
+    ) -> ReadResourceResult:
+        agent, uri = self._agent(context), str(params.uri)
+        found = agent.kept.find(uri)
+        try:
+            kind, octets = found or await agent.latest(uri)
+        except UoarmError as error:
+            text = agent.view.text(str(error), uri)
+            raise MCPError(INVALID_PARAMS, f"{code_of(error)}: {text}", {"uri": uri}) from None
+        if kind == "application/json":
+            text_part = TextResourceContents(uri=uri, mime_type=kind, text=octets.decode())
+            return ReadResourceResult(contents=[text_part])
+        blob = base64.b64encode(octets).decode()
+        return ReadResourceResult(
+            contents=[BlobResourceContents(uri=uri, mime_type=kind, blob=blob)]
+        )
+
+    async def _subscribe(self, context: _Context, params: SubscribeRequestParams) -> EmptyResult:
+        agent, uri, session = self._agent(context), str(params.uri), context.session
+        key = agent.guest, id(session), uri
+        if key in self._subscribed:
+            return EmptyResult()
+        if (
+            len([known for known in self._subscribed if known[0] is agent.guest])
+            >= _MOST_SUBSCRIBED
+        ):
+            raise MCPError(INVALID_PARAMS, f"limit: {_MOST_SUBSCRIBED} resources are watched")
+
+        async def send() -> None:
+            try:
+                await session.send_resource_updated(uri)
+            except Exception:  # noqa: BLE001 - a session that is gone raises what its transport does
+                end = self._subscribed.pop(key, None)
+                if end is not None:
+                    end()
+
+        try:
+            self._subscribed[key] = await self._watch(agent, uri, send)
+        except UoarmError as error:
+            raise MCPError(INVALID_PARAMS, f"{code_of(error)}: {error}") from None
+        return EmptyResult()
+
+    async def _unsubscribe(
+        self, context: _Context, params: UnsubscribeRequestParams
+    ) -> EmptyResult:
+        key = self._agent(context).guest, id(context.session), str(params.uri)
+        end = self._subscribed.pop(key, None)
+        if end is not None:
+            end()
+        return EmptyResult()
+
+    async def _listen(
+        self, context: _Context, params: SubscriptionsListenRequestParams
+    ) -> SubscriptionsListenResult:
+        """Serve one stream of notices; what the role may not have is not watched."""
+        agent = self._agent(context)
+        guest = agent.guest
+        if self._listening.get(guest, 0) >= _MOST_LISTENING:
+            raise MCPError(INVALID_PARAMS, f"limit: {_MOST_LISTENING} streams of notices are open")
+        self._listening[guest] = self._listening.get(guest, 0) + 1
+        bus = InMemorySubscriptionBus()
+        wanted = [str(uri) for uri in params.notifications.resource_subscriptions or ()]
+        ends: list[Callable[[], None]] = []
+        opening = asyncio.ensure_future(
+            self._watch_all(agent, wanted[:_MOST_SUBSCRIBED], bus, ends)
+        )
+        self._buses[bus] = None
+        try:
+            return await ListenHandler(bus, max_subscriptions=1)(context, params)
+        finally:
+            opening.cancel()
+            del self._buses[bus]
+            for end in ends:
+                end()
+            self._listening[guest] -= 1
+            if not self._listening[guest]:
+                del self._listening[guest]
+
+    async def _watch_all(
+        self,
+        agent: Agent,
+        uris: list[str],
+        bus: InMemorySubscriptionBus,
+        ends: list[Callable[[], None]],
+    ) -> None:
+        for uri in uris:
+
+            async def send(uri: str = uri) -> None:
+                await bus.publish(ResourceUpdated(uri=uri))
+
+            try:
+                ends.append(await self._watch(agent, uri, send))
+            except UoarmError:
+                continue  # as one that never changes
+
+    async def _watch(self, agent: Agent, uri: str, send: Callable[[], Any]) -> Callable[[], None]:
+        """Have a notice sent after each message, several a second at most."""
+        if not uri.startswith(STREAM):
+            raise UnknownError(f"there is no resource {uri!r:.200}")
+        function, output = await agent.stream_of(uri)
+        loop = asyncio.get_running_loop()
+        last, timer = float("-inf"), None
+
+        def fire() -> None:
+            nonlocal last, timer
+            last, timer = time.monotonic(), None
+            task = asyncio.ensure_future(send())
+            self._publishing.add(task)
+            task.add_done_callback(self._publishing.discard)
+
+        def notify() -> None:
+            nonlocal timer
+            if timer is None:
+                pause = max(0.0, last + _NOTICE_SECONDS - time.monotonic())
+                timer = loop.call_later(pause, fire)
+
+        stop = await agent.streams.watch(f"{function}.{output}", notify)
+
+        def end() -> None:
+            if timer is not None:
+                timer.cancel()
+            stop()
+
+        return end
+
+    def _changed(self, notice: ChangeNotice) -> None:
+        if notice.event.subject.startswith("connection "):
+            return
+        self._catalogues.forget()
+        for bus in self._buses:
+            for event in (ToolsListChanged(), ResourcesListChanged()):
+                task = asyncio.ensure_future(bus.publish(event))
+                self._publishing.add(task)
+                task.add_done_callback(self._publishing.discard)

@@ -1,0 +1,215 @@
+"""Messages as agents get them: exact where they are short, else a summary with links."""
+
+from __future__ import annotations
+
+import base64
+import io
+import secrets
+import statistics
+from collections import OrderedDict
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import orjson
+from attrs import frozen
+from mcp_types import ImageContent, ResourceLink
+
+from uoarm.errors import PluginError, UsageError
+from uoarm.model import Message
+from uoarm.server.front_end import TEXT_FORM, Account, Charge, MemoryUse
+
+__all__ = ["KEPT", "KeptValues", "RenderedMessage", "is_picture", "picture_of"]
+
+KEPT = "uoarm://kept/"
+_SHORT = 16_384
+_SHORT_OCTETS = 1_024
+_MOST_KEPT = 64
+_MOST_OCTETS = 33_554_432
+_LONG_LIST = 16
+_LONG_TEXT = 1_000
+_SHOWN = 3
+_DEPTH = 12
+_WIDEST = 1_024
+_JPEG_OCTETS = 262_144
+_QUALITIES = (80, 60, 40, 25)
+_RAW = {"rgb8": "RGB", "bgr8": "BGR", "mono8": "L", "rgba8": "RGBA", "bgra8": "BGRA"}
+_PIXELS = 64_000_000
+
+
+@frozen
+class RenderedMessage:
+    """One message for an agent.
+
+    Attributes:
+        value: as JSON; where `is_summary`, not the message itself.
+        is_summary: whether it was too long.
+        links: to what was left out.
+    """
+
+    value: Any
+    is_summary: bool = False
+    links: tuple[ResourceLink, ...] = ()
+
+
+class KeptValues:
+    """What was too long to be shown, for a while: the newest, bounded in number and octets.
+
+    Args:
+        account: charged for it.
+    """
+
+    def __init__(self, account: Account) -> None:
+        self._account = account
+        self._kept: OrderedDict[str, tuple[str, bytes, Charge]] = OrderedDict()
+
+    def find(self, uri: str) -> tuple[str, bytes] | None:
+        """Return the kind and the octets of what is kept."""
+        found = self._kept.get(uri)
+        return None if found is None else found[:2]
+
+    def uris(self) -> list[tuple[str, str, int]]:
+        """Return what is kept: address, kind and octets."""
+        return [(uri, kind, len(octets)) for uri, (kind, octets, _) in self._kept.items()]
+
+    def keep(self, kind: str, octets: bytes) -> ResourceLink:
+        """Keep something, in the place of the oldest where there is no room; return its link."""
+        charge = self._account.charge(MemoryUse.ANSWERS, len(octets))
+        uri = f"{KEPT}{secrets.token_hex(8)}"
+        self._kept[uri] = kind, octets, charge
+        while len(self._kept) > _MOST_KEPT or self._octets() > _MOST_OCTETS:
+            _, (_, _, oldest) = self._kept.popitem(last=False)
+            oldest.release()
+        return ResourceLink(uri=uri, name=uri.removeprefix(KEPT), mime_type=kind, size=len(octets))
+
+    def render(self, message: Message) -> RenderedMessage:
+        """Return a message as an agent gets it.
+
+        Raises:
+            MessageError: it has no form as text.
+            LimitError: the client holds too much memory.
+        """
+        octets: list[bytes] = []
+        _find_octets(message, octets, _DEPTH)
+        if sum(map(len, octets)) <= _SHORT_OCTETS:
+            text = TEXT_FORM.write(message)
+            if len(text) <= _SHORT:
+                return RenderedMessage(orjson.loads(text))
+        links: list[ResourceLink] = []
+        value = self._summary(message, links, _DEPTH)
+        if not links:
+            links.append(self.keep("application/json", TEXT_FORM.write(message)))
+        return RenderedMessage(value, True, tuple(links))
+
+    def _octets(self) -> int:
+        return sum(len(octets) for _, octets, _ in self._kept.values())
+
+    def _summary(self, value: Message, links: list[ResourceLink], depth: int) -> Any:
+        if isinstance(value, bytes | bytearray | memoryview):
+            link = self.keep("application/octet-stream", bytes(value))
+            links.append(link)
+            return {"octets": len(value), "link": link.uri}
+        if isinstance(value, Mapping):
+            if depth == 0:
+                return {"names": len(value)}
+            return {
+                str(name): self._summary(part, links, depth - 1)
+                for name, part in list(value.items())[:_MOST_KEPT]
+            }
+        if isinstance(value, str):
+            return (
+                value
+                if len(value) <= _LONG_TEXT
+                else {"text": value[:_LONG_TEXT], "of": len(value)}
+            )
+        if isinstance(value, bool | int | float) or value is None:
+            return value
+        return self._of_list(value, links, depth)
+
+    def _of_list(self, value: Message, links: list[ResourceLink], depth: int) -> Any:
+        shape = list(getattr(value, "shape", ()))
+        values: Sequence[Any] = value if isinstance(value, list | tuple) else _flat(value)
+        if len(values) <= _LONG_LIST and depth and not shape[1:]:
+            return [self._summary(part, links, depth - 1) for part in values]
+        summary: dict[str, Any] = {"length": len(values)}
+        if shape:
+            summary["shape"] = shape
+        numbers = [
+            part for part in values if isinstance(part, int | float) and not isinstance(part, bool)
+        ]
+        if len(numbers) == len(values):
+            finite = [part for part in numbers if abs(part) < float("inf")]
+            if finite:
+                summary |= {
+                    "least": min(finite),
+                    "greatest": max(finite),
+                    "mean": statistics.fmean(finite),
+                }
+            return summary | {"first": numbers[:_SHOWN]}
+        first = [self._summary(part, [], 1) for part in values[:_SHOWN]] if depth else []
+        return summary | {"first": first}
+
+
+def _flat(value: Message) -> list[Any]:
+    """Return the numbers of an array, whatever it is of."""
+    listed: Any = getattr(value, "ravel", lambda: value)()
+    found: list[Any] = listed.tolist()
+    return found
+
+
+def _find_octets(value: Message, found: list[bytes], depth: int) -> None:
+    if isinstance(value, bytes | bytearray | memoryview):
+        found.append(bytes(value[: _SHORT_OCTETS + 1]))
+    elif isinstance(value, Mapping) and depth:
+        for part in value.values():
+            _find_octets(part, found, depth - 1)
+    elif isinstance(value, list | tuple) and depth:
+        for part in value[:_MOST_KEPT]:
+            _find_octets(part, found, depth - 1)
+
+
+def is_picture(message: Message) -> bool:
+    """Say whether a message is a picture, packed or not."""
+    return isinstance(message, Mapping) and isinstance(
+        message.get("data"), bytes | bytearray | memoryview
+    )
+
+
+def picture_of(message: Message) -> ImageContent:
+    """Return a picture as a bounded JPEG; takes its time.
+
+    Raises:
+        PluginError: Pillow is not installed.
+        UsageError: it is no picture that is known here.
+    """
+    try:
+        from PIL import Image  # noqa: PLC0415 - an optional package
+    except ImportError:
+        raise PluginError(
+            "pictures need Pillow: install the extra `pictures` of uoarm-mcp"
+        ) from None
+    data = bytes(message["data"])
+    width, height = message.get("width"), message.get("height")
+    encoding = str(message.get("encoding", "rgb8"))
+    try:
+        if isinstance(width, int) and isinstance(height, int):
+            kind = _RAW.get(encoding)
+            if kind is None or not 0 < width * height <= _PIXELS:
+                raise UsageError(f"pictures of encoding {encoding!r:.50} are not shown")
+            mode = kind.replace("BGR", "RGB")
+            step = message.get("step")
+            stride = step if isinstance(step, int) else 0
+            picture = Image.frombuffer(mode, (width, height), data, "raw", kind, stride, 1)
+        else:
+            picture = Image.open(io.BytesIO(data))
+            if picture.width * picture.height > _PIXELS:
+                raise UsageError("the picture is too large to be shown")
+        picture = picture.convert("RGB")
+        picture.thumbnail((_WIDEST, _WIDEST))
+        for quality in _QUALITIES:
+            written = io.BytesIO()
+            picture.save(written, "JPEG", quality=quality)
+            if written.getbuffer().nbytes <= _JPEG_OCTETS:
+                break
+    except (OSError, ValueError, TypeError, Image.DecompressionBombError) as error:
+        raise UsageError(f"it is no picture that can be shown: {error}") from error
+    return ImageContent(data=base64.b64encode(written.getvalue()).decode(), mime_type="image/jpeg")

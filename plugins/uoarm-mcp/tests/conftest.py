@@ -1,0 +1,69 @@
+"""A robot of plain Python components, servers before it, and the SDK's own clients."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import HealthCheck, settings
+
+sys.path.insert(0, str(Path(__file__).parent))  # for the modules that the tests share
+
+from agents import TOKENS, Agents, access_file
+from components import CONFIGURATION, script
+
+from uoarm import RobotManager
+from uoarm.config import loads
+from uoarm.server import Limits, Server, ServerOptions, serve_in_thread
+
+_RELAXED = (HealthCheck.too_slow,)
+settings.register_profile(
+    "mcp-short", max_examples=50, deadline=None, suppress_health_check=_RELAXED, derandomize=True
+)
+settings.register_profile(
+    "mcp-long", max_examples=2000, deadline=None, suppress_health_check=_RELAXED
+)
+settings.load_profile(f"mcp-{os.environ.get('HYPOTHESIS_PROFILE', 'short')}")
+
+Serve = Callable[..., Server]
+
+
+@pytest.fixture
+def robot() -> Iterator[RobotManager]:
+    script.reset()
+    manager = RobotManager(loads(CONFIGURATION, origin=str(Path(__file__).parent / "robot.yaml")))
+    yield manager
+    script.release()
+    manager.close()
+
+
+@pytest.fixture
+def serve(robot: RobotManager) -> Iterator[Serve]:
+    """Start a server; settings and limits by name."""
+    with ExitStack() as stack:
+
+        def start(limits: Limits | None = None, **more: Any) -> Server:
+            chosen = ServerOptions(
+                port=0, front_end_ports={"mcp": 0}, limits=limits or Limits(), **more
+            )
+            return stack.enter_context(serve_in_thread(robot, chosen))
+
+        yield start
+
+
+@pytest.fixture
+def access(tmp_path: Path) -> Path:
+    return access_file(tmp_path / "access.yaml")
+
+
+@pytest.fixture
+def agents(serve: Serve, access: Path) -> Iterator[Agents]:
+    """Clients of a server with an access file, by the names of their tokens."""
+    server = serve(access=access)
+    with Agents(server.ports, TOKENS) as made:
+        yield made

@@ -1,0 +1,210 @@
+# mypy: disable-error-code="union-attr,index,operator"
+"""Tools and resources as the SDK's own client gets them, of each revision of the protocol."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+from agents import Agents, text_of
+from components import script
+from mcp.shared.exceptions import MCPError
+
+from uoarm import RobotManager
+from uoarm.testing import Script, wait
+
+MODES = ("auto", "legacy", "2026-07-28")
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_a_client_of_each_revision_lists_and_calls(agents: Agents, mode: str) -> None:
+    client = agents.client("agent", mode)
+    tools = {tool.name: tool for tool in agents.run(client.list_tools()).tools}
+    assert {"add", "read_numbers", "cuff", "send_drive", "read_drive", "plan", "stop"} <= set(tools)
+    assert "missing" not in str(sorted(tools))
+    result = agents.run(client.call_tool("add", {"a": 1, "b": 2}))
+    assert result.structured_content["state"] == "succeeded"
+    assert result.structured_content["result"] == {"value": 3}
+
+
+def test_tools_say_what_they_take_give_and_move(agents: Agents) -> None:
+    tools = {tool.name: tool for tool in agents.run(agents.client().list_tools()).tools}
+    add, cuff, read = tools["add"], tools["cuff"], tools["read_numbers"]
+    assert add.description == "adds two numbers (Calls add.)"
+    assert set(add.input_schema["properties"]) == {"a", "b", "x-approval"}
+    assert add.output_schema["properties"]["result"]["properties"].keys() == {"value"}
+    assert add.annotations.destructive_hint is False
+    assert cuff.annotations.destructive_hint is True
+    assert "Needs the approval of a person" in cuff.description
+    assert tools["diary"].annotations.destructive_hint is True
+    assert read.annotations.read_only_hint is True
+    assert not any("publish" in name for name in tools)
+
+
+def test_a_role_has_the_tools_of_its_rights_and_status_says_what_is_left_out(
+    agents: Agents,
+) -> None:
+    names = {tool.name for tool in agents.run(agents.client("guest").list_tools()).tools}
+    assert "read_numbers" in names
+    assert not {"add", "cuff", "drive", "send_drive", "discover"} & names
+    status = agents.facts("status", name="guest")
+    assert status["left_out"] == {"add": "the role may not call add"}
+    assert "cuff" not in json.dumps(status)
+    with pytest.raises(MCPError, match="there is no tool 'add': the role may not call add"):
+        agents.call("add", {"a": 1, "b": 2}, "guest")
+    with pytest.raises(MCPError, match=r"there is no tool 'cuff'$"):
+        agents.call("cuff", {"pressure": 1}, "guest")
+    assert script.came == []
+    assert "has no 'nothing'" in agents.facts("status")["left_out"]["missing"]
+
+
+@pytest.mark.parametrize(
+    ("tool", "arguments", "text"),
+    [
+        ("add", {"a": 1}, "b"),
+        ("add", {"a": 101, "b": 1}, "a"),
+        ("add", {"a": "x", "b": 1}, "a"),
+        ("add", {"a": 1, "b": 1, "x-approval": "x"}, "x-approval"),
+        ("add", {"a": 1, "b": 1, "x-approval": 3}, "x-approval"),
+        ("cuff", {"pressure": 301.0}, "pressure"),
+        ("cuff", {"pressure": 301.0, "x-approval": "x"}, "pressure"),
+        ("read_numbers", {"count": 0}, "count"),
+        ("read_numbers", {"counts": 1}, "counts"),
+        ("read_numbers", {"seconds": 31}, "seconds"),
+        ("plan", {}, "function"),
+        ("plan", {"function": "cuff", "arguments": {"pressure": "x"}}, "pressure"),
+        ("wait", {"handle": "x", "seconds": "y"}, "seconds"),
+    ],
+)
+def test_what_does_not_fit_is_refused_with_field_and_reason(
+    agents: Agents, tool: str, arguments: dict[str, Any], text: str
+) -> None:
+    refusal = agents.refused(tool, arguments)
+    assert text in refusal
+    assert refusal.partition(":")[0] in {"message", "usage"}
+    assert script.came == []
+
+
+def test_a_failure_is_explained_in_the_words_of_the_component(agents: Agents) -> None:
+    result = agents.call("broken", {"value": 1})
+    assert result.is_error
+    assert result.structured_content["state"] == "failed"
+    assert "the wire is loose" in result.structured_content["cause"]
+    explained = agents.facts("explain_failure", {"function": "broken"})
+    assert "the wire is loose" in json.dumps(explained)
+    again = agents.facts("explain_failure", {"handle": result.structured_content["handle"]})
+    assert again["first_report"] is False
+    assert "has no 'nothing'" in agents.facts("explain_failure", {"function": "missing"})["why"]
+
+
+def test_a_plan_says_what_would_open_or_why_not(agents: Agents) -> None:
+    plan = agents.facts("plan", {"function": "cuff"})
+    assert plan["possible"] is True
+    assert plan["components"] == ["cuff"]
+    assert "plan for cuff" in plan["opens"]
+    assert "has a lifetime" in plan["needs_approval"]
+    missing = agents.facts("plan", {"function": "missing"})
+    assert missing["possible"] is False
+    assert "has no 'nothing'" in missing["why"]
+    unknown = agents.facts("plan", {"function": "cufff"})
+    assert "cuff" in unknown["why"]
+
+
+def test_messages_are_read_next_latest_and_several(agents: Agents) -> None:
+    script.numbers.put({"value": 1}, {"value": 2}, {"value": 3})
+    read = agents.facts("read_numbers", {"count": 3, "seconds": 30})
+    assert read["messages"] == [{"value": 1}, {"value": 2}, {"value": 3}]
+    assert read["lost"] == 0
+    assert agents.facts("read_numbers")["messages"] == [{"value": 3}]
+    assert agents.facts("read_numbers", {"latest": False, "seconds": 0})["messages"] == []
+
+
+def test_the_end_of_a_stream_is_said(agents: Agents) -> None:
+    script.numbers.put({"value": 4}, Script.END)
+    ended = agents.facts("read_numbers", {"count": 9, "seconds": 30})
+    assert ended["messages"] == [{"value": 4}]
+    assert "closed" in ended["ended"]
+
+
+def test_what_is_long_is_summarised_with_a_link(agents: Agents) -> None:
+    short = agents.facts("many", {"count": 10})
+    assert len(short["result"]["values"]) == 10
+    result = agents.call("many", {"count": 100_000})
+    facts = result.structured_content
+    assert "result" not in facts
+    values = facts["summary"]["values"]
+    assert (values["length"], values["least"], values["greatest"]) == (100_000, 0.0, 99_999.0)
+    assert len(text_of(result)) < 2_000
+    link = result.content[1]
+    read = agents.run(agents.client().read_resource(link.uri))
+    assert len(json.loads(read.contents[0].text)["values"]) == 100_000
+    with pytest.raises(MCPError):
+        agents.run(agents.client("other").read_resource(link.uri))
+
+
+def test_a_picture_is_octets_and_shown_on_request_only(agents: Agents) -> None:
+    pytest.importorskip("PIL")
+    script.pictures.put({"width": 640, "height": 480, "data": bytes(640 * 480 * 3)})
+    plain = agents.call("read_picture", {"seconds": 30})
+    assert [part.type for part in plain.content] == ["text", "resource_link"]
+    assert plain.structured_content["messages"] == []
+    link = plain.content[1]
+    blob = agents.run(agents.client().read_resource(link.uri)).contents[0]
+    assert len(blob.blob) == 640 * 480 * 4
+    shown = agents.call("read_picture", {"picture": True})
+    picture = shown.content[-1]
+    assert (picture.type, picture.mime_type) == ("image", "image/jpeg")
+    assert len(picture.data) < 350_000
+
+
+def test_streams_are_resources_with_their_latest_message(agents: Agents) -> None:
+    uris = {str(item.uri) for item in agents.run(agents.client().list_resources()).resources}
+    assert {"uoarm://stream/numbers", "uoarm://stream/picture", "uoarm://stream/drive"} <= uris
+    script.numbers.put({"value": 7})
+    read = agents.run(agents.client().read_resource("uoarm://stream/numbers"))
+    assert json.loads(read.contents[0].text) == {"value": 7}
+    for uri in ("uoarm://stream/cuff", "uoarm://kept/1", "file:///etc/passwd"):
+        with pytest.raises(MCPError):
+            agents.run(agents.client().read_resource(uri))
+
+
+def test_a_change_of_a_stream_wakes_who_listens(agents: Agents) -> None:
+    uri = "uoarm://stream/numbers"
+
+    client = agents.client("agent", "2026-07-28")
+
+    async def first() -> Any:
+        async with client.listen(resource_subscriptions=[uri]) as subscription:
+            script.numbers.put({"value": 1})
+            async for event in subscription:
+                return event
+        return None
+
+    assert str(agents.run(first()).uri) == uri
+
+
+def test_work_that_lasts_gives_a_handle_and_its_end_once(agents: Agents) -> None:
+    began = agents.facts("slow", {"value": 1})
+    assert began["state"] == "running"
+    handle = began["handle"]
+    assert agents.facts("goal_status", {"handle": handle})["state"] == "running"
+    assert agents.facts("wait", {"handle": handle, "seconds": 0})["state"] == "running"
+    script.gate.set()
+    ended = agents.facts("wait", {"handle": handle, "seconds": 30})
+    assert (ended["state"], ended["result"]) == ("succeeded", {"value": 1})
+    assert ended["first_report"] is True
+    assert agents.facts("goal_status", {"handle": handle})["first_report"] is False
+    assert "there is no goal" in agents.refused("goal_status", {"handle": handle}, "other")
+
+
+def test_what_is_used_no_more_is_closed_and_ended_with_the_rights(
+    agents: Agents, robot: RobotManager, access: Path
+) -> None:
+    script.numbers.put({"value": 1})
+    agents.facts("read_numbers", {"seconds": 30})
+    assert robot.connections()
+    text = access.read_text(encoding="utf-8")
+    access.write_text(text.replace("name: agent, role: agent", "name: agent, role: guest"))
+    wait(lambda: not robot.connections(), "the streams of the agent are closed")
