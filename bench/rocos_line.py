@@ -62,7 +62,7 @@ def _timed(action: Callable[[], object]) -> list[float]:
 
 def _codec() -> Callable[[], object]:
     from uoarm_rocos import XmlCodec  # noqa: PLC0415
-    from uoarm_rocos._messages import CallMessage, ResultMessage  # noqa: PLC0415
+    from uoarm_rocos._catalogue import CallMessage, ResultMessage  # noqa: PLC0415
 
     codec, values = XmlCodec(), {"text": TEXT}
 
@@ -77,7 +77,7 @@ def _codec() -> Callable[[], object]:
 def _echoing(kind: str) -> Iterator[Callable[[], object]]:
     """A process that sends back what it gets; one round of a request's length."""
     from uoarm_rocos import XmlCodec  # noqa: PLC0415
-    from uoarm_rocos._messages import CallMessage  # noqa: PLC0415
+    from uoarm_rocos._catalogue import CallMessage  # noqa: PLC0415
 
     octets = XmlCodec().write(CallMessage(1, 1, "echo", {"text": TEXT}))
     command = [sys.executable, "-m", "bench.rocos_line", "echo", kind]

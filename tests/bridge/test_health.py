@@ -80,10 +80,36 @@ def test_a_grace_lies_between_a_break_and_a_loss() -> None:
     assert health.tick(5.9) is None
     assert said(health.connected(5.9)) == (Health.OK, "cuff: a peer is connected")
     health.connected(7.0, 0, "the line broke")
+    assert health.connected(8.0, 0, "the port is gone") is None, "only the cause is another"
     report = health.tick(12.0)
     assert report == ChannelReport(
-        Health.LOST, "disconnected: cuff: no peer for 5 s", 7.0, HealthReason.DISCONNECTED
+        Health.LOST,
+        "disconnected: cuff: no peer for 5 s: the port is gone",
+        7.0,
+        HealthReason.DISCONNECTED,
     )
+
+
+def test_a_grace_lies_between_silence_and_a_loss_and_a_message_ends_it() -> None:
+    health = ChannelHealth("cuff", 0.0, stale_after=1.0, grace=5.0)
+    note = "; is it on?"
+    silent = (Health.DEGRADED, "silent: cuff: no message for 1 s; is it on?")
+    assert said(health.tick(1.5, note)) == silent
+    assert health.tick(2.0, "; another note") is None
+    assert said(health.passed(3.0)) == (Health.OK, "cuff: a message passed")
+    assert said(health.tick(4.5))[0] is Health.DEGRADED
+    assert said(health.tick(9.1)) == (Health.LOST, "silent: cuff: no message for 6 s")
+
+
+def test_a_disconnection_explains_silence_which_is_counted_anew_after_it() -> None:
+    health = ChannelHealth("cuff", 0.0, stale_after=1.0, grace=5.0)
+    health.connected(0.0)
+    assert said(health.tick(1.5))[1].startswith("silent: ")
+    assert said(health.connected(2.0, 0, "the line broke"))[1].startswith("disconnected: ")
+    assert health.tick(4.0) is None
+    assert said(health.connected(5.0))[0] is Health.OK
+    assert health.tick(6.0) is None
+    assert said(health.tick(6.1))[1].startswith("silent: ")
 
 
 def test_a_refusal_is_over_with_the_next_message_and_one_of_the_channel_is_not() -> None:

@@ -294,8 +294,7 @@ def _devices() -> Mapping[str, Target]:
     if find_spec("uoarm_rocos") is None:
         return {}
     from uoarm_rocos._codec import XmlCodec
-    from uoarm_rocos._errors import WireError
-    from uoarm_rocos._framing import LengthFramer, StuffedFramer
+    from uoarm_rocos._framing import LengthFramer, StuffedFramer, WireError
     from uoarm_rocos.devices._blood_pressure import Ua767Decoder
     from uoarm_rocos.devices._oximeters import ContecDecoder, Nonin1Decoder, Nonin2Decoder
 

@@ -25,7 +25,16 @@ from uoarm_rocos.simulate import (
 from uoarm.bridge import Bridge, HealthEvent, Registry
 from uoarm.model import BridgeSpec, Endpoint, Health, Role
 
-__all__ = ["Events", "bridged", "endpoint", "running", "served", "unplugged_by"]
+__all__ = [
+    "Events",
+    "bridged",
+    "endpoint",
+    "line_end",
+    "on_cable",
+    "running",
+    "served",
+    "unplugged_by",
+]
 
 ROLES = {"output": Role.OUTPUT, "input": Role.INPUT, "service": Role.SERVICE}
 # `describe` waits as long as a test does, and is to say what became of the device before.
@@ -120,10 +129,39 @@ def unplugged_by(end: LineEnd, pulled: threading.Event) -> LineEnd:
     return end
 
 
+def line_end(kind: str) -> LineEnd:
+    """A device's end of a new line: `tcp` or `pty`."""
+    return TcpEnd() if kind == "tcp" else PtyEnd(fresh_link())
+
+
+def on_cable(end: LineEnd, plugged: threading.Event) -> LineEnd:
+    """The same end, whose cable is out while the event is not set; its port stays its own."""
+    read, meet = end.read, end.meet
+
+    def read_if_plugged(timeout: float) -> bytes | None:
+        if plugged.is_set():
+            return read(timeout)
+        end.cut()
+        return None
+
+    def meet_if_plugged(timeout: float) -> bool:
+        if plugged.is_set():
+            return meet(timeout)
+        if not end.framed:
+            plugged.wait(timeout)
+        elif meet(timeout):  # over TCP a host is always taken, and then let go
+            end.cut()
+        return False
+
+    end.read = read_if_plugged  # type: ignore[method-assign] # of this end alone
+    end.meet = meet_if_plugged  # type: ignore[method-assign] # the same
+    return end
+
+
 @contextmanager
 def served(model: Model, kind: str = "tcp", faults: LineFaults | None = None) -> Iterator[str]:
     """A device that speaks the profile for a model, on this kind of line; its URL."""
-    end: LineEnd = TcpEnd() if kind == "tcp" else PtyEnd(fresh_link())
+    end = line_end(kind)
     framer = LengthFramer if end.framed else StuffedFramer
     with ExitStack() as stack:
         yield stack.enter_context(running(ProfileServer(model, framer), end, faults))

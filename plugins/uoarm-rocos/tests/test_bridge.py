@@ -16,7 +16,7 @@ from rigs import Events, bridged, endpoint, served
 from uoarm_rocos import _bridge
 from uoarm_rocos._catalogue import DeviceCatalogue
 from uoarm_rocos._device import Device
-from uoarm_rocos._errors import LineError
+from uoarm_rocos._framing import LineError
 from uoarm_rocos.simulate import LineFaults, SimulatedRobot
 
 from uoarm import RobotManager

@@ -15,7 +15,7 @@ from rigs import QUICK, Events, bridged, endpoint, served
 from test_faults import Scripted
 from uoarm_rocos import LengthFramer, TcpTransport, Wire, XmlCodec
 from uoarm_rocos._bridge import RocosBridge
-from uoarm_rocos._messages import CallMessage, CloseMessage, ResultMessage, WireMessage
+from uoarm_rocos._catalogue import CallMessage, CloseMessage, ResultMessage, WireMessage
 from uoarm_rocos.simulate import SimulatedRobot
 
 from uoarm.bridge import Bridge

@@ -13,10 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from lxml import etree
 from strategies import messages
-from uoarm_rocos._catalogue_xml import load_catalogue
-from uoarm_rocos._codec import WrittenForm, XmlCodec
-from uoarm_rocos._errors import WireError
-from uoarm_rocos._messages import (
+from uoarm_rocos._catalogue import (
     CallMessage,
     CatalogueMessage,
     DataMessage,
@@ -24,7 +21,9 @@ from uoarm_rocos._messages import (
     ResultMessage,
     WireMessage,
 )
-from uoarm_rocos._parse import MessageLimits
+from uoarm_rocos._catalogue_xml import load_catalogue
+from uoarm_rocos._codec import WrittenForm, XmlCodec
+from uoarm_rocos._framing import MessageLimits, WireError
 
 from uoarm.errors import ConfigurationError
 

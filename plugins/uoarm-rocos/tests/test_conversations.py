@@ -14,7 +14,7 @@ from lines import LIMIT, listening
 from rigs import bridged, endpoint
 from test_faults import GOOD, Scripted, scripted
 from uoarm_rocos._bridge import RocosBridge
-from uoarm_rocos._messages import (
+from uoarm_rocos._catalogue import (
     CallMessage,
     CloseMessage,
     DataMessage,
@@ -180,7 +180,10 @@ def test_a_flow_that_the_device_ends_has_finished() -> None:
         device.say(lambda seq: DataMessage(seq, device.flow, GOOD))
         device.say(lambda seq: CloseMessage(seq, device.flow))
         ended = events.until(lambda item: item.channel is not None)
-        assert (ended.health, ended.cause) == (Health.FINISHED, "the device ended the flow")
+        assert (ended.health, ended.cause) == (
+            Health.FINISHED,
+            "peer: flow odometry of robot: the device ended the flow",
+        )
         assert got.get() == GOOD
 
 

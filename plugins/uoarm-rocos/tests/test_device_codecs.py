@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from uoarm_rocos._errors import WireError
+from uoarm_rocos._framing import WireError
 from uoarm_rocos._structure import fit
 from uoarm_rocos.devices._blood_pressure import (
     Measurement,

@@ -13,24 +13,26 @@ import pytest
 from attrs import evolve
 from lines import LIMIT, PseudoTerminal, fresh_link, listening
 from rigs import Events, bridged, endpoint, running, unplugged_by
-from uoarm_rocos._catalogue import BooleanField, DeviceCatalogue, NamedField
-from uoarm_rocos._codec import XmlCodec
-from uoarm_rocos._errors import LineError
-from uoarm_rocos._framing import Framer, LengthFramer, StuffedFramer
-from uoarm_rocos._messages import (
+from uoarm_rocos._catalogue import (
+    BooleanField,
     CallMessage,
     CatalogueMessage,
     DataMessage,
     DescribeMessage,
+    DeviceCatalogue,
+    NamedField,
     OpenMessage,
     ResultMessage,
     WireMessage,
 )
-from uoarm_rocos._options import LineBackoff, Timing
+from uoarm_rocos._codec import XmlCodec
+from uoarm_rocos._framing import Framer, LengthFramer, LineError, StuffedFramer
+from uoarm_rocos._options import Timing
 from uoarm_rocos._transport import LineTransport
 from uoarm_rocos.devices._blood_pressure import Monitor
 from uoarm_rocos.simulate import Job, ProfileServer, PtyEnd, SimulatedRobot, TcpEnd, robot_catalogue
 
+from uoarm.bridge import Backoff
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason
 from uoarm.model import Health, MessageStructure
 from uoarm.testing import slowness
@@ -70,7 +72,10 @@ def test_a_device_that_comes_back_goes_on_with_its_flows() -> None:
         assert lost.health is Health.DEGRADED
         assert "closed the connection" in lost.cause
         back = events.until(lambda item: item.channel is source)
-        assert (back.health, back.cause) == (Health.OK, "connected again")
+        assert (back.health, back.cause) == (
+            Health.OK,
+            "flow odometry of robot: a peer is connected",
+        )
         while not got.queue.empty():
             got.get()
         assert "x" in got.get()
@@ -179,7 +184,10 @@ def test_another_catalogue_after_reconnecting_is_refused_with_the_difference() -
             assert "'echo' changed" in changed.cause
             lost = events.until(lambda item: item.channel is source)
             assert lost.health is Health.LOST
-            assert "refused after reconnecting: API 'odometry' changed" in lost.cause
+            assert (
+                "refused: flow odometry of robot: after reconnecting, API 'odometry' changed"
+                in lost.cause
+            )
             assert "output.more is new" in lost.cause
             with pytest.raises(BridgeError, match="more is new") as raised:
                 bridge.call(ECHO, {"text": "no"})
@@ -274,7 +282,7 @@ def test_silence_of_a_flow_degrades_it_and_then_loses_it() -> None:
     with scripted(grace=0.2) as (_, _got, events):
         said = events.until(lambda item: item.channel is not None)
         assert said.health is Health.DEGRADED
-        assert "no message of odometry" in said.cause
+        assert said.cause == "silent: flow odometry of robot: no message for 1 s"
         assert events.until(lambda item: item.channel is not None).health is Health.LOST
 
 
@@ -326,7 +334,7 @@ def test_a_transport_that_cannot_be_made_is_tried_again_and_its_cause_is_reporte
         attempts("tried")
         raise ImportError("no module named vendor")
 
-    line = Monitor("cuff", made, Timing(backoff=LineBackoff(0.001, 0.001)), lambda *_: None)
+    line = Monitor("cuff", made, Timing(backoff=Backoff(0.001, 0.001)), lambda *_: None)
     attempts.get()
     attempts.get()
     with pytest.raises(LineError, match="ImportError: no module named vendor"):

@@ -8,8 +8,7 @@ from pathlib import Path
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from uoarm_rocos._errors import WireError
-from uoarm_rocos._framing import Framer, LengthFramer, StuffedFramer
+from uoarm_rocos._framing import Framer, LengthFramer, StuffedFramer, WireError
 
 PAGE = Path(__file__).parents[3] / "docs" / "rocos-profile.md"
 MESSAGE = b'<heartbeat seq="0"/>'

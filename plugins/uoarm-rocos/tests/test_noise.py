@@ -16,9 +16,7 @@ from attrs import evolve
 from lines import LIMIT, PseudoTerminal
 from rigs import Events, bridged, endpoint
 from typing_extensions import Self
-from uoarm_rocos._codec import XmlCodec
-from uoarm_rocos._framing import StuffedFramer
-from uoarm_rocos._messages import (
+from uoarm_rocos._catalogue import (
     CallMessage,
     CatalogueMessage,
     CloseMessage,
@@ -32,6 +30,8 @@ from uoarm_rocos._messages import (
     ResultMessage,
     WireMessage,
 )
+from uoarm_rocos._codec import XmlCodec
+from uoarm_rocos._framing import StuffedFramer
 from uoarm_rocos.devices._oximeters import contec_frame, nonin1_frame, nonin2_packet
 from uoarm_rocos.simulate import robot_catalogue
 

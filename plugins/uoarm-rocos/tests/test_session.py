@@ -7,6 +7,7 @@ import socket
 import subprocess
 import sys
 import threading
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -16,18 +17,19 @@ from hypothesis import given
 from hypothesis import strategies as st
 from lines import LIMIT, listening
 from rigs import endpoint
-from uoarm_rocos import LengthFramer, TcpTransport, Wire, WireError, bridge_type
-from uoarm_rocos._health import ConversationIds, HeartbeatWatch, SequenceCheck
-from uoarm_rocos._messages import (
+from uoarm_rocos import DeviceOptions, LengthFramer, TcpTransport, Wire, WireError, bridge_type
+from uoarm_rocos._catalogue import (
     CallMessage,
     CatalogueMessage,
     DescribeMessage,
     ResultMessage,
     WireMessage,
 )
+from uoarm_rocos._health import ConversationIds, HeartbeatWatch, SequenceCheck
 from uoarm_rocos.simulate import robot_catalogue
 
-from uoarm.bridge import Registry
+from uoarm.bridge import Registry, options_table
+from uoarm.config import inspect
 from uoarm.model import BridgeSpec
 
 
@@ -138,3 +140,29 @@ def test_the_doctor_says_what_there_is() -> None:
     found = kind.doctor()
     assert found.keys() == {"pyserial", "serial ports", "eSpeak NG", "Festival", "aplay"}
     assert all(found.values())
+
+
+def test_the_table_of_options_is_what_the_plugin_declares() -> None:
+    page = Path(__file__).parents[3] / "docs" / "rocos.md"
+    table = options_table(DeviceOptions.schema(), "option of a device")
+    assert table in page.read_text(encoding="utf-8")
+
+
+def test_a_wrong_option_is_reported_with_its_place_and_the_one_that_is_meant(
+    tmp_path: Path,
+) -> None:
+    file = tmp_path / "robot.yaml"
+    file.write_text(
+        "version: 1\n"
+        "bridges:\n"
+        "  rocos: {plugin: rocos, options: {devices: {clip: {url: /dev/clip, driwer: nonin-1}}}}\n"
+        "functions:\n"
+        "  pulse:\n"
+        "    components:\n"
+        "      - {name: c, bridge: rocos, output: {endpoint: [clip, pulse], options: {qos: 1}}}\n"
+    )
+    problems = inspect(file, types=Registry().types).problems
+    assert [problem.hint for problem in problems] == ['did you mean "driver"?', "known keys: none"]
+    for problem, (line, word) in zip(problems, ((3, "driwer"), (7, "qos")), strict=True):
+        assert f"robot.yaml:{line}:" in str(problem)
+        assert f'unknown key "{word}"' in str(problem)

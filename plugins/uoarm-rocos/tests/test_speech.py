@@ -16,9 +16,15 @@ from typing import Any
 import pytest
 from lines import LIMIT
 from rigs import bridged, endpoint
-from uoarm_rocos.speech import _device, _engines
-from uoarm_rocos.speech._device import Speech
-from uoarm_rocos.speech._engines import Engine, EspeakEngine, FestivalEngine, Sound
+from uoarm_rocos import speech as speech_module
+from uoarm_rocos._options import DeviceOptions
+from uoarm_rocos.speech import (
+    Engine,
+    EspeakEngine,
+    FestivalEngine,
+    Sound,
+    Speech,
+)
 
 from uoarm._control import RobotManager
 from uoarm.bridge import ServiceStructures
@@ -97,8 +103,8 @@ class Slow(Engine):
 
 FORKED = """
 import os, sys
-from uoarm_rocos.speech._device import Speech
-from uoarm_rocos.speech._engines import Sound
+from uoarm_rocos._options import DeviceOptions
+from uoarm_rocos.speech import Sound, Speech
 
 class Engine:
     name = voice = "quick"
@@ -107,7 +113,7 @@ class Engine:
     def speak(self, text, voice, rate, timeout):
         return Sound(bytes(200), 8000)
 
-speech = Speech("voice", Engine(), {"play": "never"})
+speech = Speech("voice", Engine(), DeviceOptions(play="never"))
 (api,) = speech.catalogue(0.0).apis.values()
 file = speech.call(api, {"text": "x"}, 60.0)["file"]
 pid = os.fork()
@@ -129,7 +135,7 @@ def test_a_child_that_is_forked_leaves_the_files_of_its_parent() -> None:
 
 def test_a_device_that_is_closed_while_it_speaks_leaves_no_files_behind() -> None:
     engine = Slow()
-    speech = Speech("voice", engine, {"play": "never"})
+    speech = Speech("voice", engine, DeviceOptions(play="never"))
     (api,) = speech.catalogue(0.0).apis.values()
     file = Path(speech.call(api, {"text": "x"}, LIMIT)["file"])
     raised: list[BridgeError] = []
@@ -183,7 +189,7 @@ def test_a_missing_engine_is_unavailable_with_what_to_install(
         assert raised.value.reason is FailureReason.UNAVAILABLE
     monkeypatch.setitem(sys.modules, "espeakng_loader", None)
     with pytest.raises(BridgeError, match=r"pip install .*uoarm-rocos\[speech\]"):
-        _engines._library.__wrapped__()
+        speech_module._library.__wrapped__()
 
 
 def test_priorities_choose_the_engine_that_is_there(
@@ -223,7 +229,7 @@ def player(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, script: str) -> Path
     program = tmp_path / "player"
     program.write_text(f"#!/bin/sh\n{script}\n")
     program.chmod(program.stat().st_mode | stat.S_IEXEC)
-    monkeypatch.setattr(_device, "_player", lambda: [str(program)])
+    monkeypatch.setattr(speech_module, "_player", lambda: [str(program)])
     return tmp_path / "played.wav"
 
 
@@ -248,7 +254,7 @@ def test_a_player_that_fails_or_hangs_is_an_error_within_the_limit(
         player(tmp_path, monkeypatch, "exec sleep 100000")
         with pytest.raises(BridgeTimeoutError):
             bridge.call(SAY, {"text": "Hello."}, timeout=0.5)
-    speech = Speech("voice", EspeakEngine(), {})
+    speech = Speech("voice", EspeakEngine(), DeviceOptions())
     (api,) = speech.catalogue(0.0).apis.values()
     limit, text = 0.5, ""
     while "interrupted by its limit" not in text:  # a busy machine synthesises for as long, too
@@ -261,16 +267,16 @@ def test_a_player_that_fails_or_hangs_is_an_error_within_the_limit(
 def test_a_player_that_starts_while_the_device_is_closed_is_ended(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    speech = Speech("voice", EspeakEngine(), {})
+    speech = Speech("voice", EspeakEngine(), DeviceOptions())
     (api,) = speech.catalogue(0.0).apis.values()
     player(tmp_path, monkeypatch, "exec sleep 100000")
-    command = _device._player()
+    command = speech_module._player()
 
     def chosen() -> list[str] | None:
         speech.close()
         return command
 
-    monkeypatch.setattr(_device, "_player", chosen)
+    monkeypatch.setattr(speech_module, "_player", chosen)
     with pytest.raises(BridgeError, match="could not play the sound"):
         speech.call(api, {"text": "Hello."}, timeout=LIMIT)
 

@@ -16,6 +16,7 @@ from uoarm_rocos._catalogue import (
     ApiKind,
     BooleanField,
     DeviceCatalogue,
+    Direction,
     Fields,
     IntegerField,
     ListField,
@@ -26,10 +27,8 @@ from uoarm_rocos._catalogue import (
     StructField,
     differences,
 )
-from uoarm_rocos._classes import api_classes
-from uoarm_rocos._errors import WireError
-from uoarm_rocos._messages import Direction
-from uoarm_rocos._structure import describe, fit, structure_of
+from uoarm_rocos._framing import WireError
+from uoarm_rocos._structure import api_classes, describe, fit, structure_of
 
 POINT: Fields = {"x": NamedField(NumberField(unit="m")), "y": NamedField(NumberField(unit="m"))}
 FIELDS: Fields = {

@@ -14,7 +14,7 @@ import pytest
 import serial
 import serial.rfc2217
 from lines import LIMIT, PseudoTerminal, listening
-from uoarm_rocos._errors import LineError
+from uoarm_rocos._framing import LineError
 from uoarm_rocos._options import LineOptions
 from uoarm_rocos._transport import LineTransport, SerialTransport, transport_for
 

@@ -94,12 +94,14 @@ class HealthReason(Enum):
 
 _MEANINGS: Mapping[HealthReason, str] = {
     HealthReason.DISCONNECTED: "no peer is connected: `lost`, or `degraded` in its grace",
-    HealthReason.SILENT: "no message passed for `stale_after` seconds: `lost`",
+    HealthReason.SILENT: "no message passed for `stale_after` seconds: `lost`, or `degraded` in "
+    "its grace",
     HealthReason.SLOW: "fewer than half of the messages that are expected pass: `degraded`",
     HealthReason.REFUSED: "the peer refused the channel, `lost`, or a message, `degraded`",
     HealthReason.PEER: "the peer says so of itself, with the health that it says",
 }
 _BADNESS = (Health.OK, Health.DEGRADED, Health.FINISHED, Health.LOST)
+_REASONS = tuple(HealthReason)
 
 
 @frozen
@@ -130,7 +132,8 @@ class ChannelHealth:
         stale_after: seconds without a message after which it is lost; None: never.
         rate: messages a second that are expected; None: any number.
         peer_required: whether a channel whose last peer has gone is not well.
-        grace: seconds that it may be without one before it is lost.
+        grace: seconds that it may be without one, or longer silent than `stale_after`, before it
+            is lost.
     """
 
     def __init__(
@@ -148,7 +151,8 @@ class ChannelHealth:
         self._window = 0.0 if rate is None else max(_SHORTEST_SECONDS, _FEWEST / rate)
         self._faults: dict[HealthReason, ChannelReport] = {}
         self._peers = self._count = self._counted = 0
-        self._last = self._counted_since = now
+        self._last = self._awaited_since = self._counted_since = now
+        self._why_gone = ""
         self.status = ChannelReport(Health.OK, "", now)
 
     @property
@@ -163,21 +167,26 @@ class ChannelHealth:
 
     def passed(self, now: float) -> ChannelReport | None:
         """A message passed: it came and could be read, or the peer took it."""
-        self._last = now
+        self._last = self._awaited_since = now
         self._count += 1
-        if HealthReason.REFUSED not in self._faults:
+        if not self._faults:
             return None
-        return self._mended(now, "a message passed", HealthReason.REFUSED)
+        return self._mended(now, "a message passed", HealthReason.REFUSED, HealthReason.SILENT)
 
     def connected(self, now: float, peers: int = 1, cause: str = "") -> ChannelReport | None:
-        """So many peers are connected now; `cause`: why the others have gone."""
+        """So many peers are connected now; `cause`: why the others have gone, or none comes."""
         before, self._peers = self._peers, peers
+        self._why_gone = cause or self._why_gone
         if before and not peers and self._peer_required:
             health = Health.DEGRADED if self._grace else Health.LOST
             return self._fault(now, health, HealthReason.DISCONNECTED, cause)
         if peers <= before:
             return None
-        reasons = (HealthReason.DISCONNECTED, HealthReason.REFUSED)
+        reasons = [HealthReason.DISCONNECTED, HealthReason.REFUSED]
+        if HealthReason.DISCONNECTED in self._faults:
+            # What no peer could send is not missed: silence is counted anew.
+            self._awaited_since = now
+            reasons.append(HealthReason.SILENT)
         return self._mended(now, "a peer is connected", *reasons)
 
     def refused(self, now: float, cause: str, *, final: bool = False) -> ChannelReport | None:
@@ -193,16 +202,23 @@ class ChannelHealth:
             return self._mended(now, cause, HealthReason.PEER)
         return self._fault(now, health, HealthReason.PEER, cause)
 
-    def tick(self, now: float) -> ChannelReport | None:
-        """Time has passed; what follows from it alone is reported."""
+    def tick(self, now: float, note: str = "") -> ChannelReport | None:
+        """Time has passed; what follows from it alone is reported. `note` ends the words on it."""
         # Simulated time goes back where it begins anew.
         self._last, self._counted_since = min(self._last, now), min(self._counted_since, now)
-        if self._stale_after is not None and now - self._last > self._stale_after:
-            text = f"no message for {self._stale_after:g} s"
-            return self._fault(now, Health.LOST, HealthReason.SILENT, text)
+        self._awaited_since = min(self._awaited_since, now)
+        if self._stale_after is not None and now - self._awaited_since > self._stale_after:
+            is_lost = now - self._awaited_since > self._stale_after + self._grace
+            health = Health.LOST if is_lost else Health.DEGRADED
+            known = self._faults.get(HealthReason.SILENT)
+            if known is None or known.health is not health:
+                lasted = self._stale_after + self._grace * is_lost
+                text = f"no message for {lasted:g} s{note}"
+                return self._fault(now, health, HealthReason.SILENT, text)
         broken = self._faults.get(HealthReason.DISCONNECTED)
         if broken is not None and now - broken.since >= self._grace:
-            text = f"no peer for {self._grace:g} s"
+            why = f": {self._why_gone}" if self._why_gone else ""
+            text = f"no peer for {self._grace:g} s{why}{note}"
             return self._fault(now, Health.LOST, HealthReason.DISCONNECTED, text)
         lasted = now - self._counted_since
         if self._rate is None or lasted < self._window:
@@ -238,12 +254,17 @@ class ChannelHealth:
         return self._changed(now, f"{self._what}: {why}")
 
     def _changed(self, now: float, why: str) -> ChannelReport | None:
-        """Take the worst that is wrong as the status; returns it where it is another."""
+        """Take the worst that is wrong as the status; returns it where it is another.
+
+        Of what is equally bad, the reason that is listed first explains the others.
+        """
         if self.is_over:
             return None
         well = ChannelReport(Health.OK, why, now)
         worst = max(
-            self._faults.values(), key=lambda fault: _BADNESS.index(fault.health), default=well
+            (self._faults[reason] for reason in _REASONS if reason in self._faults),
+            key=lambda fault: _BADNESS.index(fault.health),
+            default=well,
         )
         before = self.status
         if (worst.health, worst.reason) == (before.health, before.reason) and (
@@ -307,9 +328,9 @@ class ChannelMonitor:
         """The peer has said how it is."""
         self._judge(self._health.peer_reported, health, cause)
 
-    def tick(self) -> None:
-        """Time has passed."""
-        self._judge(self._health.tick)
+    def tick(self, note: str = "") -> None:
+        """Time has passed; `note` ends the words on what follows from it alone."""
+        self._judge(self._health.tick, note)
 
     def _judge(
         self,

@@ -13,20 +13,26 @@ from typing import TYPE_CHECKING
 from uoarm.bridge import Bridge, BridgeType, hookimpl
 from uoarm.model import Options
 from uoarm_rocos._discovery import doctor
-from uoarm_rocos._options import BRIDGE_OPTIONS, mistake
+from uoarm_rocos._options import BRIDGE_OPTIONS, PortOptions, mistake
 
 if TYPE_CHECKING:
     from uoarm_rocos._bridge import MakeWire, xml_wire
     from uoarm_rocos._catalogue import Api, ApiKind, DeviceCatalogue, differences
     from uoarm_rocos._catalogue_xml import load_catalogue
-    from uoarm_rocos._classes import ApiClass, ApiRecord, api_classes
     from uoarm_rocos._codec import MessageCodec, XmlCodec
     from uoarm_rocos._conversation import Wire
-    from uoarm_rocos._errors import LineError, WireError
-    from uoarm_rocos._framing import Framer, LengthFramer, StuffedFramer
+    from uoarm_rocos._framing import (
+        SERIAL_LIMITS,
+        TCP_LIMITS,
+        Framer,
+        LengthFramer,
+        LineError,
+        MessageLimits,
+        StuffedFramer,
+        WireError,
+    )
     from uoarm_rocos._options import DeviceOptions, LineOptions
-    from uoarm_rocos._parse import SERIAL_LIMITS, TCP_LIMITS, MessageLimits
-    from uoarm_rocos._structure import structure_of
+    from uoarm_rocos._structure import ApiClass, ApiRecord, api_classes, structure_of
     from uoarm_rocos._transport import LineTransport, SerialTransport, TcpTransport
 
 __all__ = [
@@ -65,13 +71,11 @@ _MODULES = {
     "_bridge": "MakeWire xml_wire",
     "_catalogue": "Api ApiKind DeviceCatalogue differences",
     "_catalogue_xml": "load_catalogue",
-    "_classes": "ApiClass ApiRecord api_classes",
     "_codec": "MessageCodec XmlCodec",
-    "_errors": "LineError WireError",
-    "_framing": "Framer LengthFramer StuffedFramer",
+    "_framing": "SERIAL_LIMITS TCP_LIMITS Framer LengthFramer LineError MessageLimits "
+    "StuffedFramer WireError",
     "_options": "DeviceOptions LineOptions",
-    "_parse": "SERIAL_LIMITS TCP_LIMITS MessageLimits",
-    "_structure": "structure_of",
+    "_structure": "ApiClass ApiRecord api_classes structure_of",
     "_conversation": "Wire",
     "_transport": "LineTransport SerialTransport TcpTransport",
 }
@@ -91,6 +95,7 @@ def bridge_type(name: str, summary: str, wire: MakeWire | None = None) -> Bridge
         summary=summary,
         create=_maker(wire),
         options_schema=BRIDGE_OPTIONS,
+        endpoint_options=PortOptions,
         check_endpoint=mistake,
         doctor=doctor,
         contract=2,

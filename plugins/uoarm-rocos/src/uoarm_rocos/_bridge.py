@@ -14,22 +14,21 @@ from uoarm.bridge import (
     Delivery,
     Description,
     Discovered,
+    HealthReason,
     ServiceStructures,
     Sink,
     Source,
 )
 from uoarm.errors import BridgeError, FailureReason
 from uoarm.model import Endpoint, Health, Message, MessageStructure, Options, Role
-from uoarm_rocos._catalogue import Api, ApiKind
+from uoarm_rocos._catalogue import Api, ApiKind, Direction
 from uoarm_rocos._catalogue_xml import load_catalogue
 from uoarm_rocos._channels import SinkChannel, SourceChannel
 from uoarm_rocos._codec import XmlCodec
 from uoarm_rocos._conversation import Wire
 from uoarm_rocos._device import Device, find
-from uoarm_rocos._framing import LengthFramer, StuffedFramer
-from uoarm_rocos._messages import Direction
+from uoarm_rocos._framing import SERIAL_LIMITS, TCP_LIMITS, LengthFramer, StuffedFramer
 from uoarm_rocos._options import DeviceOptions, address_of, devices_of
-from uoarm_rocos._parse import SERIAL_LIMITS, TCP_LIMITS
 from uoarm_rocos._profile import Changed, ProfileDevice
 from uoarm_rocos._structure import describe
 from uoarm_rocos._transport import transport_for
@@ -42,11 +41,10 @@ from uoarm_rocos.devices._oximeters import (
     Nonin1Decoder,
     Nonin2Decoder,
     OximeterDecoder,
+    StreamDevice,
     oximeter_catalogue,
 )
-from uoarm_rocos.devices._stream import StreamDevice
-from uoarm_rocos.speech._device import Speech
-from uoarm_rocos.speech._engines import Engine, EspeakEngine, FestivalEngine
+from uoarm_rocos.speech import Engine, EspeakEngine, FestivalEngine, Speech
 
 __all__ = ["MakeWire", "RocosBridge", "make_device", "xml_wire"]
 
@@ -69,7 +67,7 @@ def xml_wire(options: DeviceOptions) -> Wire:
     return Wire(transport, StuffedFramer, XmlCodec(SERIAL_LIMITS), prompt=_IS_POSIX and is_port)
 
 
-def make_device(options: DeviceOptions, wire: MakeWire, changed: Changed) -> Device:
+def make_device(name: str, options: DeviceOptions, wire: MakeWire, changed: Changed) -> Device:
     """Make a device and begin to connect it.
 
     Raises:
@@ -77,15 +75,15 @@ def make_device(options: DeviceOptions, wire: MakeWire, changed: Changed) -> Dev
     """
     if options.driver == "profile":
         catalogue = load_catalogue(options.catalogue) if options.catalogue else None
-        return ProfileDevice(options.name, wire(options), options.timing, catalogue, changed)
+        return ProfileDevice(name, wire(options), options.timing, catalogue, changed)
     if options.driver in _ENGINES:
-        return Speech(options.name, _ENGINES[options.driver](), options.options)
+        return Speech(name, _ENGINES[options.driver](), options)
     transport = transport_for(options.url, options.line)
     if options.driver == "and-ua767pbt":
-        return Monitor(options.name, transport, options.timing, changed)
+        return Monitor(name, transport, options.timing, changed)
     text, period, decoder = _OXIMETERS[options.driver]
     catalogue = oximeter_catalogue(text, period)
-    return StreamDevice(options.name, catalogue, decoder, transport, options.timing)
+    return StreamDevice(name, catalogue, decoder, transport, options.timing)
 
 
 _OPEN_SECONDS = 5.0
@@ -211,14 +209,14 @@ class RocosBridge(Bridge):
                 raise BridgeError(f"bridge {self.name!r} is closed", FailureReason.CLOSED)
             device = self._devices.get(name)
             if device is None:
-                device = self._devices[name] = self._make(options)
+                device = self._devices[name] = self._make(name, options)
             return device
 
-    def _make(self, options: DeviceOptions) -> Device:
+    def _make(self, name: str, options: DeviceOptions) -> Device:
         def changed(health: Health, cause: str, apis: dict[str, str]) -> None:
-            self._device_changed(options.name, health, cause, apis)
+            self._device_changed(name, health, cause, apis)
 
-        return make_device(options, self._wire, changed)
+        return make_device(name, options, self._wire, changed)
 
     def _find(self, endpoint: Endpoint, timeout: float | None = None) -> Api:
         name, api, direction = address_of(endpoint)
@@ -247,6 +245,8 @@ class RocosBridge(Bridge):
         for (name, api), components in list(self._services.items()):
             if name != device:
                 continue
-            worse = Health.LOST if api in apis else health
+            worse, why = health, cause
+            if api in apis:
+                worse, why = Health.LOST, f"{HealthReason.REFUSED.value}: {apis[api]}"
             for component in list(components):
-                self.report(worse, apis.get(api, cause), component=component)
+                self.report(worse, why, component=component)

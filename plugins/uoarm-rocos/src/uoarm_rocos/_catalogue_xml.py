@@ -27,8 +27,7 @@ from uoarm_rocos._catalogue import (
     StringField,
     StructField,
 )
-from uoarm_rocos._errors import WireError
-from uoarm_rocos._parse import MessageLimits, parse
+from uoarm_rocos._framing import MessageLimits, WireError, parse
 from uoarm_rocos._values import attribute, read_real, read_whole, real, text
 
 __all__ = [

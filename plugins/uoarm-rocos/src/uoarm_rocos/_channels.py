@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 import threading
-import time
 from collections import deque
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from uoarm.bridge import Channel, Delivery, Sink, Source
+from uoarm.bridge import Channel, ChannelMonitor, Delivery, Sink, Source
 from uoarm.model import Endpoint, Health, Message
-from uoarm_rocos._catalogue import Api
-from uoarm_rocos._device import DeviceFlow, InputFlow, ReportHealth
-from uoarm_rocos._errors import WireError
-from uoarm_rocos._messages import Direction
+from uoarm_rocos._catalogue import Api, Direction
+from uoarm_rocos._device import DeviceFlow, InputFlow
+from uoarm_rocos._framing import WireError
 from uoarm_rocos._structure import fit
 
 __all__ = [
@@ -151,42 +149,29 @@ class QueuedReceiver:
         self._closed = True
 
 
-_PERIODS = 5
-_LEAST_SILENCE = 1.0
-
-
 class ProfileFlow:
     """A flow from a device.
 
     Attributes:
         api: as it was when the flow was opened.
+        monitor: judges its health.
         id: of the conversation now; 0 while the line is lost.
         refused: messages of the line that could not be read when one of the flow came last.
     """
 
     direction = Direction.OUTPUT
 
-    def __init__(self, api: Api, report: ReportHealth, end: Callable[[ProfileFlow], None]) -> None:
+    def __init__(
+        self, api: Api, monitor: ChannelMonitor, end: Callable[[ProfileFlow], None]
+    ) -> None:
         self.api = api
+        self.monitor = monitor
         self.id = 0
         self.refused = 0
-        self._report = report
         self._end = end
-        self._health = Health.OK
-        self._closed = False
-
-    def report_health(self, health: Health, cause: str, *, anew: bool = False) -> None:
-        """Report a change; the same health again if `anew`, nothing after a loss."""
-        changed = anew or health is not self._health
-        if changed and self._health is not Health.LOST and not self._closed:
-            self._health = health
-            self._report(health, cause)
 
     def take(self, message: Mapping[str, Any]) -> None:
         """Take a message from the line, in its thread; a flow into a device has none to take."""
-
-    def tick(self, now: float, came: str = "") -> None:
-        """Look at the clock, in the line's thread; `came` says what could not be read."""
 
     def facts(self) -> Mapping[str, object]:
         """Return counters for the status."""
@@ -194,7 +179,7 @@ class ProfileFlow:
 
     def close(self) -> None:
         """End the flow."""
-        self._closed = True
+        self.monitor.close()
         self._end(self)
 
 
@@ -204,25 +189,19 @@ class ProfileOutput(ProfileFlow):
     def __init__(
         self,
         api: Api,
-        report: ReportHealth,
+        monitor: ChannelMonitor,
         end: Callable[[ProfileFlow], None],
         deliver: Delivery,
         delivery_thread: DeliveryThread,
-        grace: float,
     ) -> None:
-        super().__init__(api, report, end)
-        self._grace = grace
+        super().__init__(api, monitor, end)
         self._receiver = QueuedReceiver(deliver)
         self._unreadable = QueuedReceiver(deliver.unreadable)
         self._delivery_thread = delivery_thread
         self._received = 0
-        self._last = time.monotonic()
-        period = api.period
-        self._patience = None if period is None else max(_PERIODS * period, _LEAST_SILENCE)
 
     def take(self, message: Mapping[str, Any]) -> None:
         """Check a message and hand it on; of a wrong one, what is wrong with it."""
-        self._last = time.monotonic()
         try:
             values = fit(self.api.output, message, f"data of {self.api.name}")
         except WireError as error:
@@ -231,22 +210,12 @@ class ProfileOutput(ProfileFlow):
             return
         self._received += 1
         self._delivery_thread.put(self._receiver, values)
-        self.report_health(Health.OK, "messages arrive")
-
-    def tick(self, now: float, came: str = "") -> None:
-        """Report when a flow with a period falls silent."""
-        silent = now - self._last
-        if self._patience is not None and self.id and silent > self._patience:
-            gone = silent > self._patience + self._grace
-            self.report_health(
-                Health.LOST if gone else Health.DEGRADED,
-                f"no message of {self.api.name} for {silent:.1f} s, its period is "
-                f"{self.api.period:g} s{came}",
-            )
+        self.monitor.passed()
 
     def facts(self) -> Mapping[str, object]:
-        """Return how many messages came, or found the receiver too slow."""
-        return {"received": self._received, "dropped": self._receiver.dropped}
+        """Return how many messages came, or found the receiver too slow, and when the last did."""
+        counts = {"received": self._received, "dropped": self._receiver.dropped}
+        return {**counts, **self.monitor.facts()}
 
     def close(self) -> None:
         """End the flow; no other delivery begins."""
@@ -263,11 +232,11 @@ class ProfileInput(ProfileFlow):
     def __init__(
         self,
         api: Api,
-        report: ReportHealth,
+        monitor: ChannelMonitor,
         end: Callable[[ProfileFlow], None],
         send: Callable[[ProfileFlow, dict[str, Any]], None],
     ) -> None:
-        super().__init__(api, report, end)
+        super().__init__(api, monitor, end)
         self._send = send
         self._sent = 0
 

@@ -7,10 +7,8 @@ import xml.etree.ElementTree as ET
 from collections.abc import Callable
 from typing import Any, Protocol
 
-from uoarm_rocos._catalogue import NAME
-from uoarm_rocos._catalogue_xml import allowed, read_catalogue, write_catalogue
-from uoarm_rocos._errors import WireError
-from uoarm_rocos._messages import (
+from uoarm_rocos._catalogue import (
+    NAME,
     CallMessage,
     CatalogueMessage,
     CloseMessage,
@@ -24,7 +22,8 @@ from uoarm_rocos._messages import (
     ResultMessage,
     WireMessage,
 )
-from uoarm_rocos._parse import MessageLimits, parse
+from uoarm_rocos._catalogue_xml import allowed, read_catalogue, write_catalogue
+from uoarm_rocos._framing import MessageLimits, WireError, parse
 from uoarm_rocos._values import (
     attribute,
     octets,

@@ -10,19 +10,18 @@ from typing import Protocol
 from attrs import frozen
 
 from uoarm.errors import BridgeError, BridgeTimeoutError
-from uoarm_rocos._catalogue import DeviceCatalogue
-from uoarm_rocos._codec import MessageCodec
-from uoarm_rocos._errors import LineError, WireError
-from uoarm_rocos._framing import Framer
-from uoarm_rocos._health import ConversationIds, HeartbeatWatch, SequenceCheck
-from uoarm_rocos._line import DeviceLine
-from uoarm_rocos._messages import (
+from uoarm_rocos._catalogue import (
     CatalogueMessage,
     DescribeMessage,
+    DeviceCatalogue,
     ErrorMessage,
     HeartbeatMessage,
     WireMessage,
 )
+from uoarm_rocos._codec import MessageCodec
+from uoarm_rocos._framing import Framer, LineError, WireError
+from uoarm_rocos._health import ConversationIds, HeartbeatWatch, SequenceCheck
+from uoarm_rocos._line import DeviceLine
 from uoarm_rocos._transport import LineTransport
 
 __all__ = ["Conversation", "ConversationListener", "Wire"]

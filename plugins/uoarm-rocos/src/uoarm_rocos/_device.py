@@ -10,8 +10,7 @@ from typing import Any, Protocol
 from uoarm.bridge import Delivery
 from uoarm.errors import BridgeError, FailureReason
 from uoarm.model import Health
-from uoarm_rocos._catalogue import Api, ApiKind, DeviceCatalogue
-from uoarm_rocos._messages import Direction, ErrorCode, ErrorMessage
+from uoarm_rocos._catalogue import Api, ApiKind, DeviceCatalogue, Direction, ErrorCode, ErrorMessage
 
 __all__ = [
     "Answer",

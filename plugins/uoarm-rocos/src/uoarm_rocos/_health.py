@@ -1,41 +1,29 @@
-"""The health of a line, without any I/O: its grace, heartbeat, sequence numbers and ids."""
+"""The health of flows and of a line, without any I/O: silence, heartbeat, sequence numbers, ids."""
 
 from __future__ import annotations
 
 import itertools
+import time
+from collections.abc import Callable
 
 from attrs import define
 
+from uoarm.bridge import ChannelHealth, ChannelMonitor
 from uoarm.model import Health
 
-__all__ = ["ConversationIds", "HeartbeatWatch", "LineDisconnection", "SequenceCheck"]
+__all__ = ["ConversationIds", "HeartbeatWatch", "SequenceCheck", "flow_monitor"]
+
+_PERIODS = 5
+_LEAST_SILENCE = 1.0
 
 
-class LineDisconnection:
-    """Reports each state once while the line is away: degraded, then lost. Used by one thread.
-
-    Args:
-        grace: seconds for a fault to pass.
-    """
-
-    def __init__(self, grace: float) -> None:
-        self._grace = grace
-        self._since: float | None = None
-        self._said: Health | None = None
-
-    def restored(self) -> None:
-        """Take note that the line is back."""
-        self._since = self._said = None
-
-    def lost(self, now: float) -> Health | None:
-        """Take note that the line is away; return its health if that is new."""
-        if self._since is None:
-            self._since = now
-        health = Health.LOST if now - self._since >= self._grace else Health.DEGRADED
-        if health is self._said:
-            return None
-        self._said = health
-        return health
+def flow_monitor(
+    what: str, period: float | None, grace: float, report: Callable[[Health, str], None]
+) -> ChannelMonitor:
+    """Return what judges a flow: silent after five of its periods, lost after its grace."""
+    stale_after = None if period is None else max(_PERIODS * period, _LEAST_SILENCE)
+    health = ChannelHealth(what, time.monotonic(), stale_after=stale_after, grace=grace)
+    return ChannelMonitor(health, report)
 
 
 _WRAP = 2**32

@@ -9,9 +9,9 @@ import time
 from collections.abc import Callable
 from typing import Protocol
 
+from uoarm.bridge import Backoff
 from uoarm.errors import BridgeError, BridgeTimeoutError
-from uoarm_rocos._errors import LineError
-from uoarm_rocos._options import LineBackoff
+from uoarm_rocos._framing import LineError
 from uoarm_rocos._transport import TICK_SECONDS, LineTransport
 
 __all__ = ["DeviceLine", "DeviceLineUser", "Readiness"]
@@ -87,7 +87,7 @@ class DeviceLine:
         name: str,
         make: Callable[[], LineTransport],
         user: DeviceLineUser,
-        backoff: LineBackoff,
+        backoff: Backoff,
         *,
         is_shared: bool = False,
     ) -> None:
@@ -241,17 +241,16 @@ class DeviceLine:
         return Readiness(descriptor)
 
     def _run(self) -> None:
-        pause = self._backoff.first
+        failed = 0
         while not self._stop.is_set():
             began = time.monotonic()
             self._cause = self._use_once()
             if self._stop.is_set():
                 return
             self._user.lost(self._cause)
-            if time.monotonic() - began > self._backoff.last:
-                pause = self._backoff.first
-            self._stop.wait(pause)
-            pause = min(2 * pause, self._backoff.last)
+            # A line that held for a while is opened again as soon as one that broke first.
+            failed = 1 if time.monotonic() - began > self._backoff.most else failed + 1
+            self._stop.wait(self._backoff.pause(failed))
 
     def _use_once(self) -> str:
         """Open, read until the line is lost, close; return why it was lost."""

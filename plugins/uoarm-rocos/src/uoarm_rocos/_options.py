@@ -2,23 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from attrs import evolve, field, frozen
 
+from uoarm.bridge import Backoff, EndpointOptions, option, reading_endpoint
 from uoarm.errors import BridgeError, FailureReason
 from uoarm.model import Endpoint, Options, Role, Schema
-from uoarm_rocos._catalogue import NAME
-from uoarm_rocos._messages import Direction
+from uoarm_rocos._catalogue import NAME, Direction
 
 __all__ = [
     "BRIDGE_OPTIONS",
     "DRIVERS",
-    "DRIVER_NAMES",
     "DeviceOptions",
-    "LineBackoff",
     "LineOptions",
+    "PortOptions",
     "Timing",
     "address_of",
     "devices_of",
@@ -26,77 +25,9 @@ __all__ = [
     "tcp_address",
 ]
 
-DRIVER_NAMES = (
-    "profile",
-    "contec-cms50dplus",
-    "nonin-1",
-    "nonin-2",
-    "and-ua767pbt",
-    "espeak",
-    "festival",
-)
-_SECONDS: dict[str, object] = {"type": "number", "exclusiveMinimum": 0, "maximum": 3600}
-_DEVICE: dict[str, object] = {
-    "type": "object",
-    "additionalProperties": False,
-    "properties": {
-        "driver": {"enum": list(DRIVER_NAMES), "description": "what it speaks; default profile"},
-        "url": {
-            "type": "string",
-            "x-uoarm-path": r"(\.\.?|~)/.*",
-            "description": "tcp://host:port, a serial port, socket://, rfc2217://",
-        },
-        "catalogue": {
-            "type": "string",
-            "x-uoarm-path": True,
-            "description": "file, instead of asking the device",
-        },
-        "baud": {"type": "integer", "minimum": 50, "maximum": 4_000_000},
-        "bits": {"enum": [5, 6, 7, 8]},
-        "parity": {"enum": ["N", "E", "O"]},
-        "stop": {"enum": [1, 1.5, 2]},
-        "xonxoff": {"type": "boolean"},
-        "wait": {**_SECONDS, "description": "for a device that is not there; default 3"},
-        "grace": {**_SECONDS, "description": "for a fault to pass before it is a loss; default 5"},
-        "backoff": {
-            "type": "array",
-            "items": _SECONDS,
-            "minItems": 2,
-            "maxItems": 2,
-            "description": "first and longest pause between attempts; default [0.1, 2]",
-        },
-        "voice": {"type": "string", "description": "of speech, where a request names none"},
-        "play": {"enum": ["auto", "never"], "description": "of speech; default auto"},
-        "directory": {
-            "type": "string",
-            "x-uoarm-path": True,
-            "description": "for speech that is not played",
-        },
-    },
-}
-BRIDGE_OPTIONS: Schema = {
-    "type": "object",
-    "additionalProperties": False,
-    "required": ["devices"],
-    "properties": {
-        "devices": {
-            "type": "object",
-            "minProperties": 1,
-            "propertyNames": {"pattern": "^[A-Za-z_][A-Za-z0-9_.-]*$"},
-            "additionalProperties": _DEVICE,
-            "examples": [{"robot": {"url": "tcp://127.0.0.1:4000"}}],
-        },
-    },
-}
-
-
-def mistake(address: tuple[str, ...], options: Options) -> str:
-    """Return what is wrong with an address or its options, or ""."""
-    if len(address) != 2 or not NAME.fullmatch(address[1]):  # noqa: PLR2004 - as the text says
-        return f"expected [device, API name], got {list(address)}"
-    if options:
-        return f"an endpoint has no options here, got {', '.join(options)}"
-    return ""
+_TEXT: Mapping[str, Any] = {"type": "string"}
+_PATH: Mapping[str, Any] = {"type": "string", "x-uoarm-path": True}
+_SECONDS: Mapping[str, Any] = {"type": "number", "exclusiveMinimum": 0, "maximum": 3600}
 
 
 @frozen
@@ -111,14 +42,6 @@ class LineOptions:
 
 
 @frozen
-class LineBackoff:
-    """Seconds before the first new attempt, doubled each time up to the last."""
-
-    first: float = 0.1
-    last: float = 2.0
-
-
-@frozen
 class Timing:
     """How long things may take, in seconds.
 
@@ -130,7 +53,7 @@ class Timing:
 
     wait: float = 3.0
     grace: float = 5.0
-    backoff: LineBackoff = field(factory=LineBackoff)
+    backoff: Backoff = field(factory=Backoff)
 
 
 # The lines that the devices' makers set; a profile device's is the usual one. The CMS50D+ is said
@@ -148,20 +71,106 @@ DRIVERS: Mapping[str, LineOptions | None] = {
 
 
 @frozen
-class DeviceOptions:
-    """One device of a bridge instance; `options` are those that only its driver reads."""
+class DeviceOptions(EndpointOptions):
+    """The options of one device."""
 
-    name: str
-    driver: str = "profile"
-    url: str = ""
-    catalogue: str = ""
-    line: LineOptions = field(factory=LineOptions)
-    timing: Timing = field(factory=Timing)
-    options: Mapping[str, Any] = field(factory=dict, hash=False)
+    driver: str = option("profile", {"enum": list(DRIVERS)}, "what it speaks, see below")
+    url: str = option(
+        "",
+        {"type": "string", "x-uoarm-path": r"(\.\.?|~)/.*"},
+        "`tcp://host:port`; or a serial port in any form of pyserial: `/dev/ttyUSB0`, `COM3`, "
+        "`socket://`, `rfc2217://`",
+    )
+    catalogue: str | None = option(
+        None, _PATH, "a file, for `profile`; left out: the device is asked"
+    )
+    baud: int | None = option(
+        None,
+        {"type": "integer", "minimum": 50, "maximum": 4_000_000},
+        "bits a second of the serial line; this and the next four: left out, the driver's",
+    )
+    bits: int | None = option(None, {"enum": [5, 6, 7, 8]}, "data bits of the serial line")
+    parity: str | None = option(None, {"enum": ["N", "E", "O"]}, "none, even or odd")
+    stop: float | None = option(None, {"enum": [1, 1.5, 2]}, "stop bits")
+    xonxoff: bool | None = option(None, {"type": "boolean"}, "flow control by XON and XOFF")
+    wait: float = option(3.0, _SECONDS, "seconds to wait for a device that is asked for", unit="s")
+    grace: float = option(
+        5.0, _SECONDS, "seconds that a fault may last before it is a loss", unit="s"
+    )
+    backoff: Sequence[float] | None = option(
+        None,
+        {"type": "array", "items": _SECONDS, "minItems": 2, "maxItems": 2},
+        "first and longest pause between attempts to connect, in seconds; left out: `[0.1, 2]`",
+    )
+    voice: str | None = option(
+        None, _TEXT, "of speech, where a request names none; left out: the engine's"
+    )
+    play: str = option("auto", {"enum": ["auto", "never"]}, "whether speech is played")
+    directory: str | None = option(
+        None, _PATH, "for speech that is not played; left out: a temporary one"
+    )
+
+    @property
+    def line(self) -> LineOptions:
+        """Settings of the serial line: what is given, and else the driver's."""
+        names = ("baud", "bits", "parity", "stop", "xonxoff")
+        chosen = {name: getattr(self, name) for name in names if getattr(self, name) is not None}
+        return evolve(DRIVERS[self.driver] or LineOptions(), **chosen)
+
+    @property
+    def timing(self) -> Timing:
+        """How long things may take."""
+        first, most = self.backoff or (0.1, 2.0)
+        return Timing(self.wait, self.grace, Backoff(first, most))
+
+    def check(self) -> None:
+        """Hold the options against one another.
+
+        Raises:
+            ValueError: they do not go together; the text says how.
+        """
+        if DRIVERS[self.driver] is None:
+            if self.url:
+                raise ValueError(f"driver {self.driver} has no line: leave out url")
+        elif not self.url:
+            text = f"driver {self.driver} needs a url: tcp://host:port or a serial port"
+            raise ValueError(text)
+        if self.catalogue and self.driver != "profile":
+            raise ValueError(f"driver {self.driver} has its own catalogue: leave out catalogue")
+        tcp_address(self.url)
+
+
+@frozen
+class PortOptions(EndpointOptions):
+    """The options of one endpoint: there are none."""
+
+
+BRIDGE_OPTIONS: Schema = {
+    "type": "object",
+    "additionalProperties": False,
+    "required": ["devices"],
+    "properties": {
+        "devices": {
+            "type": "object",
+            "minProperties": 1,
+            "propertyNames": {"pattern": "^[A-Za-z_][A-Za-z0-9_.-]*$"},
+            "additionalProperties": DeviceOptions.schema(),
+            "examples": [{"robot": {"url": "tcp://127.0.0.1:4000"}}],
+        },
+    },
+}
+
+
+def mistake(address: tuple[str, ...], options: Options) -> str:
+    """Return what is wrong with an address, or ""."""
+    del options  # there are none
+    if len(address) != 2 or not NAME.fullmatch(address[1]):  # noqa: PLR2004 - as the text says
+        return f"expected [device, API name], got {list(address)}"
+    return ""
 
 
 def devices_of(options: Options) -> dict[str, DeviceOptions]:
-    """Read a bridge's options, which fit its schema.
+    """Read a bridge's options.
 
     Raises:
         BridgeError: BAD_ENDPOINT, with the device and what is wrong.
@@ -170,9 +179,11 @@ def devices_of(options: Options) -> dict[str, DeviceOptions]:
     devices: Any = options["devices"]
     for name, given in devices.items():
         try:
-            found[name] = _device(name, given)
+            device = DeviceOptions.of(given)
+            device.check()
         except ValueError as error:
             raise BridgeError(f"devices.{name}: {error}", FailureReason.BAD_ENDPOINT) from None
+        found[name] = device
     return found
 
 
@@ -182,36 +193,14 @@ def address_of(endpoint: Endpoint) -> tuple[str, str, Direction | None]:
     Raises:
         BridgeError: BAD_ENDPOINT, with what is wrong.
     """
-    wrong = mistake(endpoint.address, endpoint.options)
-    if wrong:
-        text = f"bridge {endpoint.bridge!r}: {endpoint}: {wrong}"
-        raise BridgeError(text, FailureReason.BAD_ENDPOINT)
+    with reading_endpoint(endpoint):
+        if endpoint.options:
+            PortOptions.of(endpoint.options)
+        if wrong := mistake(endpoint.address, endpoint.options):
+            raise ValueError(wrong)
     device, api = endpoint.address
     directions = {Role.OUTPUT: Direction.OUTPUT, Role.INPUT: Direction.INPUT}
     return device, api, directions.get(endpoint.role)
-
-
-def _device(name: str, given: Mapping[str, Any]) -> DeviceOptions:
-    driver = given.get("driver", "profile")
-    usual = DRIVERS[driver]
-    url = given.get("url", "")
-    if usual is None:
-        if url:
-            raise ValueError(f"driver {driver} has no line: leave out url")
-    elif not url:
-        raise ValueError(f"driver {driver} needs a url: tcp://host:port or a serial port")
-    if given.get("catalogue") and driver != "profile":
-        raise ValueError(f"driver {driver} has its own catalogue: leave out catalogue")
-    chosen = {
-        key: given[key] for key in ("baud", "bits", "parity", "stop", "xonxoff") if key in given
-    }
-    line = evolve(usual or LineOptions(), **chosen)
-    tcp_address(url)
-    timing = Timing(**{key: given[key] for key in ("wait", "grace") if key in given})
-    if "backoff" in given:
-        timing = evolve(timing, backoff=LineBackoff(*given["backoff"]))
-    own = {key: given[key] for key in ("voice", "play", "directory") if key in given}
-    return DeviceOptions(name, driver, url, given.get("catalogue", ""), line, timing, own)
 
 
 def tcp_address(url: str) -> tuple[str, int] | None:

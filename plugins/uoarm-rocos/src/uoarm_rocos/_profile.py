@@ -8,25 +8,27 @@ from collections import deque
 from collections.abc import Callable
 from typing import Any
 
-from uoarm.bridge import Delivery
+from uoarm.bridge import Delivery, Disconnection, HealthReason
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason
 from uoarm.model import Health
-from uoarm_rocos._catalogue import Api, DeviceCatalogue, differences
-from uoarm_rocos._channels import DeliveryThread, ProfileFlow, ProfileInput, ProfileOutput
-from uoarm_rocos._conversation import Conversation, Wire
-from uoarm_rocos._device import Answer, Device, PendingAnswers, ReportHealth, refusal
-from uoarm_rocos._errors import LineError
-from uoarm_rocos._health import LineDisconnection
-from uoarm_rocos._line import DeviceLine
-from uoarm_rocos._messages import (
+from uoarm_rocos._catalogue import (
+    Api,
     CallMessage,
     CloseMessage,
     DataMessage,
+    DeviceCatalogue,
     ErrorMessage,
     OpenMessage,
     ResultMessage,
     WireMessage,
+    differences,
 )
+from uoarm_rocos._channels import DeliveryThread, ProfileFlow, ProfileInput, ProfileOutput
+from uoarm_rocos._conversation import Conversation, Wire
+from uoarm_rocos._device import Answer, Device, PendingAnswers, ReportHealth, refusal
+from uoarm_rocos._framing import LineError
+from uoarm_rocos._health import flow_monitor
+from uoarm_rocos._line import DeviceLine
 from uoarm_rocos._options import Timing
 from uoarm_rocos._structure import fit
 
@@ -71,7 +73,7 @@ class ProfileDevice(Device):
         self._state = threading.Condition()
         self._ready = False
         self._cause = "not connected yet"
-        self._disconnection = LineDisconnection(timing.grace)
+        self._disconnection = Disconnection(timing.grace)
         self._closed = False
         self._answers = PendingAnswers(name)
         self._flows: set[ProfileFlow] = set()
@@ -123,15 +125,15 @@ class ProfileDevice(Device):
         self, api: Api, deliver: Delivery, report: ReportHealth, timeout: float
     ) -> ProfileOutput:
         """Open a flow from the device."""
-        flow = ProfileOutput(
-            api, report, self._end, deliver, self._delivery_thread, self._timing.grace
-        )
+        monitor = flow_monitor(self._named(api), api.period, self._timing.grace, report)
+        flow = ProfileOutput(api, monitor, self._end, deliver, self._delivery_thread)
         self._open(flow, timeout)
         return flow
 
     def open_input(self, api: Api, report: ReportHealth, timeout: float) -> ProfileInput:
         """Open a flow into the device."""
-        feed = ProfileInput(api, report, self._end, self._send_data)
+        monitor = flow_monitor(self._named(api), None, self._timing.grace, report)
+        feed = ProfileInput(api, monitor, self._end, self._send_data)
         self._open(feed, timeout)
         return feed
 
@@ -155,7 +157,7 @@ class ProfileDevice(Device):
             self._ready = True
             flows = list(self._flows)
             self._state.notify_all()
-        self._disconnection.restored()
+        self._disconnection.up()
         found = {} if before is None else differences(before, catalogue)
         text = "connected again" if before is not None else "connected"
         cause = f"the device has another catalogue: {'; '.join(found.values())}"
@@ -175,13 +177,13 @@ class ProfileDevice(Device):
         elif isinstance(message, OpenMessage):
             again = self._by_id.get(message.id)
             if not self._answers.give(message.id, None) and again is not None:
-                again.report_health(Health.OK, "connected again")
+                again.monitor.connected()
         elif isinstance(message, ErrorMessage):
             self._take_error(message)
         elif isinstance(message, CloseMessage):
             flow = self._by_id.pop(message.id, None)
             if flow is not None:
-                flow.report_health(Health.FINISHED, "the device ended the flow")
+                flow.monitor.peer_reported(Health.FINISHED, "the device ended the flow")
 
     def on_lost(self, cause: str) -> None:
         """Fail what waits and report it to flows; from the line's thread, at each attempt."""
@@ -191,21 +193,25 @@ class ProfileDevice(Device):
             self._by_id.clear()
         self._unsent_closes.clear()
         self._answers.fail(LineError(f"the line to {self.name} was lost: {cause}"))
-        health = self._disconnection.lost(time.monotonic())
-        if health is None:
-            return
         text = f"the line to {self.name} is lost: {cause}"
-        self._changed(health, text, {})
+        health = self._disconnection.down(time.monotonic(), final=False)
+        if health is not None:
+            self._changed(health, f"{HealthReason.DISCONNECTED.value}: {text}", {})
         for flow in flows:
             flow.id = 0
-            flow.report_health(health, text, anew=True)
+            flow.monitor.connected(0, text)
+            flow.monitor.tick()
 
     def on_tick(self, now: float) -> None:
         """Look at the clock; from the line's thread."""
+        del now  # a flow has the same clock
         while self._unsent_closes:
             self._send_close(self._unsent_closes.popleft())
         for flow in list(self._by_id.values()):
-            flow.tick(now, self._conversation.refused_since(flow.refused))
+            flow.monitor.tick(self._conversation.refused_since(flow.refused))
+
+    def _named(self, api: Api) -> str:
+        return f"flow {api.name} of {self.name}"
 
     def _await_ready(self, timeout: float) -> None:
         if self._ready and not self._closed:
@@ -278,13 +284,14 @@ class ProfileDevice(Device):
                 text = f"{what}: no answer within {timeout:g} s"
                 raise BridgeTimeoutError(text + self._conversation.refused_since(refused))
             answer.value()
+            flow.monitor.connected()
         except BridgeError:
             flow.close()
             raise
 
     def _open_again(self, flow: ProfileFlow, found: dict[str, str]) -> None:
         if flow.api.name in found:
-            flow.report_health(Health.LOST, f"refused after reconnecting: {found[flow.api.name]}")
+            flow.monitor.refused(f"after reconnecting, {found[flow.api.name]}", final=True)
             return
         with self._state:
             if flow not in self._flows or self._by_id.get(flow.id) is flow:
@@ -323,4 +330,4 @@ class ProfileDevice(Device):
             raise refusal(message, self.name)
         flow = self._by_id.pop(message.id, None)
         if not self._answers.refuse(message) and flow is not None:
-            flow.report_health(Health.LOST, str(refusal(message, f"the flow {flow.api.name}")))
+            flow.monitor.refused(str(refusal(message, f"the flow {flow.api.name}")), final=True)

@@ -10,7 +10,7 @@ from contextlib import suppress
 
 import serial
 
-from uoarm_rocos._errors import LineError
+from uoarm_rocos._framing import LineError
 from uoarm_rocos._options import LineOptions, tcp_address
 
 __all__ = ["LineTransport", "SerialTransport", "TcpTransport", "transport_for"]

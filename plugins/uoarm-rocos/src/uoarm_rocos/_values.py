@@ -12,7 +12,7 @@ from functools import lru_cache
 from typing import Any
 
 from uoarm_rocos._catalogue import NAME
-from uoarm_rocos._errors import WireError
+from uoarm_rocos._framing import WireError
 
 __all__ = [
     "attribute",

@@ -17,6 +17,7 @@ from typing import Any
 
 from attrs import frozen
 
+from uoarm.bridge import Disconnection, HealthReason
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason
 from uoarm.model import Health
 from uoarm_rocos._catalogue import (
@@ -28,8 +29,7 @@ from uoarm_rocos._catalogue import (
     StringField,
 )
 from uoarm_rocos._device import Answer, Device
-from uoarm_rocos._errors import LineError, WireError
-from uoarm_rocos._health import LineDisconnection
+from uoarm_rocos._framing import LineError, WireError
 from uoarm_rocos._line import DeviceLine
 from uoarm_rocos._options import Timing
 from uoarm_rocos._profile import Changed
@@ -173,7 +173,7 @@ class Monitor(Device):
         self._open = False
         self._closed = False
         self._cause = "not connected yet"
-        self._disconnection = LineDisconnection(timing.grace)
+        self._disconnection = Disconnection(timing.grace)
         self._waiting: list[Answer] = []
         self._line = DeviceLine(name, transport, self, timing.backoff)
         self._line.start()
@@ -224,7 +224,7 @@ class Monitor(Device):
         with self._state:
             self._open = True
             self._state.notify_all()
-        self._disconnection.restored()
+        self._disconnection.up()
         self._changed(Health.OK, "the port is open", {})
 
     def received(self, data: bytes) -> None:
@@ -248,9 +248,9 @@ class Monitor(Device):
         with self._state:
             self._open, self._cause = False, cause
         text = f"the line to {self._name} is lost: {cause}"
-        health = self._disconnection.lost(time.monotonic())
+        health = self._disconnection.down(time.monotonic(), final=False)
         if health is not None:
-            self._changed(health, text, {})
+            self._changed(health, f"{HealthReason.DISCONNECTED.value}: {text}", {})
         self._fail(LineError(text))
 
     def _check_open(self) -> None:

@@ -9,17 +9,16 @@ from typing import Any, Protocol, TypeAlias
 
 from attrs import define
 
-from uoarm_rocos._catalogue import PROFILE, Api, ApiKind, DeviceCatalogue
-from uoarm_rocos._catalogue_xml import load_catalogue
-from uoarm_rocos._codec import XmlCodec
-from uoarm_rocos._errors import WireError
-from uoarm_rocos._framing import Framer
-from uoarm_rocos._messages import (
+from uoarm_rocos._catalogue import (
+    PROFILE,
+    Api,
+    ApiKind,
     CallMessage,
     CatalogueMessage,
     CloseMessage,
     DataMessage,
     DescribeMessage,
+    DeviceCatalogue,
     Direction,
     ErrorCode,
     ErrorMessage,
@@ -28,6 +27,9 @@ from uoarm_rocos._messages import (
     ResultMessage,
     WireMessage,
 )
+from uoarm_rocos._catalogue_xml import load_catalogue
+from uoarm_rocos._codec import XmlCodec
+from uoarm_rocos._framing import Framer, WireError
 from uoarm_rocos._structure import fit
 
 __all__ = ["Job", "Model", "ProfileServer", "SimulatedRobot", "robot_catalogue"]
