@@ -418,14 +418,14 @@ def _ros1() -> Mapping[str, Target]:
         frames_of,
         http_request,
     )
-    from uoarm_ros1._serialisation import reader, writer
+    from uoarm_ros1._structures import framed_writer, reader
 
     record = record_of(
         "fuzz/Message",
         "bool on\nint64[] many\nfloat32[3] three\nstring[] texts\nPart[] parts\ntime[2] at\n"
         f"{'=' * 80}\nMSG: fuzz/Part\nbool[] flags\nchar[] octets\n",
     )
-    read, write = reader(record, BUDGET), writer(record)
+    read, write = reader(record, BUDGET), framed_writer(record)
     message = {
         "on": True, "many": [1], "three": [0.5, 1.0, 2.0], "texts": ["a", "bc"],
         "parts": [{"flags": [True], "octets": b"abc"}], "at": 2 * [{"secs": 1, "nsecs": 2}],

@@ -11,9 +11,10 @@ from typing import Any
 import pytest
 from peers import HERE, ROS_PYTHON
 from uoarm_ros1._definitions import Record, record_of
-from uoarm_ros1._serialisation import reader, writer
+from uoarm_ros1._structures import structure_of
 from uoarm_ros1._types import TypeStore, noetic_definition
 
+from uoarm.cdr import ROS_1, Codec
 from uoarm.model import Budget
 from uoarm.testing import patience, same
 
@@ -56,14 +57,14 @@ def test_ten_thousand_messages_of_every_type_there_is_are_equal() -> None:
         if "type" in given:
             record = record_of(given["type"], given["definition"])
             assert record.md5 == given["md5"], record.name
-            read, write = reader(record, Budget()), writer(record)
+            codec = Codec(structure_of(record), ROS_1, Budget())
             continue
         assert record is not None
         octets = base64.b64decode(given["octets"])
-        message = read(octets)
+        message = codec.decode(octets, "<")
         assert same(message, given["value"]), record.name
-        assert bytes(write(message)) == octets, record.name
-        assert bytes(write(given["value"])) == octets, record.name
+        assert codec.encode(message, "<") == octets, record.name
+        assert codec.encode(given["value"], "<") == octets, record.name
         count += 1
     assert count == EACH * len(types) >= 10_000
 

@@ -10,12 +10,12 @@ from typing import Any
 import pytest
 from endpoints import INT64, Inbox, endpoint, source
 from peers import Peer
-from uoarm_ros2 import _cdr
 from uoarm_ros2._middleware import NodeRunner
 from uoarm_ros2._middleware import Peer as TopicEndpoint
 from uoarm_ros2._qos import Policies
 
 from uoarm.bridge import Bridge
+from uoarm.cdr._reading import reader
 from uoarm.model import Role
 from uoarm.testing import patience
 
@@ -44,14 +44,14 @@ def test_one_more_topic_of_a_type_takes_few_looks_and_compiles_nothing(
     bridge.describe(second, timeout=patience())  # it is on the graph from now on
     for side in ("publishers", "subscriptions"):
         monkeypatch.setattr(NodeRunner, side, counted(getattr(NodeRunner, side)))
-    compiled = _cdr._record_reader.cache_info().misses
+    compiled = reader.cache_info().misses
     structure = bridge.describe(second, timeout=patience()).message
     described = looks["/second"]
     assert structure is not None
     bridge.open_source(second, structure, print, timeout=patience())
     assert described <= _MOST_LOOKS
     assert looks["/second"] - described <= _MOST_LOOKS
-    assert _cdr._record_reader.cache_info().misses == compiled
+    assert reader.cache_info().misses == compiled
     assert bridge.describe(second, timeout=patience()).message is structure
 
 

@@ -8,11 +8,12 @@ from typing import Any
 import pytest
 from endpoints import Inbox
 from peers import DOMAIN, Peer
-from uoarm_ros2._cdr import cdr_reader
 from uoarm_ros2._middleware import NodeRunner, Participant, _loop
 from uoarm_ros2._qos import Policies
+from uoarm_ros2._schema import structure_of
 from uoarm_ros2._types import import_type, shape_of
 
+from uoarm.cdr import Codec
 from uoarm.testing import wait
 
 INT64 = import_type("std_msgs/msg/Int64")
@@ -32,7 +33,7 @@ class Ear:
     def __init__(self, runner: NodeRunner, topic: str) -> None:
         self.inbox = Inbox()
         self.matched = 0
-        read = cdr_reader(shape_of(INT64, "std_msgs/msg/Int64"))
+        read = Codec(structure_of(shape_of(INT64, "std_msgs/msg/Int64"))).decode
         self.native = runner.subscribe(
             INT64,
             topic,

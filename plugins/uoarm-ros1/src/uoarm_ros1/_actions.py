@@ -20,8 +20,7 @@ from uoarm_ros1._master import GraphState
 from uoarm_ros1._node import Node
 from uoarm_ros1._options import Address, Port
 from uoarm_ros1._publication import Publication
-from uoarm_ros1._serialisation import framed_writer, reader
-from uoarm_ros1._structures import structure_of
+from uoarm_ros1._structures import framed_writer, reader, structure_of
 from uoarm_ros1._subscription import PublisherHeader, Subscription, Wanted
 from uoarm_ros1._types import ActionType, TypeStore
 

@@ -15,7 +15,7 @@ from uoarm.model import Endpoint, Health, Message
 from uoarm_ros1._definitions import Record
 from uoarm_ros1._node import Node
 from uoarm_ros1._options import Port
-from uoarm_ros1._serialisation import framed_writer, reader
+from uoarm_ros1._structures import framed_writer, reader
 from uoarm_ros1._subscription import PublisherHeader, Subscription, Wanted
 
 __all__ = ["Place", "Relay", "SameTopic", "TopicSink", "TopicSource"]

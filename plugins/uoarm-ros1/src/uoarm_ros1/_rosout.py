@@ -9,7 +9,7 @@ from uoarm.errors import MessageError
 from uoarm.model import Health
 from uoarm_ros1._node import Node
 from uoarm_ros1._publication import Publication
-from uoarm_ros1._serialisation import framed_writer, reader
+from uoarm_ros1._structures import framed_writer, reader
 from uoarm_ros1._subscription import Subscription, Wanted
 from uoarm_ros1._types import TypeStore
 

@@ -25,7 +25,7 @@ from uoarm_ros1._protocol import (
     service_problem,
 )
 from uoarm_ros1._publication import keep_alive
-from uoarm_ros1._serialisation import LENGTH, framed_writer, reader
+from uoarm_ros1._structures import LENGTH, framed_writer, reader
 
 __all__ = ["Caller", "ServedService", "probe_service"]
 
@@ -165,7 +165,7 @@ class Caller:
         return connection
 
     def _exchange(
-        self, connection: socket.socket, request: bytearray, deadline: float
+        self, connection: socket.socket, request: bytes, deadline: float
     ) -> tuple[bool, bytes]:
         connection.settimeout(max(_SHORTEST, deadline - time.monotonic()))
         connection.sendall(request)

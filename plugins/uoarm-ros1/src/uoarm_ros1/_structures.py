@@ -1,17 +1,22 @@
-"""Message structures of ROS 1 types: JSON Schema with exact ranges, types and units."""
+"""Message structures of ROS 1 types, exact with types and units, and what serialises by them."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import struct
+from collections.abc import Callable, Mapping
 from functools import lru_cache
 from typing import Any
 
 from uoarm.bridge import Description
-from uoarm.model import MessageStructure
+from uoarm.cdr import FLOAT32_MAX, ROS_1, Codec
+from uoarm.model import Budget, Message, MessageStructure
 from uoarm_ros1._definitions import NUMBERS, Field, Listing, Record, Scalar, Service, Shape, Text
-from uoarm_ros1._values import FLOAT32_MAX, integer_range
 
-__all__ = ["described_service", "structure_of"]
+__all__ = ["LENGTH", "described_service", "framed_writer", "reader", "structure_of"]
+
+LENGTH = struct.Struct("<I")
+"""What stands before every message on a connection."""
+
 
 # As REP-103 and the comments of the definitions state them.
 _UNITS: Mapping[str, Mapping[str, str]] = {
@@ -76,6 +81,26 @@ def described_service(service: Service) -> Description:
     return Description(request=structure_of(service.request), reply=structure_of(service.reply))
 
 
+def reader(record: Record, budget: Budget) -> Callable[[bytes | bytearray], Message]:
+    """Return the function that makes a message of its octets; it raises MessageError."""
+    codec = Codec(structure_of(record), ROS_1, budget)
+    return lambda octets: codec.decode(octets, "<")
+
+
+def framed_writer(record: Record) -> Callable[[Message], bytes]:
+    """Return the function that serialises a message, with its length in front.
+
+    It raises MessageError with the path of the member that does not fit.
+    """
+    write = Codec(structure_of(record), ROS_1).encode_parts
+
+    def frame(message: Message) -> bytes:
+        parts = write(message, "<")
+        return b"".join((LENGTH.pack(sum(map(len, parts))), *parts))
+
+    return frame
+
+
 def _schema_of(shape: Shape, unit: str | None) -> dict[str, Any]:
     """Return the schema of a shape; `unit` holds for the numbers in it that state none."""
     if isinstance(shape, Record):
@@ -120,9 +145,11 @@ def _scalar(scalar: Scalar, unit: str | None) -> dict[str, Any]:
     if scalar.name == "bool":
         return {"type": "boolean"}
     schema: dict[str, Any] = {"type": "integer", "x-native-type": scalar.name}
-    limits = integer_range(scalar.name)
-    if limits is not None:
-        schema["minimum"], schema["maximum"] = limits
+    code = NUMBERS[scalar.name]
+    if code in "bBhHiIqQ":
+        bits = 8 * struct.calcsize(f"<{code}")
+        least = -(2 ** (bits - 1)) if code.islower() else 0
+        schema["minimum"], schema["maximum"] = least, least + 2**bits - 1
     else:
         schema.update({"type": "number", "x-nonfinite": True})
         if scalar.name == "float32":

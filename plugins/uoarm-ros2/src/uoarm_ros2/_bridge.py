@@ -24,10 +24,10 @@ from uoarm.bridge import (
     Sink,
     Source,
 )
+from uoarm.cdr import Codec
 from uoarm.errors import BridgeError, FailureReason, MessageError
 from uoarm.model import Endpoint, Health, Message, MessageStructure, Options, Role
 from uoarm_ros2._actions import Action, ActionSink, ActionSource
-from uoarm_ros2._cdr import cdr_reader, cdr_writer
 from uoarm_ros2._channels import PublisherSink, SameTopicLink, SerialisedRelay, SubscriptionSource
 from uoarm_ros2._conversion import writer
 from uoarm_ros2._discovery import NodePresence, Ros2Graph, Topic, discovered
@@ -304,7 +304,7 @@ class Ros2Bridge(Bridge):
                 source = ActionSource(endpoint, action, address.part, deliver, self._report_channel)
                 return leased.until_closed(source)
             context = self._topic_context(endpoint, address, leased.options)
-            read = cdr_reader(shape_of(context.native, context.topic.type))
+            read = Codec(structure_of(shape_of(context.native, context.topic.type))).decode
             return leased.until_closed(
                 self._wait_for_peer(SubscriptionSource(context, read, deliver))
             )
@@ -324,7 +324,7 @@ class Ros2Bridge(Bridge):
             shape = shape_of(context.native, context.topic.type)
             write: Callable[[Message], object] = writer(shape)
             if is_described(context.native):
-                write = _serialising(write, cdr_writer(shape))
+                write = Codec(structure_of(shape)).encode
             return leased.until_closed(self._wait_for_peer(PublisherSink(context, write)))
 
     def _call(
@@ -441,7 +441,7 @@ class Ros2Bridge(Bridge):
 
     def _subscribe_to_clock(self) -> SimulatedClock:
         clock, native = SimulatedClock(), import_type(_CLOCK)
-        read = cdr_reader(shape_of(native, _CLOCK))
+        read = Codec(structure_of(shape_of(native, _CLOCK))).decode
 
         def take(octets: bytes) -> None:
             with suppress(MessageError):
@@ -507,9 +507,3 @@ class Ros2Bridge(Bridge):
         self._managed.tick()
         self._graph.tick()
         self._attendance.tick()
-
-
-def _serialising(
-    write: Callable[[Message], object], serialise: Callable[[object], bytes]
-) -> Callable[[Message], object]:
-    return lambda message: serialise(write(message))
