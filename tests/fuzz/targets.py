@@ -345,8 +345,8 @@ def _openrtm() -> Mapping[str, Target]:
     """Return the decoder of `uoarm-rtm`, where it is installed."""
     if find_spec("uoarm_rtm") is None:
         return {}
-    from uoarm_rtm._codec import BIG, codec_of
     from uoarm_rtm._shape import (
+        BIG,
         IdlEnum,
         IdlMember,
         IdlScalar,
@@ -355,6 +355,7 @@ def _openrtm() -> Mapping[str, Target]:
         IdlStruct,
         IdlUnion,
         IdlUnionMember,
+        codec_of,
     )
 
     kind = IdlEnum("Kind", ("A", "B"))

@@ -7,7 +7,6 @@ from typing import Any
 from hypothesis import strategies as st
 from uoarm_rtm._shape import (
     INTEGERS,
-    SWITCH,
     IdlEnum,
     IdlScalar,
     IdlSequence,
@@ -16,6 +15,8 @@ from uoarm_rtm._shape import (
     IdlUnion,
     Shape,
 )
+
+from uoarm.cdr import SWITCH
 
 __all__ = ["messages"]
 

@@ -15,7 +15,7 @@ def plain(value: Any) -> Any:
         return {name: plain(item) for name, item in value.items()}
     if isinstance(value, np.ndarray):
         return plain(value.tolist())
-    if isinstance(value, bytes | list):
+    if isinstance(value, bytes | list | memoryview):
         return [plain(item) for item in value]
     if isinstance(value, float):
         return repr(value)

@@ -19,11 +19,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from messages import messages
 from plain import plain
-from uoarm_rtm._codec import BIG, LITTLE, CdrCodec, ExplainCursor, read_slowly
 from uoarm_rtm._orb import Orb
+from uoarm_rtm._shape import BIG, LITTLE, CdrCodec
 from uoarm_rtm._types import Types
-from uoarm_rtm._values import Order
 
+from uoarm.cdr import ByteOrder
 from uoarm.errors import BridgeError, MessageError
 
 HERE = Path(__file__).parent
@@ -82,7 +82,7 @@ def test_all_types_are_there() -> None:
 
 @pytest.mark.parametrize("order", [LITTLE, BIG])
 @pytest.mark.parametrize("name", every_type())
-def test_every_type_survives_a_round_trip_and_omniorb_agrees(name: str, order: Order) -> None:
+def test_every_type_survives_a_round_trip_and_omniorb_agrees(name: str, order: ByteOrder) -> None:
     known = codec(name)
     code = type_code(name)
 
@@ -91,7 +91,6 @@ def test_every_type_survives_a_round_trip_and_omniorb_agrees(name: str, order: O
         data = known.encode(message, order)
         wanted = plain(message)
         assert plain(known.decode(data, order)) == wanted
-        assert plain(read_slowly(known.shape, ExplainCursor(data, order, "utf-8"))) == wanted
         if name in NOT_FOR_OMNIORB:
             return
         native = omniORB.cdrUnmarshal(code, data, order == LITTLE)
@@ -112,9 +111,9 @@ def test_no_shorter_and_no_longer_buffer_is_read(name: str) -> None:
     def check(message: Any, data: Any) -> None:
         whole = known.encode(message)
         cut = data.draw(st.integers(0, len(whole) - 1))
-        with pytest.raises(MessageError, match="bytes received as"):
+        with pytest.raises(MessageError, match="cannot be read"):
             known.decode(whole[:cut])
-        with pytest.raises(MessageError, match="bytes received as"):
+        with pytest.raises(MessageError, match="cannot be read"):
             known.decode(whole + b"\0")
 
     check()
@@ -125,11 +124,11 @@ def test_any_bytes_are_read_or_refused_with_a_path(name: str) -> None:
     known = codec(name)
 
     @given(st.binary(max_size=300), st.sampled_from([LITTLE, BIG]))
-    def check(data: bytes, order: Order) -> None:
+    def check(data: bytes, order: ByteOrder) -> None:
         try:
             message = known.decode(data, order)
         except MessageError as error:
-            assert "$" in str(error) or "message ends after" in str(error)
+            assert "cannot be read: $" in str(error)
         else:
             assert plain(known.decode(known.encode(message, order), order)) == plain(message)
 
@@ -204,17 +203,17 @@ def test_wrong_lengths_allocate_nothing() -> None:
         (
             "TimedString",
             {"tm": {"sec": 1, "nsec": 2}, "data": "a\0b"},
-            r"\$\.data: a string cannot hold",
+            r"\$\.data: expected a string without",
         ),
         (
             "TimedLongSeq",
             {"tm": {"sec": 1, "nsec": 2}, "data": [1, 2, "x"]},
-            r"\$\.data\[2\] expected",
+            r"\$\.data\[2\]: expected",
         ),
         (
             "TimedLongSeq",
             {"tm": {"sec": 1, "nsec": 2}, "data": [1, 2**40]},
-            r"\$\.data\[1\] expected",
+            r"\$\.data\[1\]: expected",
         ),
         (
             "TimedLongSeq",
@@ -224,7 +223,7 @@ def test_wrong_lengths_allocate_nothing() -> None:
         (
             "TimedLongSeq",
             {"tm": {"sec": 1, "nsec": 2}, "data": np.array([1, 2**40])},
-            r"\$\.data\[1\] expected",
+            r"\$\.data\[1\]: expected",
         ),
         (
             "TimedLongSeq",

@@ -18,7 +18,6 @@ from omniORB import CORBA
 from uoarm.bridge import Channel, Delivery, Sink, Source
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, MessageError
 from uoarm.model import Health, Message, Role
-from uoarm_rtm._codec import BIG, LITTLE
 from uoarm_rtm._data_ports import INPORT_IOR, OUTPORT_IOR
 from uoarm_rtm._dataflow import PullBuffer, Puller, SizeLimit, ThreadedPusher
 from uoarm_rtm._health import ConnectorHealth, PortFault, RemotePort
@@ -31,6 +30,7 @@ from uoarm_rtm._options import (
 )
 from uoarm_rtm._orb import CallGuard, calls, corba_text, limit, narrowed
 from uoarm_rtm._peer import PeerComponent, PeerPort, connector_properties
+from uoarm_rtm._shape import BIG, LITTLE
 from uoarm_rtm._types import Types
 
 __all__ = ["InPortSink", "NativeConnector", "OutPortSource", "is_big_in_cpp", "required_port"]

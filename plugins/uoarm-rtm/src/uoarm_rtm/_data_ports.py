@@ -12,9 +12,9 @@ from attrs import frozen
 from omniORB import CORBA
 
 from uoarm.bridge import foreign
+from uoarm.cdr import ByteOrder
 from uoarm.errors import BridgeError, MessageError
 from uoarm.model import Message
-from uoarm_rtm._codec import CdrCodec
 from uoarm_rtm._dataflow import PullBuffer, Puller, Pusher, SizeLimit, ThreadedPusher
 from uoarm_rtm._options import says_what_empty_means
 from uoarm_rtm._orb import Orb, calls, limit, narrowed
@@ -26,9 +26,8 @@ from uoarm_rtm._port_servant import (
     read_connector_options,
     read_policies,
 )
-from uoarm_rtm._shape import IdlStruct
+from uoarm_rtm._shape import CdrCodec, IdlStruct
 from uoarm_rtm._types import IDL, idl_of, is_derived, plain_name
-from uoarm_rtm._values import Order
 
 __all__ = ["INPORT_IOR", "OUTPORT_IOR", "InPort", "OutPort"]
 
@@ -59,7 +58,7 @@ def _profile(kind: str, codec: CdrCodec) -> Mapping[str, str]:
 class _Inlet(OpenRTM__POA.InPortCdr):  # type: ignore[misc]  # generated, without annotations
     """One connector's way into an InPort."""
 
-    def __init__(self, codec: CdrCodec, order: Order, take: Callable[[Message], None]) -> None:
+    def __init__(self, codec: CdrCodec, order: ByteOrder, take: Callable[[Message], None]) -> None:
         self._codec = codec
         self._order = order
         self._take = take
@@ -134,7 +133,7 @@ class InPort(_DataPort):
         self._take = take
         self._rate = rate
         self._inlets: dict[str, Any] = {}
-        self._pulls: dict[str, tuple[Any, Order]] = {}
+        self._pulls: dict[str, tuple[Any, ByteOrder]] = {}
         self._pullers: dict[str, Puller] = {}
 
     def fetch(self) -> int:
@@ -199,7 +198,7 @@ class InPort(_DataPort):
 @frozen
 class _Outlet:
     writer: Pusher | ThreadedPusher | PullBuffer
-    order: Order
+    order: ByteOrder
     reference: Any = None
     pusher: Pusher | None = None
 
@@ -243,7 +242,7 @@ class OutPort(_DataPort):
         Raises:
             MessageError: it does not fit the port's type.
         """
-        encoded: dict[Order, bytes] = {}
+        encoded: dict[ByteOrder, bytes] = {}
         with self._writing:
             for outlet in list(self._outlets.values()):
                 if outlet.order not in encoded:

@@ -23,9 +23,10 @@ from omniORB import tcInternal
 
 from uoarm.errors import BridgeError, FailureReason, MessageError
 from uoarm.model import Message, MessageStructure
-from uoarm_rtm._codec import CdrCodec, codec_of
 from uoarm_rtm._compiler import Stubs
 from uoarm_rtm._shape import (
+    LITTLE,
+    CdrCodec,
     IdlEnum,
     IdlMember,
     IdlScalar,
@@ -35,6 +36,7 @@ from uoarm_rtm._shape import (
     IdlUnion,
     IdlUnionMember,
     Shape,
+    codec_of,
     structure_of,
 )
 
@@ -193,7 +195,7 @@ class IdlOperation:
 
     def members(self, part: _Parameter, error: Any) -> Message:
         """Return the members of a declared exception that was raised."""
-        return part.codec.decode(bytes(_omnipy.cdrMarshal(part.descriptor, error, 1)))
+        return part.codec.decode(bytes(_omnipy.cdrMarshal(part.descriptor, error, 1)), LITTLE)
 
     def exception(self, identifier: str, members: Mapping[str, Any]) -> Exception | None:
         """Return a declared exception to raise; None when it is not declared.
@@ -204,7 +206,7 @@ class IdlOperation:
         part = self.raised.get(identifier)
         if part is None:
             return None
-        data = part.codec.encode(dict(members))
+        data = part.codec.encode(dict(members), LITTLE)
         raised: Exception = _omnipy.cdrUnmarshal(part.descriptor, data, 1)
         return raised
 
@@ -330,7 +332,7 @@ def _natives(parts: Sequence[_Parameter], message: Message, what: str) -> list[A
     natives = []
     for part in parts:
         try:
-            data = part.codec.encode(message[part.name])
+            data = part.codec.encode(message[part.name], LITTLE)
         except MessageError as error:
             raise MessageError(f"{what}, field {part.name!r}: {error}") from None
         natives.append(_omnipy.cdrUnmarshal(part.descriptor, data, 1))
@@ -339,6 +341,6 @@ def _natives(parts: Sequence[_Parameter], message: Message, what: str) -> list[A
 
 def _message(parts: Sequence[_Parameter], values: Sequence[Any]) -> Message:
     return {
-        part.name: part.codec.decode(bytes(_omnipy.cdrMarshal(part.descriptor, value, 1)))
+        part.name: part.codec.decode(bytes(_omnipy.cdrMarshal(part.descriptor, value, 1)), LITTLE)
         for part, value in zip(parts, values, strict=False)
     }

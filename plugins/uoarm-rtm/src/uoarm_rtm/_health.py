@@ -33,12 +33,12 @@ from omniORB import CORBA
 from uoarm.bridge import Channel
 from uoarm.errors import BridgeError, BridgeTimeoutError
 from uoarm.model import Endpoint, Health
-from uoarm_rtm._codec import CdrCodec
 from uoarm_rtm._control import change
 from uoarm_rtm._journal import NAME, PROCESS, JournalEntry, end_observer, journal
 from uoarm_rtm._options import RtmEndpointOptions
 from uoarm_rtm._orb import Orb, calls, corba_errors, limit
 from uoarm_rtm._peer import Connections, Connector, PeerComponent, PeerPort, pairs, state_of
+from uoarm_rtm._shape import CdrCodec
 
 __all__ = ["ConnectorHealth", "Observers", "PortFault", "PortStatus", "RemotePort", "Ticker"]
 

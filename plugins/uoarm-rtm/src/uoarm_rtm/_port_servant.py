@@ -20,11 +20,11 @@ from _uoarm_rtm_stubs import RTC, RTC__POA
 from attrs import frozen
 from omniORB import CORBA
 
-from uoarm_rtm._codec import BIG, LITTLE
+from uoarm.cdr import ByteOrder
 from uoarm_rtm._options import BufferPolicy, PushPolicy, buffer_policy, push_policy
 from uoarm_rtm._orb import Orb, calls, limit
 from uoarm_rtm._peer import pairs
-from uoarm_rtm._values import Order
+from uoarm_rtm._shape import BIG, LITTLE
 
 __all__ = [
     "ConnectorOptions",
@@ -34,7 +34,7 @@ __all__ = [
     "read_policies",
 ]
 
-_ORDERS: dict[str, Order] = {"little": LITTLE, "big": BIG}
+_ORDERS: dict[str, ByteOrder] = {"little": LITTLE, "big": BIG}
 _SUBSCRIPTIONS = ("flush", "new", "periodic")
 _DEFAULT_HZ = 10.0
 
@@ -62,7 +62,7 @@ class ConnectorOptions:
     push: bool
     subscription: str
     rate: float
-    order: Order
+    order: ByteOrder
     data_type: str
 
     @property
@@ -122,7 +122,7 @@ def _rate(properties: Mapping[str, str]) -> float:
     return rate
 
 
-def _order(text: str) -> Order:
+def _order(text: str) -> ByteOrder:
     """Return the first byte order of a list that is known."""
     for word in text.lower().split(","):
         order = _ORDERS.get(word.strip())

@@ -1,4 +1,4 @@
-"""What an IDL type is made of, as plain values independent of any ORB, and its message structure.
+"""What an IDL type is made of, as plain values independent of any ORB, its structure and codec.
 
 Schemas, writers and readers are all derived from shapes. A schema has the exact ranges and the
 native facts; units are those that the comments in OpenRTM's own IDL state.
@@ -8,17 +8,20 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
+from functools import lru_cache
 from typing import Any, TypeAlias
 
-from attrs import frozen
+from attrs import evolve, frozen
 
+from uoarm.cdr import CORBA, FLOAT32_MAX, SWITCH, ByteOrder, Codec
 from uoarm.model import MessageStructure
 
 __all__ = [
+    "BIG",
     "DERIVED",
-    "FLOAT_MAX",
     "INTEGERS",
-    "SWITCH",
+    "LITTLE",
+    "CdrCodec",
     "IdlEnum",
     "IdlMember",
     "IdlScalar",
@@ -28,7 +31,7 @@ __all__ = [
     "IdlUnion",
     "IdlUnionMember",
     "Shape",
-    "least_size",
+    "codec_of",
     "schema_of",
     "structure_of",
     "unit_of",
@@ -44,8 +47,6 @@ INTEGERS = {
     "unsigned long long": (0, 2**64 - 1),
 }
 """Least and greatest value of each integer type."""
-
-_SIZES = {"octet": 1, "boolean": 1, "char": 1, "wchar": 3, "float": 4, "double": 8}
 
 
 @frozen
@@ -117,25 +118,6 @@ class IdlUnion:
 Shape: TypeAlias = "IdlScalar | IdlString | IdlEnum | IdlSequence | IdlStruct | IdlUnion"
 
 
-def least_size(shape: Shape) -> int:
-    """Return the least number of bytes that a value takes on the wire, padding aside.
-
-    Never 0 but for an array of nothing: what a length in received data is checked against.
-    """
-    if isinstance(shape, IdlStruct):
-        return sum(least_size(field.shape) for field in shape.fields)
-    if isinstance(shape, IdlSequence):
-        return least_size(shape.element) * (shape.size or 0) if shape.fixed else 4
-    if isinstance(shape, IdlUnion):
-        return least_size(shape.by)
-    if isinstance(shape, IdlString):
-        return 4 if shape.wide else 5
-    if isinstance(shape, IdlEnum):
-        return 4
-    low, high = INTEGERS.get(shape.name, (0, 0))
-    return _SIZES.get(shape.name) or (high - low + 1).bit_length() // 8
-
-
 def _all(unit: str, *names: str) -> dict[str, str]:
     return dict.fromkeys(names, unit)
 
@@ -191,14 +173,8 @@ def unit_of(record: str, member: str) -> str | None:
     return _UNITS.get(name, {}).get(member) if module == "RTC" else None
 
 
-FLOAT_MAX = 340282346638528859811704183484516925440
-"""The greatest finite value of an IDL float."""
-
 DERIVED = "IDL:uoarm/"
 """How the names of types begin that we derive from structures."""
-
-SWITCH = "switch"
-"""Where a message keeps a union's discriminator: a reserved word of IDL, so never a member."""
 
 _REPOSITORY_ID = re.compile(r"IDL:(.+):([0-9.]+)")
 
@@ -221,7 +197,11 @@ def schema_of(shape: Shape, encoding: str = "utf-8", unit: str | None = None) ->
     if isinstance(shape, IdlSequence):
         return _array(shape, encoding, unit)
     if isinstance(shape, IdlUnion):
-        return {"oneOf": list(_variants(shape, encoding)), "x-native-type": shape.name}
+        return {
+            "oneOf": list(_variants(shape, encoding)),
+            "x-native-type": shape.name,
+            "x-switch": schema_of(shape.by, encoding),
+        }
     if isinstance(shape, IdlEnum):
         return {"type": "string", "enum": list(shape.labels), "x-native-type": shape.name}
     if isinstance(shape, IdlString):
@@ -290,7 +270,7 @@ def _scalar(scalar: IdlScalar, unit: str | None = None) -> dict[str, Any]:
     else:
         schema = {"type": "number", "x-native-type": name, "x-nonfinite": True}
         if name == "float":
-            schema["minimum"], schema["maximum"] = -FLOAT_MAX, FLOAT_MAX
+            schema["minimum"], schema["maximum"] = -FLOAT32_MAX, FLOAT32_MAX
     return schema if unit is None else {**schema, "x-unit": unit}
 
 
@@ -333,3 +313,28 @@ def _rest(by: IdlScalar | IdlEnum, named: list[object]) -> dict[str, Any] | None
     if low <= high:
         gaps.append({"type": "integer", "minimum": low, "maximum": high})
     return {"anyOf": gaps} if gaps else None
+
+
+LITTLE: ByteOrder = "<"
+BIG: ByteOrder = ">"
+
+
+class CdrCodec(Codec):
+    """Marshals the messages of one type: the body alone, aligned from its first byte.
+
+    Args:
+        shape: the type.
+        encoding: of narrow strings, `utf-8` or `latin-1`.
+        name: what errors call the type.
+    """
+
+    def __init__(self, shape: Shape, encoding: str, name: str) -> None:
+        structure = structure_of(shape, encoding)
+        super().__init__(structure, evolve(CORBA, charset=encoding), name=name)
+        self.shape = shape
+
+
+@lru_cache(maxsize=1024)
+def codec_of(shape: Shape, encoding: str = "utf-8") -> CdrCodec:
+    """Return the codec of a type, made once."""
+    return CdrCodec(shape, encoding, getattr(shape, "name", type(shape).__name__))

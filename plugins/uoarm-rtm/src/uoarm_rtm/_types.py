@@ -20,18 +20,19 @@ from uoarm.bridge import ServiceStructures
 from uoarm.errors import BridgeError, FailureReason
 from uoarm.model import MessageStructure
 from uoarm.schema import check
-from uoarm_rtm._codec import CdrCodec, codec_of
 from uoarm_rtm._compiler import load_idl
 from uoarm_rtm._descriptors import IdlInterface, descriptors, interfaces, shape_of
 from uoarm_rtm._shape import (
     DERIVED,
     INTEGERS,
+    CdrCodec,
     IdlMember,
     IdlScalar,
     IdlSequence,
     IdlString,
     IdlStruct,
     Shape,
+    codec_of,
     schema_of,
     structure_of,
 )
