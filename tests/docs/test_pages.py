@@ -87,6 +87,8 @@ def test_commands_and_their_options_exist(block: Block, line: str) -> None:
             pytest.skip(f"uoarm-{name}, which brings the command, is not installed")
         assert found is not None, f"{block}: no such command in {line!r}"
         command = found
+    if "arguments" in {parameter.name for parameter in command.params}:
+        return  # a plugin's, which reads its words itself
     known = {option for parameter in command.params for option in parameter.opts} | {"--help"}
     given = {
         word.partition("=")[0].strip("[]") for word in words if word.strip("[").startswith("-")

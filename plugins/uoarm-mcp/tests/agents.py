@@ -58,8 +58,8 @@ class Agents:
     def __init__(self, ports: tuple[int, ...], tokens: Mapping[str, str]) -> None:
         self._ports = ports
         self._tokens = tokens
-        self._loop = asyncio.new_event_loop()
-        self._thread = threading.Thread(target=self._loop.run_forever, daemon=True)
+        self.loop = asyncio.new_event_loop()
+        self._thread = threading.Thread(target=self.loop.run_forever, daemon=True)
         self._stop = asyncio.Event()
         self._holding: list[asyncio.Task[None]] = []
         self._clients: dict[tuple[str, str], Client] = {}
@@ -76,13 +76,13 @@ class Agents:
         trace: TracebackType | None,
     ) -> None:
         self.run(self._end())
-        self._loop.call_soon_threadsafe(self._loop.stop)
+        self.loop.call_soon_threadsafe(self.loop.stop)
         self._thread.join(patience())
-        self._loop.close()
+        self.loop.close()
 
     def run(self, work: Coroutine[Any, Any, T]) -> T:
         """Return what becomes of some work in the loop of the clients."""
-        return asyncio.run_coroutine_threadsafe(work, self._loop).result(patience())
+        return asyncio.run_coroutine_threadsafe(work, self.loop).result(patience())
 
     @property
     def url(self) -> str:

@@ -1,0 +1,124 @@
+"""Thousands of arguments that do not fit: none reaches a bridge, each is refused with a reason."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import random
+from collections.abc import Callable
+from typing import Any
+
+import httpx2
+import pytest
+from agents import TOKENS, Agents
+from components import script
+
+from uoarm.server import Limits
+
+MISFITS = 10_000 if os.environ.get("HYPOTHESIS_PROFILE") == "long" else 1_000
+BATCH = 16
+
+
+def _junk(draw: random.Random, depth: int = 0) -> Any:
+    kinds: list[Callable[[], Any]] = [
+        lambda: None,
+        lambda: draw.random() < 0.5,
+        lambda: draw.choice((-(2**70), -1, 101, 2**31, 10**300, 1.5, -1e308, 301.0)),
+        lambda: draw.choice(("", "x", "NaN", "../../etc/passwd", "\x00", "1e999", "💥" * 50)),
+        lambda: [_junk(draw, depth + 1) for _ in range(draw.randrange(4))],
+        lambda: {
+            draw.choice(("a", "b", "value", "", "__proto__", "$ref", "x-y")): _junk(draw, depth + 1)
+            for _ in range(draw.randrange(4))
+        },
+    ]
+    return draw.choice(kinds[: 4 if depth > 3 else 6])()
+
+
+def _misfit(draw: random.Random) -> tuple[str, dict[str, Any]]:
+    """Return a tool and arguments, of which at least one does not fit."""
+    wrong: Any = draw.choice((None, "x", [], {}, True, 1.5))
+    match draw.randrange(7):
+        case 0:
+            return "add", {"a": draw.choice((wrong, -1, 101, 10**20)), "b": 1}
+        case 1:
+            return "add", {"b": 1, "c": _junk(draw)}
+        case 2:
+            return "cuff", {"pressure": draw.choice((None, [], {}, True, -0.1, 300.1, "high"))}
+        case 3:
+            handle: Any = draw.choice((None, 3, "", "x" * 65, ["x"], {}))
+            return "slow", {"value": 1, "x-approval": handle or ["x"]}
+        case 4:
+            return "send_drive", {"speed": draw.choice((None, "x", [], {}, True, 1.1, -9, 1e300))}
+        case 5:
+            return "diary", {"a": 1, "b": draw.choice((None, "x", [], {}, True, 0.5))}
+        case _:
+            return "slow", {"value": draw.choice((None, "x", [], {}, True, 0.5)), "z": _junk(draw)}
+
+
+def test_none_of_many_misfits_reaches_a_bridge(agents: Agents) -> None:
+    draw = random.Random(48)
+    client = agents.client()
+
+    async def all_of_them() -> list[str]:
+        accepted: list[str] = []
+        for _ in range(MISFITS // BATCH):
+            batch = [_misfit(draw) for _ in range(BATCH)]
+            results = await asyncio.gather(*(client.call_tool(*item) for item in batch))
+            accepted += [
+                f"{item}: {result}"
+                for item, result in zip(batch, results, strict=True)
+                if not result.is_error
+            ]
+        return accepted
+
+    future = asyncio.run_coroutine_threadsafe(all_of_them(), agents.loop)
+    assert future.result() == []
+    assert script.came == []
+    assert agents.run(agents.remote().approvals()) == [], "nothing was even asked for"
+
+
+@pytest.mark.parametrize(
+    ("body", "status"),
+    [
+        (b"[" * 100_000, 413),
+        (b'{"a": "' + b"x" * 2_000_000 + b'"}', 413),
+        (b"\xff\xfe", 400),
+        (b"", 400),
+        (b"null", 400),
+    ],
+)
+def test_a_body_is_bounded_before_it_is_parsed(agents: Agents, body: bytes, status: int) -> None:
+    headers = {
+        "Authorization": f"Bearer {TOKENS['agent']}",
+        "Content-Type": "application/json",
+        "Accept": "application/json, text/event-stream",
+        "MCP-Protocol-Version": "2026-07-28",
+    }
+    assert httpx2.post(agents.url, content=body, headers=headers).status_code == status
+
+
+def test_who_has_no_token_or_is_a_strange_page_is_not_let_in(agents: Agents) -> None:
+    for headers, status in (
+        ({}, 401),
+        ({"Authorization": "Bearer wrong"}, 401),
+        ({"Authorization": f"Bearer {TOKENS['agent']}", "Origin": "http://evil.example"}, 403),
+        ({"Authorization": f"Bearer {TOKENS['agent']}", "Host": "evil.example"}, 403),
+    ):
+        answer = httpx2.post(agents.url, content=b"{}", headers=headers)
+        assert answer.status_code == status
+        assert ("www-authenticate" in answer.headers) is (status == 401)
+
+
+def test_an_agent_has_bounds(serve: Any, access: Any) -> None:
+    server = serve(Limits(calls=2), access=access)
+    with Agents(server.ports, TOKENS) as agents:
+        client = agents.client()
+
+        async def three() -> list[bool | None]:
+            results = await asyncio.gather(
+                *(client.call_tool("slow", {"value": number}) for number in range(3))
+            )
+            return [result.is_error for result in results]
+
+        assert agents.run(three()).count(True) == 1
+        script.gate.set()
