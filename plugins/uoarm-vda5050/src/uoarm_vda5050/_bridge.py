@@ -10,7 +10,6 @@ from uoarm_mqtt.connection import (
     BrokerConnection,
     MqttSink,
     MqttSource,
-    PayloadCodec,
     TopicOptions,
     connection_options,
 )
@@ -187,7 +186,7 @@ class Vda5050Bridge(Bridge):
     ) -> VdaCodec:
         return VdaCodec.reading(
             structure,
-            PayloadCodec("json", self._broker.options.budget),
+            self._broker.options.budget,
             release=self._release,
             topic=topic,
             headers=headers,

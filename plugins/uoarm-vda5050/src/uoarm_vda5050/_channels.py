@@ -18,14 +18,7 @@ from uoarm.model import Endpoint, Health, Message
 from uoarm_vda5050._health import VehicleHealth
 from uoarm_vda5050._messages import HEADER_IDS, VdaCodec
 from uoarm_vda5050._orders import words_of
-from uoarm_vda5050._transport_state import (
-    Action,
-    Feedback,
-    GoalEnded,
-    Send,
-    Status,
-    TransportState,
-)
+from uoarm_vda5050._transport_state import Action, Feedback, GoalEnded, Send, Status, TransportState
 
 __all__ = ["Follower", "TransportSink", "TransportSource", "call"]
 

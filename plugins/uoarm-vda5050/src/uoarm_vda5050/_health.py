@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from attrs import define, field
-from uoarm_mqtt.connection import BrokerConnection, PayloadCodec, ReceivedMessage, Receiver
+from uoarm_mqtt.connection import BrokerConnection, ReceivedMessage, Receiver
 
 from uoarm.bridge import HealthReason
 from uoarm.errors import BridgeError, FailureReason, MessageError
@@ -129,11 +129,7 @@ class Presence:
         self._release = release
         body = body_of("connection", release.name)
         self._codec = VdaCodec.reading(
-            body,
-            PayloadCodec("json", _SMALL),
-            release=release,
-            topic="connection",
-            check=check_of(body.schema),
+            body, _SMALL, release=release, topic="connection", check=check_of(body.schema)
         )
         self._receiver = Receiver(f"{prefix}/+/+/connection", self._take, retained=True)
         # Held while the subscription is made, so that a second caller waits for the first one's.

@@ -15,7 +15,7 @@ from jsonschema import Draft202012Validator, SchemaError
 from uoarm_mqtt.connection import PayloadCodec
 
 from uoarm.errors import ConfigurationError, MessageError
-from uoarm.model import Message, MessageStructure, Schema, read_json
+from uoarm.model import Budget, Message, MessageStructure, Schema, read_json
 from uoarm_vda5050._releases import TOPICS, VdaRelease
 from uoarm_vda5050._structures import HEADER, body_of
 
@@ -82,10 +82,9 @@ class VdaCodec(PayloadCodec):
     is_header_kept: bool = field(default=False, kw_only=True)
 
     @classmethod
-    def reading(cls, structure: MessageStructure, plain: PayloadCodec, **more: Any) -> VdaCodec:
-        """Return a codec for a structure, with the budget of another one."""
-        made = PayloadCodec.of("json", structure, plain.budget)
-        return cls("json", plain.budget, made.convert, **more)
+    def reading(cls, structure: MessageStructure, budget: Budget, **more: Any) -> VdaCodec:
+        """Return a codec for a structure."""
+        return cls("json", budget, PayloadCodec.of("json", structure, budget).convert, **more)
 
     def encode(self, message: Message) -> bytes:
         """Return the payload of a message, with the next header.

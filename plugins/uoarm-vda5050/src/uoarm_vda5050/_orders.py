@@ -138,12 +138,7 @@ def _make(
     more = [action for action in actions if action not in before]
     if len(set(actions)) < len(actions):
         raise MessageError("two actions of the order have the same actionId")
-    body: Body = {
-        "orderId": order_id,
-        "orderUpdateId": update_id,
-        "nodes": nodes,
-        "edges": edges,
-    }
+    body: Body = {"orderId": order_id, "orderUpdateId": update_id, "nodes": nodes, "edges": edges}
     steps = tuple((item["nodeId"], item["sequenceId"], item["released"]) for item in nodes)
     return Order(order_id, update_id, body, steps, (*before, *more), goal)
 

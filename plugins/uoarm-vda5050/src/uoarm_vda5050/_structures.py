@@ -1,7 +1,7 @@
 """Structures of the topics, written for this plugin: what the standard requires and what is used.
 
 What the published JSON Schemas allow to vehicles fits them; a user who has those names their folder
-(`_published.py`). What is not named here is tolerated and passes.
+(`_messages.py`). What is not named here is tolerated and passes.
 """
 
 from __future__ import annotations
@@ -26,6 +26,7 @@ _COUNT: _Schema = {"type": "integer"}
 _NUMBER: _Schema = {"type": "number"}
 _METRES: _Schema = {"type": "number", "x-unit": "m"}
 _RADIANS: _Schema = {"type": "number", "x-unit": "rad"}
+_SPEED: _Schema = {"type": "number", "x-unit": "m/s"}
 _KILOGRAMS: _Schema = {"type": "number", "x-unit": "kg"}
 _PERCENT: _Schema = {"type": "number", "x-unit": "%"}
 _VALUE: _Schema = {"type": ["array", "boolean", "number", "string", "object"]}
@@ -55,16 +56,10 @@ HEADER: Mapping[str, _Schema] = {
 _REFERENCE = _object({"referenceKey": _TEXT, "referenceValue": _TEXT})
 _PARAMETER = _object({"key": _TEXT, "value": _VALUE})
 _VELOCITY = _object(
-    {},
-    {
-        "vx": {"type": "number", "x-unit": "m/s"},
-        "vy": {"type": "number", "x-unit": "m/s"},
-        "omega": {"type": "number", "x-unit": "rad/s"},
-    },
+    {}, {"vx": _SPEED, "vy": _SPEED, "omega": {"type": "number", "x-unit": "rad/s"}}
 )
 _LOAD = _object(
-    {},
-    {"loadId": _TEXT, "loadType": _TEXT, "loadPosition": _TEXT, "weight": _KILOGRAMS},
+    {}, {"loadId": _TEXT, "loadType": _TEXT, "loadPosition": _TEXT, "weight": _KILOGRAMS}
 )
 
 
@@ -119,7 +114,7 @@ def _order(release: VdaRelease) -> _Schema:
             "actions": actions,
             **({} if release.major != "2" else {"startNodeId": _TEXT, "endNodeId": _TEXT}),
         },
-        {release.speed: {"type": "number", "x-unit": "m/s"}, f"edge{release.remark}": _TEXT},
+        {release.speed: _SPEED, f"edge{release.remark}": _TEXT},
     )
     return _object(
         {
@@ -275,14 +270,7 @@ _GOAL = _object(
     {
         "orderId": {"type": "string", "minLength": 1},
         "edges": _list(
-            _object(
-                {},
-                {
-                    "edgeId": _TEXT,
-                    "maxSpeed": {"type": "number", "x-unit": "m/s"},
-                    "actions": _list(_GOAL_ACTION),
-                },
-            )
+            _object({}, {"edgeId": _TEXT, "maxSpeed": _SPEED, "actions": _list(_GOAL_ACTION)})
         ),
     },
 )
@@ -309,13 +297,7 @@ _FEEDBACK = _object(
     },
 )
 _RESULT = _object(
-    {
-        "orderId": _TEXT,
-        "lastNodeId": _TEXT,
-        "reason": _TEXT,
-        "actions": _ACTIONS,
-        "errors": _ERRORS,
-    }
+    {"orderId": _TEXT, "lastNodeId": _TEXT, "reason": _TEXT, "actions": _ACTIONS, "errors": _ERRORS}
 )
 _ID = {"goal_id": _TEXT}
 _STATUS = _words(*_STATES)

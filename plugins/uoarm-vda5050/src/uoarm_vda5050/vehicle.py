@@ -1,19 +1,7 @@
 """The vehicle's side of VDA 5050, for simulators and tests.
 
-A program that drives, or pretends to, asks in its own loop what is to be done and says what was::
-
-    from uoarm_vda5050.vehicle import Act, Drive, Vehicle
-
-    with Vehicle("mqtt://127.0.0.1:1883", "uoa", "agv1", actions=("pick", "drop")) as vehicle:
-        vehicle.set(position=(0.0, 0.0, 0.0, "floor"))
-        while True:
-            task = vehicle.task
-            if isinstance(task, Drive):
-                ...                     # a step towards task.x, task.y
-                vehicle.reached(task)   # once it is there
-            elif isinstance(task, Act):
-                vehicle.finished(task)
-            vehicle.set(position=(x, y, theta, "floor"), driving=True)
+A program that drives, or pretends to, asks a `Vehicle` in its own loop for its `task`, says with
+`reached` and `finished` what became of it, and with `set` where it is.
 
 No thread of this module publishes states: `set` does, when one is due. So a loop that hangs is
 noticed by its silence, as a vehicle that hangs is.
@@ -32,7 +20,6 @@ from typing_extensions import Self
 from uoarm_mqtt.connection import (
     BrokerConnection,
     PacketOutcome,
-    PayloadCodec,
     PresenceAnnouncement,
     ReceivedMessage,
     Receiver,
@@ -97,7 +84,7 @@ class Vehicle:
         }
         self._battery, self._charging, self._localized = 100.0, False, True
         self._said_at = self._shown_at = float("-inf")
-        self._settings = connection_options(
+        self._options = connection_options(
             self._name, {"url": url, "grace": 86400.0, **(options or {})}
         )
         self._codecs = {topic: self._codec(topic) for topic in TOPICS}
@@ -294,7 +281,7 @@ class Vehicle:
         body = body_of(topic, self._release.name)
         return VdaCodec.reading(
             body,
-            PayloadCodec("json", self._settings.budget),
+            self._options.budget,
             release=self._release,
             topic=topic,
             headers=self._headers,
@@ -311,8 +298,8 @@ class Vehicle:
             online=lambda: say("ONLINE"),
             offline=lambda: say("OFFLINE"),
         )
-        settings = evolve(self._settings, announcement=announcement)
-        return BrokerConnection(self._name, settings, self._on_health)
+        options = evolve(self._options, announcement=announcement)
+        return BrokerConnection(self._name, options, self._on_health)
 
     def _on_health(self, health: Health, cause: str) -> None:
         """The broker is back: the next `set` publishes a state."""
@@ -338,31 +325,16 @@ def _factsheet(
         "localizationTypes": ["NATURAL"],
         "navigationTypes": ["AUTONOMOUS" if old else "FREELY_NAVIGATING"],
     }
-    physical = (
-        ("speedMin", "speedMax", "accelerationMax", "decelerationMax", "heightMin", "heightMax")
-        if old
-        else (
-            "minimumSpeed",
-            "maximumSpeed",
-            "maximumAcceleration",
-            "maximumDeceleration",
-            "minimumHeight",
-            "maximumHeight",
-        )
+    limits = (
+        "SpeedMin",
+        "SpeedMax",
+        "AccelerationMax",
+        "DecelerationMax",
+        "HeightMin",
+        "HeightMax",
     )
-    limits: dict[str, Any] = (
-        {
-            "maxStringLens": {},
-            "maxArrayLens": {},
-            "timing": {"minOrderInterval": 0.0, "minStateInterval": 0.0},
-        }
-        if old
-        else {
-            "maximumStringLengths": {},
-            "maximumArrayLengths": {},
-            "timing": {"minimumOrderInterval": 0.0, "minimumStateInterval": 0.0},
-        }
-    )
+    physical = [_limit(name, is_old=old) for name in limits]
+    most, least, lengths = ("max", "min", "Lens") if old else ("maximum", "minimum", "Lengths")
     made: dict[str, Any] = {
         "typeSpecification": kind,
         "physicalParameters": {
@@ -370,7 +342,11 @@ def _factsheet(
             "width": 0.5,
             "length": 0.5,
         },
-        "protocolLimits": limits,
+        "protocolLimits": {
+            f"{most}String{lengths}": {},
+            f"{most}Array{lengths}": {},
+            "timing": {f"{least}OrderInterval": 0.0, f"{least}StateInterval": 0.0},
+        },
         "protocolFeatures": {
             "optionalParameters": [],
             "agvActions" if old else "mobileRobotActions": performed,
@@ -381,6 +357,13 @@ def _factsheet(
     for key, value in given.items():
         made[key] = {**made[key], **value} if isinstance(made.get(key), dict) else value
     return made
+
+
+def _limit(name: str, *, is_old: bool) -> str:
+    """Return how a release names a limit, such as `SpeedMin`: speedMin, later minimumSpeed."""
+    if is_old:
+        return name[:1].lower() + name[1:]
+    return {"Min": "minimum", "Max": "maximum"}[name[-3:]] + name[:-3]
 
 
 def _ignore(_: PacketOutcome) -> None:
