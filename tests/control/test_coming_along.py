@@ -10,9 +10,9 @@ import pytest
 from attrs import evolve
 from tests.control.test_transcripts import Player
 
-from uoarm._control.engine.move import MoveReason
+from uoarm._control.engine.move import MovePhase, MoveReason
 from uoarm._control.engine.ordered import OrderedMap
-from uoarm._control.engine.state import Switchover
+from uoarm._control.engine.state import Move, Switchover
 from uoarm.model import FailoverPolicy
 
 OTHER = 99
@@ -54,7 +54,10 @@ def _returning(*, is_switching: bool, is_reconfiguration: bool) -> Player:
         reason=MoveReason.CONFIGURATION if is_reconfiguration else MoveReason.RETURN,
         is_switching=is_switching,
     )
-    moved = state.connections["c2"]._replace(switchover=OTHER)
+    phase = MovePhase.SWITCHING if is_switching else MovePhase.SEEKING
+    second = state.connections["c2"]
+    following = second.current if is_switching else None
+    moved = second._replace(move=Move(other.reason, phase, player.now, "", following, OTHER))
     player.state = evolve(
         state,
         switchovers=state.switchovers.insert(OTHER, other),

@@ -93,7 +93,7 @@ def test_a_bridge_that_dies_with_many_is_no_longer_a_list_in_each_connection() -
     world.dead |= frozenset(NAMES)
     world.post(ev.HealthReported("one", Health.LOST, "it crashed"))
     records = world.state.connections.values()
-    assert [record.failure and len(record.failure.lost) for record in records] == [1] * len(NAMES)
+    assert [record.move and len(record.move.lost) for record in records] == [1] * len(NAMES)
     assert len(sought) == len(NAMES)
     assert len({id(action.failed) for action in sought}) == 1
 

@@ -268,7 +268,7 @@ def test_a_soak_that_took_waiting_for_the_end_goes_on() -> None:
                 state, _ = step(state, ev.RanOut(action.placement.user), now)
         assert all(item.error is None for item in actions if isinstance(item, act.Reply)), line
         record = state.connections["c1"]
-        if record.current is not None:
+        if record.has_plan:
             now_seen = record.state, record.components
             seen += [] if seen[-1:] == [now_seen] else [now_seen]
     before = seen.index((ConnectionState.WAITING, ("first",)))

@@ -15,6 +15,7 @@ from attrs import evolve
 from uoarm._adapt import check_edge
 from uoarm._control.engine import actions as act
 from uoarm._control.engine import events as ev
+from uoarm._control.engine.move import MovePhase, MoveReason
 from uoarm._control.engine.state import ConnectionRecord, Kind, Part, Parts, Placement, State, names
 from uoarm._control.engine.step import step
 from uoarm._control.revisions import find_replacement
@@ -342,18 +343,26 @@ class World:
 
     def _check_move(self, connection: ConnectionRecord) -> None:
         """A connection has one move at most, and the plan that it leads to belongs to it."""
-        number, failed = connection.switchover, connection.failure is not None
-        if number:
-            group = self.state.switchovers[number]
+        move, state = connection.move, connection.state
+        if move is None:
+            assert state is ConnectionState.RUNNING
+            return
+        if move.group:
+            group = self.state.switchovers[move.group]
             assert connection.id in group.members
+            assert move.reason is group.reason
+            assert (move.phase is MovePhase.SWITCHING) == group.is_switching
             # What dies while inputs change hands is left for the end of that move.
-            assert not failed or group.is_switching
-        if connection.next is not None:
-            assert failed or number
-        if connection.state is ConnectionState.CLOSING:
-            assert not number
-        if connection.state is ConnectionState.WAITING:
-            assert failed
+            assert not move.lost or group.is_switching
+        assert bool(move.group) == move.rule.is_beside
+        assert (move.retry_at is not None) <= (move.phase is MovePhase.WAITING)
+        assert (move.next is not None) == (move.phase in {MovePhase.OPENING, MovePhase.SWITCHING})
+        assert (move.reason is MoveReason.REQUEST) == (state is ConnectionState.OPENING)
+        assert (move.reason is MoveReason.REQUEST) == (connection.current is None)
+        assert (move.reason is MoveReason.END) == (state is ConnectionState.CLOSING)
+        assert (move.reason is MoveReason.END) == (move.phase is MovePhase.DRAINING)
+        if state is ConnectionState.WAITING:
+            assert move.reason is MoveReason.DEATH
 
     def check_at_rest(self) -> None:
         """Raise where something is open that nobody wants, or the other way round."""
@@ -362,15 +371,15 @@ class World:
         assert not state.draining
         assert not state.switchovers
         assert not state.outdated
-        assert not state.postponed
         assert not state.recalled
         assert Counter(self.replies) == Counter(self.asked)
         wanted: set[Part] = set()
         for record in state.connections.values():
             assert record.next is None
             assert record.state in {ConnectionState.RUNNING, ConnectionState.WAITING}
-            assert (record.failure is None) == (record.state is ConnectionState.RUNNING)
-            lost = record.failure.lost if record.failure is not None else ()
+            # A move ends: with the next plan, or by saying that nothing is open.
+            assert (record.move is None) == (record.state is ConnectionState.RUNNING)
+            lost = record.move.lost if record.move is not None else ()
             placed = record.placement
             if record.state is ConnectionState.RUNNING:
                 for number in placed.components.values():
@@ -414,8 +423,8 @@ class World:
     def _waits(self) -> bool:
         """Say whether time brings anything: what waits for ever for a better plan is at rest."""
         return any(
-            record.failure is not None
-            or (record.preferred is not None and self._is_chosen(record.preferred))
+            record.reason is MoveReason.DEATH
+            or (record.preferred is not None and self._is_chosen(record.preferred.plan))
             for record in self.state.connections.values()
         )
 

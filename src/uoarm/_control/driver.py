@@ -436,8 +436,8 @@ class Driver:
         if runtime is None:
             return
         is_over = record.is_over
-        if record.current is not None and not is_over:
-            runtime.ports = self.live.ports.get(record.current.ports, runtime.ports)
+        if record.has_plan and not is_over:
+            runtime.ports = self.live.ports.get(record.placement.ports, runtime.ports)
         runtime.publish(record, is_over=is_over)
         if is_over:
             del self.live.runtimes[record.id]

@@ -94,7 +94,10 @@ class Draft(State):
         """Keep a connection with some changes, and return it."""
         changed = record._replace(**changes) if changes else record
         self.connections = self.connections.insert(record.id, changed)
-        if changed.failure is not None or changed.look_at is not None:
+        move, preferred = changed.move, changed.preferred
+        if (move is not None and move.retry_at is not None) or (
+            preferred is not None and preferred.look_at is not None
+        ):
             self.timed = self.timed.insert(record.id)
         elif record.id in self.timed:
             self.timed = self.timed.remove(record.id)

@@ -5,9 +5,7 @@ How a connection ends is here, too, and how a plan that was opened for it is aba
 
 from __future__ import annotations
 
-from collections.abc import Container, Mapping
-
-from attrs import evolve
+from collections.abc import Container, Iterable, Mapping
 
 from uoarm._control.engine.actions import (
     Announce,
@@ -26,12 +24,14 @@ from uoarm._control.engine.actions import (
 )
 from uoarm._control.engine.draft import Draft, InputInUseError
 from uoarm._control.engine.events import HealthReported, ReplacementSought
-from uoarm._control.engine.move import RULES, MoveReason
+from uoarm._control.engine.move import MovePhase, MoveReason
+from uoarm._control.engine.ordered import OrderedMap
 from uoarm._control.engine.state import (
-    ComponentFailure,
     ComponentRecord,
     ConnectionRecord,
+    Move,
     Placement,
+    Preference,
     forget_earlier,
     listed,
     names,
@@ -43,6 +43,7 @@ from uoarm.model import ConnectionState, Health, Plan
 __all__ = [
     "advance",
     "cancel_switchover",
+    "death",
     "drop_next",
     "end",
     "finish_if_asked",
@@ -54,6 +55,7 @@ __all__ = [
     "look_soon",
     "replace",
     "seek",
+    "seek_plan",
     "try_another",
 ]
 
@@ -71,6 +73,9 @@ def end(
     outcome: ConnectionState,
     cause: str,
     lane: str = "",
+    *,
+    killer: str = "",
+    error: BaseException | None = None,
 ) -> None:
     """Begin to end a connection; once it has begun, nothing changes how it ends.
 
@@ -80,21 +85,33 @@ def end(
         outcome: CLOSED or FAILED.
         cause: why; empty for a kill by the application.
         lane: where to close what only it used; empty: one of its own, for which no caller waits.
+        killer: the caller that waits for its end.
+        error: what its request fails with, where that is more than the cause.
     """
     # A death while it is being killed, say, must not turn an orderly end into a failure.
     if record.state is ConnectionState.CLOSING:
         return
+    lost = record.move.lost if record.move is not None else ()
     record = drop_next(draft, record)
     # While inputs change hands the others go on, and this one is passed over when they have.
-    if record.switchover and not draft.switchovers[record.switchover].is_switching:
-        cancel_switchover(draft, record.switchover)
+    if record.move is not None and _may_cancel(draft, record.move):
+        cancel_switchover(draft, record.move.group)
         record = draft.connections[record.id]
     # From here on it uses nothing: what is opened for it from now on comes back as unused.
     placement = record.placement
     parts = draft.unplace(placement)
-    lost = record.failure.lost if record.failure is not None else ()
+    move = Move(
+        MoveReason.END,
+        MovePhase.DRAINING,
+        draft.now,
+        cause,
+        lost=lost,
+        outcome=outcome,
+        killer=killer,
+        error=error,
+    )
     record = draft.put(
-        record, state=ConnectionState.CLOSING, outcome=outcome, cause=cause, switchover=0
+        record, state=ConnectionState.CLOSING, cause=cause, current=placement, move=move
     )
     draft.actions += [
         Publish(record),
@@ -104,12 +121,13 @@ def end(
 
 def drop_next(draft: Draft, record: ConnectionRecord) -> ConnectionRecord:
     """Abandon a plan that was opened: receive from the one so far again, and count the losses."""
-    placement = record.next
-    if placement is None:
+    move, placement = record.move, record.next
+    if move is None or placement is None or record.current is None:
         return record
     # A new attempt, so that the user of the parts that are given up here is none that comes back,
     # and a search that is under way is for nothing.
-    record = draft.put(record, next=None, attempt=record.attempt + 1)
+    move = move._replace(next=None, phase=MovePhase.SEEKING)
+    record = draft.put(record, move=move, attempt=record.attempt + 1)
     # Where the provider stays, so do the ports: they are the running plan's, too.
     ports = record.placement.ports
     parts = draft.unplace(placement, ports=placement.ports != ports)
@@ -137,9 +155,9 @@ def cancel_switchover(draft: Draft, number: int, *, is_abandoned: bool = False) 
         draft.outdated = draft.outdated.update(group.members)
     for identity in group.members:
         record = drop_next(draft, draft.connections[identity])
-        record = draft.put(record, switchover=0, available_since=None, look_at=None)
+        record = draft.put(record, move=None)
         if record.preferred is not None:
-            look_later(draft, record)
+            look_later(draft, draft.put(record, preferred=record.preferred.unseen()))
 
 
 def finish_if_asked(draft: Draft, record: ConnectionRecord) -> None:
@@ -148,11 +166,17 @@ def finish_if_asked(draft: Draft, record: ConnectionRecord) -> None:
         draft.actions.append(Drain(f"{record.id}!drain", record.id, record.placement))
 
 
+def _may_cancel(draft: Draft, move: Move) -> bool:
+    """Say whether a move is one with others, whose inputs are not changing hands."""
+    return bool(move.group) and not draft.switchovers[move.group].is_switching
+
+
 def look_later(draft: Draft, record: ConnectionRecord) -> None:
     """Look for the preferred plan of a connection after a while."""
+    assert record.preferred is not None, "there is a plan to return to"
     # Four looks within the time for which it must be there without a break.
     wait = max(_LEAST_LOOK_SECONDS, (draft.policy.return_after or 0.0) / 4)
-    draft.put(record, look_at=draft.now + wait)
+    draft.put(record, preferred=record.preferred._replace(look_at=draft.now + wait))
     draft.actions.append(WakeAt(draft.now + wait))
 
 
@@ -231,7 +255,7 @@ def _finish(draft: Draft, component: ComponentRecord) -> None:
     """Have connections end when what is under way has arrived."""
     for identity in draft.using((component.id,)):
         record = draft.connections[identity]
-        if not _uses(record.current, (component.id,)) or record.finished:
+        if not _uses(record.placement, (component.id,)) or record.finished:
             continue
         if record.state is ConnectionState.CLOSING:
             continue
@@ -254,10 +278,29 @@ def _lose(draft: Draft, lost: list[int], concerned: frozenset[str], event: Healt
     if len(dead) > 1:
         were = f"components {listed(dead)} were"
     cause = f"{were} lost: {event.cause}"
-    replace(draft, ComponentFailure(draft.now, cause, tuple(lost), concerned, concerned))
+    replace(draft, death(draft.now, cause, lost, concerned, concerned))
 
 
-def replace(draft: Draft, failure: ComponentFailure) -> None:
+def death(
+    since: float,
+    cause: str,
+    lost: Iterable[int],
+    dead: frozenset[str] = frozenset(),
+    excluded: frozenset[str] = frozenset(),
+) -> Move:
+    """Return the move that replaces what was lost."""
+    return Move(
+        MoveReason.DEATH,
+        MovePhase.SEEKING,
+        since,
+        cause,
+        lost=tuple(lost),
+        dead=dead,
+        excluded=excluded,
+    )
+
+
+def replace(draft: Draft, failure: Move) -> None:
     """Let no message through what was lost, and have the connections that use it do without."""
     # First all edges, then the connections: what one of them finds may not use another's dead.
     lost = {number: place for place, number in enumerate(failure.lost)}
@@ -267,14 +310,14 @@ def replace(draft: Draft, failure: ComponentFailure) -> None:
         record = draft.connections[identity]
         if record.state is ConnectionState.CLOSING:
             continue
-        if _uses(record.current, lost):
+        if _uses(record.placement, lost):
             _lose_current(draft, record, failure, lost)
         elif _uses(record.next, lost):
             _lose_next(draft, record, failure)
 
 
 def _lose_current(
-    draft: Draft, record: ConnectionRecord, failure: ComponentFailure, places: Mapping[int, int]
+    draft: Draft, record: ConnectionRecord, failure: Move, places: Mapping[int, int]
 ) -> None:
     """Replace the plan that runs, or end; an end while it is opened is the request's failure.
 
@@ -285,78 +328,99 @@ def _lose_current(
         places: where in that each component stands.
     """
     # A second death while the first is being replaced adds to it: the gap counts from the first.
-    before = record.failure
+    before = record.move
     # Its own alone: a bridge may have died with thousands, and every plan counts what it lost.
     ids = set(record.placement.components.values())
     if record.next is not None:
         ids.update(record.next.components.values())
     lost = sorted((number for number in ids if number in places), key=places.__getitem__)
-    failure = evolve(failure, lost=tuple(lost))
-    if before is not None:
-        failure = evolve(
-            before,
-            lost=tuple(dict.fromkeys((*before.lost, *failure.lost))),
+    move = failure._replace(lost=tuple(lost))
+    if before is not None and before.has_lost:
+        move = before._replace(
+            lost=tuple(dict.fromkeys((*before.lost, *lost))),
             dead=before.dead | failure.dead,
             excluded=before.excluded | failure.excluded,
         )
-    record = draft.put(record, failure=failure)
+    elif before is not None:
+        move = before._replace(
+            since=failure.since,
+            cause=failure.cause,
+            lost=tuple(lost),
+            dead=failure.dead,
+            excluded=failure.excluded,
+        )
+    record = draft.put(record, move=move)
     if record.state is ConnectionState.OPENING:
-        text = f"connection {record.id} ended while it was being opened: {failure.cause}"
-        record = draft.put(record, error=BridgeError(text, FailureReason.UNAVAILABLE))
-    if not draft.policy.enabled or not record.is_active:
-        end(draft, record, ConnectionState.FAILED, failure.cause)
-    elif record.switchover and draft.switchovers[record.switchover].is_switching:
+        text = f"connection {record.id} ended while it was being opened: {move.cause}"
+        error = BridgeError(text, FailureReason.UNAVAILABLE)
+        end(draft, record, ConnectionState.FAILED, move.cause, error=error)
+    elif not draft.policy.enabled or not record.is_active:
+        end(draft, record, ConnectionState.FAILED, move.cause)
+    elif move.phase is MovePhase.SWITCHING:
         return  # `inputs_switched` seeks for it, whatever the switch comes to
-    elif record.switchover:
-        cancel_switchover(draft, record.switchover)
-        seek(draft, draft.connections[record.id])
-    elif _uses(record.next, failure.lost):
+    elif move.group:
+        cancel_switchover(draft, move.group)
+        seek(draft, draft.put(draft.connections[record.id], move=move.as_death()))
+    elif _uses(record.next, move.lost):
         seek(draft, drop_next(draft, record))
     elif record.next is None:
         seek(draft, record)
 
 
-def _lose_next(draft: Draft, record: ConnectionRecord, failure: ComponentFailure) -> None:
+def _lose_next(draft: Draft, record: ConnectionRecord, failure: Move) -> None:
     """Do without the plan that was to take over."""
-    if record.switchover:
-        if not draft.switchovers[record.switchover].is_switching:
-            cancel_switchover(draft, record.switchover)
+    move = record.move
+    assert move is not None, "what comes next belongs to a move"
+    if move.group:
+        if move.phase is not MovePhase.SWITCHING:
+            cancel_switchover(draft, move.group)
         return
     _seek_without(draft, drop_next(draft, record), failure.excluded)
 
 
 def seek(draft: Draft, record: ConnectionRecord) -> None:
     """Look for a plan that can take over, unless it changed too often already."""
-    failure = record.failure
+    failure = record.move
     assert failure is not None, "only what failed is replaced"
     # Components that die one after another would else be tried in turns for ever.
-    recent = [move for move in record.moves if draft.now - move < _MINUTE]
+    recent = [time for time in record.changes if draft.now - time < _MINUTE]
     if len(recent) >= draft.policy.limit:
         text = f"its providers changed {draft.policy.limit} times within a minute"
         end(draft, record, ConnectionState.FAILED, f"{failure.cause}; nothing takes over: {text}")
         return
-    record = draft.put(record, attempt=record.attempt + 1, failure=evolve(failure, retry_at=None))
+    seek_plan(draft, record)
+
+
+def seek_plan(draft: Draft, record: ConnectionRecord) -> None:
+    """Have the plan of a move sought; a search that is under way for it is for nothing."""
+    assert record.move is not None, "only what moves needs a plan"
+    move = record.move._replace(phase=MovePhase.SEEKING, retry_at=None)
+    record = draft.put(record, attempt=record.attempt + 1, move=move)
     ids = record.placement.components
-    # What died lately is tried last, but not what runs in this very plan: it is well again.
-    runs = {name for name, id_ in ids.items() if id_ not in failure.lost}
+    # What died lately is tried last, but not what runs in a plan that lost something else: it is
+    # well again.
+    runs = (
+        () if move.rule.is_beside else [name for name, id_ in ids.items() if id_ not in move.lost]
+    )
     draft.actions.append(
         FindReplacement(
-            lane=f"{record.id}#{record.attempt}",
+            lane=f"switchover {move.group}" if move.group else f"{record.id}#{record.attempt}",
             connection=record.id,
             attempt=record.attempt,
             plan=record.placement.plan,
             output=record.output,
-            excluded=failure.excluded,
-            failed=draft.failed_lately(but=runs),
+            excluded=move.excluded,
+            failed=draft.failed_lately(but=runs) if move.rule.avoids_failed else OrderedMap(),
             avoided=draft.avoided_lately(),
+            switchover=move.group,
         )
     )
 
 
 def found(draft: Draft, record: ConnectionRecord, event: ReplacementSought) -> None:
     """Open what was found; without anything, wait for what died to come back, or end."""
-    failure = record.failure
-    if failure is None:
+    move = record.move
+    if move is None or move.reason is not MoveReason.DEATH:
         return
     # The search began before candidates changed, and found one that is gone or another by now.
     if event.plan is not None and draft.is_outdated(event.plan, event.candidates):
@@ -368,42 +432,43 @@ def found(draft: Draft, record: ConnectionRecord, event: ReplacementSought) -> N
         except InputInUseError as error:
             if draft.configurers:  # others move from what is in the way
                 retry_at = draft.now + _AGAIN_SECONDS
-                draft.put(record, failure=evolve(failure, retry_at=retry_at))
+                draft.put(record, move=move._replace(phase=MovePhase.WAITING, retry_at=retry_at))
                 draft.actions.append(WakeAt(retry_at))
                 return
             draft.actions.append(Warn(record.id, str(error)))
             # What feeds the input now may well do: that one producer is all that cannot be used.
             _seek_without(draft, record, frozenset({error.producer}))
             return
-        advance(draft, draft.put(record, next=placement))
+        move = move._replace(phase=MovePhase.OPENING, next=placement)
+        advance(draft, draft.put(record, move=move))
         return
-    if draft.now >= failure.time + draft.policy.wait:
-        text = f"{failure.cause}; nothing takes over: {event.error}"
+    until = move.since + move.rule.patience(draft.policy)
+    if draft.now >= until:
+        text = f"{move.cause}; nothing takes over: {event.error}"
         end(draft, record, ConnectionState.FAILED, text)
         return
     # Looking takes processor time and asks frameworks: who waits for long looks more seldom.
-    waited, until = draft.now - failure.time, failure.time + draft.policy.wait
-    pause = max(_AGAIN_SECONDS, min(waited / _SHARE, _SELDOM_SECONDS))
+    pause = max(_AGAIN_SECONDS, min((draft.now - move.since) / _SHARE, _SELDOM_SECONDS))
     retry_at = min(draft.now + pause, until)
     # Nothing stays excluded: the dead are asked again, and what failed to open may do better.
-    failure = evolve(failure, excluded=frozenset(), retry_at=retry_at)
+    move = move._replace(phase=MovePhase.WAITING, excluded=frozenset(), retry_at=retry_at)
     runs = record.state is ConnectionState.RUNNING
-    record = draft.put(record, failure=failure, state=ConnectionState.WAITING, cause=failure.cause)
+    record = draft.put(record, move=move, state=ConnectionState.WAITING, cause=move.cause)
     if runs:  # once, and not after each search
         draft.publish(record)
     function = record.placement.plan.function
-    draft.actions += [Forget(failure.dead, function), WakeAt(retry_at)]
+    draft.actions += [Forget(move.dead, function), WakeAt(retry_at)]
 
 
 def look_again(draft: Draft, record: ConnectionRecord) -> None:
     """Look again for what takes over, when it is time."""
-    failure = record.failure
-    if failure is None or failure.retry_at is None or not record.is_active:
+    move = record.move
+    if move is None or move.retry_at is None:
         return
-    if failure.retry_at <= draft.now:
+    if move.retry_at <= draft.now:
         seek(draft, record)
     else:
-        draft.actions.append(WakeAt(failure.retry_at))
+        draft.actions.append(WakeAt(move.retry_at))
 
 
 def look_soon(draft: Draft) -> None:
@@ -411,19 +476,17 @@ def look_soon(draft: Draft) -> None:
     # Not at once: where much comes back, each report of it calls this, and one search is enough.
     soon = draft.now + _AGAIN_SECONDS
     for record in oldest_first(draft.connections[identity] for identity in draft.timed):
-        failure = record.failure
-        if failure is not None and failure.retry_at is not None and failure.retry_at > soon:
-            draft.put(record, failure=evolve(failure, retry_at=soon))
+        move = record.move
+        if move is not None and move.retry_at is not None and move.retry_at > soon:
+            draft.put(record, move=move._replace(retry_at=soon))
             draft.actions.append(WakeAt(soon))
 
 
 def advance(draft: Draft, record: ConnectionRecord) -> None:
     """Have what is missing of the next plan opened; hand over when all of it is open."""
     assert record.next is not None, "there is a plan to open"
-    is_open = draft.open(record, record.next, record.next.user, is_receiving=True)
-    failure = record.failure
-    if failure is not None and is_open:
-        hand_over(draft, record, MoveReason.DEATH, failure.time, failure.cause)
+    if draft.open(record, record.next, record.next.user, is_receiving=True):
+        hand_over(draft, record)
 
 
 def try_another(draft: Draft, record: ConnectionRecord, error: str) -> None:
@@ -434,57 +497,53 @@ def try_another(draft: Draft, record: ConnectionRecord, error: str) -> None:
     _seek_without(draft, drop_next(draft, record), unfit)
 
 
-def hand_over(
-    draft: Draft, record: ConnectionRecord, reason: MoveReason, since: float, cause: str
-) -> None:
+def hand_over(draft: Draft, record: ConnectionRecord) -> None:
     """Let the next plan be the one that runs, and the one so far drain."""
-    rule = RULES[reason]
-    before, after = record.placement, record.next
+    move, before, after = record.move, record.placement, record.next
+    assert move is not None, "there is a move that comes to its end"
     assert after is not None, "there is a plan to hand over to"
-    lost = record.failure.lost if record.failure is not None else ()
+    rule, cause = move.rule, move.rule.cause or move.cause
     waited = record.state is ConnectionState.WAITING
     # The first plan that was lost, however many follow: it returns to that one, in one step.
     preferred = None
     if draft.policy.return_after is not None and rule.remembers:
-        preferred = record.preferred or before.plan
-        if names(after.plan) == names(preferred):
+        preferred = (record.preferred or Preference(before.plan)).unseen()
+        if names(after.plan) == names(preferred.plan):
             preferred = None
     record = draft.put(
         record,
         state=ConnectionState.RUNNING,
         cause="",
         current=after,
-        next=None,
-        failure=None,
+        move=None,
         preferred=preferred,
-        available_since=None,
-        look_at=None,
-        switchover=0,
-        moves=_moves(draft, record) if rule.is_counted else record.moves,
+        changes=_changes(draft, record) if rule.is_counted else record.changes,
     )
     # After a death the application has received from the next plan since that was opened, as there
     # was nothing else to receive. In a switchover it receives from the old one up to this moment.
     lane, is_receiving = f"{after.user}>", not rule.is_beside or before.ports == after.ports
     draft.actions += [
-        HandOver(lane, record.id, before, after, is_receiving, record, since, draft.now, cause),
+        HandOver(
+            lane, record.id, before, after, is_receiving, record, move.since, draft.now, cause
+        ),
         Publish(record),
     ]
     if waited:
         draft.announce(record, record.state.value)
     new = [n for n in names(after.plan) if after.components[n] != before.components.get(n)]
     successors = f"{', '.join(new or names(after.plan)[-1:])} {'go' if len(new) > 1 else 'goes'} on"
-    draft.announce(record, "replaced", f"{cause}; {successors}")
+    draft.announce(record, rule.announced, f"{cause}; {successors}")
     # In the lane of the handing over, and after it: nothing of the old plan is closed before the
     # application receives from the new one.
-    parts = draft.start_draining(record.id, before, lost, ports=before.ports != after.ports)
-    draft.actions.append(Finish(lane, record.id, parts, before, lost))
+    parts = draft.start_draining(record.id, before, move.lost, ports=before.ports != after.ports)
+    draft.actions.append(Finish(lane, record.id, parts, before, move.lost))
     if preferred is not None:
         look_later(draft, record)
 
 
-def _moves(draft: Draft, record: ConnectionRecord) -> tuple[float, ...]:
+def _changes(draft: Draft, record: ConnectionRecord) -> tuple[float, ...]:
     """Return when the plan changed within the last minute, now included."""
-    return (*(move for move in record.moves if draft.now - move < _MINUTE), draft.now)
+    return (*(time for time in record.changes if draft.now - time < _MINUTE), draft.now)
 
 
 def _added(record: ConnectionRecord, plan: Plan) -> frozenset[str]:
@@ -495,10 +554,9 @@ def _added(record: ConnectionRecord, plan: Plan) -> frozenset[str]:
 
 def _seek_without(draft: Draft, record: ConnectionRecord, more: frozenset[str]) -> None:
     """Look for what takes over, and exclude more from now on."""
-    failure = record.failure
-    assert failure is not None, "outside a return, what comes next replaces what failed"
-    failure = evolve(failure, excluded=failure.excluded | more)
-    seek(draft, draft.put(record, failure=failure))
+    move = record.move
+    assert move is not None, "outside a return, what comes next replaces what failed"
+    seek(draft, draft.put(record, move=move._replace(excluded=move.excluded | more)))
 
 
 def _uses(placement: Placement | None, components: Container[int]) -> bool:

@@ -1,4 +1,4 @@
-"""Why a connection moves from one plan to another, and what differs between the reasons.
+"""Why a connection moves, through which phases, and what differs between the reasons: one table.
 
 A connection has the plan that is open and at most one move to another. The mechanisms are the same
 for all: a plan is sought, placed and opened, takes over, and what was before drains and closes.
@@ -6,22 +6,49 @@ for all: a plan is sought, placed and opened, takes over, and what was before dr
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from enum import Enum
 
 from attrs import frozen
 
-__all__ = ["RULES", "MoveReason", "MoveRule"]
+from uoarm.model import FailoverPolicy
+
+__all__ = ["RULES", "Failing", "MovePhase", "MoveReason", "MoveRule"]
 
 
 class MoveReason(Enum):
-    """Why the plan that is open is to be another one."""
+    """Why the plan that is open is to be another one, or none."""
 
+    REQUEST = "request"
     DEATH = "death"
     RETURN = "return"
     CONFIGURATION = "configuration"
+    END = "end"
 
     __hash__ = object.__hash__  # members are singletons
+
+
+class MovePhase(Enum):
+    """How far a move is. Only a switching of inputs is interrupted by nothing."""
+
+    SEEKING = "seeking"
+    WAITING = "waiting"  # until it is time to seek again, or until others have moved away
+    OPENING = "opening"
+    SWITCHING = "switching"
+    DRAINING = "draining"  # nothing is opened any more, and what is open closes
+
+    __hash__ = object.__hash__
+
+
+class Failing(Enum):
+    """What happens where the plan of a move cannot be opened."""
+
+    ENDS = "the connection ends with the error"
+    SEEKS = "another plan is sought"
+    STAYS = "all who move together stay where they are"
+    CLOSES = "nothing is opened; what is open closes whatever goes wrong"
+
+    __hash__ = object.__hash__
 
 
 @frozen
@@ -31,6 +58,11 @@ class MoveRule:
     Attributes:
         called: what the move is, in a sentence.
         cause: the cause of the gap; empty: what died says it.
+        announced: the change that listeners get when the next plan has taken over; empty: they get
+            the state in which the connection ends.
+        patience: for how many seconds it waits: after a death for what can take over, before a
+            return while its plan is there without a break.
+        failing: what happens where its plan cannot be opened.
         is_beside: whether the plan before runs until what is new is open: inputs that it feeds
             change hands at once, for all who share them, and messages are counted up to then.
         avoids_failed: whether what failed lately is tried last.
@@ -45,48 +77,60 @@ class MoveRule:
 
     called: str
     cause: str
-    is_beside: bool
-    avoids_failed: bool
-    is_owed: bool
-    is_shared: bool
-    may_stay: bool
-    is_counted: bool
-    remembers: bool
+    announced: str
+    failing: Failing
+    patience: Callable[[FailoverPolicy], float] = lambda _: 0.0
+    is_beside: bool = False
+    avoids_failed: bool = False
+    is_owed: bool = False
+    is_shared: bool = False
+    may_stay: bool = False
+    is_counted: bool = False
+    remembers: bool = False
 
 
 # The same table, in words, stands in docs/architecture.md.
 RULES: Mapping[MoveReason, MoveRule] = {
+    MoveReason.REQUEST: MoveRule(
+        called="its request",
+        cause="",
+        announced="running",
+        failing=Failing.ENDS,
+    ),
     MoveReason.DEATH: MoveRule(
         called="its takeover",
         cause="",
-        is_beside=False,
+        announced="replaced",
+        failing=Failing.SEEKS,
+        patience=lambda policy: policy.wait,
         avoids_failed=True,
-        is_owed=False,
-        is_shared=False,
-        may_stay=False,
         is_counted=True,
         remembers=True,
     ),
     MoveReason.RETURN: MoveRule(
         called="its return",
         cause="its preferred components are available again",
+        announced="replaced",
+        failing=Failing.STAYS,
+        patience=lambda policy: policy.return_after or 0.0,
         is_beside=True,
-        avoids_failed=False,
-        is_owed=False,
         is_shared=True,
-        may_stay=False,
         is_counted=True,
-        remembers=False,
     ),
     MoveReason.CONFIGURATION: MoveRule(
         called="its move",
         cause="the configuration was changed",
+        announced="replaced",
+        failing=Failing.STAYS,
         is_beside=True,
         avoids_failed=True,
         is_owed=True,
-        is_shared=False,
         may_stay=True,
-        is_counted=False,
-        remembers=False,
+    ),
+    MoveReason.END: MoveRule(
+        called="its end",
+        cause="",
+        announced="",
+        failing=Failing.CLOSES,
     ),
 }

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple, TypeVar
 from attrs import define, evolve, field, frozen, setters
 from rpds import HashTrieMap, HashTrieSet
 
-from uoarm._control.engine.move import RULES, MoveReason, MoveRule
+from uoarm._control.engine.move import RULES, MovePhase, MoveReason, MoveRule
 from uoarm._control.engine.ordered import OrderedMap
 from uoarm.model import (
     ConnectionState,
@@ -29,16 +29,17 @@ from uoarm.model import (
 __all__ = [
     "PORTS",
     "Batch",
-    "ComponentFailure",
     "ComponentHealth",
     "ComponentRecord",
     "ConnectionRecord",
     "DrainingPlan",
     "EdgeRecord",
     "Kind",
+    "Move",
     "Part",
     "Parts",
     "Placement",
+    "Preference",
     "State",
     "Switchover",
     "forget_earlier",
@@ -293,25 +294,75 @@ class DrainingPlan(NamedTuple):
     lost: tuple[int, ...]
 
 
-@frozen
-class ComponentFailure:
-    """What a connection lost and has no replacement for yet.
+class Move(NamedTuple):
+    """On the way from the plan that is open to another one, or to none.
 
     Attributes:
-        time: when it was noticed.
+        reason: what it is for; `RULES` says what follows from that.
+        phase: how far it is.
+        since: when it began; after a death, when that was noticed: messages are lost since then.
         cause: as the status and the gap show it.
-        lost: ids of components that died.
+        next: the plan that is being opened; None before there is one.
+        group: id of the switchover in which it moves together with others; 0: alone.
+        lost: ids of components that died. In a switchover, of those that did while the inputs
+            change hands, after which they are replaced.
         dead: names of what may come back: all of a dead bridge.
         excluded: names that cannot take over: the dead, and those that failed to open.
-        retry_at: when to search again for what takes over; None: a search is under way.
+        retry_at: while it waits: when to search again.
+        outcome: of an end: how it ends.
+        killer: of an end: the caller that waits for it; empty: none.
+        error: of an end: what the request fails with, where that is more than the cause.
     """
 
-    time: float
-    cause: str
-    lost: tuple[int, ...]
-    dead: frozenset[str]
-    excluded: frozenset[str]
+    reason: MoveReason
+    phase: MovePhase
+    since: float
+    cause: str = ""
+    next: Placement | None = None
+    # Where it is not 0, the connection is a member of that switchover. One that ended while the
+    # inputs changed hands is still listed there, and passed over.
+    group: int = 0
+    lost: tuple[int, ...] = ()
+    dead: frozenset[str] = frozenset()
+    excluded: frozenset[str] = frozenset()
     retry_at: float | None = None
+    outcome: ConnectionState = ConnectionState.CLOSED
+    killer: str = ""
+    error: BaseException | None = None
+
+    @property
+    def rule(self) -> MoveRule:
+        """What its reason means."""
+        return RULES[self.reason]
+
+    @property
+    def has_lost(self) -> bool:
+        """Whether something died that it replaces, at once or after the switchover."""
+        return self.reason is MoveReason.DEATH or bool(self.lost)
+
+    def as_death(self) -> Move:
+        """Return the move that replaces, alone, what was lost during this one."""
+        return self._replace(reason=MoveReason.DEATH, phase=MovePhase.SEEKING, next=None, group=0)
+
+
+class Preference(NamedTuple):
+    """The plan to which a connection returns when it is there again.
+
+    Attributes:
+        plan: the first one that was lost.
+        available_since: when it was seen first without a break; None: it is not there.
+        look_at: when to look for it.
+        is_looking: whether a look for it is under way.
+    """
+
+    plan: Plan
+    available_since: float | None = None
+    look_at: float | None = None
+    is_looking: bool = False
+
+    def unseen(self) -> Preference:
+        """Return it as not there, and with no look due."""
+        return self._replace(available_since=None, look_at=None)
 
 
 class ConnectionRecord(NamedTuple):
@@ -322,23 +373,15 @@ class ConnectionRecord(NamedTuple):
         wanted: the function, and the output where one is named.
         validate: how many messages are checked.
         waiter: the caller that waits for the reply to the request; empty: none any more.
-        killer: the caller that waits for its end; empty: none.
-        is_killed: whether it ends because it was killed, so that what waits is not read.
-        outcome: how it ends, while it is closing.
-        error: what the request fails with, where that is more than the cause.
+        state: as it was published last.
+        cause: of that.
         has_callback: whether a callback waits for the messages, so that there must be an output.
         output: of the provider, whose messages the application receives.
-        current: the plan that runs; while the first is being opened, that one. None before there
-            is a plan.
-        next: the plan that is being opened in its place.
-        failure: why it needs a replacement; None: it does not.
+        current: the plan that is open, or was until the end; None before the first one is.
+        move: on the way to another plan, or to the end; None: it stays.
         attempt: counts plans and searches, so that a late result is known as such.
-        preferred: the plan to return to, the first one that was lost.
-        available_since: when that was seen first without a break; None: it is not there.
-        look_at: when to look for it.
-        is_looking: whether a look for it is under way.
-        switchover: id of the switchover that it takes part in; 0: none.
-        moves: when its plan changed within the last minute.
+        preferred: what it returns to when that is there again.
+        changes: when its plan changed within the last minute.
         finished: why it ends when all that is under way has arrived; empty: it does not.
         number: of its request; the oldest has the lowest.
     """
@@ -350,31 +393,42 @@ class ConnectionRecord(NamedTuple):
     waiter: str
     state: ConnectionState = ConnectionState.OPENING
     cause: str = ""
-    killer: str = ""
-    is_killed: bool = False
-    outcome: ConnectionState = ConnectionState.CLOSED
-    error: BaseException | None = None
     has_callback: bool = False
     output: str | None = None
-    # `current` is None only while the first plan is sought. `next` is there only beside a failure
-    # or in a switchover, never in a connection that closes.
     current: Placement | None = None
-    next: Placement | None = None
-    failure: ComponentFailure | None = None
+    # One at most: another reason takes the place of the one so far, or waits for its end. It is
+    # None only in a connection that runs.
+    move: Move | None = None
     # Grows with each search and each plan that is given up. A result with an earlier number is
     # dropped (`step`), and parts of an abandoned plan belong to a user that no plan has any more.
     attempt: int = 1
-    preferred: Plan | None = None
-    available_since: float | None = None
-    look_at: float | None = None
-    is_looking: bool = False
-    # Where it is not 0, the connection is a member of that switchover. One that ended while the
-    # inputs changed hands is still listed there, and passed over.
-    switchover: int = 0
-    moves: tuple[float, ...] = ()
-    # Set once and never taken back: a source that has finished is not played again.
+    preferred: Preference | None = None
+    changes: tuple[float, ...] = ()
+    # Set once and never taken back: a source that has finished is not played again. No move of its
+    # own, since what dies until all has arrived is replaced still.
     finished: str = ""
     number: int = 0
+
+    @property
+    def next(self) -> Placement | None:
+        """The plan that is being opened."""
+        return None if self.move is None else self.move.next
+
+    @property
+    def reason(self) -> MoveReason | None:
+        """Why it moves; None: it does not."""
+        return None if self.move is None else self.move.reason
+
+    @property
+    def has_plan(self) -> bool:
+        """Whether a plan is open, or being opened: none is while the first one is sought."""
+        return self.current is not None or self.next is not None
+
+    @property
+    def is_killed(self) -> bool:
+        """Whether it ends because it was killed, so that what waits is not read."""
+        move = self.move
+        return move is not None and bool(move.killer) and move.outcome is ConnectionState.CLOSED
 
     @property
     def is_over(self) -> bool:
@@ -395,14 +449,15 @@ class ConnectionRecord(NamedTuple):
 
     @property
     def placement(self) -> Placement:
-        """The plan that runs, with its parts."""
-        assert self.current is not None, "only a request that is being resolved has no plan"
-        return self.current
+        """The plan that runs, with its parts; before the first one does, that one."""
+        placement = self.current or self.next
+        assert placement is not None, "only a request that is being resolved has no plan"
+        return placement
 
     @property
     def components(self) -> tuple[str, ...]:
         """The names of its components; while it waits, those that are left."""
-        lost = self.failure.lost if self.failure is not None else ()
+        lost = self.move.lost if self.move is not None else ()
         waits = self.state is ConnectionState.WAITING
         ids = self.placement.components
         return tuple(
@@ -468,7 +523,6 @@ class State:
         closers: callers that wait until every connection has ended.
         revision: of the configuration.
         outdated: connections whose plan may be another in this revision.
-        postponed: connections whose first plan, placed now, would be in the way of those.
         configurers: callers that wait until all those have moved.
         candidates: how many changes of candidates there were in this revision.
         replaced: the candidates that were superseded by the last of these, newest last.
@@ -494,7 +548,7 @@ class State:
     switchovers: HashTrieMap[int, Switchover] = _NOTHING
     # From the plan that uses one again to the opening that lets commands through again.
     recalled: HashTrieSet[int] = _NONE
-    # Kept by `Draft.put`: all that have failed or look for a better plan, and no other.
+    # Kept by `Draft.put`: all that wait to search or look again, and no other.
     timed: HashTrieSet[str] = _NONE
     # Their order is that of the times: a name that is set anew is the last.
     failed: OrderedMap[str, float] = field(factory=OrderedMap)
@@ -505,9 +559,8 @@ class State:
     is_closing: bool = False
     closers: tuple[str, ...] = ()
     revision: int = 0
-    # These three are settled together, in `switchover.continue_reconfiguration`.
+    # These two are settled together, in `switchover.continue_reconfiguration`.
     outdated: HashTrieSet[str] = _NONE
-    postponed: tuple[str, ...] = ()
     configurers: tuple[str, ...] = ()
     candidates: int = 0
     replaced: tuple[frozenset[str], ...] = ()

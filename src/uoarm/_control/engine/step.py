@@ -11,7 +11,7 @@ from collections.abc import Callable
 from typing import Any
 
 from uoarm._control.engine import failover, switchover
-from uoarm._control.engine.actions import Action, Close, Forget, Reply
+from uoarm._control.engine.actions import Action, Close, Forget, Publish, Reply
 from uoarm._control.engine.draft import Draft, InputInUseError, connection_of
 from uoarm._control.engine.events import (
     CandidatesChanged,
@@ -32,7 +32,15 @@ from uoarm._control.engine.events import (
     TimeReached,
 )
 from uoarm._control.engine.failover import end, finish_if_asked
-from uoarm._control.engine.state import ConnectionRecord, State, names, oldest_first
+from uoarm._control.engine.move import RULES, Failing, MovePhase, MoveReason
+from uoarm._control.engine.state import (
+    ConnectionRecord,
+    Move,
+    Placement,
+    State,
+    names,
+    oldest_first,
+)
 from uoarm.errors import ConnectionClosedError, ResolutionError, UsageError
 from uoarm.model import ConnectionState, Plan, PortRef
 
@@ -67,6 +75,7 @@ def _requested(draft: Draft, event: Requested) -> None:
         event.validate,
         event.waiter,
         has_callback=event.has_callback,
+        move=_request(draft, MovePhase.SEEKING),
         number=draft.requests,
     )
     # The plan was found in the caller's thread, before the event: the configuration, or a
@@ -77,10 +86,15 @@ def _requested(draft: Draft, event: Requested) -> None:
         _begin(draft, record, event.plan)
 
 
+def _request(draft: Draft, phase: MovePhase, placement: Placement | None = None) -> Move:
+    """Return the move of a request to its first plan."""
+    return Move(MoveReason.REQUEST, phase, draft.now, next=placement)
+
+
 def _resolved(draft: Draft, event: Resolved) -> None:
     # The request was given up meanwhile, or has a plan: this is the answer of a search before.
     record = draft.connections.get(event.connection)
-    if record is None or record.current is not None:
+    if record is None or record.has_plan:
         return
     if _is_outdated(draft, event):
         draft.resolve(record)
@@ -115,14 +129,13 @@ def _begin(draft: Draft, record: ConnectionRecord, plan: Plan) -> None:
         # Connections that move to the new configuration may leave what is in the way. To ask the
         # caller to try again would be to let a race of ours fail its request.
         if draft.configurers:
-            draft.put(record)
-            draft.postponed = (*draft.postponed, record.id)
+            draft.put(record, move=_request(draft, MovePhase.WAITING))
         else:
             _refuse(draft, record, ResolutionError(str(error)))
         return
     # Published before anything opens: the objects that open read the plan's mode of checking, and
     # the inbox, from the record that was published last.
-    record = draft.put(record, current=placement)
+    record = draft.put(record, move=_request(draft, MovePhase.OPENING, placement))
     draft.publish(record)
     _advance(draft, record)
 
@@ -148,20 +161,26 @@ def _output(plan: Plan, wanted: PortRef) -> str | None:
 
 def _advance(draft: Draft, record: ConnectionRecord) -> None:
     """Have what a connection still needs opened; proceed where all of it is open."""
-    if record.state is ConnectionState.OPENING and record.current is not None:
-        if draft.open(record, record.current, record.waiter, is_receiving=True):
+    move = record.move
+    if move is None or move.next is None:
+        return
+    if move.reason is MoveReason.REQUEST:
+        if draft.open(record, move.next, record.waiter, is_receiving=True):
             _run(draft, record)
-    elif record.next is not None and record.switchover:
-        switchover.advance(draft, draft.switchovers[record.switchover], (record.id,))
-    elif record.next is not None:
+    elif move.group:
+        switchover.advance(draft, draft.switchovers[move.group], (record.id,))
+    else:
         failover.advance(draft, record)
 
 
 def _run(draft: Draft, record: ConnectionRecord) -> None:
     # Published before the reply: who has the handle finds it running.
     waiter = record.waiter
-    record = draft.put(record, state=ConnectionState.RUNNING, waiter="")
-    draft.publish(record)
+    record = draft.put(
+        record, state=ConnectionState.RUNNING, waiter="", current=record.next, move=None
+    )
+    draft.actions.append(Publish(record))
+    draft.announce(record, RULES[MoveReason.REQUEST].announced)
     draft.actions.append(Reply(waiter))
     finish_if_asked(draft, record)
 
@@ -189,24 +208,28 @@ def _failed_to_open(
     draft: Draft, record: ConnectionRecord, user: str, error: BaseException
 ) -> None:
     """Do without the plan that could not be opened, unless the connection has left it already."""
-    placements = (record.current, record.next)
-    if user not in {placement.user for placement in placements if placement is not None}:
+    move, placements = record.move, (record.current, record.next)
+    users = {placement.user for placement in placements if placement is not None}
+    if move is None or user not in users:
         return
-    if record.state is ConnectionState.OPENING:
-        draft.actions.append(Forget(names(record.placement.plan)))
-        record = draft.put(record, error=error)
-        end(draft, record, ConnectionState.FAILED, str(error), lane=record.waiter)
-    elif record.switchover:
-        switchover.abandon(draft, draft.switchovers[record.switchover], str(error))
-    elif record.next is not None:
-        failover.try_another(draft, record, str(error))
+    match move.rule.failing:
+        case Failing.ENDS:
+            draft.actions.append(Forget(names(record.placement.plan)))
+            end(draft, record, ConnectionState.FAILED, str(error), record.waiter, error=error)
+        case Failing.STAYS:
+            switchover.abandon(draft, draft.switchovers[move.group], str(error))
+        case Failing.SEEKS:
+            if move.next is not None:
+                failover.try_another(draft, record, str(error))
+        case Failing.CLOSES:
+            pass
 
 
 def _killed(draft: Draft, event: Killed) -> None:
     # Idempotent: what has ended, or is ending, is answered at once. The caller of the first kill
     # closes; a second one does not wait for it.
     record = draft.connections.get(event.connection)
-    if record is None or record.current is None:
+    if record is None or not record.has_plan:
         if record is not None:
             _refuse(draft, record, ConnectionClosedError(event.cause or "the request was given up"))
         draft.actions.append(Reply(event.waiter))
@@ -217,8 +240,7 @@ def _killed(draft: Draft, event: Killed) -> None:
     outcome = ConnectionState.FAILED if event.is_failure else ConnectionState.CLOSED
     if event.is_failure:
         draft.actions.append(Forget(names(record.placement.plan)))
-    record = draft.put(record, killer=event.waiter, is_killed=not event.is_failure)
-    end(draft, record, outcome, event.cause, lane=event.waiter)
+    end(draft, record, outcome, event.cause, event.waiter, killer=event.waiter)
 
 
 def _drained(draft: Draft, event: Drained) -> None:
@@ -238,14 +260,16 @@ def _ended(draft: Draft, event: Ended) -> None:
     # In no list any more when the caller's thread goes on, and published before that.
     record = draft.connections[event.connection]
     draft.remove(record)
-    error = record.error
+    move = record.move
+    assert move is not None, "it was on its way to its end"
+    error = move.error
     if error is None and record.waiter:
         text = f"connection {record.id} ended while it was being opened"
         error = ConnectionClosedError(f"{text}: {record.cause or 'kill'}")
-    record = record._replace(state=record.outcome)
+    record = record._replace(state=move.outcome)
     draft.publish(record)
     draft.actions += [Reply(record.waiter, error)] if record.waiter else []
-    draft.actions += [Reply(record.killer)] if record.killer else []
+    draft.actions += [Reply(move.killer)] if move.killer else []
     _reply_when_closed(draft)
 
 
@@ -254,7 +278,7 @@ def _stopped(draft: Draft, event: Stopped) -> None:
     draft.is_closing, draft.closers = True, (*draft.closers, event.waiter)
     for item in oldest_first(draft.connections.values()):
         record = draft.connections[item.id]  # an end may change others, with which it returns
-        if record.current is None:
+        if not record.has_plan:
             _refuse(draft, record, ConnectionClosedError(_CLOSED))
         else:
             cause = "the robot manager was closed"

@@ -17,7 +17,6 @@ from uoarm._control.engine.actions import (
     Adopt,
     Announce,
     CheckPreferred,
-    FindReplacement,
     Release,
     Reply,
     SwitchInputs,
@@ -34,19 +33,21 @@ from uoarm._control.engine.events import (
 )
 from uoarm._control.engine.failover import (
     cancel_switchover,
+    death,
     drop_next,
     hand_over,
     look_later,
     look_soon,
     replace,
     seek,
+    seek_plan,
 )
-from uoarm._control.engine.move import MoveReason
+from uoarm._control.engine.move import RULES, MovePhase, MoveReason
 from uoarm._control.engine.ordered import OrderedMap
 from uoarm._control.engine.state import (
-    ComponentFailure,
     ConnectionRecord,
     EdgeRecord,
+    Move,
     Switchover,
     listed,
     names,
@@ -87,18 +88,18 @@ def begin(draft: Draft, records: Sequence[ConnectionRecord], reason: MoveReason)
     draft.switchovers = draft.switchovers.insert(number, group)
     # One search at a time, all in the lane of the switchover: what the plan of one member moves
     # along may be members itself, of which the search for the next must know.
-    first, *_ = [draft.put(record, switchover=number) for record in records]
-    _seek_for(draft, first)
+    first, *_ = [draft.put(record, move=_move_in(group)) for record in records]
+    seek_plan(draft, first)
 
 
 def found(draft: Draft, record: ConnectionRecord, event: ReplacementSought) -> None:
     """Note the better plan of a member; open all when each has one."""
     # Cancelled meanwhile, or this one was moved into another group.
     group = draft.switchovers.get(event.switchover)
-    if group is None or record.switchover != group.id:
+    if group is None or record.move is None or record.move.group != group.id:
         return
     if event.plan is not None and draft.is_outdated(event.plan, event.candidates):
-        _seek_for(draft, record)
+        seek_plan(draft, record)
         return
     members, unsought = group.members.insert(record.id, event.plan), group.unsought
     unsought = unsought.discard(record.id)
@@ -108,7 +109,7 @@ def found(draft: Draft, record: ConnectionRecord, event: ReplacementSought) -> N
         if event.plan is None or _serves(draft, record, event.plan):
             members = members.discard(record.id)  # what must go is replaced after the switchover
             joined = HashTrieMap()
-            draft.put(record, switchover=0)
+            draft.put(record, move=None)
         if event.plan is None and not _is_superseded(draft, record):
             draft.actions.append(Warn(record.id, f"stays where it is: {event.error}"))
     elif event.plan is None or names(event.plan) == names(record.placement.plan):
@@ -120,7 +121,7 @@ def found(draft: Draft, record: ConnectionRecord, event: ReplacementSought) -> N
     users = {connection_of(user) for users in new.values() for user in users}
     for identity in sorted(user for user in users if user not in members):
         for member in _joining_with(draft, identity):
-            draft.put(drop_next(draft, draft.connections[member]), switchover=group.id)
+            draft.put(drop_next(draft, draft.connections[member]), move=_move_in(group))
             members, unsought = members.insert(member, None), unsought.insert(member, None)
     if all(user in members for user in users):
         joined = joined.update(new)
@@ -129,7 +130,7 @@ def found(draft: Draft, record: ConnectionRecord, event: ReplacementSought) -> N
         return
     group = _put(draft, evolve(group, members=members, unsought=unsought, joined=joined))
     if unsought:
-        _seek_for(draft, draft.connections[unsought.first()])
+        seek_plan(draft, draft.connections[unsought.first()])
         return
     # Nothing of any member is placed before each has its plan: until then a death costs nothing.
     for identity, plan in members.items():
@@ -141,7 +142,8 @@ def found(draft: Draft, record: ConnectionRecord, event: ReplacementSought) -> N
         except ResolutionError as error:
             abandon(draft, group, str(error))
             return
-        draft.put(record, next=placement)
+        assert record.move is not None, "a member moves"
+        draft.put(record, move=record.move._replace(phase=MovePhase.OPENING, next=placement))
     advance(draft, _put(draft, evolve(group, unopened=HashTrieSet(members))), members)
 
 
@@ -189,6 +191,10 @@ def advance(draft: Draft, group: Switchover, members: Iterable[str]) -> None:
         abandon(draft, group, str(error))
         return
     # From here on to `InputsSwitched` nothing takes this back: see `Switchover.is_switching`.
+    for identity in group.members:
+        record = draft.connections[identity]
+        assert record.move is not None, "a member moves"
+        draft.put(record, move=record.move._replace(phase=MovePhase.SWITCHING))
     _put(draft, evolve(group, is_switching=True))
     draft.actions.append(SwitchInputs(f"switchover {group.id}", group.id, pairs))
 
@@ -200,18 +206,20 @@ def inputs_switched(draft: Draft, event: InputsSwitched) -> None:
     for identity in group.members:
         # Killed, or ended, while the inputs changed hands.
         record = draft.connections.get(identity)
-        if record is None or record.next is None or not record.is_active:
+        move = None if record is None else record.move
+        if record is None or move is None or move.next is None or not record.is_active:
             continue
-        failure = record.failure
         if event.error:
-            cause = f"{group.rule.called} failed: {event.error}"
-            record = draft.put(drop_next(draft, record), switchover=0, available_since=None)
             # Some inputs may have been switched and others not: it is a failure like a death, after
             # which any plan that can be had is taken, the one so far included.
-            failure = failure or ComponentFailure(group.began, cause, (), frozenset(), frozenset())
-            seek(draft, draft.put(record, failure=failure))
+            cause = move.cause if move.lost else f"{group.rule.called} failed: {event.error}"
+            record = draft.put(
+                drop_next(draft, record),
+                preferred=record.preferred and record.preferred._replace(available_since=None),
+            )
+            seek(draft, draft.put(record, move=move.as_death()._replace(cause=cause)))
             continue
-        hand_over(draft, record, group.reason, group.began, group.rule.cause)
+        hand_over(draft, draft.put(record, move=move._replace(since=group.began)))
         record = draft.connections[identity]
         # Deaths that came while the inputs changed hands were left for this moment.
         ids = set(record.placement.components.values())
@@ -219,8 +227,7 @@ def inputs_switched(draft: Draft, event: InputsSwitched) -> None:
             lost = tuple(id_ for id_ in ids if draft.components[id_].is_lost)
             dead = frozenset(draft.components[number].name for number in lost)
             cause = "its preferred components were lost again"
-            failure = ComponentFailure(draft.now, cause, lost, dead, dead)
-            seek(draft, draft.put(record, failure=failure))
+            seek(draft, draft.put(record, move=death(draft.now, cause, lost, dead, dead)))
 
 
 def _put(draft: Draft, group: Switchover) -> Switchover:
@@ -243,23 +250,9 @@ def abandon(draft: Draft, group: Switchover, error: str) -> None:
     cancel_switchover(draft, group.id, is_abandoned=True)
 
 
-def _seek_for(draft: Draft, record: ConnectionRecord) -> None:
-    """Look for the better plan of a member."""
-    record = draft.put(record, attempt=record.attempt + 1)
-    rule = draft.switchovers[record.switchover].rule
-    draft.actions.append(
-        FindReplacement(
-            lane=f"switchover {record.switchover}",
-            connection=record.id,
-            attempt=record.attempt,
-            plan=record.placement.plan,
-            output=record.output,
-            excluded=frozenset(),
-            failed=draft.failed_lately(but=()) if rule.avoids_failed else OrderedMap(),
-            avoided=draft.avoided_lately(),
-            switchover=record.switchover,
-        )
-    )
+def _move_in(group: Switchover) -> Move:
+    """Return the move of a member whose plan is to be sought."""
+    return Move(group.reason, MovePhase.SEEKING, group.began, group.rule.cause, group=group.id)
 
 
 def _joining_with(draft: Draft, identity: str) -> tuple[str, ...]:
@@ -270,7 +263,7 @@ def _joining_with(draft: Draft, identity: str) -> tuple[str, ...]:
     record = draft.connections.get(identity)
     if record is None:
         return ()
-    group = draft.switchovers.get(record.switchover)
+    group = None if record.move is None else draft.switchovers.get(record.move.group)
     if group is None:
         return (identity,) if may_move(record) else ()
     if group.is_switching or not group.rule.is_shared:
@@ -293,28 +286,24 @@ def _is_superseded(draft: Draft, record: ConnectionRecord) -> bool:
 
 def may_move(record: ConnectionRecord) -> bool:
     """Say whether a connection runs undisturbed, so that it may change to a better plan."""
-    return (
-        record.state is ConnectionState.RUNNING
-        and record.failure is None
-        and not record.switchover
-        and not record.finished
-    )
+    return record.state is ConnectionState.RUNNING and record.move is None and not record.finished
 
 
 def look_for_preferred(draft: Draft, record: ConnectionRecord) -> None:
     """Have it checked whether the preferred plan is available, when it is time."""
-    if record.look_at is None or record.is_looking or record.preferred is None:
+    preferred = record.preferred
+    if preferred is None or preferred.look_at is None or preferred.is_looking:
         return
-    if record.look_at > draft.now:
-        draft.actions.append(WakeAt(record.look_at))
+    if preferred.look_at > draft.now:
+        draft.actions.append(WakeAt(preferred.look_at))
         return
     if not may_move(record):
         look_later(draft, record)
         return
     # One look at a time: a bridge that hangs in it holds up no other connection's.
-    draft.put(record, is_looking=True, look_at=None)
+    draft.put(record, preferred=preferred._replace(is_looking=True, look_at=None))
     lane = f"{record.id}?"
-    draft.actions.append(CheckPreferred(lane, record.id, record.preferred, draft.avoided_lately()))
+    draft.actions.append(CheckPreferred(lane, record.id, preferred.plan, draft.avoided_lately()))
 
 
 def preferred_checked(draft: Draft, event: PreferredChecked) -> None:
@@ -323,13 +312,14 @@ def preferred_checked(draft: Draft, event: PreferredChecked) -> None:
     if record is None or record.preferred is None:
         return
     # A look that was under way as the connection moved says nothing of the time since.
-    record = draft.put(record, is_looking=False)
+    preferred = record.preferred._replace(is_looking=False)
     if not event.is_available or not may_move(record):
-        look_later(draft, draft.put(record, available_since=None))
+        preferred = preferred._replace(available_since=None)
+        look_later(draft, draft.put(record, preferred=preferred))
         return
-    since = draft.now if record.available_since is None else record.available_since
-    record = draft.put(record, available_since=since)
-    if draft.now - since < (draft.policy.return_after or 0.0):
+    since = draft.now if preferred.available_since is None else preferred.available_since
+    record = draft.put(record, preferred=preferred._replace(available_since=since))
+    if draft.now - since < RULES[MoveReason.RETURN].patience(draft.policy):
         look_later(draft, record)
         return
     begin(draft, [record], MoveReason.RETURN)
@@ -350,7 +340,7 @@ def configured(draft: Draft, event: Configured) -> None:
     draft.actions += [Adopt(event.revision), report]
     for item in oldest_first(draft.connections.values()):
         record = draft.connections[item.id]
-        if record.current is None or record.state is ConnectionState.CLOSING:
+        if not record.has_plan or record.state is ConnectionState.CLOSING:
             continue
         if record.wanted.function in event.functions or _superseded(draft, record):
             _outdate(draft, record)
@@ -373,14 +363,15 @@ def candidates_changed(draft: Draft, event: CandidatesChanged) -> None:
 
 
 def _outdate(draft: Draft, record: ConnectionRecord) -> None:
-    if record.switchover and not draft.switchovers[record.switchover].is_switching:
-        cancel_switchover(draft, record.switchover)
+    move = record.move
+    if move is not None and move.group and move.phase is not MovePhase.SWITCHING:
+        cancel_switchover(draft, move.group)
         record = draft.connections[record.id]
-    record = draft.put(record, preferred=None, available_since=None, look_at=None)
+    record = draft.put(record, preferred=None)
     # One that needs a replacement anyway seeks it in the new configuration, and needs no move.
-    if record.failure is not None and record.is_active and not record.switchover:
-        failure = evolve(record.failure, excluded=frozenset())
-        seek(draft, draft.put(drop_next(draft, record), failure=failure))
+    if move is not None and move.reason is MoveReason.DEATH:
+        move = move._replace(excluded=frozenset(), next=None)
+        seek(draft, draft.put(drop_next(draft, record), move=move))
     else:
         draft.outdated = draft.outdated.insert(record.id)
 
@@ -399,23 +390,27 @@ def continue_reconfiguration(draft: Draft) -> None:
     # All move at once or not at all, so that what is opening or switching now is waited for. Each
     # of these ends with an event, after which this is called again.
     if any(group.rule.is_owed for group in draft.switchovers.values()) or any(
-        record.state is ConnectionState.OPENING or record.switchover for record in records
+        record.reason not in {None, MoveReason.DEATH} for record in records
     ):
         return
     draft.outdated = HashTrieSet()
-    members = [record for record in records if record.failure is None and not record.finished]
+    members = [record for record in records if record.move is None and not record.finished]
     if members:
         begin(draft, members, MoveReason.CONFIGURATION)
         return
     # What could not move by now is closed first. Then the requests that were in the way of moves,
     # with plans that are sought anew: those that they had may be in the way still.
     _replace_what_is_left(draft)
-    for identity in draft.postponed:
-        postponed = draft.connections.get(identity)
-        if postponed is not None and postponed.current is None:
-            draft.resolve(postponed)
+    for record in oldest_first(draft.connections.values()):
+        move = record.move
+        if (
+            move is not None
+            and move.reason is MoveReason.REQUEST
+            and move.phase is MovePhase.WAITING
+        ):
+            draft.resolve(draft.put(record, move=move._replace(phase=MovePhase.SEEKING)))
     draft.actions += map(Reply, draft.configurers)
-    draft.postponed, draft.configurers = (), ()
+    draft.configurers = ()
 
 
 def _superseded(draft: Draft, record: ConnectionRecord) -> tuple[int, ...]:
@@ -434,7 +429,8 @@ def _replace_what_is_left(draft: Draft) -> None:
     """Close what the configuration has no more, and let connections that use it look further."""
     left: set[int] = set()
     for record in oldest_first(draft.connections.values()):
-        if record.is_active and record.failure is None and not record.finished:
+        is_replaced = record.move is not None and record.move.has_lost
+        if record.is_active and not is_replaced and not record.finished:
             # In the lane in which `replace` has the next plan sought and opened: a device that can
             # be open once is free by then.
             rest = _superseded(draft, record)
@@ -445,4 +441,4 @@ def _replace_what_is_left(draft: Draft) -> None:
     if lost:
         dead = frozenset(draft.components[number].name for number in lost)
         text = f"the configuration has {listed(sorted(dead))} no more, or otherwise"
-        replace(draft, ComponentFailure(draft.now, text, lost, dead, frozenset()))
+        replace(draft, death(draft.now, text, lost, dead))

@@ -330,7 +330,7 @@ class LiveParts:
         record = None if runtime is None else runtime.record
         if record is None or record.current is None:
             return []
-        if record.current.user == action.placement.user:  # this is what it runs, or its first plan
+        if record.current.user == action.placement.user:  # this is what it runs
             return []
         return _there(self.components, record.current.components.values())
 
