@@ -281,8 +281,12 @@ class EventDispatcher:
         while (event := self._events.get()) is not None:
             if event.change in _RECORDED:
                 self._record(event)
-            for listener in self._listeners:
-                try:
-                    foreign(listener, event)
-                except Exception:  # noqa: BLE001 - a listener may raise anything
-                    _log.exception("listener %r failed at event %d", listener, event.number)
+            self._notify(event)
+
+    def _notify(self, event: StatusEvent) -> None:
+        # Apart from what waits: its frame would keep the last listener, that has left or not.
+        for listener in self._listeners:
+            try:
+                foreign(listener, event)
+            except Exception:  # noqa: BLE001 - a listener may raise anything
+                _log.exception("listener %r failed at event %d", listener, event.number)

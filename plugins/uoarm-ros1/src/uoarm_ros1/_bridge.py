@@ -391,11 +391,15 @@ class Ros1Bridge(Bridge):
             if time.monotonic() >= next_look:
                 next_look = time.monotonic() + self._settings.check
                 self._look_at_master()
-            for channel in tuple(self._ticking):
-                if not channel.closed:
-                    channel.tick()
+            self._tick()
             left = next_look - time.monotonic()
             self._closing.wait(max(0.0, min(_TICK_SECONDS, left)))
+
+    def _tick(self) -> None:
+        # Apart from what waits: its frame would keep the last channel, closed or not.
+        for channel in tuple(self._ticking):
+            if not channel.closed:
+                channel.tick()
 
     def _look_at_master(self) -> None:
         node, health = self._node, self._master_health

@@ -410,11 +410,15 @@ class RosbridgeBridge(Bridge):
                 if self._connection.is_up and not self._closing.is_set():
                     with suppress(BridgeError):
                         self._look()
-            with self._table_lock:
-                channels = tuple(self._channels)
-            for channel in channels:
-                if isinstance(channel, TopicSource) and not channel.closed:
-                    channel.health.tick()
+            self._tick()
+
+    def _tick(self) -> None:
+        # Apart from what waits: its frame would keep the last channel, closed or not.
+        with self._table_lock:
+            channels = tuple(self._channels)
+        for channel in channels:
+            if isinstance(channel, TopicSource) and not channel.closed:
+                channel.health.tick()
 
     def _look(self) -> None:
         """Look at all that is open, and for all that was lost; one that fails hinders no other."""
