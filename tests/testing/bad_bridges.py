@@ -555,7 +555,7 @@ def facts_end(world: BadWorld, bridge: MemoryBridge, made: Channel) -> None:
     made.facts = facts  # type: ignore[method-assign]
 
 
-def queued(*, drains: Callable[[BadWorld, float], bool]) -> Spoil:
+def queued(*, drains: Callable[[BadWorld, float], bool], pause: float = 0.02) -> Spoil:
     """Have a thread of its own send, which ends with the channel, whatever waits then."""
 
     def change(world: BadWorld, bridge: MemoryBridge, made: Sink) -> None:
@@ -563,7 +563,7 @@ def queued(*, drains: Callable[[BadWorld, float], bool]) -> Spoil:
         send, over, close = made._send, threading.Event(), made._close
 
         def work() -> None:
-            while not over.wait(0.02):
+            while not over.wait(pause):
                 try:
                     send(waiting.get(timeout=0.01))
                 except queue.Empty:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from functools import partial
 
 import pytest
 
@@ -286,13 +287,14 @@ class DisturbanceRules:
         """It may not vanish, break anything, nor hang."""
         with line(world, bridge, kind) as through:
             for nonsense in _NONSENSE:
-                before = _refused(through.sink)
+                before = _came(through)
                 try:
                     through.sink.send(nonsense)
                 except UoarmError:
                     continue
                 if nonsense is not None:
-                    _came_or_counted(through, before, nonsense)
+                    text = f"{nonsense!r} was taken and vanished: raise, or count it in `facts`"
+                    wait(partial(_is_more, through, before), text, world.patience)
             message = through.example()
             wanted = world.carried(kind, message)
             through.send(message)
@@ -363,12 +365,13 @@ class DisturbanceRules:
         sending.result(world.patience)
 
 
-def _came_or_counted(through: Line, refused: int, nonsense: Message) -> None:
-    wait(
-        lambda: through.collector.messages or _refused(through.sink) > refused,
-        f"{nonsense!r} was taken and vanished: raise, or count it in `facts`",
-        through.world.patience,
-    )
+def _came(through: Line) -> int:
+    """Return how many messages came or were counted as refused."""
+    return len(through.collector.messages) + _refused(through.sink)
+
+
+def _is_more(through: Line, before: int) -> bool:
+    return _came(through) > before
 
 
 def _refused(sink: Sink) -> int:
