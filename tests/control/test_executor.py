@@ -11,8 +11,8 @@ import pytest
 from tests.control.world import FACE
 
 from uoarm import RobotManager
-from uoarm._control.engine.ordered import OrderedMap
-from uoarm._control.engine.state import forget_earlier, keep_newest, listed
+from uoarm._control.engine.ordered import OrderedMap, forget_earlier
+from uoarm._control.engine.state import keep_newest, listed
 from uoarm._control.live import parts
 from uoarm._control.revisions import Revision
 from uoarm._control.threads import EventDispatcher

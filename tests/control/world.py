@@ -344,6 +344,13 @@ class World:
     def _check_move(self, connection: ConnectionRecord) -> None:
         """A connection has one move at most, and the plan that it leads to belongs to it."""
         move, state = connection.move, connection.state
+        if connection.current is not None and connection.is_active:
+            # What moves, or failed to, has the plan before open, or says what of it is lost.
+            lost = () if move is None else move.lost
+            for part in connection.current.parts:
+                assert part in self.open
+                if part.kind in {Kind.COMPONENT, Kind.OUTPUT}:
+                    assert part.id in lost or not self.state.components[part.id].is_lost
         if move is None:
             assert state is ConnectionState.RUNNING
             return

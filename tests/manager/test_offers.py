@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from uoarm import RobotManager
-from uoarm._control.offers import OfferMachine, Work, pause
+from uoarm._control.offers import OfferMachine, Work
 from uoarm.config import loads
 from uoarm.errors import ConfigurationError, MessageError, ResolutionError
 from uoarm.model import Endpoint, Health, OfferState, OfferStatus, Role
@@ -320,7 +320,14 @@ offer: {{net: {{turn: {{output: {{endpoint: [angle]{port}}}}}}}}}
 
 
 def test_pauses_grow_to_half_a_minute() -> None:
-    assert [pause(failures) for failures in (1, 2, 3, 6, 100)] == [1, 2, 4, 30, 30]
+    machine, pauses, now = OfferMachine(), [], 0.0
+    for _ in range(8):
+        assert machine.begin(now) is Work.OPEN
+        machine.failed("no", now)
+        assert machine.due is not None
+        pauses.append(machine.due - now)
+        now = machine.due
+    assert pauses == [1, 2, 4, 8, 16, 30, 30, 30]
 
 
 def test_what_breaks_again_and_again_is_opened_with_pauses() -> None:

@@ -12,6 +12,7 @@ from collections.abc import Callable, Mapping
 
 from attrs import define
 
+from uoarm._backoff import Backoff
 from uoarm._control.machines import Machines, StagedMachines
 from uoarm._dataplane import Clock
 from uoarm._origin import install_command
@@ -23,8 +24,8 @@ from uoarm.model import BridgeSpec, BridgeStatus, Health, Listening, Options
 
 __all__ = ["BridgeSet", "Restarts", "StagedBridges", "facts_of", "start_hosted"]
 
-_FIRST_DELAY_SECONDS = 0.25
-_LAST_DELAY_SECONDS = 30.0
+# Between two restarts of a bridge that died more than once; the first restart is free.
+_RESTARTS = Backoff(first=0.25, most=30.0)
 _HEALTHY_SECONDS = 60.0
 
 
@@ -84,7 +85,7 @@ class Restarts:
             if record is None or record.deaths == 0:
                 return
             deaths, cause = record.deaths, record.cause
-            due = record.ended + _delay(deaths)
+            due = record.ended + (_RESTARTS.pause(deaths - 1) if deaths > 1 else 0.0)
         if deaths >= limit:
             text = f"bridge {name!r} is given up: it died {deaths} times in a row, at last: {cause}"
             raise BridgeError(text, FailureReason.UNAVAILABLE)
@@ -95,13 +96,6 @@ class Restarts:
                 f"{wait:.2g} s at the earliest; it died because {cause}"
             )
             raise BridgeError(text, FailureReason.UNAVAILABLE)
-
-
-def _delay(deaths: int) -> float:
-    if deaths <= 1:
-        return 0.0
-    doubled: float = _FIRST_DELAY_SECONDS * 2.0 ** min(deaths - 2, 30)
-    return min(_LAST_DELAY_SECONDS, doubled)
 
 
 def start_hosted(

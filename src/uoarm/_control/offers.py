@@ -13,6 +13,7 @@ from enum import Enum
 
 from attrs import define
 
+from uoarm._backoff import Backoff
 from uoarm._control.bridges import BridgeSet
 from uoarm._control.offered_function import Functions, OfferedFunction
 from uoarm._control.revisions import Revisions
@@ -24,14 +25,10 @@ from uoarm.bridge import Bridge, HealthEvent
 from uoarm.errors import UoarmError
 from uoarm.model import Health, Offer, OfferState, OfferStatus, Robot, RouteStatus, StatusEvent
 
-__all__ = ["OfferMachine", "Offers", "Work", "pause"]
+__all__ = ["OfferMachine", "Offers", "Work"]
 
 _LEAST_PAUSE, _LONGEST_PAUSE = 0.1, 30.0
-
-
-def pause(failures: int) -> float:
-    """Return how many seconds to wait after so many failures in a row: 1, 2, 4, up to 30."""
-    return float(min(_LONGEST_PAUSE, 2 ** min(failures - 1, 8)))
+_PAUSES = Backoff(first=1.0, most=_LONGEST_PAUSE)
 
 
 class Work(Enum):
@@ -96,7 +93,7 @@ class OfferMachine:
         self._work, self.is_tried = None, True
         self._failures += 1
         self._turn(OfferState.FAILED, cause)
-        self._rest(pause(self._failures), now)
+        self._rest(_PAUSES.pause(self._failures), now)
 
     def closed(self, now: float) -> None:
         """Take in that what was open is closed."""
@@ -105,7 +102,7 @@ class OfferMachine:
             self._turn(OfferState.FINISHED, self._finished)
             return
         self._failures = self._failures + 1 if now - self._begun < _LONGEST_PAUSE else 0
-        self._rest(pause(self._failures - 1) if self._failures > 1 else 0.0, now)
+        self._rest(_PAUSES.pause(self._failures - 1) if self._failures > 1 else 0.0, now)
 
     def broke(self, cause: str) -> None:
         """Take in that what is open, or is being opened, does not do any more."""

@@ -12,7 +12,8 @@ from uoarm._control.candidates import CandidateWatch
 from uoarm._control.connection import Connection
 from uoarm._control.driver import Driver
 from uoarm._control.engine.events import Requested
-from uoarm._control.engine.state import keep_newest, recently
+from uoarm._control.engine.ordered import recently
+from uoarm._control.engine.state import keep_newest
 from uoarm._control.live.connection_runtime import ConnectionRuntime
 from uoarm._control.live.health import FailureWatch
 from uoarm._control.revisions import Revision, Revisions

@@ -16,7 +16,7 @@ from uoarm._control.engine.actions import (
     Resolve,
     SetCheck,
 )
-from uoarm._control.engine.ordered import OrderedMap
+from uoarm._control.engine.ordered import OrderedMap, forget_earlier
 from uoarm._control.engine.state import (
     PORTS,
     Batch,
@@ -29,7 +29,6 @@ from uoarm._control.engine.state import (
     Parts,
     Placement,
     State,
-    forget_earlier,
     names,
     oldest_first,
 )

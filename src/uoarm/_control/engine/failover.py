@@ -25,14 +25,13 @@ from uoarm._control.engine.actions import (
 from uoarm._control.engine.draft import Draft, InputInUseError
 from uoarm._control.engine.events import HealthReported, ReplacementSought
 from uoarm._control.engine.move import MovePhase, MoveReason
-from uoarm._control.engine.ordered import OrderedMap
+from uoarm._control.engine.ordered import OrderedMap, forget_earlier
 from uoarm._control.engine.state import (
     ComponentRecord,
     ConnectionRecord,
     Move,
     Placement,
     Preference,
-    forget_earlier,
     listed,
     names,
     oldest_first,

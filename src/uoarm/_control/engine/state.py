@@ -42,12 +42,10 @@ __all__ = [
     "Preference",
     "State",
     "Switchover",
-    "forget_earlier",
     "keep_newest",
     "listed",
     "names",
     "oldest_first",
-    "recently",
 ]
 
 _BETTER_TO_WORSE = tuple(Health)
@@ -85,8 +83,6 @@ class ComponentHealth:
         return now == (health, cause) or now != (before.health, before.cause)
 
 
-# For so long what failed is tried last, and what was avoided is done without.
-_REMEMBERED_SECONDS = 300.0
 # Of a cause that names components; thousands may die with one bridge.
 _LISTED = 8
 # Names of discovered components come and go for ever: what is counted by name needs a bound.
@@ -581,18 +577,6 @@ def oldest_first(records: Iterable[ConnectionRecord]) -> list[ConnectionRecord]:
     return sorted(records, key=lambda record: record.number)
 
 
-def forget_earlier(times: OrderedMap[str, float], now: float) -> OrderedMap[str, float]:
-    """Return times without those longer ago than is remembered: names come and go for ever.
-
-    Args:
-        times: in their own order, which is why a name that is set anew is the last.
-        now: the time.
-    """
-    while times and times[oldest := times.first()] < now - _REMEMBERED_SECONDS:
-        times = times.discard(oldest)
-    return times
-
-
 def keep_newest(by_name: dict[str, T], name: str, value: T) -> None:
     """Set a value, and forget those that were set longest ago: names come and go for ever."""
     by_name.pop(name, None)
@@ -608,10 +592,3 @@ def listed(names: Sequence[str]) -> str:
     """
     shown = ", ".join(map(repr, names[:_LISTED]))
     return f"{shown} and {len(names) - _LISTED} more" if len(names) > _LISTED else shown
-
-
-def recently(times: Mapping[str, float], now: float) -> frozenset[str]:
-    """Return what happened within the last five minutes."""
-    if not times:
-        return frozenset()
-    return frozenset(name for name, time in times.items() if time >= now - _REMEMBERED_SECONDS)
