@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING
 
 from uoarm.bridge import Bridge, BridgeType, hookimpl
 from uoarm.model import Options
-from uoarm_rocos._discovery import doctor
 from uoarm_rocos._options import BRIDGE_OPTIONS, PortOptions, mistake
 
 if TYPE_CHECKING:
@@ -97,7 +96,7 @@ def bridge_type(name: str, summary: str, wire: MakeWire | None = None) -> Bridge
         options_schema=BRIDGE_OPTIONS,
         endpoint_options=PortOptions,
         check_endpoint=mistake,
-        doctor=doctor,
+        doctor=_doctor,
         contract=2,
     )
 
@@ -114,6 +113,12 @@ def __getattr__(name: str) -> object:
     if module is None:
         raise AttributeError(f"module 'uoarm_rocos' has no attribute {name!r}")
     return getattr(import_module(f"uoarm_rocos.{module}"), name)
+
+
+def _doctor() -> dict[str, str]:
+    from uoarm_rocos._discovery import doctor  # noqa: PLC0415 - loads the reader of XML
+
+    return doctor()
 
 
 def _maker(wire: MakeWire | None) -> Callable[[str, Options], Bridge]:

@@ -20,13 +20,14 @@ from uoarm.bridge import (
     Source,
 )
 from uoarm.errors import BridgeError, FailureReason
-from uoarm.model import Endpoint, Health, Message, MessageStructure, Options, Role
-from uoarm_rocos._catalogue import Api, ApiKind, Direction
+from uoarm.model import Endpoint, Health, Message, MessageStructure, Options
+from uoarm_rocos._catalogue import Api, Direction
 from uoarm_rocos._catalogue_xml import load_catalogue
 from uoarm_rocos._channels import SinkChannel, SourceChannel
 from uoarm_rocos._codec import XmlCodec
 from uoarm_rocos._conversation import Wire
 from uoarm_rocos._device import Device, find
+from uoarm_rocos._discovery import listing
 from uoarm_rocos._framing import SERIAL_LIMITS, TCP_LIMITS, LengthFramer, StuffedFramer
 from uoarm_rocos._options import DeviceOptions, address_of, devices_of
 from uoarm_rocos._profile import Changed, ProfileDevice
@@ -166,12 +167,7 @@ class RocosBridge(Bridge):
                 catalogue = device.catalogue(max(0.0, end - time.monotonic()))
             except BridgeError:
                 continue  # not there now, which is what a discovery is to find out
-            endpoints = [
-                (endpoint, describe(api, address_of(endpoint)[2]))
-                for api in catalogue.apis.values()
-                for endpoint in self._endpoints(name, api)
-            ]
-            found.append(Discovered(name, tuple(endpoints), catalogue.device))
+            found.append(listing(self.name, name, catalogue))
         return tuple(found)
 
     def _close(self) -> None:
@@ -181,16 +177,6 @@ class RocosBridge(Bridge):
             device.stop()
         for device in devices:
             device.close()
-
-    def _endpoints(self, device: str, api: Api) -> list[Endpoint]:
-        if api.kind is ApiKind.SERVICE:
-            return [Endpoint(self.name, device, Role.SERVICE, (device, api.name), api.name)]
-        sides = ((Role.INPUT, api.input), (Role.OUTPUT, api.output))
-        return [
-            Endpoint(self.name, device, role, (device, api.name), api.name)
-            for role, fields in sides
-            if fields
-        ]
 
     def _device(self, endpoint: Endpoint) -> Device:
         return self._named(address_of(endpoint)[0])

@@ -1,13 +1,36 @@
-"""Facts about this machine for `uoarm doctor`."""
+"""What devices offer, as a listing; and facts about this machine for `uoarm doctor`."""
 
 from __future__ import annotations
 
 import shutil
 from importlib.metadata import PackageNotFoundError, version
 
-from uoarm.bridge import install_command
+from uoarm.bridge import Discovered, install_command
+from uoarm.model import Endpoint, Role
+from uoarm_rocos._catalogue import Api, ApiKind, DeviceCatalogue
+from uoarm_rocos._options import address_of
+from uoarm_rocos._structure import describe
 
-__all__ = ["doctor"]
+__all__ = ["doctor", "listing"]
+
+
+def listing(bridge: str, device: str, catalogue: DeviceCatalogue) -> Discovered:
+    """Return a device with an endpoint for each service, and for each way of each flow."""
+    endpoints = [
+        (endpoint, describe(api, address_of(endpoint)[2]))
+        for api in catalogue.apis.values()
+        for endpoint in _endpoints(bridge, device, api)
+    ]
+    return Discovered(device, tuple(endpoints), catalogue.device)
+
+
+def _endpoints(bridge: str, device: str, api: Api) -> list[Endpoint]:
+    if api.kind is ApiKind.SERVICE:
+        roles = [Role.SERVICE]
+    else:
+        ways = ((Role.INPUT, api.input), (Role.OUTPUT, api.output))
+        roles = [role for role, fields in ways if fields]
+    return [Endpoint(bridge, device, role, (device, api.name), api.name) for role in roles]
 
 
 def doctor() -> dict[str, str]:
