@@ -194,7 +194,7 @@ def test_silence_is_reported_when_asked(bridge: Bridge, peer: Start) -> None:
     bridge.watch(events)
     at = endpoint(Role.OUTPUT, "Mortal.rtc", "out", stale_after=0.3)
     channel = source(bridge, at, Inbox())
-    assert events.event(Health.LOST, "no message from port 'out'").channel is channel
+    assert events.event(Health.LOST, "silent: port 'out' of component").channel is channel
 
 
 def test_a_naming_service_may_die_and_come_back_empty(make_bridge: Make, peer: Start) -> None:

@@ -237,7 +237,7 @@ class RtmBridge(Bridge):
             return None
         if is_big_in_cpp(start.peer, options) or is_big_in_cpp(end.peer, options):
             return None
-        native = NativeConnector(start, end, options, self.report)
+        native = NativeConnector(start, end, options)
         self._supervise(native, native.tick, end, start)
         return native
 

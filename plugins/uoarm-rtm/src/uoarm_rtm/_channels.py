@@ -8,7 +8,7 @@ they ask us. Over a native link the components move the data, and we only check 
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 from _uoarm_rtm_stubs import OpenRTM, OpenRTM__POA
@@ -17,7 +17,7 @@ from omniORB import CORBA
 
 from uoarm.bridge import Channel, Delivery, Sink, Source
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, MessageError
-from uoarm.model import Health, Message, Role
+from uoarm.model import Message, Role
 from uoarm_rtm._data_ports import INPORT_IOR, OUTPORT_IOR
 from uoarm_rtm._dataflow import PullBuffer, Puller, SizeLimit, ThreadedPusher
 from uoarm_rtm._health import ConnectorHealth, PortFault, RemotePort
@@ -214,7 +214,7 @@ class OutPortSource(Source):
         self._deliver.unreadable(text)
 
     def _lost(self, error: CORBA.Exception) -> None:
-        self.health.lose(f"{self._remote.where} is gone ({corba_text(error)})")
+        self.health.lose(f"is gone ({corba_text(error)})")
 
 
 _REASONS = {
@@ -342,7 +342,7 @@ class InPortSink(Sink):
                 self._gone = str(error)
             if error.reason is not FailureReason.REFUSED:  # which is counted as that
                 self._lost_on_link += 1
-            self.health.degrade(str(error))
+            self.health.degrade(str(error).removeprefix(self._remote.where).lstrip(": "))
         else:
             self.health.note_message()
 
@@ -355,17 +355,18 @@ class InPortSink(Sink):
             with calls, self._putting:
                 status = self._target.put(data)
         except CORBA.TIMEOUT as error:
-            text = f"{self._remote.where} did not take a message within its time limit"
-            self.health.degrade(text)
-            raise BridgeTimeoutError(text) from error
+            cause = "did not take a message within its time limit"
+            self.health.degrade(cause)
+            raise BridgeTimeoutError(f"{self._remote.where} {cause}") from error
         except CORBA.Exception as error:
             self._require_open()
             too_large = self._sizes.explain(error, self._target, len(data))
             if too_large:
                 self._refused += 1
                 raise BridgeError(too_large, FailureReason.REFUSED) from error
-            text = f"{self._remote.where} is gone ({corba_text(error)})"
-            self.health.lose(text)
+            cause = f"is gone ({corba_text(error)})"
+            self.health.lose(cause)
+            text = f"{self._remote.where} {cause}"
             raise BridgeError(text, FailureReason.UNAVAILABLE) from error
         self._sizes.passed(len(data))
         if status != OpenRTM.PORT_OK:
@@ -409,7 +410,6 @@ class NativeConnector(Channel):
         source: the OutPort.
         sink: the InPort.
         options: what the options of both ends ask together.
-        report: that of the bridge.
 
     Raises:
         BridgeError: a port refuses; nothing stays connected.
@@ -420,15 +420,15 @@ class NativeConnector(Channel):
         source: RemotePort,
         sink: RemotePort,
         options: RtmEndpointOptions,
-        report: Callable[..., None],
     ) -> None:
         super().__init__(source.endpoint)
         self._ends = source, sink
         self._where = f"{source.where} to {sink.where}"
-        self._report = report
-        self._lost = False
-        self._idle = dict.fromkeys(range(2), "")
-        self._states = ["", ""]
+        # Of the source as this channel, which has its endpoint; of the sink as its component.
+        self._healths = (
+            ConnectorHealth(self, source),
+            ConnectorHealth(self, sink, component=sink.endpoint.component),
+        )
         properties = connector_properties(options, source.port.data_type)
         self._connector = source.connections.connect(
             self._where, properties, source.port, sink.port
@@ -436,39 +436,28 @@ class NativeConnector(Channel):
 
     def facts(self) -> Mapping[str, object]:
         """Return which ports are connected, and the states of both components."""
-        return {"native": self._where, "states": tuple(self._states)}
+        states = tuple(health.state for health in self._healths)
+        return {"native": self._where, "states": states}
 
     def tick(self) -> None:
         """Check both ends, about once a second; the one with the surest sign is blamed.
 
         When an end dies the other drops the connection: what is gone is the cause of what ended.
         """
-        if self._lost or self.closed:
+        if self.closed or any(health.lost for health in self._healths):
             return
         statuses = [remote.check(self._connector, end) for end, remote in enumerate(self._ends)]
-        self._states = [status.state for status in statuses]
+        for health, status in zip(self._healths, statuses, strict=True):
+            health.state = status.state
         worst = max(range(2), key=lambda end: statuses[end].fault)
-        if statuses[worst].fault > PortFault.INACTIVE:
-            self._lost = True
-            text = f"{statuses[worst].cause}; it was connected from {self._where}"
-            if all(status.fault is PortFault.ENDED for status in statuses):
-                text = f"{self._where}: the components have ended the connection"
-            self._report_of(worst, Health.LOST, text)
+        if statuses[worst].fault <= PortFault.INACTIVE:
+            for health, status in zip(self._healths, statuses, strict=True):
+                health.take(status)
             return
-        for end, cause in enumerate(status.cause for status in statuses):
-            if cause != self._idle[end]:
-                self._idle[end] = cause
-                text = f"{self._ends[end].where} works again"
-                self._report_of(end, Health.DEGRADED if cause else Health.OK, cause or text)
-
-    def _report_of(self, end: int, health: Health, cause: str) -> None:
-        """Report of one component: of the source as this channel, which has its endpoint."""
-        if self.closed:
-            return
-        if end == 0:
-            self._report(health, cause, channel=self)
-        else:
-            self._report(health, cause, component=self._ends[end].endpoint.component)
+        text = f"{statuses[worst].cause}; it was connected from {self._where}"
+        if all(status.fault is PortFault.ENDED for status in statuses):
+            text = f"the components have ended the connection from {self._where}"
+        self._healths[worst].take(evolve(statuses[worst], cause=text))
 
     def _close(self) -> None:
         try:

@@ -30,7 +30,7 @@ from _uoarm_rtm_stubs import OpenRTM, OpenRTM__POA, SDOPackage
 from attrs import Factory, define, field, frozen
 from omniORB import CORBA
 
-from uoarm.bridge import Channel
+from uoarm.bridge import Channel, ChannelHealth, ChannelMonitor
 from uoarm.errors import BridgeError, BridgeTimeoutError
 from uoarm.model import Endpoint, Health
 from uoarm_rtm._control import change
@@ -59,7 +59,7 @@ class PortFault(IntEnum):
 
 @frozen
 class PortStatus:
-    """What a check found at one end: the fault, a sentence about it, and the component's state."""
+    """What a check found at one end: the fault, what to say of the port, the component's state."""
 
     fault: PortFault
     cause: str
@@ -99,107 +99,91 @@ class RemotePort:
         try:
             state = state_of(self.peer, self.seconds)
         except BridgeTimeoutError:
-            return PortStatus(PortFault.HANGS, f"{self.where} does not answer: it hangs", "")
+            return PortStatus(PortFault.HANGS, "does not answer: it hangs", "")
         except BridgeError as error:
             return PortStatus(PortFault.GONE, str(error), "")
         if state == "error":
-            text = f"component {self.peer.path!r} has failed: it is in state ERROR"
+            text = "its component has failed: it is in state ERROR"
             return PortStatus(PortFault.FAILED, text, state)
         try:
             is_connected = connector.alive(end)
         except BridgeTimeoutError:
             # A port may be asking the other one, which hangs; so that is the surer sign.
-            return PortStatus(PortFault.STUCK, f"{self.where} does not answer: it hangs", state)
+            return PortStatus(PortFault.STUCK, "does not answer: it hangs", state)
         except BridgeError:
             # Ports of OpenRTM in Python answer with what came of asking the other one (observed).
             is_connected = False
         if not is_connected:
-            return PortStatus(PortFault.ENDED, f"{self.where} has ended the connection", state)
+            return PortStatus(PortFault.ENDED, "has ended the connection", state)
         if state == "active":
             return PortStatus(PortFault.NONE, "", state)
         if self.options.activate == "keep":
             with contextlib.suppress(BridgeError):  # it stays inactive, which is reported
                 change(self.peer, "activate", self.seconds, there_is_fine=True)
-        text = f"component {self.peer.path!r} is {_IDLE.get(state, state)}: it does nothing now"
+        text = f"its component is {_IDLE.get(state, state)}: it does nothing now"
         return PortStatus(PortFault.INACTIVE, text, state)
 
 
 class ConnectorHealth:
-    """Counts what passes, and reports a loss once; `lost` is its cause, empty before it.
+    """Counts what passes one end of a connection, and reports how it is, each change once.
+
+    `lost` is why it is lost, empty before that.
 
     Args:
         channel: the channel that it belongs to.
-        remote: the port that the channel leads to.
+        remote: the port at this end.
         stale_after: seconds without a message that count as a loss; None for any number.
+        component: to report of in place of the channel, for its far end; empty for none.
     """
 
     def __init__(
-        self, channel: Channel, remote: RemotePort, stale_after: float | None = None
+        self,
+        channel: Channel,
+        remote: RemotePort,
+        stale_after: float | None = None,
+        component: str = "",
     ) -> None:
         self._channel = channel
         self._remote = remote
-        self._stale_after = stale_after
-        # Guards health and cause: messages come in threads of the ORB, checks in the ticker's.
-        self._lock = threading.Lock()
-        self._health: Health = Health.OK
-        self._cause = ""
-        self._refusal = ""
-        self._idle = ""
+        self._about = {"component": component} if component else {"channel": channel}
+        health = ChannelHealth(remote.where, time.monotonic(), stale_after=stale_after)
+        # Messages come in threads of the ORB, checks in the ticker's.
+        self._monitor = ChannelMonitor(health, self._report)
+        self._monitor.connected()
         self.lost = ""
         self.count = 0
         self.state = ""
-        self.last = time.monotonic()
 
     def note_message(self) -> None:
         """Count a message."""
         self.count += 1
-        self.last = time.monotonic()
-        if self._refusal:
-            self._refusal = ""
-            self._report_state()
+        self._monitor.passed()
 
     def degrade(self, cause: str) -> None:
         """Report a message that did not pass; the next one that does ends that."""
-        self._refusal = cause
-        self._report_state()
+        self._monitor.refused(cause)
 
     def lose(self, cause: str) -> None:
         """Report that the connection is over; nothing comes after that."""
-        self._report(Health.LOST, cause)
+        self._monitor.connected(0, cause)
 
     def check(self, connector: Connector) -> None:
         """Check a connection: the component's state, its end, a silence that is too long."""
-        remote, limit = self._remote, self._stale_after
-        silence = time.monotonic() - self.last
-        if limit is not None and silence > limit:
-            self.lose(f"no message from {remote.where} for {silence:.1f} s")
-            return
-        status = remote.check(connector)
+        self._monitor.tick()
+        if not self.lost:
+            self.take(self._remote.check(connector))
+
+    def take(self, status: PortStatus) -> None:
+        """Report what a check found."""
         self.state = status.state
-        if status.fault > PortFault.INACTIVE:
+        if status.fault is PortFault.FAILED:
+            self._monitor.peer_reported(Health.LOST, status.cause)
+        elif status.fault > PortFault.INACTIVE:
             self.lose(status.cause)
-            return
-        self._idle = status.cause
-        self._report_state()
-
-    def _report_state(self) -> None:
-        """Report the health that follows from the last message and the last check."""
-        cause = self._refusal or self._idle
-        if cause:
-            self._report(Health.DEGRADED, cause)
-        elif self._health is Health.DEGRADED:
-            self._report(Health.OK, f"{self._remote.where} works again")
-
-    def _report(self, health: Health, cause: str) -> None:
-        """Report a change; nothing comes after LOST or from a closed channel."""
-        with self._lock:
-            if self._health is Health.LOST or self._channel.closed:
-                return
-            if (health, cause) == (self._health, self._cause):
-                return
-            self._health, self._cause = health, cause
-            self.lost = cause if health is Health.LOST else ""
-        self._remote.report(health, cause, channel=self._channel)
+        elif status.cause:
+            self._monitor.peer_reported(Health.DEGRADED, status.cause)
+        else:
+            self._monitor.peer_reported(Health.OK, "works again")
 
     def facts(self) -> Mapping[str, object]:
         """Return counters, the port, and the component's state at the last check."""
@@ -209,7 +193,14 @@ class ConnectorHealth:
             "state": self.state,
             "port": self._remote.port.name,
             "data_type": self._remote.port.data_type,
+            **self._monitor.facts(),
         }
+
+    def _report(self, health: Health, cause: str) -> None:
+        if health is Health.LOST:
+            self.lost = cause
+        if not self._channel.closed:
+            self._remote.report(health, cause, **self._about)
 
 
 _AGAIN_SECONDS = 0.02

@@ -15,6 +15,7 @@ import threading
 import time
 import uuid
 from collections.abc import Mapping
+from itertools import count
 from typing import Any
 
 from _uoarm_rtm_stubs import RTC, SDOPackage
@@ -22,6 +23,7 @@ from attrs import field, frozen
 from omniORB import CORBA
 from omniORB import any as corba_any
 
+from uoarm.bridge import Backoff
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason
 from uoarm_rtm._journal import NAME, PROCESS, JournalEntry, end_connector, end_leftovers, journal
 from uoarm_rtm._options import RtmEndpointOptions
@@ -184,7 +186,7 @@ def state_of(peer: PeerComponent, seconds: float) -> str:
 
 
 _UNDO_SECONDS = 60.0
-_UNDO_AGAIN_SECONDS = 0.05, 1.0
+_UNDO_BACKOFF = Backoff(first=0.05, most=1.0)
 
 _MEANINGS = {
     "RTC_ERROR": "it failed, or does not know what was asked",
@@ -362,9 +364,8 @@ class Connector:
         answered for as long as it may take to make one.
         """
         until = time.monotonic() + _UNDO_SECONDS
-        pause, longest = _UNDO_AGAIN_SECONDS
         answers = False
-        while True:
+        for attempt in count(1):
             try:
                 with calls:
                     is_over = end_connector(self.id, self._ports)
@@ -377,9 +378,8 @@ class Connector:
                     answers, until = True, min(until, time.monotonic() + undoing.seconds)
             if is_over or (answers and time.monotonic() >= until):
                 break
-            if time.monotonic() >= until or undoing.closed.wait(pause):
+            if time.monotonic() >= until or undoing.closed.wait(_UNDO_BACKOFF.pause(attempt)):
                 return
-            pause = min(2 * pause, longest)
         journal().erase(self.id)
 
     def _discard(self) -> None:
