@@ -30,7 +30,7 @@ def test_peers_come_and_go(clock: Clock) -> None:
     for current in (0, 1, 2, 1, 0, 0, 1):
         topic_health.note_peers(current, "publisher of /x", required=True)
     assert reports == [
-        (Health.LOST, "the last publisher of /x is gone"),
+        (Health.LOST, "disconnected: the last publisher of /x is gone"),
         (Health.OK, "a publisher of /x is there"),
     ]
     topic_health.note_peers(0, "publisher of /x", required=False)
@@ -59,7 +59,9 @@ def test_a_loss_says_which_option_would_have_reported_it_sooner(clock: Clock) ->
     topic_health.note_peers(0, "publisher of /x", required=True)
     [(health, cause)] = reports
     assert health is Health.LOST
-    assert cause.startswith("the last publisher of /x is gone, 20.0 s after its last message: ")
+    assert cause.startswith(
+        "disconnected: the last publisher of /x is gone, 20.0 s after its last message: "
+    )
     assert cause.endswith("stale_after: 3 in the options of the output reports it sooner")
 
 
@@ -67,7 +69,7 @@ def test_a_loss_that_is_reported_at_once_says_no_more(clock: Clock) -> None:
     reports, topic_health = steady(clock)
     clock.now += 0.5
     topic_health.note_peers(0, "publisher of /x", required=True)
-    assert reports == [(Health.LOST, "the last publisher of /x is gone")]
+    assert reports == [(Health.LOST, "disconnected: the last publisher of /x is gone")]
 
 
 def test_what_came_steadily_and_ceases_is_degraded_until_it_comes_again(clock: Clock) -> None:
@@ -81,7 +83,7 @@ def test_what_came_steadily_and_ceases_is_degraded_until_it_comes_again(clock: C
         topic_health.tick()
     [(health, cause)] = reports
     assert health is Health.DEGRADED
-    assert cause.startswith("no message for 3.2 s, and before one came every 0.25 s or sooner")
+    assert cause.startswith("silent: no message for 3.2 s, and before one came every 0.25 s or")
     assert "stale_after: 3 " in cause
     topic_health.note_message()
     topic_health.tick()
@@ -108,7 +110,7 @@ def test_a_topic_with_deadlines_is_lost_after_three_of_them(clock: Clock) -> Non
     assert topic_health.facts()["stale_after"] == 1.5
     clock.now += 1.6
     topic_health.tick()
-    cause = "no message for 1.5 s, 3 times the deadline of its QoS (stale_after)"
+    cause = "silent: no message for 1.5 s, 3 times the deadline of its QoS (stale_after)"
     assert reports == [(Health.LOST, cause)]
 
 
@@ -160,7 +162,7 @@ def test_silence_is_stale_and_a_message_mends_it(clock: Clock) -> None:
     clock.now += 0.1
     topic_health.tick()
     topic_health.tick()
-    assert reports == [(Health.LOST, "no message for 0.5 s")]
+    assert reports == [(Health.LOST, "silent: no message for 0.5 s")]
     topic_health.note_message()
     topic_health.tick()
     assert reports[-1][0] is Health.OK

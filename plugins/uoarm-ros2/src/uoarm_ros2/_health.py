@@ -6,6 +6,7 @@ import math
 import time
 from collections.abc import Callable, Iterable
 
+from uoarm.bridge import HealthReason
 from uoarm.model import Health
 
 __all__ = ["SimulatedClock", "TopicHealth"]
@@ -35,7 +36,9 @@ class SimulatedClock:
 
 
 class TopicHealth:
-    """Counters and health of one channel.
+    """Counters and health of one channel, in the reasons of the contract.
+
+    Unlike the contract's `ChannelHealth` what is lost here may come back: DDS matches peers anew.
 
     It has no lock: everything happens in the runner's thread, in which messages, events and ticks
     come one after another. `count` of a sink is the exception, which the sink guards; `facts` reads
@@ -71,7 +74,7 @@ class TopicHealth:
         self._since_count = 0
         self._longest = 0.0
         self._reported = (Health.OK, "")
-        self._why = ""
+        self._reason: HealthReason | None = None
         self._trouble_at = 0.0
 
     def note_message(self) -> None:
@@ -84,15 +87,21 @@ class TopicHealth:
             self._longest = now - self.last
         self.last = now
 
-    def report(self, health: Health, cause: str, why: str = "peers") -> None:
-        """Report a change; a report that repeats the last one is dropped."""
-        if (health, cause) == self._reported or (
+    def report(
+        self, health: Health, cause: str, reason: HealthReason = HealthReason.REFUSED
+    ) -> None:
+        """Report a change, with the reason in front where it is not well.
+
+        A report that repeats the last one is dropped.
+        """
+        text = cause if health is Health.OK else f"{reason.value}: {cause}"
+        if (health, text) == self._reported or (
             health is Health.OK and self._reported[0] is health
         ):
             return
-        self._reported = (health, cause)
-        self._why = why
-        self._notify(health, cause)
+        self._reported = (health, text)
+        self._reason = None if health is Health.OK else reason
+        self._notify(health, text)
 
     def note_peers(self, current: int, what: str, *, required: bool, offered: bool = False) -> None:
         """Note how many peers are matched now; what is offered is well without any."""
@@ -101,7 +110,8 @@ class TopicHealth:
             self.report(Health.OK, f"no {what} is there, and none need be")
         elif current == 0 and before > 0:
             health = Health.LOST if required else Health.DEGRADED
-            self.report(health, f"the last {what} is gone{self._sooner()}")
+            cause = f"the last {what} is gone{self._sooner()}"
+            self.report(health, cause, HealthReason.DISCONNECTED)
         elif current > 0 and before == 0:
             self.last = self._clock()
             self._since = None
@@ -132,8 +142,8 @@ class TopicHealth:
         if silent and not alive:
             health = Health.LOST if required else Health.DEGRADED
             cause = f"the publisher of {what} no longer says that it is alive (liveliness)"
-            self.report(health, cause, "liveliness")
-        elif alive and self._why == "liveliness":
+            self.report(health, cause, HealthReason.PEER)
+        elif alive and self._reason is HealthReason.PEER:
             self.report(Health.OK, f"the publisher of {what} says again that it is alive")
 
     def tick(self) -> None:
@@ -144,12 +154,12 @@ class TopicHealth:
             if self._reported[0] is not Health.LOST:
                 promised = f", {_DEADLINES} times the deadline of its QoS (stale_after)"
                 why = f"no message for {limit:g} s{'' if self._stale_after else promised}"
-                self.report(Health.LOST, why, "stale")
+                self.report(Health.LOST, why, HealthReason.SILENT)
         elif limit == math.inf and self._is_steady(age):
             if self._reported[0] is Health.OK:
-                self.report(Health.DEGRADED, self._silence(age), "stale")
-        elif self._why == "stale" or (
-            self._why == "trouble" and self.last > self._trouble_at + _CALM_SECONDS
+                self.report(Health.DEGRADED, self._silence(age), HealthReason.SILENT)
+        elif self._reason is HealthReason.SILENT or (
+            self._reason is HealthReason.SLOW and self.last > self._trouble_at + _CALM_SECONDS
         ):
             self.report(Health.OK, "messages arrive as they should")
 
@@ -204,5 +214,5 @@ class TopicHealth:
     def _degrade(self, cause: str) -> None:
         """Report trouble once, however often it recurs before it has passed."""
         self._trouble_at = self._clock()
-        if self._reported[0] is not Health.LOST and self._why != "trouble":
-            self.report(Health.DEGRADED, cause, "trouble")
+        if self._reported[0] is not Health.LOST and self._reason is not HealthReason.SLOW:
+            self.report(Health.DEGRADED, cause, HealthReason.SLOW)
