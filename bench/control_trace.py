@@ -34,6 +34,7 @@ functions:
          output: {endpoint: [namer]}}
 """
 CONTROL = "uoarm._control"
+OWN = ("uoarm.", "uoarm_")
 _QUIET_SECONDS = 0.5
 
 
@@ -53,27 +54,40 @@ class Trace:
         threading.setprofile(self._profile)
         sys.setprofile(self._profile)
 
-    def run(self, action: Callable[[], object]) -> tuple[int, int, int, int]:
+    def run(
+        self, action: Callable[[], object], quiet: float = _QUIET_SECONDS
+    ) -> tuple[int, int, int, int]:
         """Return calls, modules, changes of module and threads of an action.
 
-        What other threads do for it belongs to it, until nothing has happened for half a second.
+        What other threads do for it belongs to it, until nothing has happened for half a second,
+        or as long as is said: with 0, until it has returned.
         """
         with self._lock:
             self._calls.clear()
         self._last, self._recording = time.monotonic(), True
         action()
-        while time.monotonic() - self._last < _QUIET_SECONDS:
-            time.sleep(_QUIET_SECONDS / 10)
+        while time.monotonic() - self._last < quiet:
+            time.sleep(quiet / 10)
         self._recording = False
         calls = list(self._calls)
         modules = {module for _, module in calls}
+        threads = {thread for thread, _ in calls}
+        return len(calls), len(modules), self.changes(CONTROL), len(threads)
+
+    def changes(self, below: str) -> int:
+        """Return the changes of module of the last action, of those below a package."""
+        return len(self.path(below))
+
+    def path(self, below: str) -> list[str]:
+        """Return the modules below a package that the last action entered, each time it did."""
         last: dict[int, str] = {}
-        changes = 0
-        for thread, module in calls:
-            if module.startswith(CONTROL):
-                changes += last.get(thread) != module
+        entered = []
+        for thread, module in list(self._calls):
+            if module.startswith(below):
+                if last.get(thread) != module:
+                    entered.append(module)
                 last[thread] = module
-        return len(calls), len(modules), changes, len({thread for thread, _ in calls})
+        return entered
 
     def close(self) -> None:
         """Count nothing more."""
@@ -84,7 +98,7 @@ class Trace:
         if not self._recording or event != "call":
             return
         module = frame.f_globals.get("__name__", "")
-        if module.startswith("uoarm.") and not module.startswith("uoarm.testing"):
+        if module.startswith(OWN) and not module.startswith("uoarm.testing"):
             with self._lock:
                 self._calls.append((threading.get_ident(), module))
                 self._last = time.monotonic()
