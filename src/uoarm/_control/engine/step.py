@@ -60,7 +60,8 @@ def step(state: State, event: Event, now: float) -> tuple[State, tuple[Action, .
     draft = Draft.of(state, now)
     _HANDLERS[type(event)](draft, event)
     # Whatever happened may have been the last thing that a change of configuration waited for.
-    switchover.continue_reconfiguration(draft)
+    if draft.configurers:
+        switchover.continue_reconfiguration(draft)
     return draft.finished(), tuple(draft.actions)
 
 

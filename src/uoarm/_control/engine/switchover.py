@@ -377,9 +377,7 @@ def _outdate(draft: Draft, record: ConnectionRecord) -> None:
 
 
 def continue_reconfiguration(draft: Draft) -> None:
-    """Do what a change of configuration still asks for, after whatever happened."""
-    if not draft.configurers:
-        return
+    """Do what a change of configuration still asks for, while a caller waits for one."""
     records = [
         record
         for identity in sorted(draft.outdated)
