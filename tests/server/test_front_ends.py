@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import asyncio
 import logging
 from collections.abc import Callable, Sequence
 from importlib.metadata import EntryPoint
 from typing import Any
+from urllib.request import urlopen
 
 import pytest
 from attrs import evolve
@@ -21,7 +23,16 @@ from websockets.typing import Subprotocol
 from uoarm import RobotManager
 from uoarm.errors import ConfigurationError
 from uoarm.server import Limits, Server
-from uoarm.server.front_end import Backend, Client, FrontEnd, MakeSession, MemoryUse, Session
+from uoarm.server.front_end import (
+    Backend,
+    Client,
+    FrontEnd,
+    HttpPlace,
+    MakeSession,
+    MemoryUse,
+    RefusedError,
+    Session,
+)
 from uoarm.server.http import _handshake
 from uoarm.server.http._handshake import OWN_PATHS, FrontEnds
 
@@ -284,3 +295,33 @@ def test_a_port_of_one_that_is_not_there_is_refused_with_what_to_do(
     with pytest.raises(ConfigurationError) as refused:
         serve(front_ends=[LINES], front_end_ports={name: 0})
     assert str(refused.value).startswith(said)
+
+
+def test_one_with_http_of_its_own_is_served_on_its_port(
+    serve: Serve,
+) -> None:
+    async def answer(place: HttpPlace) -> None:
+        async def talk(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+            await reader.readuntil(b"\r\n\r\n")
+            try:
+                async with place.guests.admitted("/", [("Host", "localhost")], None, "me") as guest:
+                    text = guest.principal
+            except RefusedError as error:
+                text = str(error)
+            writer.write(f"HTTP/1.1 200 OK\r\nConnection: close\r\n\r\n{text}".encode())
+            writer.close()
+
+        async with await asyncio.start_server(talk, sock=place.sockets[0]) as listening:
+            await listening.serve_forever()
+
+    own = FrontEnd(name="own", summary="", path="/own", serve=answer, contract=1)
+    server = serve(front_ends=[own], front_end_ports={"own": 0})
+    with urlopen(f"http://127.0.0.1:{server.ports[1]}/", timeout=SECONDS) as page:
+        assert page.read() == b"local"
+    with pytest.raises(InvalidStatus):
+        enter(server, "/own")
+
+
+def test_it_says_how_it_is_served() -> None:
+    with pytest.raises(ValueError, match="expected either start or serve"):
+        FrontEnd(name="none", summary="", path="/none", contract=1)

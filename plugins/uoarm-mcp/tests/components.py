@@ -46,7 +46,7 @@ functions:
       - name: spare
         bridge: python
         priority: 1
-        service: {endpoint: ["components:cuff"], lifetime: 30}
+        service: {endpoint: ["components:spare"], lifetime: 30}
   drive:
     description: the base
     components:
@@ -54,7 +54,7 @@ functions:
         bridge: python
         input:
           endpoint: ["components:drive"]
-          lifetime: 0.25
+          lifetime: 1.5
           stop: {message: {speed: 0.0}}
           limits: {speed: {minimum: -1.0, maximum: 1.0}}
         output: {endpoint: ["components:drive"]}
@@ -103,12 +103,14 @@ class Play:
         self.numbers = Script()
         self.pictures = Script()
         self.came: list[object] = []
+        self.is_loose = False
 
     def reset(self) -> None:
         self.gate = threading.Event()
         self.numbers.reset()
         self.pictures.reset()
         self.came.clear()
+        self.is_loose = False
 
     def release(self) -> None:
         self.gate.set()
@@ -141,6 +143,13 @@ def broken(request: Number) -> Number:
 
 
 def cuff(request: Pressure) -> Number:
+    if script.is_loose:
+        raise ValueError("the hose is loose")
+    script.came.append(dict(request))
+    return {"value": int(request["pressure"])}
+
+
+def spare(request: Pressure) -> Number:
     script.came.append(dict(request))
     return {"value": int(request["pressure"])}
 
