@@ -14,6 +14,7 @@ from uoarm.cdr import (
     RosDefinition,
     definition_of,
     deserialiser,
+    ros_unit,
     serialiser,
     structure_of_definition,
 )
@@ -178,3 +179,20 @@ def test_what_claims_more_than_its_octets_or_the_budget_hold_is_refused() -> Non
 def test_a_structure_without_a_layout_is_refused(schema: Any) -> None:
     with pytest.raises(MessageError, match="has no fixed layout"):
         deserialiser(MessageStructure(schema))
+
+
+@pytest.mark.parametrize(
+    ("type_name", "member", "unit"),
+    [
+        ("geometry_msgs/Twist", "linear", "m/s"),
+        ("geometry_msgs/msg/Twist", "angular", "rad/s"),
+        ("time", "nsecs", "ns"),
+        ("builtin_interfaces/msg/Time", "nanosec", "ns"),
+        ("geometry_msgs/Twist", "other", None),
+        ("lab/msg/Own", "linear", None),
+    ],
+)
+def test_units_are_those_that_the_definitions_state(
+    type_name: str, member: str, unit: str | None
+) -> None:
+    assert ros_unit(type_name, member) == unit

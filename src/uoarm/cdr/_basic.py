@@ -1,11 +1,11 @@
-"""The basic types of ROS, and which of them a schema of a scalar stands for."""
+"""The basic types of ROS, which of them a schema of a scalar stands for, and units of members."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from typing import Any
 
-__all__ = ["BASIC", "FLOAT32_MAX", "basic_type"]
+__all__ = ["BASIC", "FLOAT32_MAX", "basic_type", "ros_unit"]
 
 BASIC = {
     "bool": "?", "byte": "B", "char": "B", "int8": "b", "uint8": "B", "int16": "h", "uint16": "H",
@@ -44,3 +44,67 @@ def basic_type(schema: Mapping[str, Any]) -> str:
         return native
     narrow = kind == "number" and bounds == (-FLOAT32_MAX, FLOAT32_MAX)
     return "float32" if narrow else known[0]
+
+
+# As REP-103 and the comments of the definitions state them.
+_UNITS: Mapping[str, Mapping[str, str]] = {
+    "builtin_interfaces/Duration": {"sec": "s", "nanosec": "ns"},
+    "builtin_interfaces/Time": {"sec": "s", "nanosec": "ns"},
+    "duration": {"secs": "s", "nsecs": "ns"},
+    "time": {"secs": "s", "nsecs": "ns"},
+    "geometry_msgs/Accel": {"linear": "m/s2", "angular": "rad/s2"},
+    "geometry_msgs/Inertia": {"m": "kg", "com": "m"},
+    "geometry_msgs/Point": {"x": "m", "y": "m", "z": "m"},
+    "geometry_msgs/Point32": {"x": "m", "y": "m", "z": "m"},
+    "geometry_msgs/Pose2D": {"x": "m", "y": "m", "theta": "rad"},
+    "geometry_msgs/Quaternion": {"x": "1", "y": "1", "z": "1", "w": "1"},
+    "geometry_msgs/Transform": {"translation": "m"},
+    "geometry_msgs/Twist": {"linear": "m/s", "angular": "rad/s"},
+    "geometry_msgs/Wrench": {"force": "N", "torque": "N.m"},
+    "nav_msgs/GridCells": {"cell_width": "m", "cell_height": "m"},
+    "nav_msgs/MapMetaData": {"resolution": "m"},
+    "sensor_msgs/BatteryState": {
+        "voltage": "V",
+        "temperature": "degC",
+        "current": "A",
+        "charge": "A.h",
+        "capacity": "A.h",
+        "design_capacity": "A.h",
+        "percentage": "1",
+        "cell_voltage": "V",
+        "cell_temperature": "degC",
+    },
+    "sensor_msgs/FluidPressure": {"fluid_pressure": "Pa"},
+    "sensor_msgs/Illuminance": {"illuminance": "lx"},
+    "sensor_msgs/Imu": {"angular_velocity": "rad/s", "linear_acceleration": "m/s2"},
+    "sensor_msgs/LaserScan": {
+        "angle_min": "rad",
+        "angle_max": "rad",
+        "angle_increment": "rad",
+        "time_increment": "s",
+        "scan_time": "s",
+        "range_min": "m",
+        "range_max": "m",
+        "ranges": "m",
+    },
+    "sensor_msgs/MagneticField": {"magnetic_field": "T"},
+    "sensor_msgs/NavSatFix": {"latitude": "deg", "longitude": "deg", "altitude": "m"},
+    "sensor_msgs/Range": {
+        "field_of_view": "rad",
+        "min_range": "m",
+        "max_range": "m",
+        "range": "m",
+    },
+    "sensor_msgs/RelativeHumidity": {"relative_humidity": "1"},
+    "sensor_msgs/Temperature": {"temperature": "degC"},
+}
+
+
+def ros_unit(type_name: str, member: str) -> str | None:
+    """Return the unit of the numbers in a member of a type of ROS, None where none is stated.
+
+    Args:
+        type_name: `package/Name`, or `package/msg/Name` as ROS 2 has it.
+        member: of the type.
+    """
+    return _UNITS.get(type_name.replace("/msg/", "/"), {}).get(member)

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from functools import lru_cache
 from typing import Any
 
 from uoarm.bridge import Description
-from uoarm.cdr import FLOAT32_MAX, ROS_1, Codec
+from uoarm.cdr import FLOAT32_MAX, ROS_1, Codec, ros_unit
 from uoarm.model import Budget, Message, MessageStructure
 from uoarm_ros1._definitions import NUMBERS, Field, Listing, Record, Scalar, Service, Shape, Text
 
@@ -16,58 +16,6 @@ __all__ = ["LENGTH", "described_service", "framed_writer", "reader", "structure_
 
 LENGTH = struct.Struct("<I")
 """What stands before every message on a connection."""
-
-
-# As REP-103 and the comments of the definitions state them.
-_UNITS: Mapping[str, Mapping[str, str]] = {
-    "duration": {"secs": "s", "nsecs": "ns"},
-    "time": {"secs": "s", "nsecs": "ns"},
-    "geometry_msgs/Accel": {"linear": "m/s2", "angular": "rad/s2"},
-    "geometry_msgs/Inertia": {"m": "kg", "com": "m"},
-    "geometry_msgs/Point": {"x": "m", "y": "m", "z": "m"},
-    "geometry_msgs/Point32": {"x": "m", "y": "m", "z": "m"},
-    "geometry_msgs/Pose2D": {"x": "m", "y": "m", "theta": "rad"},
-    "geometry_msgs/Quaternion": {"x": "1", "y": "1", "z": "1", "w": "1"},
-    "geometry_msgs/Transform": {"translation": "m"},
-    "geometry_msgs/Twist": {"linear": "m/s", "angular": "rad/s"},
-    "geometry_msgs/Wrench": {"force": "N", "torque": "N.m"},
-    "nav_msgs/GridCells": {"cell_width": "m", "cell_height": "m"},
-    "nav_msgs/MapMetaData": {"resolution": "m"},
-    "sensor_msgs/BatteryState": {
-        "voltage": "V",
-        "temperature": "degC",
-        "current": "A",
-        "charge": "A.h",
-        "capacity": "A.h",
-        "design_capacity": "A.h",
-        "percentage": "1",
-        "cell_voltage": "V",
-        "cell_temperature": "degC",
-    },
-    "sensor_msgs/FluidPressure": {"fluid_pressure": "Pa"},
-    "sensor_msgs/Illuminance": {"illuminance": "lx"},
-    "sensor_msgs/Imu": {"angular_velocity": "rad/s", "linear_acceleration": "m/s2"},
-    "sensor_msgs/LaserScan": {
-        "angle_min": "rad",
-        "angle_max": "rad",
-        "angle_increment": "rad",
-        "time_increment": "s",
-        "scan_time": "s",
-        "range_min": "m",
-        "range_max": "m",
-        "ranges": "m",
-    },
-    "sensor_msgs/MagneticField": {"magnetic_field": "T"},
-    "sensor_msgs/NavSatFix": {"latitude": "deg", "longitude": "deg", "altitude": "m"},
-    "sensor_msgs/Range": {
-        "field_of_view": "rad",
-        "min_range": "m",
-        "max_range": "m",
-        "range": "m",
-    },
-    "sensor_msgs/RelativeHumidity": {"relative_humidity": "1"},
-    "sensor_msgs/Temperature": {"temperature": "degC"},
-}
 
 
 @lru_cache(maxsize=1024)
@@ -129,7 +77,7 @@ def _object(record: Record, unit: str | None) -> dict[str, Any]:
 
 def _member(record: Record, member: Field, unit: str | None) -> dict[str, Any]:
     # A vector that is a velocity counts metres a second, whatever its own type would say.
-    return _schema_of(member.shape, unit or _UNITS.get(record.name, {}).get(member.name))
+    return _schema_of(member.shape, unit or ros_unit(record.name, member.name))
 
 
 def _array(listing: Listing, unit: str | None) -> dict[str, Any]:

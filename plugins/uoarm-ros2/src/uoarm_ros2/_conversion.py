@@ -23,9 +23,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from uoarm.cdr import FLOAT32_MAX
 from uoarm.errors import MessageError
 from uoarm.model import Message
-from uoarm_ros2._schema import FLOAT32_MAX, integer_range
+from uoarm_ros2._schema import integer_range
 from uoarm_ros2._types import NUMBER_CODES, ArrayType, RecordType, ScalarType, Shape, StringType
 
 __all__ = [
