@@ -125,6 +125,7 @@ MODULES = {
     "tests/examples/test_vision_*.py": ("vision",),
     "tests/examples/test_records.py": ("records",),
     "tests/record/*": ("record",),
+    "tests/examples/test_recording.py": ("record",),
     "tests/cli/test_record.py": ("record",),
     "tests/examples/test_healthbot.py": HEALTHBOT,
     "tests/examples/test_mixed.py": ("ros2", "ros1", "mqtt", "mosquitto"),

@@ -265,6 +265,14 @@ def _finish(draft: Draft, component: ComponentRecord) -> None:
             finish_if_asked(draft, record)
 
 
+def _finished_in(draft: Draft, placement: Placement) -> str:
+    """Say which component of a plan has finished already, while that was being opened."""
+    for name, number in placement.components.items():
+        if draft.components[number].health.health is Health.FINISHED:
+            return f"component {name!r} finished"
+    return ""
+
+
 def _lose(draft: Draft, lost: list[int], concerned: frozenset[str], event: HealthReported) -> None:
     dead = [draft.components[number].name for number in lost]
     draft.failed = forget_earlier(draft.failed, draft.now)
@@ -509,6 +517,8 @@ def hand_over(draft: Draft, record: ConnectionRecord) -> None:
         preferred = (record.preferred or Preference(before.plan)).unseen()
         if names(after.plan) == names(preferred.plan):
             preferred = None
+    # What is set is not taken back, and is drained already.
+    finished = "" if record.finished else _finished_in(draft, after)
     record = draft.put(
         record,
         state=ConnectionState.RUNNING,
@@ -517,6 +527,7 @@ def hand_over(draft: Draft, record: ConnectionRecord) -> None:
         move=None,
         preferred=preferred,
         changes=_changes(draft, record) if rule.is_counted else record.changes,
+        finished=record.finished or finished,
     )
     # After a death the application has received from the next plan since that was opened, as there
     # was nothing else to receive. In a switchover it receives from the old one up to this moment.
@@ -536,6 +547,8 @@ def hand_over(draft: Draft, record: ConnectionRecord) -> None:
     # application receives from the new one.
     parts = draft.start_draining(record.id, before, move.lost, ports=before.ports != after.ports)
     draft.actions.append(Finish(lane, record.id, parts, before, move.lost))
+    if finished:
+        finish_if_asked(draft, record)
     if preferred is not None:
         look_later(draft, record)
 
