@@ -90,6 +90,7 @@ def end(
     # A death while it is being killed, say, must not turn an orderly end into a failure.
     if record.state is ConnectionState.CLOSING:
         return
+    # Read before the shared move is cancelled, which takes the member's own with it.
     lost = record.move.lost if record.move is not None else ()
     record = drop_next(draft, record)
     # While inputs change hands the others go on, and this one is passed over when they have.
@@ -349,6 +350,8 @@ def _lose_current(
             excluded=before.excluded | failure.excluded,
         )
     elif before is not None:
+        # Its reason stays until it is known below whether the move can be left: a connection never
+        # has a second one beside it.
         move = before._replace(
             since=failure.since,
             cause=failure.cause,
@@ -401,6 +404,8 @@ def seek(draft: Draft, record: ConnectionRecord) -> None:
 def seek_plan(draft: Draft, record: ConnectionRecord) -> None:
     """Have the plan of a move sought; a search that is under way for it is for nothing."""
     assert record.move is not None, "only what moves needs a plan"
+    # The number grows before the search is asked for, so that of two that are under way only the
+    # later one is listened to. Without `retry_at`, or the timer would begin a third.
     move = record.move._replace(phase=MovePhase.SEEKING, retry_at=None)
     record = draft.put(record, attempt=record.attempt + 1, move=move)
     ids = record.placement.components
@@ -519,6 +524,8 @@ def hand_over(draft: Draft, record: ConnectionRecord) -> None:
             preferred = None
     # What is set is not taken back, and is drained already.
     finished = "" if record.finished else _finished_in(draft, after)
+    # In one change: no event finds the plan replaced and the move still there, which would replace
+    # it again, nor the move gone and the plan that died still in place.
     record = draft.put(
         record,
         state=ConnectionState.RUNNING,

@@ -89,6 +89,8 @@ def _requested(draft: Draft, event: Requested) -> None:
 
 def _request(draft: Draft, phase: MovePhase, placement: Placement | None = None) -> Move:
     """Return the move of a request to its first plan."""
+    # Without `retry_at`: one that waits does so for others to move away, and not for a time. Its
+    # patience is its caller's, who gives it up by a kill.
     return Move(MoveReason.REQUEST, phase, draft.now, next=placement)
 
 
@@ -162,6 +164,8 @@ def _output(plan: Plan, wanted: PortRef) -> str | None:
 
 def _advance(draft: Draft, record: ConnectionRecord) -> None:
     """Have what a connection still needs opened; proceed where all of it is open."""
+    # It may be called for a batch of another connection that had a part of this plan: what is open
+    # by now says how far it is, and the batch does not.
     move = record.move
     if move is None or move.next is None:
         return
@@ -220,6 +224,7 @@ def _failed_to_open(
         case Failing.STAYS:
             switchover.abandon(draft, draft.switchovers[move.group], str(error))
         case Failing.SEEKS:
+            # Without a next plan the batch was the first one's, which runs: nothing is given up.
             if move.next is not None:
                 failover.try_another(draft, record, str(error))
         case Failing.CLOSES:
@@ -261,6 +266,7 @@ def _ended(draft: Draft, event: Ended) -> None:
     # In no list any more when the caller's thread goes on, and published before that.
     record = draft.connections[event.connection]
     draft.remove(record)
+    # How it ends was settled as the end began: what died while it closed changes nothing.
     move = record.move
     assert move is not None, "it was on its way to its end"
     error = move.error

@@ -191,6 +191,7 @@ def advance(draft: Draft, group: Switchover, members: Iterable[str]) -> None:
         abandon(draft, group, str(error))
         return
     # From here on to `InputsSwitched` nothing takes this back: see `Switchover.is_switching`.
+    # Each member has the phase, too: a death finds connections by what they use, and no group.
     for identity in group.members:
         record = draft.connections[identity]
         assert record.move is not None, "a member moves"
@@ -219,6 +220,7 @@ def inputs_switched(draft: Draft, event: InputsSwitched) -> None:
             )
             seek(draft, draft.put(record, move=move.as_death()._replace(cause=cause)))
             continue
+        # What died meanwhile has set a later time; the plan before was counted up to this one.
         hand_over(draft, draft.put(record, move=move._replace(since=group.began)))
         record = draft.connections[identity]
         # Deaths that came while the inputs changed hands were left for this moment.
@@ -252,6 +254,8 @@ def abandon(draft: Draft, group: Switchover, error: str) -> None:
 
 def _move_in(group: Switchover) -> Move:
     """Return the move of a member whose plan is to be sought."""
+    # Since the group began, also for one that joins later: all change hands, and are counted, at
+    # once.
     return Move(group.reason, MovePhase.SEEKING, group.began, group.rule.cause, group=group.id)
 
 
