@@ -121,7 +121,13 @@ def step(name: str, replace: Callable[[BadWorld, MemoryBridge, Any], Any]) -> Sp
 
 def delivering(wrap: Callable[[Deliver], Deliver]) -> Spoil:
     def replace(world: BadWorld, bridge: MemoryBridge, opens: Any) -> Any:
-        return lambda endpoint, structure, deliver: opens(endpoint, structure, wrap(deliver))
+        def opened(endpoint: Endpoint, structure: MessageStructure, deliver: Any) -> Source:
+            given = wrap(deliver)
+            if isinstance(deliver, Delivery) and not isinstance(given, Delivery):
+                given = Altered(deliver, given)
+            return opens(endpoint, structure, given)  # type: ignore[no-any-return]
+
+        return opened
 
     return step("_open_source", replace)
 
@@ -323,15 +329,24 @@ def unwraps(send: Callable[[Any], None]) -> Callable[[Any], None]:
     return sent
 
 
-class Reading:
-    """A delivery that does something else where a message cannot be read."""
+class Altered:
+    """A delivery that does something else with messages, or where one cannot be read."""
 
-    def __init__(self, delivery: Delivery, unreadable: Callable[[str], object]) -> None:
+    def __init__(
+        self,
+        delivery: Delivery,
+        give: Deliver | None = None,
+        unreadable: Callable[[str], object] | None = None,
+    ) -> None:
         self._delivery = delivery
-        self._unreadable = unreadable
+        self._give = give
+        self._unreadable = unreadable or delivery.unreadable
 
     def __call__(self, message: Message, writer: str = "") -> None:
-        self._delivery(message, writer)
+        if self._give is None:
+            self._delivery(message, writer)
+        else:
+            self._give(message)
 
     def let_go(self, writer: str = "") -> None:
         self._delivery.let_go(writer)
@@ -346,7 +361,7 @@ class Reading:
 def reading(does: Callable[[MemoryBridge, Delivery, str], object]) -> Spoil:
     def spoil(world: BadWorld, bridge: MemoryBridge) -> None:
         def wrap(deliver: Any) -> Any:
-            return Reading(deliver, lambda why: does(bridge, deliver, why))
+            return Altered(deliver, None, lambda why: does(bridge, deliver, why))
 
         delivering(wrap)(world, bridge)
 

@@ -36,7 +36,7 @@ from tests.testing.bad_bridges import (
     step,
 )
 
-from uoarm.bridge import Bridge, Description, Discovered, Registry, Source
+from uoarm.bridge import Bridge, Description, Discovered, HealthEvent, Registry, Source
 from uoarm.errors import UoarmError
 from uoarm.model import Endpoint, Health, Message, Role
 from uoarm.testing import MemoryBridge
@@ -119,14 +119,17 @@ def _ghost(world: Any, bridge: Any, discover: Any) -> Any:
 
 
 def _noting_breaks(bridge: Any) -> threading.Event:
-    """Return what is set while the bridge has reported a break."""
-    broken, report = threading.Event(), bridge.report
+    """Return what is set while the bridge has reported a break to its one listener."""
+    broken, watch = threading.Event(), bridge.watch
 
-    def reported(health: Health, cause: str, **about: Any) -> None:
-        (broken.clear if health is Health.OK else broken.set)()
-        report(health, cause, **about)
+    def watched(listener: Callable[[HealthEvent], None]) -> None:
+        def notice(event: HealthEvent) -> None:
+            (broken.clear if event.health is Health.OK else broken.set)()
+            listener(event)
 
-    bridge.report = reported
+        watch(notice)
+
+    bridge.watch = watched
     return broken
 
 

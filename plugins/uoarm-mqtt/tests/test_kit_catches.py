@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Iterator
-from contextlib import nullcontext, suppress
+from contextlib import contextmanager, nullcontext, suppress
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -13,12 +13,27 @@ import pytest
 from brokers import Broker, running
 from bugs import BUGS, Bug, table
 from mqtt_world import KINDS, MqttWorld
+from test_conformance import TestMqttBridge
+from tests.harness._kit import kit_skips  # type: ignore[import-not-found]
+from tests.testing.bad_bridges import Bug as GeneralBug  # type: ignore[import-not-found]
+from tests.testing.kit_bugs import GENERAL as EVERY  # type: ignore[import-not-found]
+from tests.testing.kit_bugs import hold_found_out, rules_without_a_bug
 from uoarm_mqtt import _channels, _link
 
 from uoarm.errors import BridgeError
 from uoarm.testing._time import default_limits
 from uoarm.testing.conformance._world import PAGE, rule_of
 
+# A broker links no topics. Its connection reports by itself: `BUGS` has what is wrong there.
+_ELSEWHERE = {
+    "makes no link, though it says that it can",
+    "says that all is lost when one component dies",
+    "does not report that the link is broken",
+    "does not report that the link is mended",
+    "says no cause of the break",
+    "reports each break twice",
+}
+GENERAL = [bug for bug in EVERY if bug.name not in _ELSEWHERE]
 PAGES = Path(__file__).parents[3] / "docs"
 
 
@@ -80,6 +95,31 @@ def test_a_bad_bridge_is_found_out(bug: Bug, broker: Broker, tmp_path: Path) -> 
     text = str(caught.value)
     assert bug.says in text, text
     assert f"the rule is: {rule_of(bug.caught)} ({PAGE}#" in text
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("bug", GENERAL, ids=lambda bug: bug.name.replace(" ", "-"))
+def test_a_bug_that_any_bridge_may_have_is_found_out(
+    bug: GeneralBug, broker: Broker, tmp_path: Path
+) -> None:
+    breaks = bug.caught.__qualname__.startswith("Breaking.")
+
+    @contextmanager
+    def opened() -> Iterator[MqttWorld]:
+        with running(tmp_path / "broker") if breaks else nullcontext(broker) as used:
+            world = type("OwnWorld", (MqttWorld,), {})(used)
+            try:
+                yield world
+            finally:
+                world.close()
+
+    suite = TestMqttBridge()
+    hold_found_out(bug, opened, suite, "text" if bug.pair == "text" else "nested")
+
+
+def test_each_rule_that_a_broker_can_break_has_a_bug() -> None:
+    skipped = {skip.rule for skip in kit_skips() if skip.bridge == "mqtt" and not skip.kinds}
+    assert rules_without_a_bug((*GENERAL, *BUGS)) <= skipped
 
 
 def test_the_page_has_the_table() -> None:
