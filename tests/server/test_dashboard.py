@@ -16,6 +16,7 @@ from uoarm import RobotManager
 from uoarm.bridge import BridgeType, Registry
 from uoarm.config import load, loads
 from uoarm.server import Server, ServerOptions, hash_token, serve_in_thread
+from uoarm.server.access._approvals import ApprovalFoundation, ApprovalWish
 from uoarm.testing import MemoryBridge, free_port, patience
 
 MOVES = """
@@ -37,6 +38,11 @@ GUEST = """
 version: 1
 roles: {{guest: {{see: all}}}}
 tokens: [{{name: person, role: guest, sha256: {right}}}]
+"""
+APPROVER = """
+version: 1
+roles: {{nurse: {{see: all, approve: ["*"]}}}}
+tokens: [{{name: tablet, principal: ada, role: nurse, sha256: {right}}}]
 """
 Open = Callable[..., None]
 pytestmark = pytest.mark.needs("chromium")
@@ -557,6 +563,38 @@ tokens:
     browser.press("Enter")
     browser.until("document.querySelectorAll('.card.function').length === 5")
     browser.complaints.clear()  # the refusals: a browser tells them all
+
+
+def test_what_another_asks_for_is_approved_or_refused(
+    browser: Browser, serve: Serve, robot: RobotManager, tmp_path: Path
+) -> None:
+    access = tmp_path / "access.yaml"
+    access.write_text(APPROVER.format(right=hash_token("right")), encoding="utf-8")
+    server = serve(access=access)
+    desk = server.backend.approvals
+    function = next(iter(robot.config.functions))
+    foundation = ApprovalFoundation(robot.revision, ())
+    asked = [
+        desk.ask(ApprovalWish("agent", "call", function, "", {"angle": angle}, foundation))
+        for angle in (30, 45)
+    ]
+    browser.go(f"http://127.0.0.1:{server.ports[0]}/")
+    browser.until("document.querySelector('.lock')")
+    browser.click(".lock input")
+    browser.write("right")
+    browser.press("Enter")
+    browser.until("document.querySelectorAll('.approvals li').length === 2")
+    assert browser.js(says(".approvals li", f"agent asks to call {function}"))
+    assert browser.js(says(".approvals li", '"angle": 30'))
+    browser.click(".approvals .bar button", "Approve")
+    browser.click(".approvals .bar button", "sure")
+    browser.until("document.querySelectorAll('.approvals li').length === 1")
+    browser.click(".approvals .bar button", "Refuse")
+    browser.until("!document.querySelector('.approvals')")
+    found = [desk.find(approval.id, "agent") for approval in asked]
+    assert [approval.phase.value for approval in found if approval] == ["approved", "refused"]
+    assert {approval.approver for approval in found if approval} == {"ada"}
+    browser.complaints.clear()  # the refusals before the token: a browser reports them all
 
 
 def test_the_page_comes_back_when_the_server_does(browser: Browser, robot: RobotManager) -> None:

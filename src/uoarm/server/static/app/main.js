@@ -2,6 +2,7 @@
 
 import { render, useEffect, useMemo, useState } from "../vendor/htm-preact.js";
 import { readAddress, writeAddress } from "./address.js";
+import { Approvals } from "./approvals.js";
 import { Configuration } from "./configuration.js";
 import { Stopped } from "./emergency.js";
 import { Graph } from "./graph.js";
@@ -38,7 +39,7 @@ function App({ store }) {
 
   return html`
     <${Header} store=${store} address=${address} query=${query} setQuery=${setQuery} />
-    ${store.link !== "locked" && html`<${Stopped} store=${store} />`}
+    ${store.link !== "locked" && html`<${Stopped} store=${store} /><${Approvals} store=${store} />`}
     <main id="main" tabindex="-1" class=${selected ? "with-panel" : ""}>
       ${store.link === "locked"
         ? html`<${Lock} tried=${store.wire.token !== ""} unlock=${(token) => unlock(store, token)} />`

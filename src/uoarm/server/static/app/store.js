@@ -20,6 +20,7 @@ export class Store {
     this.since = new Date();
     this.owners = new Map(); // functions of connections, kept when these have ended
     this.trouble = null; // of the last stop or release
+    this.approvals = { waiting: [], trouble: "", mayAsk: true }; // that this page may decide about
     this.system = join([], NOTHING);
     this.listeners = new Set();
     this.frame = frame;
@@ -52,6 +53,29 @@ export class Store {
     this.#see(mergeStatus(known, report));
   }
 
+  /** Asks what waits for a decision, for as long as the server lets this page ask. */
+  async #askApprovals() {
+    if (!this.approvals.mayAsk) return;
+    try {
+      const { approvals } = await this.wire.ask("Approve");
+      this.approvals.waiting = approvals.filter(({ phase }) => phase === "pending");
+    } catch (error) {
+      if (error.code !== "closed") this.approvals.mayAsk = false;
+    }
+    this.changed();
+  }
+
+  /** Approves or refuses; what the server says against it is shown. */
+  async decide(approval, decision) {
+    try {
+      await this.wire.ask("Approve", approval, decision);
+      this.approvals.trouble = "";
+    } catch (error) {
+      this.approvals.trouble = error.message;
+    }
+    await this.#askApprovals();
+  }
+
   unlock(token) {
     this.wire.token = token;
     this.link = "opening";
@@ -72,6 +96,7 @@ export class Store {
     clearInterval(this.timer);
     if (link === "open") {
       this.hello = hello;
+      this.approvals.mayAsk = true;
       this.#begin().catch((error) => console.warn(error.message));
     } else {
       this.watches.broken();
@@ -87,6 +112,7 @@ export class Store {
     this.events = [];
     this.#happened(status.past ?? []);
     this.#see(mergeStatus(null, status));
+    this.#askApprovals();
     this.watches.again();
     this.timer = setInterval(() => this.#look(), EVERY);
   }
@@ -94,6 +120,7 @@ export class Store {
   #look() {
     if (document.hidden) return;
     this.refresh().catch((error) => console.warn(error.message));
+    this.#askApprovals();
   }
 
   #see(status) {
