@@ -6,6 +6,7 @@ import itertools
 import json
 import logging
 from collections.abc import Callable
+from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
 
@@ -96,6 +97,21 @@ def test_another_configuration_or_component_makes_it_void(foundation: ApprovalFo
         book.use("a", evolve(WISH, foundation=foundation), 2.0)
     with pytest.raises(ApprovalError, match="is void"):
         book.use("a", WISH, 2.0)
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        {"pressure": float("nan")},
+        {"pressure": [1.0, float("-inf")]},
+        {"at": datetime(2026, 1, 1, tzinfo=timezone.utc)},
+        {"pressure": 2**70},
+        {1: 2},
+    ],
+)
+def test_what_is_not_shown_as_it_is_cannot_be_asked_for(arguments: Any) -> None:
+    with pytest.raises(MessageError, match="plain JSON"):
+        ApprovalBook().ask("a", evolve(WISH, arguments=arguments), 0.0)
 
 
 def test_who_asks_does_not_approve() -> None:

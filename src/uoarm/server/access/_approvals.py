@@ -89,6 +89,9 @@ def digest_of(arguments: Message) -> str:
         written = orjson.dumps(arguments, option=orjson.OPT_SORT_KEYS)
     except (TypeError, ValueError) as error:
         raise MessageError(f"arguments that can be approved are plain JSON: {error}") from None
+    # What has no JSON of its own, such as NaN, would be shown as something else, and done as it is.
+    if orjson.loads(written) != arguments:
+        raise MessageError("arguments that can be approved are plain JSON, with finite numbers")
     if len(written) > _MOST_ARGUMENTS:
         raise MessageError(
             f"arguments that can be approved have at most {_MOST_ARGUMENTS:,} octets as JSON, "
