@@ -212,6 +212,7 @@ class ChannelCatalogue:
         if time.monotonic() - self._looked_at > _FRESH_SECONDS:
             if self._looking is None:
                 self._looking = asyncio.ensure_future(self._look())
+                self._looking.add_done_callback(_taken)
             await asyncio.shield(self._looking)
         return await self._backend.view(self.make, question)
 
@@ -306,6 +307,12 @@ class ChannelCatalogue:
         ):
             return former
         return VisibleListing(channels, services, inputs, graph)
+
+
+def _taken(looking: asyncio.Task[None]) -> None:
+    """Take what a look raised: those who wait for it raise it, if they have not gone."""
+    if not looking.cancelled():
+        looking.exception()
 
 
 def _graph(
