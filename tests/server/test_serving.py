@@ -17,7 +17,7 @@ import urllib.request
 from asyncio.selector_events import BaseSelectorEventLoop
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from unittest.mock import create_autospec
+from unittest.mock import AsyncMock, create_autospec
 
 import pytest
 from attrs import evolve
@@ -175,14 +175,16 @@ def test_it_says_where_the_page_is(start: Start) -> None:
 def test_of_every_address_those_are_reported_that_can_be_opened(
     host: str, here: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    server = create_autospec(Server, instance=True, ports=(9080, 9090), front_ends=())
-    ports, authority = {"rosbridge": 0}, Path("ca.pem")
+    served = (LINES, evolve(LINES, name="pages", path="/pages", start=None, serve=AsyncMock()))
+    server = create_autospec(Server, instance=True, ports=(9080, 9090, 9100), front_ends=served)
+    ports, authority = {"lines": 0, "pages": 0}, Path("ca.pem")
     settings = ServerOptions(host, front_end_ports=ports, access=Path("access.yaml"))
     _serve.say(server, settings)
     out, err = capsys.readouterr()
     assert out.splitlines() == [
-        f"serving ws://{here}:9080/",
-        f"serving ws://{here}:9090/ for rosbridge clients",
+        f"serving ws://{here}:9080/ and ws://{here}:9080/lines",
+        f"serving ws://{here}:9090/ for lines clients",
+        f"serving http://{here}:9100/pages for pages clients",
         (
             "listening on every address of this machine: elsewhere it is "
             f"{socket.gethostname()}, or an address of it, in place of {here}"
@@ -193,7 +195,7 @@ def test_of_every_address_those_are_reported_that_can_be_opened(
     assert "without TLS, tokens and data can be read" in err
     _serve.say(server, evolve(settings, host="robot.local", client_authority=authority))
     named = capsys.readouterr().out
-    assert "serving ws://robot.local:9080/\n" in named
+    assert "serving ws://robot.local:9080/ and " in named
     assert "(uoarm token makes one), or a certificate that rests on ca.pem\n" in named
     assert "listening on" not in named
 
