@@ -234,7 +234,9 @@ def test_a_large_graph_is_discovered_by_asking_each_thing_once(
     asked: list[str] = []
 
     def call(uri: str, method: str, *given: Any, **named: Any) -> Any:
-        asked.append(method)
+        # Other tests have left topics of their own, on which the number must not depend.
+        if method != "requestTopic" or given[1].startswith("/large/"):
+            asked.append(method)
         return call_api(uri, method, *given, **named)
 
     with bridge_to(master, rosout=False, check=60) as bridge:
