@@ -31,23 +31,7 @@ LOOPS: dict[str, int] = {}
 # Take a name out once it is defined in one module; add none.
 SHARED_NAMES = frozenset(
     {
-        "Address",
-        "Ended",
-        "FrameReader",
-        "Inbox",
-        "Loop",
         "Outbox",
-        "ParameterSink",
-        "ParameterSource",
-        "Place",
-        "Port",
-        "Release",
-        "Report",
-        "Server",
-        "Service",
-        "Subscription",
-        "TopicSink",
-        "TopicSource",
     }
 )
 

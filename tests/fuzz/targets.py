@@ -403,23 +403,25 @@ def _ros1() -> Mapping[str, Target]:
     if find_spec("uoarm_ros1") is None:
         return {}
     from uoarm_ros1._definitions import DefinitionError, record_of, service_of
-    from uoarm_ros1._protocol import (
-        Fault,
-        FrameReader,
-        HttpReader,
+    from uoarm_ros1._node_api import NodeApi
+    from uoarm_ros1._tcpros import (
         ProtocolError,
         ReplyReader,
-        Slave,
-        decode_call,
+        TcprosReader,
         decode_header,
+        encode_header,
+        frames_of,
+    )
+    from uoarm_ros1._types import framed_writer, reader
+    from uoarm_ros1._xmlrpc import (
+        Fault,
+        HttpReader,
+        decode_call,
         decode_reply,
         encode_call,
-        encode_header,
         encode_reply,
-        frames_of,
         http_request,
     )
-    from uoarm_ros1._structures import framed_writer, reader
 
     record = record_of(
         "fuzz/Message",
@@ -445,7 +447,7 @@ def _ros1() -> Mapping[str, Target]:
         """However a stream is cut, the same frames come, in runs or one by one."""
         came = []
         for in_runs, most in ((False, len(data)), (True, 7)):
-            reading, at = FrameReader(BUDGET.octets), 0
+            reading, at = TcprosReader(BUDGET.octets), 0
             reading.in_runs = in_runs
             came.append(b"")
             while at < len(data):
@@ -459,8 +461,8 @@ def _ros1() -> Mapping[str, Target]:
         assert came[0] == came[1]
 
     def call(data: bytes) -> None:
-        slave = Slave("/me", "http://m:1/", 1, "h", 2)
-        slave.answer(*decode_call(data, BUDGET))
+        node = NodeApi("/me", "http://m:1/", 1, "h", 2)
+        node.answer(*decode_call(data, BUDGET))
 
     def definition(data: bytes) -> None:
         text = text_of(data)

@@ -182,10 +182,10 @@ def large_image() -> Message:
 
 def rounded(native: str, message: Message) -> Message:
     """Return the message with every number as the float of its field has it."""
-    from uoarm_ros1._definitions import Listing, Record, Scalar
+    from uoarm_ros1._definitions import Listing, RosRecord, Scalar
 
     def of(shape: Any, value: Any) -> Any:
-        if isinstance(shape, Record):
+        if isinstance(shape, RosRecord):
             return {member.name: of(member.shape, value[member.name]) for member in shape.fields}
         if isinstance(shape, Listing):
             if isinstance(value, bytes | memoryview):

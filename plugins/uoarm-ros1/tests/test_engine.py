@@ -12,32 +12,30 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from uoarm_ros1._definitions import DefinitionError, Listing, Scalar, record_of, service_of
-from uoarm_ros1._health import Lost, MasterHealth
-from uoarm_ros1._options import Names, Port, mistake, settings_of, topic_name
-from uoarm_ros1._protocol import (
-    Fault,
-    FrameReader,
-    HttpReader,
-    ParameterUpdate,
+from uoarm_ros1._health import LostComponents, MasterHealth
+from uoarm_ros1._node_api import NodeApi, ParameterUpdate, PublisherUpdate, Shutdown
+from uoarm_ros1._options import Names, Ros1Options, mistake, read_ros1_options, topic_name
+from uoarm_ros1._tcpros import (
     ProtocolError,
-    PublisherUpdate,
     ReplyReader,
-    Shutdown,
-    Slave,
-    decode_call,
+    TcprosReader,
     decode_header,
-    decode_reply,
-    encode_call,
     encode_header,
-    encode_reply,
     frames_of,
-    http_reply,
-    http_request,
     publisher_problem,
     subscriber_problem,
 )
-from uoarm_ros1._structures import LENGTH, framed_writer, reader, structure_of
-from uoarm_ros1._types import TypeStore
+from uoarm_ros1._types import LENGTH, TypeStore, framed_writer, reader, structure_of
+from uoarm_ros1._xmlrpc import (
+    Fault,
+    HttpReader,
+    decode_call,
+    decode_reply,
+    encode_call,
+    encode_reply,
+    http_reply,
+    http_request,
+)
 
 from uoarm.errors import ConfigurationError, MessageError
 from uoarm.model import Budget, Health
@@ -112,7 +110,7 @@ def test_frames_come_whole_however_they_are_cut(frames: list[bytes], cuts: list[
 
 def received(stream: bytes, cuts: list[int], *, in_runs: bool) -> list[bytes]:
     came: list[bytes | bytearray] = []
-    reading, at, turn = FrameReader(1 << 20), 0, 0
+    reading, at, turn = TcprosReader(1 << 20), 0, 0
     reading.in_runs = in_runs
     while at < len(stream):
         buffer = reading.buffer()
@@ -126,7 +124,7 @@ def received(stream: bytes, cuts: list[int], *, in_runs: bool) -> list[bytes]:
 
 
 def test_a_frame_that_is_too_long_is_refused_before_it_comes() -> None:
-    reading = FrameReader(1000)
+    reading = TcprosReader(1000)
     reading.buffer()[:4] = struct.pack("<I", 1001)
     with pytest.raises(ProtocolError, match="1,000 are allowed"):
         reading.received(4)
@@ -400,13 +398,15 @@ def test_the_environment_says_what_the_options_leave_out() -> None:
         "ROS_IP": "10.0.0.5",
         "ROS_NAMESPACE": "lab",
     }
-    found = settings_of("a bridge", {}, environment)
+    found = read_ros1_options("a bridge", {}, environment)
     assert (found.master, found.host) == ("http://robot:4000/", "10.0.0.5")
     assert re.fullmatch(r"/lab/uoarm_a_bridge_\d+_[0-9a-f]{8}", found.names.node)
-    stated = settings_of("b", {"master": "http://here:1", "node": "n", "host": "h"}, environment)
+    stated = read_ros1_options(
+        "b", {"master": "http://here:1", "node": "n", "host": "h"}, environment
+    )
     assert (stated.master, stated.host, stated.names.node) == ("http://here:1/", "h", "/lab/n")
     with pytest.raises(ConfigurationError, match="expected a master such as"):
-        settings_of("b", {}, {"ROS_MASTER_URI": "robot"})
+        read_ros1_options("b", {}, {"ROS_MASTER_URI": "robot"})
 
 
 def test_addresses_and_options_are_checked_in_words() -> None:
@@ -415,7 +415,7 @@ def test_addresses_and_options_are_checked_in_words() -> None:
     assert "is not a type of ROS 1" in mistake(("/a", "std_msgs/msg/Int32"), {})
     assert "is not a name" in mistake(("a b",), {})
     with pytest.raises(ValueError, match=r"option \$\.queue"):
-        Port.of({"queue": 0})
+        Ros1Options.of({"queue": 0})
     assert topic_name(("a", "std_msgs/Int32"), {}) == "/a"
     assert topic_name(("/a", "x/DoAction"), {}) == ""
     assert topic_name(("/a", "parameter"), {}) == ""
@@ -433,28 +433,28 @@ def test_headers_are_judged_by_type_and_sum() -> None:
     assert "because" in publisher_problem({"error": "because"}, "/t", "", "")
 
 
-def test_the_slave_answers_and_says_what_it_means() -> None:
-    slave = Slave("/me", "http://master:1/", 7, "here", 4)
-    slave.publications["/t"] = "x/Y"
-    assert slave.answer("getPid", ["/a"]) == ([1, "", 7], None)
+def test_the_node_answers_and_says_what_it_means() -> None:
+    node = NodeApi("/me", "http://master:1/", 7, "here", 4)
+    node.publications["/t"] = "x/Y"
+    assert node.answer("getPid", ["/a"]) == ([1, "", 7], None)
     tcp = [["UDPROS"], ["TCPROS"]]
-    assert slave.answer("requestTopic", ["/a", "/t", tcp])[0] == [1, "ready", ["TCPROS", "here", 4]]
-    assert slave.answer("requestTopic", ["/a", "/other", tcp])[0][0] == -1
-    assert slave.answer("requestTopic", ["/a", "/t", [["UDPROS"]]])[0][0] == 0
-    update = slave.answer("publisherUpdate", ["/master", "/t", ["http://a:1/"]])[1]
+    assert node.answer("requestTopic", ["/a", "/t", tcp])[0] == [1, "ready", ["TCPROS", "here", 4]]
+    assert node.answer("requestTopic", ["/a", "/other", tcp])[0][0] == -1
+    assert node.answer("requestTopic", ["/a", "/t", [["UDPROS"]]])[0][0] == 0
+    update = node.answer("publisherUpdate", ["/master", "/t", ["http://a:1/"]])[1]
     assert update == PublisherUpdate("/t", ("http://a:1/",))
-    assert slave.answer("paramUpdate", ["/m", "/p/", 5])[1] == ParameterUpdate("/p/", 5)
-    assert slave.answer("shutdown", ["/m", "why"])[1] == Shutdown("why")
+    assert node.answer("paramUpdate", ["/m", "/p/", 5])[1] == ParameterUpdate("/p/", 5)
+    assert node.answer("shutdown", ["/m", "why"])[1] == Shutdown("why")
 
 
 @given(st.text(max_size=20), st.lists(VALUES, max_size=4))
-def test_the_slave_survives_any_call(method: str, arguments: list[Any]) -> None:
-    slave = Slave("/me", "http://master:1/", 7, "here", 4)
+def test_the_node_survives_any_call(method: str, arguments: list[Any]) -> None:
+    node = NodeApi("/me", "http://master:1/", 7, "here", 4)
     known = ("requestTopic", "publisherUpdate", "paramUpdate", "shutdown", "getBusInfo", method)
     for name in known:
-        result, _ = slave.answer(name, ["/a", *arguments])
+        result, _ = node.answer(name, ["/a", *arguments])
         assert isinstance(result, list | Fault)
-        slave.answer(name, arguments)
+        node.answer(name, arguments)
 
 
 def test_a_master_that_no_channel_relied_upon_is_not_missed() -> None:
@@ -466,7 +466,7 @@ def test_a_master_that_no_channel_relied_upon_is_not_missed() -> None:
 
 
 def test_what_was_killed_is_back_with_another_address_or_an_answer() -> None:
-    lost, key = Lost(), ("camera", "publishers", "/image")
+    lost, key = LostComponents(), ("camera", "publishers", "/image")
     dead = [("/camera", "http://a:1/")]
     lost.remember(key)
     assert [lost.look(key, dead, answers=False) for _ in range(3)] == ["", "", ""]

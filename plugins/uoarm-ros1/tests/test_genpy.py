@@ -10,9 +10,8 @@ from typing import Any
 
 import pytest
 from peers import HERE, ROS_PYTHON
-from uoarm_ros1._definitions import Record, record_of
-from uoarm_ros1._structures import structure_of
-from uoarm_ros1._types import TypeStore, noetic_definition
+from uoarm_ros1._definitions import RosRecord, record_of
+from uoarm_ros1._types import TypeStore, noetic_definition, structure_of
 
 from uoarm.cdr import ROS_1, Codec
 from uoarm.model import Budget
@@ -50,7 +49,7 @@ def lines_of(*words: str) -> Iterator[str]:
 def test_ten_thousand_messages_of_every_type_there_is_are_equal() -> None:
     types = list(lines_of("-c", LISTING, *PACKAGES))
     assert len(types) >= 50
-    record: Record | None = None
+    record: RosRecord | None = None
     count = 0
     for line in lines_of(str(HERE / "debian" / "genpy_messages.py"), "1", str(EACH), *types):
         given: dict[str, Any] = json.loads(line)

@@ -18,7 +18,8 @@ from peers import Master, Peer, running
 from uoarm_ros1 import _server, _services
 from uoarm_ros1._master import call_api
 from uoarm_ros1._node import Node
-from uoarm_ros1._protocol import decode_call, encode_header, encode_reply, http_reply
+from uoarm_ros1._tcpros import encode_header
+from uoarm_ros1._xmlrpc import decode_call, encode_reply, http_reply
 
 from uoarm.bridge import Bridge
 from uoarm.errors import BridgeError
@@ -286,9 +287,9 @@ def test_strangers_at_our_doors_disturb_no_channel(master: Master, lasting: Peer
         node: Node = bridge._node  # type: ignore[attr-defined]  # of this bridge
         api = int(node.uri.rstrip("/").rpartition(":")[2])
         held = []
-        for port in (api, node._slave.port):
+        for port in (api, node._api.port):
             for noise in NOISE:
-                connection = socket.create_connection((node._slave.host, port))
+                connection = socket.create_connection((node._api.host, port))
                 with suppress(OSError):
                     connection.sendall(noise)
                 held.append(connection)
@@ -308,8 +309,8 @@ def test_strangers_who_hold_their_connections_keep_no_peer_out(
         collector = Collector()
         bridge.open_source(output("/crowd/to"), ANY, collector.deliver, timeout=patience())
         api = int(node.uri.rstrip("/").rpartition(":")[2])
-        held = [socket.create_connection((node._slave.host, api)) for _ in range(300)]
-        held += [socket.create_connection((node._slave.host, node._slave.port)) for _ in range(300)]
+        held = [socket.create_connection((node._api.host, api)) for _ in range(300)]
+        held += [socket.create_connection((node._api.host, node._api.port)) for _ in range(300)]
         sink = bridge.open_sink(input_("/crowd", INT, peer="optional"), ANY, timeout=patience())
         lasting.do("subscribe", topic="/crowd", type=INT)
         wait(lambda: sink.facts()["subscribers"], "no subscriber is let in", patience())
@@ -330,7 +331,7 @@ def test_calls_that_do_not_end_share_one_room(
         node: Node = bridge._node  # type: ignore[attr-defined]  # of this bridge
         api = int(node.uri.rstrip("/").rpartition(":")[2])
         head = b"POST / HTTP/1.1\r\nContent-Length: 8000000\r\n\r\n"
-        held = [socket.create_connection((node._slave.host, api)) for _ in range(8)]
+        held = [socket.create_connection((node._api.host, api)) for _ in range(8)]
         for connection in held:
             connection.settimeout(patience())
             with suppress(ConnectionError):
@@ -362,7 +363,7 @@ def test_a_client_that_asks_nothing_is_let_go(
         )
         node: Node = bridge._node  # type: ignore[attr-defined]  # of this bridge
         header = {"callerid": "/x", "md5sum": "*", "service": "/served/idle"}
-        with socket.create_connection((node._slave.host, node._slave.port)) as connection:
+        with socket.create_connection((node._api.host, node._api.port)) as connection:
             connection.settimeout(patience())
             connection.sendall(encode_header(header))
             while connection.recv(4096):

@@ -12,9 +12,8 @@ from typing import Any
 
 import yaml
 from peers import Master
-from uoarm_ros1._options import Port
-from uoarm_ros1._structures import structure_of
-from uoarm_ros1._types import TypeStore
+from uoarm_ros1._options import Ros1Options
+from uoarm_ros1._types import TypeStore, structure_of
 
 from uoarm._adapt import check_edge
 from uoarm.bridge import options_table
@@ -90,4 +89,4 @@ def _run(line: str, folder: Path) -> subprocess.CompletedProcess[str]:
 
 
 def test_the_table_of_options_is_what_the_plugin_declares() -> None:
-    assert options_table(Port.schema()) in PAGE.read_text(encoding="utf-8")
+    assert options_table(Ros1Options.schema()) in PAGE.read_text(encoding="utf-8")

@@ -494,12 +494,12 @@ def test_a_thousand_connections_and_kills_leave_nothing_behind(master: Master) -
         node: Node = bridge._node  # type: ignore[attr-defined]  # of this bridge
         census = Census()
         for number in range(1000):
-            host, port = node._slave.host, node._slave.port
+            host, port = node._api.host, node._api.port
             with socket.create_connection((host, port)) as connection:
                 if number % 2:
                     connection.sendall(b"\5\0\0")
                 else:
-                    from uoarm_ros1._protocol import encode_header, subscriber_header
+                    from uoarm_ros1._tcpros import encode_header, subscriber_header
 
                     header = subscriber_header(f"/killed{number}", "/kills")
                     connection.sendall(encode_header(header))

@@ -8,7 +8,7 @@ from __future__ import annotations
 from uoarm.bridge import Bridge, BridgeType, hookimpl
 from uoarm.errors import BridgeError
 from uoarm.model import MessageStructure, Options
-from uoarm_ros1._options import BRIDGE_OPTIONS, Port, mistake, topic_name
+from uoarm_ros1._options import BRIDGE_OPTIONS, Ros1Options, mistake, topic_name
 
 __all__ = ["uoarm_bridge_types"]
 
@@ -22,7 +22,7 @@ def uoarm_bridge_types() -> list[BridgeType]:
             summary="topics, services, parameters and actions of ROS 1, without ROS here",
             create=_create,
             options_schema=BRIDGE_OPTIONS,
-            endpoint_options=Port,
+            endpoint_options=Ros1Options,
             check_endpoint=mistake,
             topic=topic_name,
             doctor=_doctor,
@@ -39,8 +39,7 @@ def _create(name: str, options: Options) -> Bridge:
 
 
 def _structure_of_type(name: str, options: Options) -> MessageStructure | None:
-    from uoarm_ros1._structures import structure_of  # noqa: PLC0415 - imports numpy
-    from uoarm_ros1._types import TypeStore  # noqa: PLC0415 - imports numpy
+    from uoarm_ros1._types import TypeStore, structure_of  # noqa: PLC0415 - imports numpy
 
     given = options.get("definitions", ())
     folders = [str(folder) for folder in given] if isinstance(given, list | tuple) else []

@@ -14,15 +14,14 @@ from attrs import define, field
 from uoarm.bridge import Channel, Description, Handler
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, MessageError
 from uoarm.model import Endpoint, Message
-from uoarm_ros1._definitions import Listing, Record, Scalar, Shape, Text
+from uoarm_ros1._definitions import Listing, RosRecord, Scalar, Shape, Text
 from uoarm_ros1._discovery import Graph
 from uoarm_ros1._master import GraphState
 from uoarm_ros1._node import Node
-from uoarm_ros1._options import Address, Port
-from uoarm_ros1._publication import Publication
-from uoarm_ros1._structures import framed_writer, reader, structure_of
-from uoarm_ros1._subscription import PublisherHeader, Subscription, Wanted
-from uoarm_ros1._types import ActionType, TypeStore
+from uoarm_ros1._options import Ros1Address, Ros1Options
+from uoarm_ros1._publication import TopicPublication
+from uoarm_ros1._subscription import PublisherHeader, TopicSubscription, Wanted
+from uoarm_ros1._types import ActionType, TypeStore, framed_writer, reader, structure_of
 
 __all__ = ["ActionCaller", "ServedAction", "described_action"]
 
@@ -43,7 +42,12 @@ _MOST_GOALS = 256
 
 
 def described_action(
-    graph: Graph, types: TypeStore, endpoint: Endpoint, name: str, address: Address, port: Port
+    graph: Graph,
+    types: TypeStore,
+    endpoint: Endpoint,
+    name: str,
+    address: Ros1Address,
+    port: Ros1Options,
 ) -> Description:
     """Return an action as a call: the goal is the request, the result the reply.
 
@@ -71,7 +75,7 @@ def require_server(graph: Graph, endpoint: Endpoint, name: str) -> None:
 
 
 def action_type(
-    graph: Graph, types: TypeStore, endpoint: Endpoint, name: str, address: Address
+    graph: Graph, types: TypeStore, endpoint: Endpoint, name: str, address: Ros1Address
 ) -> ActionType:
     """Return the type of an action: as the address says, or the type of its goals."""
     kind = address.type
@@ -90,9 +94,9 @@ def _servers(state: GraphState, name: str) -> list[str]:
     return [node for node in publishers if node in subscribers]
 
 
-def _member(record: Record, name: str) -> Record:
+def _member(record: RosRecord, name: str) -> RosRecord:
     for member in record.fields:
-        if member.name == name and isinstance(member.shape, Record):
+        if member.name == name and isinstance(member.shape, RosRecord):
             return member.shape
     raise BridgeError(f"{record.name} has no member {name!r}", FailureReason.UNSUPPORTED)
 
@@ -116,8 +120,8 @@ class ActionCaller:
         types: TypeStore,
         endpoint: Endpoint,
         name: str,
-        address: Address,
-        port: Port,
+        address: Ros1Address,
+        port: Ros1Options,
     ) -> None:
         self._node, self._name = node, name
         self._wait = node.settings.wait if port.wait is None else port.wait
@@ -131,7 +135,7 @@ class ActionCaller:
         self._lock = threading.Lock()
         self._goals: dict[str, _Goal] = {}
         self._numbers = count(1)
-        self._subscription = Subscription(
+        self._subscription = TopicSubscription(
             Wanted(
                 node.name,
                 f"{name}/result",
@@ -144,7 +148,7 @@ class ActionCaller:
             lambda _: None,
             self._went,
         )
-        self._publications: list[Publication] = []
+        self._publications: list[TopicPublication] = []
         try:
             node.subscribe(self._subscription)
             self._publications.append(node.advertise(f"{name}/goal", kinds.goal))
@@ -304,8 +308,8 @@ class ServedAction(Channel):
         self._goals: dict[str, _Served] = {}
         self._numbers = count(1)
         self._answered = self._failed = self._refused = 0
-        self._publications: list[Publication] = []
-        self._subscriptions: list[Subscription] = []
+        self._publications: list[TopicPublication] = []
+        self._subscriptions: list[TopicSubscription] = []
         self._stopped = threading.Event()
         try:
             for part, record in (("result", kinds.result), ("feedback", kinds.feedback)):
@@ -323,7 +327,7 @@ class ServedAction(Channel):
                     most=budget.octets,
                     silence=node.settings.silence,
                 )
-                made = Subscription(wanted, take, _ignore_header, _ignore_end)
+                made = TopicSubscription(wanted, take, _ignore_header, _ignore_end)
                 self._subscriptions.append(made)
                 node.subscribe(made)
         except BaseException:
@@ -475,7 +479,7 @@ def _moment(stamp: Message) -> tuple[int, int]:
 
 def _zero(shape: Shape) -> Any:
     """Return the value of a shape in which everything is zero or empty."""
-    if isinstance(shape, Record):
+    if isinstance(shape, RosRecord):
         return {member.name: _zero(member.shape) for member in shape.fields}
     if isinstance(shape, Listing):
         return [_zero(shape.element) for _ in range(shape.size or 0)]

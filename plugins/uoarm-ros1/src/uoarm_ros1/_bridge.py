@@ -24,25 +24,31 @@ from uoarm.bridge import (
 from uoarm.errors import BridgeError, FailureReason
 from uoarm.model import Endpoint, Health, Message, MessageStructure, Options, Role
 from uoarm_ros1._actions import ActionCaller, ServedAction, described_action
-from uoarm_ros1._channels import Place, Relay, SameTopic, TopicSink, TopicSource
-from uoarm_ros1._definitions import DefinitionError, Record, Service, record_of
+from uoarm_ros1._channels import (
+    Relay,
+    Ros1ParameterSink,
+    Ros1ParameterSource,
+    Ros1TopicSink,
+    Ros1TopicSource,
+    SameTopic,
+    TopicPlace,
+    parameter_structure,
+)
+from uoarm_ros1._definitions import DefinitionError, RosRecord, RosService, record_of
 from uoarm_ros1._discovery import Graph, discovered
-from uoarm_ros1._health import Lost, MasterHealth
-from uoarm_ros1._node import Node
-from uoarm_ros1._options import Address, Port, address_of, port_of, settings_of
-from uoarm_ros1._parameters import ParameterSink, ParameterSource, parameter_structure
-from uoarm_ros1._rosout import Clock, Rosout
+from uoarm_ros1._health import LostComponents, MasterHealth
+from uoarm_ros1._node import Clock, Node, Rosout
+from uoarm_ros1._options import Ros1Address, Ros1Options, address_of, port_of, read_ros1_options
 from uoarm_ros1._services import Caller, ServedService, probe_service
-from uoarm_ros1._structures import described_service, structure_of
 from uoarm_ros1._subscription import PublisherHeader
-from uoarm_ros1._types import TypeStore
+from uoarm_ros1._types import TypeStore, described_service, structure_of
 
 __all__ = ["Ros1Bridge"]
 
 _TICK_SECONDS = 0.25
 _JOIN_SECONDS = 1.0
 C = TypeVar("C", bound=Channel)
-_Ticking = TopicSource | Relay | SameTopic
+_Ticking = Ros1TopicSource | Relay | SameTopic
 
 
 class Ros1Bridge(Bridge):
@@ -56,11 +62,11 @@ class Ros1Bridge(Bridge):
 
     def __init__(self, name: str, options: Options) -> None:
         super().__init__(name, options)
-        settings = settings_of(name, options, os.environ)
+        settings = read_ros1_options(name, options, os.environ)
         self._settings = settings
         self._types = TypeStore(settings.definitions)
         self._node = Node(settings, self._asked_to_end)
-        self._master_health, self._lost = MasterHealth(), Lost()
+        self._master_health, self._lost = MasterHealth(), LostComponents()
         self._callers: dict[tuple[str, str], Caller | ActionCaller] = {}
         # Guards the callers, and what was lost, between steps and the watch.
         self._table_lock = threading.Lock()
@@ -108,7 +114,7 @@ class Ros1Bridge(Bridge):
         return Description(structure_of(record))
 
     def _describe_service(
-        self, endpoint: Endpoint, address: Address, port: Port, graph: Graph
+        self, endpoint: Endpoint, address: Ros1Address, port: Ros1Options, graph: Graph
     ) -> Description:
         name = self._node.resolve(address.name)
         if self._is_action(endpoint, address, name, graph):
@@ -119,14 +125,16 @@ class Ros1Bridge(Bridge):
             return described_service(self._types.require_service(address.type, port.definition))
         return described_service(self._service(endpoint, name, address, port))
 
-    def _is_action(self, endpoint: Endpoint, address: Address, name: str, graph: Graph) -> bool:
+    def _is_action(self, endpoint: Endpoint, address: Ros1Address, name: str, graph: Graph) -> bool:
         if endpoint.role is not Role.SERVICE:
             return False
         if address.type:
             return address.is_action
         return not endpoint.is_offered and f"{name}/goal" in graph.types
 
-    def _service(self, endpoint: Endpoint, name: str, address: Address, port: Port) -> Service:
+    def _service(
+        self, endpoint: Endpoint, name: str, address: Ros1Address, port: Ros1Options
+    ) -> RosService:
         """Return the type of a service that is there; what its server says of it must be ours."""
         kind, md5 = probe_service(self._node, name)
         if address.type and kind and kind != address.type:
@@ -149,10 +157,10 @@ class Ros1Bridge(Bridge):
         self,
         endpoint: Endpoint,
         topic: str,
-        address: Address,
-        port: Port,
+        address: Ros1Address,
+        port: Ros1Options,
         graph: Graph | None = None,
-    ) -> Record:
+    ) -> RosRecord:
         """Return the type of a topic: as its publishers have it, else as it is defined here."""
         if endpoint.is_offered and address.type:
             return self._types.require(address.type, port.definition)
@@ -191,7 +199,7 @@ class Ros1Bridge(Bridge):
         raise BridgeError(text, FailureReason.UNSUPPORTED)
 
     def _publisher_header(
-        self, endpoint: Endpoint, topic: str, address: Address, port: Port, graph: Graph
+        self, endpoint: Endpoint, topic: str, address: Ros1Address, port: Ros1Options, graph: Graph
     ) -> PublisherHeader | None:
         """Return what a publisher of a topic says, None where an endpoint can do without.
 
@@ -218,7 +226,9 @@ class Ros1Bridge(Bridge):
         who = f"node {port.node} does not publish" if port.node else "no node publishes"
         raise BridgeError(f"{endpoint}: {who} {topic}", FailureReason.NOT_FOUND)
 
-    def _require_peer(self, endpoint: Endpoint, topic: str, port: Port, graph: Graph) -> None:
+    def _require_peer(
+        self, endpoint: Endpoint, topic: str, port: Ros1Options, graph: Graph
+    ) -> None:
         """Refuse an input to which no node that lives subscribes."""
         if endpoint.role is not Role.INPUT or not port.peer_required:
             return
@@ -241,19 +251,19 @@ class Ros1Bridge(Bridge):
         del structure  # the type is in the address, or its publishers say it
         address, port = address_of(endpoint), port_of(endpoint)
         if address.is_parameter:
-            return self._opened_at(ParameterSource(self._node, endpoint, address, deliver))
+            return self._opened_at(Ros1ParameterSource(self._node, endpoint, address, deliver))
         topic = self._node.resolve(address.name)
         record = self._record(endpoint, topic, address, port)
-        return self._opened_at(TopicSource(self._place(endpoint, topic, port), record, deliver))
+        return self._opened_at(Ros1TopicSource(self._place(endpoint, topic, port), record, deliver))
 
     def _open_sink(self, endpoint: Endpoint, structure: MessageStructure) -> Sink:
         del structure
         address, port = address_of(endpoint), port_of(endpoint)
         if address.is_parameter:
-            return self._opened_at(ParameterSink(self._node, endpoint, address))
+            return self._opened_at(Ros1ParameterSink(self._node, endpoint, address))
         topic = self._node.resolve(address.name)
         record = self._record(endpoint, topic, address, port)
-        return self._opened_at(TopicSink(self._place(endpoint, topic, port), record))
+        return self._opened_at(Ros1TopicSink(self._place(endpoint, topic, port), record))
 
     def _call(
         self, endpoint: Endpoint, structures: ServiceStructures, message: Message, timeout: float
@@ -276,7 +286,7 @@ class Ros1Bridge(Bridge):
             raise
 
     def _new_caller(
-        self, endpoint: Endpoint, name: str, address: Address, port: Port
+        self, endpoint: Endpoint, name: str, address: Ros1Address, port: Ros1Options
     ) -> Caller | ActionCaller:
         made: Caller | ActionCaller
         if self._is_action(endpoint, address, name, Graph(self._node)):
@@ -345,10 +355,10 @@ class Ros1Bridge(Bridge):
         self._node.close()
         self._watch.join(_JOIN_SECONDS)
 
-    def _place(self, endpoint: Endpoint, topic: str, port: Port) -> Place:
+    def _place(self, endpoint: Endpoint, topic: str, port: Ros1Options) -> TopicPlace:
         wait = self._settings.wait if port.wait is None else port.wait
         clock: Callable[[], float] = time.monotonic if self._clock is None else self._clock.now
-        return Place(self._node, endpoint, topic, port, wait, self._report_channel, clock)
+        return TopicPlace(self._node, endpoint, topic, port, wait, self._report_channel, clock)
 
     def _report_channel(self, channel: Channel, health: Health, cause: str) -> None:
         self.report(health, cause, channel=channel)

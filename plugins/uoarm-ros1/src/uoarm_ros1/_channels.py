@@ -1,4 +1,4 @@
-"""Sources and sinks on topics, and links between them that move octets as they are."""
+"""Sources and sinks on topics and parameters, and links that move octets as they are."""
 
 from __future__ import annotations
 
@@ -6,26 +6,36 @@ import threading
 import time
 from collections.abc import Callable, Mapping
 from functools import partial
+from typing import Any
 
 from attrs import evolve, frozen
 
 from uoarm.bridge import Channel, ChannelHealth, ChannelMonitor, Delivery, Sink, Source
 from uoarm.errors import BridgeError, FailureReason, MessageError
-from uoarm.model import Endpoint, Health, Message
-from uoarm_ros1._definitions import Record
+from uoarm.model import Deliver, Endpoint, Health, Message, MessageStructure
+from uoarm_ros1._definitions import RosRecord
 from uoarm_ros1._node import Node
-from uoarm_ros1._options import Port
-from uoarm_ros1._structures import framed_writer, reader
-from uoarm_ros1._subscription import PublisherHeader, Subscription, Wanted
+from uoarm_ros1._options import Ros1Address, Ros1Options
+from uoarm_ros1._subscription import PublisherHeader, TopicSubscription, Wanted
+from uoarm_ros1._types import framed_writer, reader
 
-__all__ = ["Place", "Relay", "SameTopic", "TopicSink", "TopicSource"]
+__all__ = [
+    "Relay",
+    "Ros1ParameterSink",
+    "Ros1ParameterSource",
+    "Ros1TopicSink",
+    "Ros1TopicSource",
+    "SameTopic",
+    "TopicPlace",
+    "parameter_structure",
+]
 
 _WAIT_SECONDS = 0.2
 _LOOK_SECONDS = 0.005
 
 
 @frozen
-class Place:
+class TopicPlace:
     """What a channel on a topic stands on.
 
     Attributes:
@@ -41,7 +51,7 @@ class Place:
     node: Node
     endpoint: Endpoint
     topic: str
-    port: Port
+    port: Ros1Options
     wait: float
     report: Callable[[Channel, Health, str], None]
     clock: Callable[[], float] = time.monotonic
@@ -56,7 +66,7 @@ class Place:
         )
         return ChannelMonitor(health, report, self.clock)
 
-    def wanted(self, record: Record | None) -> Wanted:
+    def wanted(self, record: RosRecord | None) -> Wanted:
         """Return what a subscription here takes."""
         settings, node = self.node.settings, self.port.node
         return Wanted(
@@ -76,8 +86,8 @@ class _Subscribed:
 
     def __init__(
         self,
-        place: Place,
-        record: Record,
+        place: TopicPlace,
+        record: RosRecord,
         take: Callable[[bytes | bytearray, str], object],
         say: Callable[[Health, str], None],
         gone: Callable[[str], object] = lambda _: None,
@@ -90,7 +100,7 @@ class _Subscribed:
         self.is_latched = False
         self.breaks = 0
         wanted = evolve(place.wanted(record), in_runs=in_runs)
-        self.subscription = Subscription(wanted, take, self._came, self._went)
+        self.subscription = TopicSubscription(wanted, take, self._came, self._went)
 
     def open(self) -> None:
         """Begin to take messages; what takes them must be whole by then.
@@ -145,10 +155,10 @@ class _Subscribed:
         self.health.connected(len(self.subscription.connected), cause)
 
 
-class TopicSource(Source):
+class Ros1TopicSource(Source):
     """What is published on a topic; delivered in the thread of each publisher's connection."""
 
-    def __init__(self, place: Place, record: Record, deliver: Delivery) -> None:
+    def __init__(self, place: TopicPlace, record: RosRecord, deliver: Delivery) -> None:
         super().__init__(place.endpoint)
         self._place, self._deliver = place, deliver
         self._read = reader(record, place.node.settings.budget)
@@ -197,7 +207,9 @@ class TopicSource(Source):
 class _Publishing:
     """A publication, as one channel holds it, with the health of its subscribers."""
 
-    def __init__(self, place: Place, record: Record, say: Callable[[Health, str], None]) -> None:
+    def __init__(
+        self, place: TopicPlace, record: RosRecord, say: Callable[[Health, str], None]
+    ) -> None:
         self.place = place
         self.health = place.health("subscriber", say)
         self._refusal = ""
@@ -284,13 +296,13 @@ def _are_there(expected: set[str], callers: list[str]) -> bool:
     return bool(expected) and expected <= set(callers)
 
 
-class TopicSink(Sink):
+class Ros1TopicSink(Sink):
     """Publishes on a topic: what a subscriber's connection does not take at once waits for it."""
 
     blocking = False
     parallel = True
 
-    def __init__(self, place: Place, record: Record) -> None:
+    def __init__(self, place: TopicPlace, record: RosRecord) -> None:
         super().__init__(place.endpoint)
         self._write = framed_writer(record)
         self._publishing = _Publishing(
@@ -321,7 +333,7 @@ class TopicSink(Sink):
 class Relay(Channel):
     """Octets of one topic go out on another of the same type, as they are."""
 
-    def __init__(self, source: Place, sink: Place, record: Record) -> None:
+    def __init__(self, source: TopicPlace, sink: TopicPlace, record: RosRecord) -> None:
         super().__init__(source.endpoint)
         self._moved = 0
 
@@ -373,7 +385,7 @@ class SameTopic(Channel):
     It looks now and then whether both live still.
     """
 
-    def __init__(self, source: Place, sink: Place) -> None:
+    def __init__(self, source: TopicPlace, sink: TopicPlace) -> None:
         super().__init__(source.endpoint)
         self._source, self._sink = source, sink
         self._is_lost = False
@@ -402,3 +414,158 @@ class SameTopic(Channel):
 
     def _close(self) -> None:
         """Nothing was opened."""
+
+
+_INTEGER = {"type": "integer", "minimum": -(2**31), "maximum": 2**31 - 1}
+_ABSENT: Any = {}
+_DEEP = 16
+
+
+def parameter_structure(
+    node: Node, endpoint: Endpoint, address: Ros1Address
+) -> MessageStructure | None:
+    """Return what the value of a parameter is like now.
+
+    Raises:
+        BridgeError: it is not set.
+    """
+    name = node.resolve(address.name)
+    try:
+        value = node.master.call("getParam", name)
+    except BridgeError as error:
+        if error.reason is not FailureReason.REFUSED:
+            raise
+        text = f"{endpoint}: the parameter {name} is not set"
+        raise BridgeError(text, FailureReason.NOT_FOUND) from error
+    return MessageStructure(_schema(value, _DEEP), native_type="parameter")
+
+
+def _schema(value: Any, depth: int) -> Any:
+    if isinstance(value, bool):
+        return {"type": "boolean"}
+    if isinstance(value, int):
+        return dict(_INTEGER)
+    if isinstance(value, float):
+        return {"type": "number"}
+    if isinstance(value, str):
+        return {"type": "string"}
+    if isinstance(value, bytes):
+        octet = {"type": "integer", "minimum": 0, "maximum": 255}
+        return {"type": "array", "items": octet, "x-octets": True}
+    if isinstance(value, list):
+        kinds = [_schema(item, depth - 1) for item in value] if depth else []
+        same = bool(kinds) and all(kind == kinds[0] for kind in kinds)
+        return {"type": "array", "items": kinds[0]} if same else {"type": "array"}
+    if isinstance(value, dict) and depth:
+        return {
+            "type": "object",
+            "properties": {key: _schema(item, depth - 1) for key, item in value.items()},
+            "required": sorted(value),
+        }
+    return True
+
+
+class Ros1ParameterSource(Source):
+    """The value of a parameter as it is, and each time that it is set."""
+
+    latched = True
+
+    def __init__(
+        self, node: Node, endpoint: Endpoint, address: Ros1Address, deliver: Deliver
+    ) -> None:
+        super().__init__(endpoint)
+        self._node, self._deliver = node, deliver
+        self._name = node.resolve(address.name)
+        self._received = 0
+        # Guards the order of values: what the master answers comes in one thread, changes in the
+        # loop's. They are handed over in one of its own, so that no receiver holds up the loop.
+        self._changed = threading.Condition()
+        self._waiting: list[Any] = []
+        self._is_ended = False
+        self._last: Any = _ABSENT
+        self._thread = threading.Thread(
+            target=self._run, name=f"uoarm-ros1-{self._name}", daemon=True
+        )
+        value = node.watch_parameter(self._name, self._take)
+        if value == _ABSENT:
+            node.unwatch_parameter(self._name, self._take)
+            text = f"{endpoint}: the parameter {self._name} is not set"
+            raise BridgeError(text, FailureReason.NOT_FOUND)
+        self._thread.start()
+        self._take(self._name, value, is_set=False)
+
+    def facts(self) -> Mapping[str, object]:
+        """Return counters."""
+        return {"received": self._received, "under_way": len(self._waiting)}
+
+    def _take(self, key: str, value: Any, *, is_set: bool) -> None:
+        """Take a value that was set, or that is what a registration found, at first or again."""
+        with self._changed:
+            if key != self._name:  # one within it: the whole is asked for
+                value = _ABSENT
+            # The bridge's look at the master may register anew between the entry in the node's
+            # table and the first registration: both find the same value, which was set once.
+            elif not is_set and value == self._last:
+                return
+            self._last = value
+            # Only the newest matters to who is slow.
+            self._waiting[1:] = []
+            self._waiting.append(value)
+            self._changed.notify_all()
+
+    def _run(self) -> None:
+        while True:
+            with self._changed:
+                self._changed.wait_for(lambda: self._waiting or self._is_ended)
+                if self._is_ended:
+                    return
+                value = self._waiting.pop(0)
+            if value == _ABSENT:
+                try:
+                    value = self._node.master.call("getParam", self._name)
+                except BridgeError:
+                    continue  # it was deleted, or the master is away: the next change will say
+            self._received += 1
+            self._deliver(value)
+
+    def _close(self) -> None:
+        with self._changed:
+            self._is_ended = True
+            self._changed.notify_all()
+        self._node.unwatch_parameter(self._name, self._take)
+
+
+class Ros1ParameterSink(Sink):
+    """Sets a parameter; waits for the master to take it."""
+
+    def __init__(self, node: Node, endpoint: Endpoint, address: Ros1Address) -> None:
+        super().__init__(endpoint)
+        self._node, self._name = node, node.resolve(address.name)
+        self._sent = 0
+
+    def facts(self) -> Mapping[str, object]:
+        """Return counters."""
+        return {"sent": self._sent}
+
+    def _send(self, message: Message) -> None:
+        value = plain(message)
+        try:
+            self._node.master.call("setParam", self._name, value)
+        except ValueError as error:
+            raise MessageError(f"{self._name}: {error}") from error
+        self._sent += 1
+        self._node.parameter_changed(self._name, value)
+
+    def _close(self) -> None:
+        """Nothing is held."""
+
+
+def plain(value: Any) -> Any:
+    """Return a message without arrays of numpy, which XML-RPC does not know."""
+    if isinstance(value, dict):
+        return {key: plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(item) for item in value]
+    if hasattr(value, "tolist") and not isinstance(value, memoryview):
+        return value.tolist()
+    return value

@@ -19,9 +19,9 @@ __all__ = [
     "DefinitionError",
     "Field",
     "Listing",
-    "Record",
+    "RosRecord",
+    "RosService",
     "Scalar",
-    "Service",
     "Shape",
     "Text",
     "parts_of",
@@ -76,7 +76,7 @@ class Text:
 class Listing:
     """Many elements: exactly `size`, or any number when `size` is None."""
 
-    element: Scalar | Text | Record
+    element: Scalar | Text | RosRecord
     size: int | None = None
 
 
@@ -89,7 +89,7 @@ class Field:
 
 
 @frozen(eq=False)
-class Record:
+class RosRecord:
     """A message type, `time` or `duration`.
 
     Attributes:
@@ -108,24 +108,24 @@ class Record:
 
 
 @frozen(eq=False)
-class Service:
+class RosService:
     """A service type: two records, and the one sum of both."""
 
     name: str
-    request: Record
-    reply: Record
+    request: RosRecord
+    reply: RosRecord
     md5: str
 
 
-Shape: TypeAlias = "Scalar | Text | Listing | Record"
+Shape: TypeAlias = "Scalar | Text | Listing | RosRecord"
 
 _TIMES = {
-    "time": Record("time", (Field("secs", Scalar("uint32")), Field("nsecs", Scalar("uint32")))),
-    "duration": Record(
+    "time": RosRecord("time", (Field("secs", Scalar("uint32")), Field("nsecs", Scalar("uint32")))),
+    "duration": RosRecord(
         "duration", (Field("secs", Scalar("int32")), Field("nsecs", Scalar("int32")))
     ),
 }
-_PLAIN: Mapping[str, Scalar | Text | Record] = {
+_PLAIN: Mapping[str, Scalar | Text | RosRecord] = {
     "bool": Scalar("bool"),
     "string": Text(),
     **{name: Scalar(name) for name in NUMBERS},
@@ -162,7 +162,7 @@ def parts_of(definition: str, name: str) -> dict[str, str]:
 
 
 @lru_cache(maxsize=1024)
-def record_of(name: str, definition: str) -> Record:
+def record_of(name: str, definition: str) -> RosRecord:
     """Return the record of a whole definition; the same one each time.
 
     Raises:
@@ -172,7 +172,7 @@ def record_of(name: str, definition: str) -> Record:
     return _Reading(texts.get).record(name)
 
 
-def service_of(name: str, text: str, find: Callable[[str], str | None]) -> Service:
+def service_of(name: str, text: str, find: Callable[[str], str | None]) -> RosService:
     """Return a service of the text of a `.srv` file.
 
     Args:
@@ -197,7 +197,7 @@ def service_of(name: str, text: str, find: Callable[[str], str | None]) -> Servi
     records = reading.record(request), reading.record(reply)
     sums = "".join(reading.sums[part] for part in (request, reply))
     md5 = hashlib.md5(sums.encode(), usedforsecurity=False).hexdigest()
-    return Service(name, records[0], records[1], md5)
+    return RosService(name, records[0], records[1], md5)
 
 
 class _Reading:
@@ -209,12 +209,12 @@ class _Reading:
 
     def __init__(self, find: Callable[[str], str | None]) -> None:
         self._find = find
-        self._records: dict[str, Record] = {}
+        self._records: dict[str, RosRecord] = {}
         self._sizes: dict[str, int] = {}
         self._within: dict[str, dict[str, str]] = {}
         self.sums: dict[str, str] = {}
 
-    def record(self, name: str, path: tuple[str, ...] = ()) -> Record:
+    def record(self, name: str, path: tuple[str, ...] = ()) -> RosRecord:
         """Return a type, and read those within it."""
         if name in self._records:
             return self._records[name]
@@ -256,7 +256,7 @@ class _Reading:
             f"\n{'=' * 80}\nMSG: {inner}\n{part.rstrip()}" for inner, part in within.items()
         )
         self._within[name], self._sizes[name] = within, size
-        self._records[name] = Record(name, tuple(fields), constants, md5, f"{whole}\n")
+        self._records[name] = RosRecord(name, tuple(fields), constants, md5, f"{whole}\n")
         return self._records[name]
 
 
@@ -292,7 +292,7 @@ def _qualified(kind: str, within: str) -> str:
     return kind if "/" in kind else f"{within.partition('/')[0]}/{kind}"
 
 
-def _shape(name: str, element: Scalar | Text | Record, suffix: str) -> Shape:
+def _shape(name: str, element: Scalar | Text | RosRecord, suffix: str) -> Shape:
     if not suffix:
         return element
     size = int(suffix[1:-1]) if len(suffix) > len("[]") else None

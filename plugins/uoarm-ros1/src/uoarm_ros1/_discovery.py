@@ -12,8 +12,8 @@ from uoarm.errors import BridgeError
 from uoarm.model import Endpoint, Role
 from uoarm_ros1._master import GraphState
 from uoarm_ros1._node import Node
-from uoarm_ros1._protocol import ProtocolError
 from uoarm_ros1._subscription import PublisherHeader, Wanted, read_publisher_header
+from uoarm_ros1._tcpros import ProtocolError
 
 __all__ = ["Graph", "discovered"]
 

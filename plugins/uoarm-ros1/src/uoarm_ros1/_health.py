@@ -8,7 +8,7 @@ from attrs import define, field
 
 from uoarm.model import Health
 
-__all__ = ["Lost", "MasterHealth"]
+__all__ = ["LostComponents", "MasterHealth"]
 
 Report = tuple[Health, str]
 Key = tuple[str, str, str]
@@ -39,7 +39,7 @@ class MasterHealth:
 
 
 @define
-class Lost:
+class LostComponents:
     """Components that were lost or missed, and who stood for them at the master then.
 
     A node that was killed stays registered: only another address, or an answer, says that it is

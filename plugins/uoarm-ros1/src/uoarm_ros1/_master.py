@@ -11,14 +11,8 @@ from urllib.parse import urlsplit
 from attrs import field, frozen
 
 from uoarm.errors import BridgeError, FailureReason
-from uoarm_ros1._protocol import (
-    Fault,
-    HttpReader,
-    ProtocolError,
-    decode_reply,
-    encode_call,
-    http_request,
-)
+from uoarm_ros1._tcpros import ProtocolError
+from uoarm_ros1._xmlrpc import Fault, HttpReader, decode_reply, encode_call, http_request
 
 __all__ = ["GraphState", "Master", "call_api", "connect", "failure_text"]
 

@@ -1,4 +1,4 @@
-"""The bridge's node: its names, what it publishes, subscribes to and serves, and its master."""
+"""The bridge's node: its master, topics and services, /rosout and /clock."""
 
 from __future__ import annotations
 
@@ -14,23 +14,19 @@ from typing import Any, Protocol
 
 from attrs import evolve
 
-from uoarm.errors import BridgeError, FailureReason
-from uoarm_ros1._definitions import Record
-from uoarm_ros1._loop import Loop
+from uoarm.errors import BridgeError, FailureReason, MessageError
+from uoarm.model import Health
+from uoarm_ros1._definitions import RosRecord
 from uoarm_ros1._master import Master, call_api
-from uoarm_ros1._options import Settings
-from uoarm_ros1._protocol import (
-    ParameterUpdate,
-    PublisherUpdate,
-    Shutdown,
-    Slave,
-    encode_header,
-)
-from uoarm_ros1._publication import Publication
-from uoarm_ros1._server import Server
-from uoarm_ros1._subscription import Subscription
+from uoarm_ros1._node_api import NodeApi, ParameterUpdate, PublisherUpdate, Shutdown
+from uoarm_ros1._options import Ros1BridgeOptions
+from uoarm_ros1._publication import TopicPublication
+from uoarm_ros1._server import NodeServer, SocketLoop
+from uoarm_ros1._subscription import TopicSubscription, Wanted
+from uoarm_ros1._tcpros import encode_header
+from uoarm_ros1._types import TypeStore, framed_writer, reader
 
-__all__ = ["Node"]
+__all__ = ["Clock", "Node", "Rosout"]
 
 _ASK_SECONDS = 0.5
 _LOOPBACK = {"localhost", "127.0.0.1", "::1"}
@@ -58,15 +54,15 @@ class Node:
         stamp: returns the time as headers have it: this machine's, or that of /clock.
     """
 
-    def __init__(self, settings: Settings, ended: Callable[[str], object]) -> None:
+    def __init__(self, settings: Ros1BridgeOptions, ended: Callable[[str], object]) -> None:
         self.settings = settings
         self.name = settings.names.node
         self._ended = ended
         self.stamp: Callable[[], Mapping[str, int]] = _stamp
         # Guards the tables of what is registered, between steps, the loop and the watch.
         self._lock = threading.RLock()
-        self._publications: dict[str, tuple[Publication, int]] = {}
-        self._subscriptions: dict[str, tuple[Subscription, ...]] = {}
+        self._publications: dict[str, tuple[TopicPublication, int]] = {}
+        self._subscriptions: dict[str, tuple[TopicSubscription, ...]] = {}
         self._services: dict[str, Arrived] = {}
         self._parameters: dict[str, tuple[ParameterListener, ...]] = {}
         self._is_closing = self._is_alone = False
@@ -75,15 +71,15 @@ class Node:
         # Who says that it is reached on this machine alone is reached from no other.
         is_here = host in _LOOPBACK or host.startswith("127.")
         address = ("127.0.0.1" if host == "localhost" else host) if is_here else ""
-        self._slave = Slave(self.name, settings.master, os.getpid(), host)
-        self._slave.connections = self._connections
-        self.loop = Loop(f"uoarm-ros1{self.name}")
+        self._api = NodeApi(self.name, settings.master, os.getpid(), host)
+        self._api.connections = self._connections
+        self.loop = SocketLoop(f"uoarm-ros1{self.name}")
         try:
-            server = Server(self.loop, address or "0.0.0.0", self._answer, self._arrived)  # noqa: S104 - see above
+            server = NodeServer(self.loop, address or "0.0.0.0", self._answer, self._arrived)  # noqa: S104 - see above
         except BaseException:
             self.loop.close()
             raise
-        self._slave.port = server.port
+        self._api.port = server.port
         at = f"[{host}]" if ":" in host else host
         self.uri = f"http://{at}:{server.api_port}/"
         self.service_uri = f"rosrpc://{at}:{server.port}"
@@ -98,7 +94,7 @@ class Node:
         """Whether the master should know the node."""
         return bool(self._publications or self._subscriptions or self._services or self._parameters)
 
-    def advertise(self, topic: str, record: Record, **more: Any) -> Publication:
+    def advertise(self, topic: str, record: RosRecord, **more: Any) -> TopicPublication:
         """Publish a topic; one that is published already is shared.
 
         Raises:
@@ -107,9 +103,9 @@ class Node:
         with self._lock:
             known = self._publications.get(topic)
             if known is None:
-                made = Publication(self.loop, self.name, topic, record, **more)
+                made = TopicPublication(self.loop, self.name, topic, record, **more)
                 self._publications[topic] = (made, 1)
-                self._slave.publications[topic] = record.name
+                self._api.publications[topic] = record.name
             else:
                 made, users = known
                 if made.record.md5 != record.md5:
@@ -125,7 +121,7 @@ class Node:
             raise
         return made
 
-    def withdraw(self, publication: Publication) -> None:
+    def withdraw(self, publication: TopicPublication) -> None:
         """Publish a topic no more, once no channel here does."""
         topic = publication.topic
         with self._lock:
@@ -136,11 +132,11 @@ class Node:
                 self._publications[topic] = (publication, users - 1)
                 return
             del self._publications[topic]
-            self._slave.publications.pop(topic, None)
+            self._api.publications.pop(topic, None)
         self._unregister(partial(self.master.unregister, "Publisher", topic))
         publication.close()
 
-    def subscribe(self, subscription: Subscription) -> None:
+    def subscribe(self, subscription: TopicSubscription) -> None:
         """Connect a subscription to the publishers of its topic, from now on.
 
         Raises:
@@ -152,14 +148,14 @@ class Node:
             if any(other.wanted.caller == self.name for other in before):
                 subscription.wanted = evolve(subscription.wanted, caller=self.another_name())
             self._subscriptions[topic] = (*before, subscription)
-            self._slave.subscriptions[topic] = kind or "*"
+            self._api.subscriptions[topic] = kind or "*"
         try:
             subscription.update(self.master.register_subscriber(topic, kind))
         except BaseException:
             self.unsubscribe(subscription)
             raise
 
-    def unsubscribe(self, subscription: Subscription) -> None:
+    def unsubscribe(self, subscription: TopicSubscription) -> None:
         """Close a subscription."""
         topic = subscription.wanted.topic
         subscription.close()
@@ -171,7 +167,7 @@ class Node:
                 return
             if self._subscriptions.pop(topic, None) is None:
                 return
-            self._slave.subscriptions.pop(topic, None)
+            self._api.subscriptions.pop(topic, None)
         self._unregister(partial(self.master.unregister, "Subscriber", topic))
 
     def another_name(self) -> str:
@@ -358,7 +354,7 @@ class Node:
         return listing
 
     def _answer(self, method: str, arguments: list[Any]) -> Any:
-        result, event = self._slave.answer(method, arguments)
+        result, event = self._api.answer(method, arguments)
         if isinstance(event, PublisherUpdate):
             for subscription in self._subscriptions.get(event.topic, ()):
                 subscription.update(event.publishers)
@@ -399,3 +395,97 @@ def _own_address(host: str, port: int) -> str:
             return str(probe.getsockname()[0])
     except OSError:
         return socket.gethostname()
+
+
+_INFO, _WARN, _ERROR = 2, 4, 8
+_LEVELS = {
+    Health.OK: _INFO,
+    Health.FINISHED: _INFO,
+    Health.DEGRADED: _WARN,
+    Health.LOST: _ERROR,
+}
+
+
+class Rosout:
+    """Says on /rosout what the bridge reports, once the master is there."""
+
+    def __init__(self, node: Node, types: TypeStore) -> None:
+        self._node = node
+        self._record = types.require("rosgraph_msgs/Log")
+        self._write = framed_writer(self._record)
+        self._publication: TopicPublication | None = None
+        self._count = 0
+
+    def open(self) -> None:
+        """Publish the topic, unless it is published.
+
+        Raises:
+            BridgeError: the master cannot be reached.
+        """
+        if self._publication is None:
+            self._publication = self._node.advertise("/rosout", self._record)
+
+    def say(self, health: Health, text: str) -> None:
+        """Say what was reported; returns at once, and never raises."""
+        publication = self._publication
+        if publication is None:
+            return
+        self._count += 1
+        message = {
+            "header": {"seq": self._count, "stamp": self._node.stamp(), "frame_id": ""},
+            "level": _LEVELS[health],
+            "name": self._node.name,
+            "msg": text,
+            "file": "",
+            "function": "",
+            "line": 0,
+            "topics": [],
+        }
+        with suppress(MessageError):
+            publication.send(self._write(message))
+
+    def close(self) -> None:
+        """Publish it no more."""
+        if self._publication is not None:
+            self._node.withdraw(self._publication)
+
+
+class Clock:
+    """The seconds of /clock; they stand still until it says something."""
+
+    def __init__(self, node: Node, types: TypeStore) -> None:
+        record = types.require("rosgraph_msgs/Clock")
+        self._node = node
+        self._read = reader(record, node.settings.budget)
+        self._wanted = Wanted(node.name, "/clock", record.name, record.md5)
+        self._subscription: TopicSubscription | None = None
+        self._time: Mapping[str, int] = {"secs": 0, "nsecs": 0}
+        node.stamp = self.stamp
+
+    def now(self) -> float:
+        """Return the seconds that were said last."""
+        return self._time["secs"] + self._time["nsecs"] / 1_000_000_000
+
+    def stamp(self) -> Mapping[str, int]:
+        """Return the time that was said last, as headers have it."""
+        return self._time
+
+    def open(self) -> None:
+        """Subscribe to it, unless it is done.
+
+        Raises:
+            BridgeError: the master cannot be reached.
+        """
+        if self._subscription is None:
+            made = TopicSubscription(self._wanted, self._take, lambda _: None, lambda *_: None)
+            self._node.subscribe(made)
+            self._subscription = made
+
+    def close(self) -> None:
+        """Subscribe to it no more."""
+        if self._subscription is not None:
+            self._node.unsubscribe(self._subscription)
+
+    def _take(self, frame: bytes | bytearray, _: str) -> None:
+        with suppress(MessageError):
+            self._time = self._read(frame)["clock"]

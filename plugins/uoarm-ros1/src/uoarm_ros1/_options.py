@@ -16,14 +16,14 @@ from uoarm.model import Budget, Endpoint, Options, Role, Schema
 
 __all__ = [
     "BRIDGE_OPTIONS",
-    "Address",
     "Names",
-    "Port",
-    "Settings",
+    "Ros1Address",
+    "Ros1BridgeOptions",
+    "Ros1Options",
     "address_of",
     "mistake",
     "port_of",
-    "settings_of",
+    "read_ros1_options",
     "topic_name",
 ]
 
@@ -101,7 +101,7 @@ BRIDGE_OPTIONS: Schema = {
 
 
 @frozen
-class Address:
+class Ros1Address:
     """A topic, a service, an action or a parameter by name.
 
     Attributes:
@@ -124,7 +124,7 @@ class Address:
 
 
 @frozen
-class Port(EndpointOptions):
+class Ros1Options(EndpointOptions):
     """The options of one endpoint."""
 
     peer: str = option(
@@ -208,7 +208,7 @@ class Names:
 
 
 @frozen
-class Settings:
+class Ros1BridgeOptions:
     """The options of a bridge, with what the environment says of what they leave out."""
 
     master_host: str
@@ -229,7 +229,9 @@ class Settings:
         return f"http://{self.master_host}:{self.master_port}/"
 
 
-def settings_of(name: str, options: Options, environment: Mapping[str, str]) -> Settings:
+def read_ros1_options(
+    name: str, options: Options, environment: Mapping[str, str]
+) -> Ros1BridgeOptions:
     """Read the options of a bridge, already checked against the schema.
 
     Raises:
@@ -258,7 +260,7 @@ def settings_of(name: str, options: Options, environment: Mapping[str, str]) -> 
         for alias, target in given.get("remap", {}).items()
     }
     said = environment.get("ROS_HOSTNAME") or environment.get("ROS_IP") or ""
-    return Settings(
+    return Ros1BridgeOptions(
         host,
         port,
         Names(names.node, namespace, remap),
@@ -275,7 +277,7 @@ def settings_of(name: str, options: Options, environment: Mapping[str, str]) -> 
     )
 
 
-def address_of(endpoint: Endpoint) -> Address:
+def address_of(endpoint: Endpoint) -> Ros1Address:
     """Read an endpoint's address.
 
     Raises:
@@ -290,13 +292,13 @@ def address_of(endpoint: Endpoint) -> Address:
     return address
 
 
-def port_of(endpoint: Endpoint) -> Port:
+def port_of(endpoint: Endpoint) -> Ros1Options:
     """Read an endpoint's options. What is offered needs no peer.
 
     Raises:
         BridgeError: with BAD_ENDPOINT and what is wrong.
     """
-    port = Port.of_endpoint(endpoint)
+    port = Ros1Options.of_endpoint(endpoint)
     return evolve(port, peer="optional") if endpoint.is_offered else port
 
 
@@ -317,10 +319,10 @@ def topic_name(address: tuple[str, ...], options: Options) -> str:
     return "" if is_else else f"/{read.name.lstrip('/')}"
 
 
-def _address(parts: tuple[str, ...]) -> Address:
+def _address(parts: tuple[str, ...]) -> Ros1Address:
     if not 1 <= len(parts) <= 2:  # noqa: PLR2004 - the two parts of the sentence
         raise ValueError(f"expected [name] or [name, type], got {list(parts)}")
-    address = Address(*parts)
+    address = Ros1Address(*parts)
     if not _NAME.fullmatch(address.name):
         raise ValueError(f"{address.name!r} is not a name of ROS 1 such as /camera/image_raw")
     if len(parts) > 1 and not address.is_parameter and not _TYPE.fullmatch(address.type):

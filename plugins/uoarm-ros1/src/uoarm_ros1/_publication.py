@@ -12,16 +12,16 @@ from collections import deque
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 
-from uoarm_ros1._definitions import Record
-from uoarm_ros1._loop import Handler, Loop
-from uoarm_ros1._protocol import (
+from uoarm_ros1._definitions import RosRecord
+from uoarm_ros1._server import Handler, SocketLoop
+from uoarm_ros1._tcpros import (
     encode_header,
     frames_of,
     publisher_header,
     subscriber_problem,
 )
 
-__all__ = ["Publication", "keep_alive"]
+__all__ = ["TopicPublication", "keep_alive"]
 
 _CHUNK = 4096
 _LOOK_SECONDS = 0.002
@@ -47,7 +47,7 @@ class _Subscriber(Handler):
         self,
         connection: socket.socket,
         caller: str,
-        loop: Loop,
+        loop: SocketLoop,
         limits: tuple[int, int],
         gone: Callable[[_Subscriber, str], None],
     ) -> None:
@@ -145,7 +145,7 @@ class _Subscriber(Handler):
             self._waiting.clear()
 
 
-class Publication:
+class TopicPublication:
     """One topic, with one type.
 
     Args:
@@ -163,10 +163,10 @@ class Publication:
 
     def __init__(
         self,
-        loop: Loop,
+        loop: SocketLoop,
         caller: str,
         topic: str,
-        record: Record,
+        record: RosRecord,
         *,
         latch: int = 0,
         limits: tuple[int, int] = (100, 1 << 26),

@@ -12,20 +12,20 @@ from contextlib import suppress
 from uoarm.bridge import Channel, Handler
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, MessageError
 from uoarm.model import Budget, Endpoint, Message
-from uoarm_ros1._definitions import Service
+from uoarm_ros1._definitions import RosService
 from uoarm_ros1._master import connect, failure_text
 from uoarm_ros1._node import Node
-from uoarm_ros1._protocol import (
-    FrameReader,
+from uoarm_ros1._publication import keep_alive
+from uoarm_ros1._tcpros import (
     ProtocolError,
     ReplyReader,
+    TcprosReader,
     decode_header,
     encode_header,
     service_header,
     service_problem,
 )
-from uoarm_ros1._publication import keep_alive
-from uoarm_ros1._structures import LENGTH, framed_writer, reader
+from uoarm_ros1._types import LENGTH, framed_writer, reader
 
 __all__ = ["Caller", "ServedService", "probe_service"]
 
@@ -106,7 +106,7 @@ def _receive_exactly(connection: socket.socket, count: int, deadline: float) -> 
 class Caller:
     """A client of one service. Several calls at a time have a connection each."""
 
-    def __init__(self, node: Node, service: str, kind: Service) -> None:
+    def __init__(self, node: Node, service: str, kind: RosService) -> None:
         self._node, self._service, self._kind = node, service, kind
         budget = node.settings.budget
         self._write, self._read = framed_writer(kind.request), reader(kind.reply, budget)
@@ -210,7 +210,7 @@ class ServedService(Channel):
         endpoint: Endpoint,
         node: Node,
         service: str,
-        kind: Service,
+        kind: RosService,
         handler: Handler,
         at_once: int,
     ) -> None:
@@ -273,7 +273,7 @@ class ServedService(Channel):
         thread.start()
 
     def _answer_client(self, connection: socket.socket, is_persistent: bool) -> None:  # noqa: FBT001 - of a thread
-        requests = FrameReader(self._most)
+        requests = TcprosReader(self._most)
         until = time.monotonic() + _REQUEST_SECONDS
         try:
             while not self.closed:

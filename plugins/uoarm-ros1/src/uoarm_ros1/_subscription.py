@@ -15,17 +15,17 @@ from attrs import frozen
 
 from uoarm.errors import BridgeError
 from uoarm_ros1._master import call_api, connect, failure_text
-from uoarm_ros1._protocol import (
-    FrameReader,
+from uoarm_ros1._publication import keep_alive
+from uoarm_ros1._tcpros import (
     ProtocolError,
+    TcprosReader,
     decode_header,
     encode_header,
     publisher_problem,
     subscriber_header,
 )
-from uoarm_ros1._publication import keep_alive
 
-__all__ = ["PublisherHeader", "Subscription", "Wanted", "read_publisher_header"]
+__all__ = ["PublisherHeader", "TopicSubscription", "Wanted", "read_publisher_header"]
 
 _CONNECT_SECONDS = 5.0
 _LISTED_SECONDS = 1.0
@@ -99,7 +99,7 @@ def read_publisher_header(uri: str, wanted: Wanted, deadline: float) -> Publishe
 
 def _subscribe(
     uri: str, wanted: Wanted, deadline: float
-) -> tuple[socket.socket, dict[str, str], FrameReader]:
+) -> tuple[socket.socket, dict[str, str], TcprosReader]:
     """Return a connection behind whose headers messages follow."""
     answer = call_api(uri, "requestTopic", wanted.caller, wanted.topic, [["TCPROS"]])
     match answer:
@@ -128,9 +128,9 @@ def _subscribe(
 
 def _receive_header(
     connection: socket.socket, wanted: Wanted, deadline: float
-) -> tuple[dict[str, str], FrameReader]:
+) -> tuple[dict[str, str], TcprosReader]:
     """Return what a publisher answers, and what takes the messages behind it apart."""
-    reader = FrameReader(max(_MAX_HEADER_OCTETS, wanted.most))
+    reader = TcprosReader(max(_MAX_HEADER_OCTETS, wanted.most))
     frames: list[bytes | bytearray] = []
     while not frames:
         left = deadline - time.monotonic()
@@ -154,7 +154,7 @@ def _receive_header(
 class _Publisher:
     """One publisher of the topic, and the thread that reads from it."""
 
-    def __init__(self, uri: str, owner: Subscription) -> None:
+    def __init__(self, uri: str, owner: TopicSubscription) -> None:
         self.uri = uri
         self.header: PublisherHeader | None = None
         self.failure = ""  # why it was not reached last time; empty: it was, or is not tried yet
@@ -258,7 +258,7 @@ class _Publisher:
                 return len(more) < len(("connected", "text")) or bool(ends.search(str(more[1])))
         return False
 
-    def _read(self, connection: socket.socket, reader: FrameReader) -> str:
+    def _read(self, connection: socket.socket, reader: TcprosReader) -> str:
         """Take messages until the connection ends; returns why it did."""
         take, wanted = self._owner.take, self._owner.wanted
         writer = "" if self.header is None else self.header.node
@@ -299,7 +299,7 @@ class _Publisher:
         return ""
 
 
-class Subscription:
+class TopicSubscription:
     """One topic, kept connected to the publishers that the master names.
 
     Args:

@@ -1,20 +1,47 @@
-"""Where definitions come from: folders, packages that are installed here, and Noetic's own."""
+"""Types of ROS 1: where their definitions are found, their structures, and what serialises."""
 
 from __future__ import annotations
 
 import os
 import re
+import struct
 import threading
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 from attrs import frozen
 
+from uoarm.bridge import Description
+from uoarm.cdr import FLOAT32_MAX, ROS_1, Codec, ros_unit
 from uoarm.errors import BridgeError, ConfigurationError, FailureReason
-from uoarm_ros1._definitions import DefinitionError, Record, Service, record_of, service_of
+from uoarm.model import Budget, Message, MessageStructure
+from uoarm_ros1._definitions import (
+    NUMBERS,
+    DefinitionError,
+    Field,
+    Listing,
+    RosRecord,
+    RosService,
+    Scalar,
+    Shape,
+    Text,
+    record_of,
+    service_of,
+)
 
-__all__ = ["ActionType", "TypeStore", "installed_folders", "noetic_definition"]
+__all__ = [
+    "LENGTH",
+    "ActionType",
+    "TypeStore",
+    "described_service",
+    "framed_writer",
+    "installed_folders",
+    "noetic_definition",
+    "reader",
+    "structure_of",
+]
 
 _MAX_FILES = 20_000
 _MAX_OCTETS = 1 << 20
@@ -50,9 +77,9 @@ _ACTION_PARTS = {
 class ActionType:
     """The three messages with which a client and a server of an action speak."""
 
-    goal: Record
-    result: Record
-    feedback: Record
+    goal: RosRecord
+    result: RosRecord
+    feedback: RosRecord
 
 
 class TypeStore:
@@ -75,7 +102,7 @@ class TypeStore:
         self._has_looked = False
         self._installed: TypeStore | None = None
 
-    def message(self, name: str) -> Record | None:
+    def message(self, name: str) -> RosRecord | None:
         """Return a message type, None where its definition is nowhere.
 
         Raises:
@@ -89,7 +116,7 @@ class TypeStore:
         except DefinitionError as error:
             raise BridgeError(str(error), FailureReason.UNSUPPORTED) from error
 
-    def service(self, name: str, given: str = "") -> Service | None:
+    def service(self, name: str, given: str = "") -> RosService | None:
         """Return a service type, None where its definition is nowhere.
 
         Args:
@@ -107,7 +134,7 @@ class TypeStore:
         except DefinitionError as error:
             raise BridgeError(str(error), FailureReason.UNSUPPORTED) from error
 
-    def require(self, name: str, given: str = "") -> Record:
+    def require(self, name: str, given: str = "") -> RosRecord:
         """Return a message type.
 
         Args:
@@ -127,7 +154,7 @@ class TypeStore:
             raise missing(name, "msg")
         return found
 
-    def require_service(self, name: str, given: str = "") -> Service:
+    def require_service(self, name: str, given: str = "") -> RosService:
         """Return a service type.
 
         Raises:
@@ -275,3 +302,96 @@ def _types_within(name: str, text: str) -> list[str]:
         elif word[0].isupper():
             found.append(f"{name.partition('/')[0]}/{word}")
     return found
+
+
+LENGTH = struct.Struct("<I")
+"""What stands before every message on a connection."""
+
+
+@lru_cache(maxsize=1024)
+def structure_of(record: RosRecord) -> MessageStructure:
+    """Return the structure of a record: a closed object with every field required."""
+    return MessageStructure(_schema_of(record, None), native_type=record.name)
+
+
+def described_service(service: RosService) -> Description:
+    """Return the structures of a service."""
+    return Description(request=structure_of(service.request), reply=structure_of(service.reply))
+
+
+def reader(record: RosRecord, budget: Budget) -> Callable[[bytes | bytearray], Message]:
+    """Return the function that makes a message of its octets; it raises MessageError."""
+    codec = Codec(structure_of(record), ROS_1, budget)
+    return lambda octets: codec.decode(octets, "<")
+
+
+def framed_writer(record: RosRecord) -> Callable[[Message], bytes]:
+    """Return the function that serialises a message, with its length in front.
+
+    It raises MessageError with the path of the member that does not fit.
+    """
+    write = Codec(structure_of(record), ROS_1).encode_parts
+
+    def frame(message: Message) -> bytes:
+        parts = write(message, "<")
+        return b"".join((LENGTH.pack(sum(map(len, parts))), *parts))
+
+    return frame
+
+
+def _schema_of(shape: Shape, unit: str | None) -> dict[str, Any]:
+    """Return the schema of a shape; `unit` holds for the numbers in it that state none."""
+    if isinstance(shape, RosRecord):
+        return _object(shape, unit)
+    if isinstance(shape, Listing):
+        return _array(shape, unit)
+    if isinstance(shape, Text):
+        return {"type": "string"}
+    return _scalar(shape, unit)
+
+
+def _object(record: RosRecord, unit: str | None) -> dict[str, Any]:
+    stated = {"name": record.name, "hash": record.md5} if record.md5 else record.name
+    schema: dict[str, Any] = {
+        "type": "object",
+        "properties": {member.name: _member(record, member, unit) for member in record.fields},
+        "required": [member.name for member in record.fields],
+        "additionalProperties": False,
+        "x-native-type": record.name,
+        "x-type": stated,
+    }
+    if record.constants:
+        schema["x-constants"] = dict(record.constants)
+    return schema
+
+
+def _member(record: RosRecord, member: Field, unit: str | None) -> dict[str, Any]:
+    # A vector that is a velocity counts metres a second, whatever its own type would say.
+    return _schema_of(member.shape, unit or ros_unit(record.name, member.name))
+
+
+def _array(listing: Listing, unit: str | None) -> dict[str, Any]:
+    schema: dict[str, Any] = {"type": "array", "items": _schema_of(listing.element, unit)}
+    if listing.size is not None:
+        schema["minItems"] = schema["maxItems"] = listing.size
+    if isinstance(listing.element, Scalar) and NUMBERS.get(listing.element.name) == "B":
+        schema["x-octets"] = True
+    return schema
+
+
+def _scalar(scalar: Scalar, unit: str | None) -> dict[str, Any]:
+    if scalar.name == "bool":
+        return {"type": "boolean"}
+    schema: dict[str, Any] = {"type": "integer", "x-native-type": scalar.name}
+    code = NUMBERS[scalar.name]
+    if code in "bBhHiIqQ":
+        bits = 8 * struct.calcsize(f"<{code}")
+        least = -(2 ** (bits - 1)) if code.islower() else 0
+        schema["minimum"], schema["maximum"] = least, least + 2**bits - 1
+    else:
+        schema.update({"type": "number", "x-nonfinite": True})
+        if scalar.name == "float32":
+            schema["minimum"], schema["maximum"] = -FLOAT32_MAX, FLOAT32_MAX
+    if unit is not None:
+        schema["x-unit"] = unit
+    return schema

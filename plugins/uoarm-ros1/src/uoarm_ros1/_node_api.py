@@ -7,9 +7,9 @@ from typing import Any
 
 from attrs import define, field, frozen
 
-from uoarm_ros1._protocol._xmlrpc import Fault
+from uoarm_ros1._xmlrpc import Fault
 
-__all__ = ["ParameterUpdate", "PublisherUpdate", "Shutdown", "Slave"]
+__all__ = ["NodeApi", "ParameterUpdate", "PublisherUpdate", "Shutdown"]
 
 _DONE, _FAILED, _WRONG = 1, 0, -1
 _MOST_PUBLISHERS = 1000
@@ -42,7 +42,7 @@ Event = PublisherUpdate | ParameterUpdate | Shutdown
 
 
 @define
-class Slave:
+class NodeApi:
     """The answers of one node.
 
     Attributes:
