@@ -89,14 +89,22 @@ def test_what_wakes_the_client_stays_until_no_caller_publishes(
     publishing.result()
 
 
+@pytest.mark.parametrize("comes_up", [False, True])
 def test_a_first_call_as_it_closes_leaves_no_connection(
-    link: BrokerConnection, monkeypatch: pytest.MonkeyPatch
+    link: BrokerConnection, monkeypatch: pytest.MonkeyPatch, *, comes_up: bool
 ) -> None:
-    gate = Gate()
+    gate, disconnect = Gate(), link._client.disconnect
+
+    def once_it_is_up(**more: Any) -> Any:
+        wait(lambda: link._up, "it does not come up", patience())
+        return disconnect(**more)
+
+    if comes_up:
+        monkeypatch.setattr(link._client, "disconnect", once_it_is_up)
     monkeypatch.setattr(BrokerConnection, "_start", gate.before(BrokerConnection._start))
     requiring = Background(link.require_up)
     close_during(link, gate)
-    with pytest.raises(BridgeError):
+    with pytest.raises(BridgeError, match="is closed"):
         requiring.result()
 
 

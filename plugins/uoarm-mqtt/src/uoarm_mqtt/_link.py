@@ -187,6 +187,9 @@ class BrokerConnection:
                 self._start()
         with self._changed:
             self._changed.wait_for(lambda: self._up or self._cause or self._closed, _STEP_SECONDS)
+            # It may have come up for the moment before `close` says goodbye.
+            if self._closed:
+                raise self._closed_error()
             if not self._up:
                 where = f"{self.options.host}:{self.options.port}"
                 cause = self._cause or "no answer yet"
@@ -289,6 +292,10 @@ class BrokerConnection:
         self._client.release()
         self._fail("the bridge was closed", everything=True)
 
+    def _closed_error(self) -> BridgeError:
+        text = f"bridge {self.name!r}: the connection to the broker is closed"
+        return BridgeError(text, FailureReason.CLOSED)
+
     @contextmanager
     def _calling(self) -> Iterator[None]:
         """Call paho, and note what it was given, in any thread; `close` waits for the end of it.
@@ -298,8 +305,7 @@ class BrokerConnection:
         """
         with self._changed:
             if self._closed:
-                text = f"bridge {self.name!r}: the connection to the broker is closed"
-                raise BridgeError(text, FailureReason.CLOSED)
+                raise self._closed_error()
             self._calls += 1
         try:
             yield
