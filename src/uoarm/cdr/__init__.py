@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from uoarm._deferred import deferred
 
 if TYPE_CHECKING:
-    from uoarm.cdr._basic import BASIC, FLOAT32_MAX, basic_type, ros_unit
+    from uoarm.cdr._basic import BASIC, FLOAT32_MAX, basic_type, number_schema, ros_unit
     from uoarm.cdr._codec import Codec, deserialiser, serialiser
     from uoarm.cdr._definition import RosDefinition, definition_of, structure_of_definition
     from uoarm.cdr._layout import CORBA, DDS, NATIVE, ROS_1, SWITCH, ByteOrder, Encoding
@@ -33,6 +33,7 @@ __all__ = [
     "basic_type",
     "definition_of",
     "deserialiser",
+    "number_schema",
     "ros_unit",
     "serialiser",
     "structure_of_definition",
@@ -42,7 +43,7 @@ if not TYPE_CHECKING:
     __getattr__, __dir__ = deferred(
         __name__,
         {
-            "_basic": ("BASIC", "FLOAT32_MAX", "basic_type", "ros_unit"),
+            "_basic": ("BASIC", "FLOAT32_MAX", "basic_type", "number_schema", "ros_unit"),
             "_codec": ("Codec", "deserialiser", "serialiser"),
             "_definition": ("RosDefinition", "definition_of", "structure_of_definition"),
             "_layout": ("CORBA", "DDS", "NATIVE", "ROS_1", "SWITCH", "ByteOrder", "Encoding"),

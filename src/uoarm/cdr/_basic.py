@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Mapping
 from typing import Any
 
-__all__ = ["BASIC", "FLOAT32_MAX", "basic_type", "ros_unit"]
+__all__ = ["BASIC", "FLOAT32_MAX", "basic_type", "number_schema", "ros_unit"]
 
 BASIC = {
     "bool": "?", "byte": "B", "char": "B", "int8": "b", "uint8": "B", "int16": "h", "uint16": "H",
@@ -44,6 +45,30 @@ def basic_type(schema: Mapping[str, Any]) -> str:
         return native
     narrow = kind == "number" and bounds == (-FLOAT32_MAX, FLOAT32_MAX)
     return "float32" if narrow else known[0]
+
+
+def number_schema(name: str, code: str, unit: str | None = None) -> dict[str, Any]:
+    """Return the schema of a number or a truth value of ROS.
+
+    Args:
+        name: of the type, as the framework has it.
+        code: its format in `struct`: a `byte` is signed in ROS 1 and not in ROS 2.
+        unit: what it counts, where that is known.
+    """
+    if code == "?":
+        return {"type": "boolean"}
+    schema: dict[str, Any] = {"type": "integer", "x-native-type": name}
+    if code in _WHOLE:
+        bits = 8 * struct.calcsize(f"<{code}")
+        least = -(2 ** (bits - 1)) if code.islower() else 0
+        schema["minimum"], schema["maximum"] = least, least + 2**bits - 1
+    else:
+        schema.update({"type": "number", "x-nonfinite": True})
+        if code == "f":
+            schema["minimum"], schema["maximum"] = -FLOAT32_MAX, FLOAT32_MAX
+    if unit is not None:
+        schema["x-unit"] = unit
+    return schema
 
 
 # As REP-103 and the comments of the definitions state them.

@@ -11,7 +11,7 @@ from typing import Any
 
 from attrs import frozen
 
-from uoarm.cdr._basic import BASIC, FLOAT32_MAX, basic_type
+from uoarm.cdr._basic import BASIC, basic_type, number_schema
 from uoarm.errors import MessageError
 from uoarm.model import MessageStructure
 
@@ -199,20 +199,9 @@ def _closed(name: str, properties: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _scalar(basic: str) -> dict[str, Any]:
-    if basic == "bool":
-        return {"type": "boolean"}
-    if not BASIC[basic]:
-        return {"type": "string"} if basic == "string" else {
-            "type": "string", "x-native-type": basic
-        }  # fmt: skip
-    if basic in {"float32", "float64"}:
-        schema: dict[str, Any] = {"type": "number", "x-native-type": basic, "x-nonfinite": True}
-        limits = {"minimum": -FLOAT32_MAX, "maximum": FLOAT32_MAX}
-        return {**schema, **limits} if basic == "float32" else schema
-    bits = 8 if basic == "byte" else int(basic.removeprefix("u").removeprefix("int"))
-    is_signed = basic.startswith("int")
-    least, most = (-(2 ** (bits - 1)), 2 ** (bits - 1) - 1) if is_signed else (0, 2**bits - 1)
-    return {"type": "integer", "x-native-type": basic, "minimum": least, "maximum": most}
+    if code := BASIC[basic]:
+        return number_schema(basic, code)
+    return {"type": "string"} if basic == "string" else {"type": "string", "x-native-type": basic}
 
 
 def _constant(kind: str, text: str) -> object:

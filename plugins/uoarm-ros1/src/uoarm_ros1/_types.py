@@ -14,7 +14,7 @@ from typing import Any
 from attrs import frozen
 
 from uoarm.bridge import Description
-from uoarm.cdr import FLOAT32_MAX, ROS_1, Codec, ros_unit
+from uoarm.cdr import ROS_1, Codec, number_schema, ros_unit
 from uoarm.errors import BridgeError, ConfigurationError, FailureReason
 from uoarm.model import Budget, Message, MessageStructure
 from uoarm_ros1._definitions import (
@@ -347,7 +347,7 @@ def _schema_of(shape: Shape, unit: str | None) -> dict[str, Any]:
         return _array(shape, unit)
     if isinstance(shape, Text):
         return {"type": "string"}
-    return _scalar(shape, unit)
+    return number_schema(shape.name, NUMBERS.get(shape.name, "?"), unit)
 
 
 def _object(record: RosRecord, unit: str | None) -> dict[str, Any]:
@@ -376,22 +376,4 @@ def _array(listing: Listing, unit: str | None) -> dict[str, Any]:
         schema["minItems"] = schema["maxItems"] = listing.size
     if isinstance(listing.element, Scalar) and NUMBERS.get(listing.element.name) == "B":
         schema["x-octets"] = True
-    return schema
-
-
-def _scalar(scalar: Scalar, unit: str | None) -> dict[str, Any]:
-    if scalar.name == "bool":
-        return {"type": "boolean"}
-    schema: dict[str, Any] = {"type": "integer", "x-native-type": scalar.name}
-    code = NUMBERS[scalar.name]
-    if code in "bBhHiIqQ":
-        bits = 8 * struct.calcsize(f"<{code}")
-        least = -(2 ** (bits - 1)) if code.islower() else 0
-        schema["minimum"], schema["maximum"] = least, least + 2**bits - 1
-    else:
-        schema.update({"type": "number", "x-nonfinite": True})
-        if scalar.name == "float32":
-            schema["minimum"], schema["maximum"] = -FLOAT32_MAX, FLOAT32_MAX
-    if unit is not None:
-        schema["x-unit"] = unit
     return schema

@@ -9,7 +9,7 @@ from functools import lru_cache
 from typing import Any
 
 from uoarm.bridge import Description
-from uoarm.cdr import FLOAT32_MAX, ros_unit
+from uoarm.cdr import BASIC, number_schema, ros_unit
 from uoarm.model import MessageStructure
 from uoarm_ros2._types import (
     ArrayType,
@@ -60,7 +60,7 @@ def schema_of(shape: Shape, unit: str | None = None) -> dict[str, Any]:
         return _array(shape, unit)
     if isinstance(shape, StringType):
         return _string(shape)
-    return _scalar(shape, unit)
+    return number_schema(shape.name, BASIC[shape.name], unit)
 
 
 def _object(record: RecordType, unit: str | None) -> dict[str, Any]:
@@ -104,22 +104,6 @@ def _string(text: StringType) -> dict[str, Any]:
         schema["x-max-utf16" if text.wide else "x-max-utf8"] = text.bound
     if text.wide:
         schema["x-native-type"] = "wstring"
-    return schema
-
-
-def _scalar(scalar: ScalarType, unit: str | None) -> dict[str, Any]:
-    if scalar.name == "bool":
-        return {"type": "boolean"}
-    schema: dict[str, Any] = {"type": "integer", "x-native-type": scalar.name}
-    limits = integer_range(scalar.name)
-    if limits is not None:
-        schema["minimum"], schema["maximum"] = limits
-    else:
-        schema.update({"type": "number", "x-nonfinite": True})
-        if scalar.name == "float32":
-            schema["minimum"], schema["maximum"] = -FLOAT32_MAX, FLOAT32_MAX
-    if unit is not None:
-        schema["x-unit"] = unit
     return schema
 
 
