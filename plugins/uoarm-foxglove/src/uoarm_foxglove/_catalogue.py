@@ -20,6 +20,7 @@ from uoarm_foxglove._encoding import StructureCodec, codec_of
 from uoarm_foxglove._protocol import write
 
 __all__ = [
+    "NOTHING",
     "ChannelCatalogue",
     "InputTopic",
     "OutputChannel",
@@ -60,9 +61,14 @@ class OutputChannel:
         return f"{self.function}.{self.port}" if self.port else self.function
 
     @property
+    def topic(self) -> str:
+        """Under which viewers find it."""
+        return topic_of(self.function, self.port)
+
+    @property
     def stated(self) -> dict[str, object]:
         """How it is announced."""
-        return {"id": self.number, "topic": topic_of(self.function, self.port), **self.codec.stated}
+        return {"id": self.number, "topic": self.topic, **self.codec.stated}
 
 
 @frozen(eq=False)
@@ -112,40 +118,38 @@ class VisibleListing:
     inputs: Mapping[str, InputTopic]
     graph: Mapping[str, list[dict[str, object]]]
 
-    def frames_after(self, former: VisibleListing | None) -> tuple[bytes, ...]:
-        """Return what a viewer is sent that knows a former one, or none."""
-        gone = [n for n in former.channels if n not in self.channels] if former else []
-        ended = [n for n in former.services if n not in self.services] if former else []
-        fresh = [c for n, c in self.channels.items() if not former or n not in former.channels]
-        begun = [s for n, s in self.services.items() if not former or n not in former.services]
+    def frames_after(self, former: VisibleListing) -> tuple[bytes, ...]:
+        """Return what a viewer is sent that knows a former one."""
+        gone = [number for number in former.channels if number not in self.channels]
+        ended = [number for number in former.services if number not in self.services]
         frames = [write("unadvertise", channelIds=gone)] if gone else []
         frames += [write("unadvertiseServices", serviceIds=ended)] if ended else []
-        stated = [channel.stated for channel in fresh]
-        frames += [write("advertise", channels=batch) for batch in _batches(stated)]
-        served = [service.stated for service in begun]
-        return (
-            *frames,
-            *(write("advertiseServices", services=batch) for batch in _batches(served)),
-        )
+        fresh = _announcements(self.channels, former.channels)
+        frames += [write("advertise", channels=batch) for batch in _batches(fresh)]
+        begun = _announcements(self.services, former.services)
+        frames += [write("advertiseServices", services=batch) for batch in _batches(begun)]
+        return tuple(frames)
 
-    def graph_after(self, former: VisibleListing | None) -> bytes | None:
+    def graph_after(self, former: VisibleListing) -> bytes | None:
         """Return how the graph differs from that of a former listing; None: it does not."""
-        before = {} if former is None else former.graph
-        if self.graph == before:
+        if self.graph == former.graph:
             return None
+        before = {part: _by_name(items) for part, items in former.graph.items()}
+        now = {part: _by_name(items) for part, items in self.graph.items()}
         changed: dict[str, object] = {
-            part: [item for item in items if item not in before.get(part, ())]
-            for part, items in self.graph.items()
+            part: [item for name, item in items.items() if before.get(part, {}).get(name) != item]
+            for part, items in now.items()
         }
-        names = {part: {item["name"] for item in items} for part, items in self.graph.items()}
-        topics = names["publishedTopics"] | names["subscribedTopics"]
-        known = [*before.get("publishedTopics", ()), *before.get("subscribedTopics", ())]
-        served = before.get("advertisedServices", ())
-        changed["removedTopics"] = sorted({str(item["name"]) for item in known} - topics)
-        changed["removedServices"] = [
-            item["name"] for item in served if item["name"] not in names["advertisedServices"]
-        ]
+        known = {**before.get("publishedTopics", {}), **before.get("subscribedTopics", {})}
+        topics = now["publishedTopics"].keys() | now["subscribedTopics"].keys()
+        changed["removedTopics"] = sorted(known.keys() - topics)
+        served = before.get("advertisedServices", {})
+        changed["removedServices"] = sorted(served.keys() - now["advertisedServices"].keys())
         return write("connectionGraphUpdate", **changed)
+
+
+NOTHING = VisibleListing({}, {}, {}, {})
+"""What a viewer knows at first."""
 
 
 @frozen
@@ -154,15 +158,13 @@ class ListingQuestion:
 
     Attributes:
         role: of the client.
-        known: the listing whose channels and services the viewer has; None: it has none.
-        graph: the listing whose graph it has; None: it has none.
-        with_graph: whether it wants the graph at all.
+        known: the listing whose channels and services the viewer has.
+        graph: the listing whose graph it has; None: it wants none.
     """
 
     role: AccessRole
-    known: VisibleListing | None = None
+    known: VisibleListing = NOTHING
     graph: VisibleListing | None = None
-    with_graph: bool = False
 
 
 @frozen
@@ -240,7 +242,7 @@ class ChannelCatalogue:
         frames: tuple[bytes, ...] = ()
         if listing is not question.known:
             frames = listing.frames_after(question.known)
-        if question.with_graph and listing is not question.graph:
+        if question.graph is not None and listing is not question.graph:
             graph = listing.graph_after(question.graph)
             frames = frames if graph is None else (*frames, graph)
         return ListingAnswer(listing, frames)
@@ -307,6 +309,16 @@ class ChannelCatalogue:
         ):
             return former
         return VisibleListing(channels, services, inputs, graph)
+
+
+def _announcements(
+    those: Mapping[int, OutputChannel] | Mapping[int, RobotService], known: Collection[int]
+) -> list[dict[str, object]]:
+    return [item.stated for number, item in those.items() if number not in known]
+
+
+def _by_name(items: Iterable[dict[str, object]]) -> dict[str, dict[str, object]]:
+    return {str(item["name"]): item for item in items}
 
 
 def _taken(looking: asyncio.Task[None]) -> None:

@@ -22,6 +22,7 @@ from uoarm.server.front_end import (
     without_frames,
 )
 from uoarm_foxglove._catalogue import (
+    NOTHING,
     ChannelCatalogue,
     ListingQuestion,
     RobotService,
@@ -50,7 +51,6 @@ __all__ = ["FoxgloveSession"]
 Fields = Mapping[str, Any]
 _log = logging.getLogger("uoarm.foxglove")
 _LOOK_SECONDS = 1.0
-_NO_LISTING = VisibleListing({}, {}, {}, {})
 _CAPABILITIES = ["clientPublish", "connectionGraph", "services"]
 _NOT_SERVED = {
     "getParameters": "parameters are not served",
@@ -70,9 +70,8 @@ class FoxgloveSession:
 
     def __init__(self, client: Client, backend: Backend, catalogue: ChannelCatalogue) -> None:
         self._client, self._backend, self._catalogue = client, backend, catalogue
-        self._listing = _NO_LISTING
-        self._wants_graph = False
-        self._graph: VisibleListing | None = None
+        self._listing = NOTHING
+        self._graph: VisibleListing | None = None  # that the viewer has; None: it wants none
         self._look_now = asyncio.Event()
         self._subscriptions: dict[int, ChannelSubscription] = {}
         self._publications: dict[int, ViewerPublication] = {}
@@ -123,17 +122,16 @@ class FoxgloveSession:
         """Keep the viewer's list of channels and services, and its graph, as its role sees them."""
         while True:
             self._look_now.clear()
-            known = None if self._listing is _NO_LISTING else self._listing
-            asked = ListingQuestion(
-                self._client.role, known, self._graph, with_graph=self._wants_graph
-            )
+            asked = ListingQuestion(self._client.role, self._listing, self._graph)
             try:
                 answer = await self._catalogue.answer(asked)
             except UoarmError as error:  # the server closes, or is busy
                 _log.debug("a viewer is not shown what there is: %s", error)
             else:
                 self._listing = answer.listing
-                self._graph = answer.listing if asked.with_graph else None
+                # The viewer may have asked for the graph, or for no graph, meanwhile.
+                if asked.graph is not None and self._graph is asked.graph:
+                    self._graph = answer.listing
                 for frame in answer.frames:
                     await self._client.outbox.room(len(frame))
                     self._client.outbox.reply(frame, text=True)
@@ -169,7 +167,7 @@ class FoxgloveSession:
             if len(self._subscriptions) >= self._client.limits.streams:
                 raise LimitError(f"{self._client.limits.streams} channels are subscribed already")
             self._client.require(Operation.REQUEST, channel.function)
-            topic = str(channel.stated["topic"])
+            topic = channel.topic
             self._subscriptions[number] = ChannelSubscription(
                 number,
                 channel,
@@ -226,12 +224,12 @@ class FoxgloveSession:
 
     def _subscribe_graph(self, fields: Fields) -> None:
         del fields
-        self._wants_graph = True
+        self._graph = NOTHING
         self._look_now.set()
 
     def _unsubscribe_graph(self, fields: Fields) -> None:
         del fields
-        self._wants_graph = False
+        self._graph = None
 
     def _publish(self, message: PublishedFrame) -> None:
         publication = self._publications.get(message.channel)
