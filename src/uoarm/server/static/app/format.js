@@ -30,17 +30,25 @@ export const noun = (count, word) => (count === 1 ? word : `${word}s`);
 /** A number of things: plural(1, "drop") is "1 drop". */
 export const plural = (count, word) => `${short(count)} ${noun(count, word)}`;
 
+/** Whether a value is a time or a duration of ROS, of which no line is drawn. */
+export function isTime(value) {
+  if (value === null || typeof value !== "object" || Object.keys(value).length !== 2) return false;
+  return ("sec" in value && "nanosec" in value) || ("secs" in value && "nsecs" in value);
+}
+
 /** A time of ROS as "2026-11-26 18:02:03.250 UTC"; null: it is none, or a duration. */
 export function stamp(value) {
-  const [seconds, parts] = [value?.sec ?? value?.secs, value?.nanosec ?? value?.nsecs];
-  if (Object.keys(value ?? {}).length !== 2 || !(seconds >= SINCE) || !(parts >= 0)) return null;
+  if (!isTime(value)) return null;
+  const [seconds, parts] = [value.sec ?? value.secs, value.nanosec ?? value.nsecs];
+  if (!(seconds >= SINCE) || !(parts >= 0)) return null;
   return `${new Date(seconds * 1000 + parts / 1e6).toISOString().replace("T", " ").replace("Z", "")} UTC`;
 }
 
 /** Any message as indented text, cut where it is long: lists, strings, the whole. Times are times. */
 export function pretty(message, { items = 40, letters = 200, whole = 20000 } = {}) {
   const cut = (_, value) => {
-    if (value !== null && typeof value === "object" && stamp(value) !== null) return stamp(value);
+    const time = stamp(value);
+    if (time !== null) return time;
     if (typeof value === "string" && value.length > letters) {
       return `${value.slice(0, letters)}… (${short(value.length)} characters)`;
     }

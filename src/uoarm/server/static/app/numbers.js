@@ -1,14 +1,10 @@
 // The numbers inside messages, to draw lines of. Pure.
 
+import { isTime } from "./format.js";
+
 const MOST_PATHS = 24;
 const DEEPEST = 4;
 const MOST_ITEMS = 8;
-
-/** Whether a value is a time of ROS: seconds since 1970 or a duration, which no line is drawn of. */
-const isTime = (value) => {
-  const names = Object.keys(value);
-  return names.length === 2 && (("sec" in value && "nanosec" in value) || ("secs" in value && "nsecs" in value));
-};
 
 /** [path, number] of what is numeric in a message, the first few. Long lists and times are left out. */
 export function numbersOf(message) {
