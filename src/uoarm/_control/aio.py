@@ -331,6 +331,7 @@ class AsyncRobotManager(_Twin[RobotManager]):
     rollback = _awaited(RobotManager.rollback)
     offer = _awaited(RobotManager.offer)
     record = _awaited(RobotManager.record)
+    playback = _awaited(RobotManager.playback)
     history = _at_once(RobotManager.history)
     status = _at_once(RobotManager.status)
 

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+import itertools
 import logging
 import threading
 import time
-import weakref
 from collections.abc import Callable, Mapping
 from functools import partial
 from os import PathLike
@@ -14,7 +14,7 @@ from types import TracebackType
 from typing import Any, final, overload
 
 from uoarm import config
-from uoarm import record as recordings
+from uoarm import record as recorder
 from uoarm._arguments import arguments
 from uoarm._control.bridges import BridgeSet
 from uoarm._control.candidates import CandidateWatch
@@ -65,6 +65,8 @@ __all__ = ["RobotManager"]
 _log = logging.getLogger("uoarm")
 _INBOX = QueuePolicy(length=64)
 _DISCOVERY_SECONDS = 60.0
+_ENDED_RECORDINGS = 32
+"""That are kept, to be looked at."""
 
 
 @final
@@ -157,7 +159,8 @@ class RobotManager:
         )
         self._watch_rates(robot)
         # Those that run still end with the manager, whose connections they hold.
-        self._recordings: weakref.WeakSet[recordings.Recording] = weakref.WeakSet()
+        self._recordings: dict[str, recorder.Recording] = {}
+        self._recording_numbers = itertools.count(1)
         self._bridges.machines.begin()
 
     @property
@@ -346,7 +349,7 @@ class RobotManager:
         ring: float | None = None,
         queue: QueuePolicy | None = None,
         timeout: float = 60.0,
-    ) -> recordings.Recording:
+    ) -> recorder.Recording:
         """Record what functions give into an MCAP file, until the recording is closed.
 
         Each function is requested as by an application; a slow disk holds up no other reader. A
@@ -390,16 +393,66 @@ class RobotManager:
             options = {**settings.options, **options}
         if path is None:
             raise UsageError("say into which file: path=...")
-        recording = recordings.Recording(
+        recording = recorder.Recording(
             self,
             functions,
             Path(path).absolute(),
-            recordings.RecordOptions.of(**options),
+            recorder.RecordOptions.of(**options),
             self._events.post,
             timeout=timeout,
+            identity=f"r{next(self._recording_numbers)}",
         )
-        self._recordings.add(recording)
+        self._recordings[recording.id] = recording
+        ended = [kept for kept, other in tuple(self._recordings.items()) if other.ended]
+        for kept in ended[:-_ENDED_RECORDINGS]:
+            self._recordings.pop(kept, None)
         return recording
+
+    def recordings(self) -> tuple[recorder.Recording, ...]:
+        """Return the recordings that run, and the last of those that have ended, oldest first."""
+        return tuple(self._recordings.values())
+
+    @arguments()
+    def playback(
+        self,
+        bridge: str,
+        *,
+        pause: bool | None = None,
+        rate: float | str | None = None,
+        seek: float | None = None,
+        step: bool = False,
+        timeout: float = 10.0,
+    ) -> recorder.PlaybackStatus:
+        """Move the recording that a bridge plays, and return where it is; alone, only that.
+
+        Args:
+            bridge: of the plugin `recording`.
+            pause: True: stand; False: go on.
+            rate: seconds of the recording in a second, or `fast`: as messages are taken.
+            seek: go to so many seconds after its first message.
+            step: let the next message pass, and stand.
+            timeout: seconds.
+
+        Raises:
+            UsageError: the bridge plays no recording, or a value is wrong.
+            BridgeError: it could not be started, or does not answer.
+        """
+        self._require_open()
+        spec = self.config.bridges.get(bridge)
+        if spec is None or spec.plugin != "recording":
+            bridges = self.config.bridges.items()
+            played = ", ".join(name for name, other in bridges if other.plugin == "recording")
+            raise UsageError(f"bridge {bridge!r} plays no recording; those are: {played or 'none'}")
+        move = partial(
+            recorder.ask_playback,
+            partial(self._bridges.get, bridge),
+            pause=pause,
+            rate=rate,
+            seek=seek,
+            step=step,
+            timeout=timeout,
+        )
+        return deadlines.run(f"playback of {bridge!r}", timeout, move)
 
     def connections(self) -> tuple[Connection, ...]:
         """Return the connections that have not ended, oldest first, of every caller."""
@@ -709,7 +762,7 @@ class RobotManager:
         with Uninterrupted():
             if self._driver.is_foreign:
                 return
-            for recording in tuple(self._recordings):
+            for recording in tuple(self._recordings.values()):
                 recording.close()
             self._discovery.close()
             self._candidates.close()

@@ -35,7 +35,7 @@ ASKED = tuple(
     op.value
     for op in (
         Op.REQUEST, Op.KILL, Op.DATA, Op.CALL, Op.LIST, Op.RESOLVE, Op.STATUS, Op.RESUME,
-        Op.CONFIGURE, Op.STOP, Op.DISCOVER, Op.APPROVE,
+        Op.CONFIGURE, Op.STOP, Op.DISCOVER, Op.APPROVE, Op.RECORD, Op.PLAY,
     )
 )  # fmt: skip
 _OF_ROSBRIDGE = {

@@ -108,6 +108,11 @@ def listening_options(command: Callable[..., Any]) -> Callable[..., Any]:
     "--deflate", is_flag=True, help="Compress texts for clients that ask for it, as browsers do."
 )
 @click.option(
+    "--recordings",
+    type=click.Path(file_okay=False, path_type=Path),
+    help="Folder of what clients record; else one of this user's state.",
+)
+@click.option(
     "--watch-config", is_flag=True, help="Read the configuration again whenever the file changes."
 )
 def serve(

@@ -383,6 +383,80 @@ class RemoteRobot:
         decided: Mapping[str, Any] = await self._ask("Approve", approval, jsonMessage=wanted)
         return decided
 
+    @arguments()
+    async def record(
+        self,
+        *functions: str,
+        duration: float | None = None,
+        max_size: int | str | None = None,
+        split: int | str | None = None,
+        compression: str | None = None,
+        ring: float | None = None,
+    ) -> Mapping[str, Any]:
+        """Have the server record functions into a file of its folder; needs `record` for each.
+
+        It goes on without this client, until it is stopped or has what the server allows. Options
+        are those of `RobotManager.record`.
+
+        Returns:
+            `recording`, its name, `state`, `files`, `channels` and more: see the protocol.
+
+        Raises:
+            ResolutionError: nothing fits.
+            ServerError: the role may not, or too much is recorded already.
+        """
+        given = {
+            "duration": duration,
+            "max_size": max_size,
+            "split": split,
+            "compression": compression,
+            "ring": ring,
+        }
+        options = {name: value for name, value in given.items() if value is not None}
+        begun: Mapping[str, Any] = await self._ask(
+            "Record", jsonMessage={"functions": list(functions), **options}
+        )
+        return begun
+
+    async def recordings(self) -> Mapping[str, Any]:
+        """Return the `recordings`, and for whom may record all also the `files` in their folder."""
+        found: Mapping[str, Any] = await self._ask("Record")
+        return found
+
+    @arguments()
+    async def stop_recording(self, recording: str) -> Mapping[str, Any]:
+        """End a recording and return what is in it; that of another needs the right `kill`, too."""
+        ended: Mapping[str, Any] = await self._ask("Record", recording, jsonMessage={"stop": True})
+        return ended
+
+    @arguments()
+    async def dump_recording(self, recording: str) -> Mapping[str, Any]:
+        """Write what a recording with a `ring` keeps in memory; `written` is the file."""
+        done: Mapping[str, Any] = await self._ask("Record", recording, jsonMessage={"dump": True})
+        return done
+
+    async def players(self) -> list[Mapping[str, Any]]:
+        """Return where the recordings are that bridges play."""
+        report: Mapping[str, Any] = await self._ask("Play")
+        return list(report["players"])
+
+    @arguments()
+    async def playback(
+        self,
+        bridge: str,
+        *,
+        pause: bool | None = None,
+        rate: float | str | None = None,
+        seek: float | None = None,
+        step: bool = False,
+    ) -> Mapping[str, Any]:
+        """Move the recording that a bridge plays, as `RobotManager.playback`; needs `record`."""
+        given = {"pause": pause, "rate": rate, "seek": seek, "step": step or None}
+        wanted = {name: value for name, value in given.items() if value is not None}
+        message: dict[str, Any] = {"jsonMessage": wanted} if wanted else {}
+        moved: Mapping[str, Any] = await self._ask("Play", bridge, **message)
+        return moved
+
     async def status(self) -> Mapping[str, Any]:
         """Return the status map, and `own`: what this client received and lost.
 

@@ -36,6 +36,8 @@ class Op(Enum):
     STOP = "Stop"
     DISCOVER = "Discover"
     APPROVE = "Approve"
+    RECORD = "Record"
+    PLAY = "Play"
 
 
 @frozen

@@ -16,17 +16,20 @@ if TYPE_CHECKING:
         check_recording,
     )
     from uoarm.record._options import RecordOptions
+    from uoarm.record._playback import PlaybackStatus, ask_playback
     from uoarm.record._recording import RecordedChannel, Recording, RecordingStatus
 
 __all__ = [
     "ChannelCheck",
     "ConsumerCheck",
     "FailedMessage",
+    "PlaybackStatus",
     "RecordOptions",
     "RecordedChannel",
     "Recording",
     "RecordingCheck",
     "RecordingStatus",
+    "ask_playback",
     "check_recording",
 ]
 
@@ -42,6 +45,7 @@ if not TYPE_CHECKING:
                 "check_recording",
             ),
             "_options": ("RecordOptions",),
+            "_playback": ("PlaybackStatus", "ask_playback"),
             "_recording": ("RecordedChannel", "Recording", "RecordingStatus"),
         },
     )

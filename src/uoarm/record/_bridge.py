@@ -25,42 +25,21 @@ from uoarm.model import Endpoint, Health, Message, MessageStructure, Options, Ro
 from uoarm.record._checking import open_recording
 from uoarm.record._file import require_mcap
 from uoarm.record._forms import EVENTS_TOPIC
-from uoarm.record._playback import Playback, PlaybackTurn, Timeline
+from uoarm.record._playback import (
+    CONTROL,
+    CONTROL_REPLY,
+    CONTROL_REQUEST,
+    Playback,
+    PlaybackTurn,
+    Timeline,
+)
 from uoarm.record._reading import McapReader, RecordedFile
 from uoarm.record._structures import RECORDED, ChannelReading, reading_of
 
-__all__ = ["CONTROL", "RecordingBridge"]
-
-CONTROL = "@control"
-"""The address of the service that pauses, steps and seeks."""
+__all__ = ["RecordingBridge"]
 
 _NANO = 1_000_000_000
 _JOIN_SECONDS = 1.0
-_CONTROL_REQUEST: Any = {
-    "type": "object",
-    "properties": {
-        "pause": {"type": "boolean", "description": "Stand, or go on."},
-        "rate": {
-            "anyOf": [{"type": "number", "exclusiveMinimum": 0}, {"enum": ["fast"]}],
-            "description": "Seconds of the recording in a second.",
-        },
-        "seek": {"type": "number", "minimum": 0, "x-unit": "s"},
-        "step": {"type": "boolean", "description": "Let the next message pass, and stand."},
-    },
-    "additionalProperties": False,
-}
-_CONTROL_REPLY: Any = {
-    "type": "object",
-    "properties": {
-        "position": {"type": "number", "x-unit": "s"},
-        "duration": {"type": "number", "x-unit": "s"},
-        "rate": {"type": ["number", "null"]},
-        "is_paused": {"type": "boolean"},
-        "began": {"type": "number", "x-unit": "s"},
-    },
-    "required": ["position", "duration", "rate", "is_paused", "began"],
-    "additionalProperties": False,
-}
 
 
 class RecordingBridge(Bridge):
@@ -100,7 +79,7 @@ class RecordingBridge(Bridge):
             begin,
             is_paused=bool(given.get("paused", False)),
         )
-        self.playback = Playback(timeline, self._file.start, length)
+        self.playback = Playback(timeline, self._file.start, length, file=self._path.name)
 
     def facts(self) -> Mapping[str, object]:
         """Return what is played, and what of it cannot be read."""
@@ -112,7 +91,7 @@ class RecordingBridge(Bridge):
         if endpoint.role is Role.SERVICE:
             self._require_control(endpoint)
             return Description(
-                request=MessageStructure(_CONTROL_REQUEST), reply=MessageStructure(_CONTROL_REPLY)
+                request=MessageStructure(CONTROL_REQUEST), reply=MessageStructure(CONTROL_REPLY)
             )
         structure = self._reading(endpoint).structure
         hint = "" if structure is not None else "the file does not state what it is like"

@@ -2,14 +2,59 @@
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 from collections.abc import Callable
 from enum import Enum
+from typing import Any
 
 from attrs import frozen
 
-__all__ = ["Playback", "PlaybackStatus", "PlaybackTurn", "Timeline"]
+from uoarm.bridge import Bridge, ServiceStructures
+from uoarm.errors import UsageError
+from uoarm.model import Endpoint, MessageStructure, Role
+
+__all__ = [
+    "CONTROL",
+    "CONTROL_REPLY",
+    "CONTROL_REQUEST",
+    "Playback",
+    "PlaybackStatus",
+    "PlaybackTurn",
+    "Timeline",
+    "ask_playback",
+]
+
+CONTROL = "@control"
+"""The address of the service that pauses, steps and seeks."""
+
+CONTROL_REQUEST: Any = {
+    "type": "object",
+    "properties": {
+        "pause": {"type": "boolean", "description": "Stand, or go on."},
+        "rate": {
+            "anyOf": [{"type": "number", "exclusiveMinimum": 0}, {"enum": ["fast"]}],
+            "description": "Seconds of the recording in a second.",
+        },
+        "seek": {"type": "number", "minimum": 0, "x-unit": "s"},
+        "step": {"type": "boolean", "description": "Let the next message pass, and stand."},
+    },
+    "additionalProperties": False,
+}
+CONTROL_REPLY: Any = {
+    "type": "object",
+    "properties": {
+        "position": {"type": "number", "x-unit": "s"},
+        "duration": {"type": "number", "x-unit": "s"},
+        "rate": {"type": ["number", "null"]},
+        "is_paused": {"type": "boolean"},
+        "began": {"type": "number", "x-unit": "s"},
+        "file": {"type": "string"},
+    },
+    "required": ["position", "duration", "rate", "is_paused", "began", "file"],
+    "additionalProperties": False,
+}
 
 _NANO = 1_000_000_000
 _STEP_SECONDS = 1.0
@@ -96,6 +141,7 @@ class PlaybackStatus:
         rate: seconds of it in a second; None: as fast as messages are taken.
         is_paused: whether it stands.
         began: when its first message came, in seconds since the epoch.
+        file: what is played.
     """
 
     position: float
@@ -103,6 +149,7 @@ class PlaybackStatus:
     rate: float | None
     is_paused: bool
     began: float
+    file: str = ""
 
 
 class Playback:
@@ -113,6 +160,7 @@ class Playback:
         start: of the recording, in nanoseconds since the epoch.
         length: of it, in nanoseconds.
         clock: a monotonic clock, in seconds.
+        file: its name.
     """
 
     def __init__(
@@ -121,8 +169,10 @@ class Playback:
         start: int,
         length: int,
         clock: Callable[[], float] = time.monotonic,
+        *,
+        file: str = "",
     ) -> None:
-        self._timeline, self._clock = timeline, clock
+        self._timeline, self._clock, self._file = timeline, clock, file
         self.start, self.length = start, length
         self._begin = timeline.position(0.0)
         # Guards the timeline and all that follows, between the threads of readers and of callers;
@@ -220,6 +270,7 @@ class Playback:
                 timeline.rate,
                 timeline.is_paused,
                 self.start / _NANO,
+                self._file,
             )
 
     def _is_still(self) -> bool:
@@ -231,3 +282,48 @@ class Playback:
         with self._moved:
             move()
             self._moved.notify_all()
+
+
+def ask_playback(
+    find: Callable[[], Bridge],
+    *,
+    pause: bool | None = None,
+    rate: float | str | None = None,
+    seek: float | None = None,
+    step: bool = False,
+    timeout: float = 10.0,
+) -> PlaybackStatus:
+    """Move what a bridge `recording` plays, wherever it runs, and return where it is.
+
+    Args:
+        find: returns the bridge; called once the values are known to be right.
+        pause: True: stand; False: go on.
+        rate: seconds of the recording in a second, or `fast`.
+        seek: go to so many seconds after its first message.
+        step: let the next message pass, and stand.
+        timeout: seconds.
+
+    Raises:
+        UsageError: a value is wrong.
+        BridgeError: the bridge failed.
+    """
+    request: dict[str, Any] = {}
+    if pause is not None:
+        request["pause"] = pause
+    if rate is not None:
+        if rate != "fast" and not (isinstance(rate, int | float) and 0 < rate < math.inf):
+            raise UsageError(f"rate {rate!r}: expected a number of more than 0, or 'fast'")
+        request["rate"] = rate
+    if seek is not None:
+        if not 0 <= seek < math.inf:
+            raise UsageError(f"seek {seek!r}: expected seconds after the first message")
+        request["seek"] = seek
+    if step:
+        request["step"] = True
+    bridge = find()
+    endpoint = Endpoint(bridge.name, "control", Role.SERVICE, (CONTROL,))
+    structures = ServiceStructures(
+        MessageStructure(CONTROL_REQUEST), MessageStructure(CONTROL_REPLY)
+    )
+    reply: Any = bridge.call(endpoint, request, structures, timeout=timeout)
+    return PlaybackStatus(**reply)

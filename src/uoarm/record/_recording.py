@@ -8,6 +8,7 @@ import time
 from collections import Counter, deque
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future
+from concurrent.futures import TimeoutError as FutureTimeoutError
 from pathlib import Path
 from queue import Empty
 from types import TracebackType
@@ -97,6 +98,7 @@ class RecordingStatus:
         octets: of all files.
         channels: what came of each function.
         dropped: messages that were lost before the writer, by reason.
+        seconds: for which it has run.
     """
 
     state: str
@@ -105,6 +107,7 @@ class RecordingStatus:
     octets: int
     channels: tuple[RecordedChannel, ...]
     dropped: Mapping[str, int] = field(factory=dict, hash=False)
+    seconds: float = 0.0
 
 
 @define(eq=False)
@@ -142,6 +145,10 @@ class Recording:
     """Messages of functions on their way into files, until `close` or the end of its own.
 
     Made by `RobotManager.record`. A context manager. All methods may be called from any thread.
+
+    Attributes:
+        id: by which `RobotManager.recordings` knows it.
+        functions: that are recorded.
     """
 
     def __init__(
@@ -154,8 +161,10 @@ class Recording:
         *,
         timeout: float = 60.0,
         clock: Callable[[], Instant] = _now,
+        identity: str = "r1",
     ) -> None:
         require_mcap()
+        self.id, self.functions = identity, tuple(functions)
         if not functions:
             raise UsageError("a recording is of one function at least")
         if len(set(functions)) < len(functions):
@@ -180,7 +189,8 @@ class Recording:
         self._state, self._cause = "recording", ""
         self._records = LimitedLog(_log)
         self._finished = threading.Event()
-        self._last = clock()
+        self._last = self._began = clock()
+        self._ended: Instant | None = None
         self._schedule = RecordingSchedule(options, self._last)
         self._tracks = [_Track(function) for function in functions]
         self._end_listening: Callable[[], None] = lambda: None
@@ -195,6 +205,7 @@ class Recording:
                 self._file.abandon()
                 self._file.path.unlink(missing_ok=True)
             raise
+        self._report(self._subject, "began", ", ".join(self.functions))
         self._thread = threading.Thread(target=self._run, name="uoarm-recording", daemon=True)
         self._thread.start()
 
@@ -203,6 +214,7 @@ class Recording:
         file = self._file
         with self._counting:
             dropped = dict(self._dropped)
+        now = self._ended or self._clock()
         return RecordingStatus(
             self._state,
             self._cause,
@@ -220,7 +232,13 @@ class Recording:
                 for track in self._tracks
             ),
             dropped,
+            (now.steady - self._began.steady) / 1e9,
         )
+
+    @property
+    def ring(self) -> float | None:
+        """The seconds that it keeps in memory; None: it writes everything."""
+        return self._options.ring
 
     @property
     def ended(self) -> bool:
@@ -235,7 +253,8 @@ class Recording:
         """Write what the ring holds into a file, and return its path.
 
         Raises:
-            UsageError: it has no ring, has ended, or its file cannot be written.
+            UsageError: it has no ring, has ended, or its file cannot be written, or is not within
+                `timeout` seconds: it is written still, once the disk takes it.
         """
         if self._options.ring is None:
             raise UsageError("this recording writes everything: only one with a ring is dumped")
@@ -246,6 +265,9 @@ class Recording:
             raise UsageError("the recording has ended")
         try:
             return written.result(timeout)
+        except FutureTimeoutError as error:  # before 3.11 no built-in TimeoutError
+            text = f"the ring is not written after {timeout:g} s: it will be, once there is time"
+            raise UsageError(text) from error
         except OSError as error:
             raise UsageError(f"the ring cannot be written: {error}") from error
 
@@ -340,6 +362,8 @@ class Recording:
         finally:
             self._queue.close(discard=True)
             self._kill()
+            self._ended = self._clock()
+            self._ring.clear()
             self._report(self._subject, self._state, self._cause)
             self._finished.set()
             # After that: what `dump` asks for later finds that it has ended.
@@ -567,12 +591,10 @@ class Recording:
             except UoarmError as error:
                 self._records.write(logging.ERROR, f"{self._subject}: {error}")
                 written.set_exception(error)
-        if options.duration is not None:
-            due = self._schedule.due(at, file_octets=0, all_octets=0, waiting=False)
-            if due is Due.END:
-                self._cause = self._schedule.end_cause
-                return False
-        return True
+        due = self._schedule.due(at, file_octets=0, all_octets=self._octets_before, waiting=False)
+        if due is Due.END:
+            self._cause = self._schedule.end_cause
+        return due is not Due.END
 
     def _keep(self, kept: _Kept) -> None:
         self._ring.append(kept)

@@ -52,6 +52,9 @@ class Limits:
         request_seconds: for resolving and opening what a client asked for.
         call_seconds: for a service call that names no limit of its own; also the longest.
         stop_seconds: for closing when the server is stopped.
+        recordings: that clients began and that run at one time.
+        recording_bytes: of the files of one of these, after which it ends.
+        recordings_bytes: of all files in their folder; with more none is begun.
     """
 
     message_bytes: int = field(default=16_777_216, validator=ge(1024))
@@ -85,6 +88,9 @@ class Limits:
     request_seconds: float = field(default=30.0, validator=gt(0))
     call_seconds: float = field(default=60.0, validator=gt(0))
     stop_seconds: float = field(default=1.5, validator=gt(0))
+    recordings: int = field(default=4, validator=ge(0))
+    recording_bytes: int = field(default=2_147_483_648, validator=ge(1))
+    recordings_bytes: int = field(default=10_737_418_240, validator=ge(1))
 
     @property
     def budget(self) -> Budget:

@@ -38,6 +38,7 @@ class ServerOptions:
         key: PEM file of its key; None: in the same file.
         client_authority: PEM file of the authority whose client certificates are asked for.
         deflate: compress texts of 512 octets to 32 KiB for clients that ask for it (RFC 7692).
+        recordings: folder of what clients record; None: one of this user's state.
         limits: bounds of what clients may use.
     """
 
@@ -52,6 +53,7 @@ class ServerOptions:
     key: Path | None = None
     client_authority: Path | None = None
     deflate: bool = False
+    recordings: Path | None = field(default=None, converter=_absolute)
     limits: Limits = field(factory=Limits)
 
     @property
@@ -95,6 +97,11 @@ class ServerOptions:
             raise ConfigurationError(
                 "client certificates need TLS: give --certificate or --tls auto as well"
             )
+
+    @property
+    def recordings_folder(self) -> Path:
+        """Where files go that clients record."""
+        return self.recordings or state_folder() / "recordings"
 
     @property
     def secured(self) -> bool:

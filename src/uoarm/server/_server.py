@@ -155,7 +155,7 @@ class Server:
             OSError: a port is taken, or the address is none of this machine; the text names it.
         """
         registry = self._registry = FeedRegistry(self._robot, self._limits)
-        self._shared = Shared(registry)
+        self._shared = Shared(registry, self._settings.recordings_folder)
         self._guests = GuestBook(
             self._admission, self._audit, registry, self._connected, self._totals.refuse
         )

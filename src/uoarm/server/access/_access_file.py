@@ -18,7 +18,13 @@ BUDGET = ReadBudget(octets=1_048_576, nodes=100_000, depth=16)
 _SHOWN = 50
 _ALL = "all"
 _SUPERVISED = "supervised"
-_NOT_SUPERVISED = (Operation.APPROVE, Operation.CONFIGURE, Operation.KEEP, Operation.RELEASE)
+_NOT_SUPERVISED = (
+    Operation.APPROVE,
+    Operation.CONFIGURE,
+    Operation.KEEP,
+    Operation.RELEASE,
+    Operation.RECORD,
+)
 _HASH = re.compile(r"[0-9a-f]{64}")
 _TIME = re.compile(
     r"(\d{4}-\d\d-\d\d)[T ](\d\d:\d\d:\d\d)(?:\.(\d{1,6}))?(Z|[+-]\d\d:\d\d)?", re.ASCII

@@ -49,7 +49,8 @@ class Operation(Enum):
     CONFIGURE changes the configuration, which can name any code, and no client has it without an
     access file; KEEP is the same for writing it to the robot's file, beside CONFIGURE; STOP stops
     whatever moves and RELEASE lets commands through again. APPROVE decides about what another
-    principal asks for, by function as the first ones.
+    principal asks for, by function as the first ones, and so RECORD, which writes what functions
+    give into files, and moves recordings that are played in their place.
     """
 
     SEE = "see"
@@ -62,6 +63,7 @@ class Operation(Enum):
     STOP = "stop"
     RELEASE = "release"
     APPROVE = "approve"
+    RECORD = "record"
 
 
 OF_NO_FUNCTION = frozenset({Operation.CONFIGURE, Operation.KEEP, Operation.STOP, Operation.RELEASE})

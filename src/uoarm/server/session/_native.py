@@ -6,6 +6,7 @@ import asyncio
 import functools
 import logging
 from collections.abc import Callable, Coroutine, Iterable, Mapping
+from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
@@ -32,6 +33,7 @@ from uoarm.server._failures import LimitError, UnknownError, code_of, without_fr
 from uoarm.server.access import Operation, RoleView
 from uoarm.server.session._client import ConnectedClient
 from uoarm.server.session._discoveries import Discoveries
+from uoarm.server.session._recordings import RecordingDesk
 from uoarm.server.session._session_store import ReplyCache, SessionStore
 from uoarm.server.session._views import (
     FunctionLists,
@@ -65,16 +67,19 @@ class Shared:
 
     Args:
         registry: of the robot.
+        folder: of what clients record.
 
     Attributes:
         lists: of functions.
         status: the status map.
+        recordings: that are written, and that are played.
     """
 
-    def __init__(self, registry: FeedRegistry) -> None:
+    def __init__(self, registry: FeedRegistry, folder: Path) -> None:
         robot, views = registry.robot, registry.role_views
         self.lists = FunctionLists(lambda: robot.config, views)
         self.status = StatusViews(robot.status, registry.past, views)
+        self.recordings = RecordingDesk(registry, folder)
 
 
 class NativeSession:
@@ -129,6 +134,8 @@ class NativeSession:
             Op.CONFIGURE: self._configure,
             Op.DISCOVER: self._discover,
             Op.APPROVE: self._approve,
+            Op.RECORD: self._record,
+            Op.PLAY: self._play,
         }
         self._emit({"op": "Status", "type": "hello", "jsonMessage": self._hello()})
 
@@ -317,6 +324,29 @@ class NativeSession:
             cause=asked.jsonMessage.get("cause", ""),
         )
         self._reply(asked, show_approval(desk, approval, self._view))
+
+    async def _record(self, asked: ControlMessage) -> None:
+        desk, client, wanted = self._shared.recordings, self._client, asked.jsonMessage
+        if wanted is not None and "functions" in wanted:
+            if asked.type:
+                raise UsageError("a new recording has no name yet: leave the type empty")
+            self._reply(asked, await desk.begin(client, self._view, wanted))
+        elif asked.type:
+            self._reply(asked, await desk.act(client, self._view, str(asked.type), wanted or {}))
+        elif wanted is not None:
+            raise UsageError("say which recording: its name is the type")
+        else:
+            self._reply(asked, await desk.all(client, self._view))
+
+    async def _play(self, asked: ControlMessage) -> None:
+        desk, client, wanted = self._shared.recordings, self._client, asked.jsonMessage
+        if asked.type:
+            played = await desk.play(client, self._view, str(asked.type), wanted or {})
+            self._reply(asked, played)
+        elif wanted is not None:
+            raise UsageError("say which bridge plays it: its name is the type")
+        else:
+            self._reply(asked, {"players": await desk.players(client, self._view)})
 
     def _stop(self, asked: ControlMessage) -> None:
         """Stop beside whatever else is under way; it counts for no limit of calls."""

@@ -303,6 +303,36 @@ export class Robot {
     return this.#ask({ op: "Approve", type: approval, jsonMessage: { approve: true, ...options } });
   }
 
+  /** The recordings that there are, and for whom may record all the files. */
+  async recordings() {
+    return this.#ask({ op: "Record" });
+  }
+
+  /** Record functions: `duration`, `max_size`, `split`, `compression`, `ring`; needs `record`. */
+  async record(functions, options = {}) {
+    return this.#ask({ op: "Record", jsonMessage: { functions, ...options } });
+  }
+
+  /** End a recording; that of another needs `kill`, too. */
+  async stopRecording(recording) {
+    return this.#ask({ op: "Record", type: recording, jsonMessage: { stop: true } });
+  }
+
+  /** Write what a recording with a `ring` keeps in memory. */
+  async dumpRecording(recording) {
+    return this.#ask({ op: "Record", type: recording, jsonMessage: { dump: true } });
+  }
+
+  /** Where the recordings are that bridges play. */
+  async players() {
+    return (await this.#ask({ op: "Play" })).players;
+  }
+
+  /** Move what a bridge plays: `pause`, `rate`, `seek`, `step`; without any, say where it is. */
+  async playback(bridge, move) {
+    return this.#ask({ op: "Play", type: bridge, ...(move && { jsonMessage: move }) });
+  }
+
   /** The plan of a function: data, and text for people. */
   async resolve(name) {
     return this.#ask({ op: "Resolve", type: name });
