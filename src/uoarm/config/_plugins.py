@@ -315,7 +315,12 @@ class PluginChecker:
     ) -> Problem:
         place = self._document.key_place(path) if at_key else self._document.place(path)
         return Problem(
-            place=place, path=write_path(path), sentence=sentence, hint=hint, file=self._file
+            place=place,
+            path=write_path(path),
+            sentence=sentence,
+            hint=hint,
+            file=self._file,
+            error_code="UOA-105",
         )
 
 
