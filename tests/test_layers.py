@@ -35,7 +35,6 @@ LAYERS = [
         "_support",
         "_switch_interval",
     },
-    {"error_codes"},
     {"_plugins"},
     {"plugins"},
     {"_mistakes"},

@@ -46,7 +46,7 @@ PROBE = BridgeType(
     "probe",
     "for this test",
     never,
-    bridge_options={
+    options_schema={
         "type": "object",
         "properties": {"domain": {"type": "integer"}, "color": {}},
         "additionalProperties": False,

@@ -507,13 +507,11 @@ class RobotManager:
             )
         found = next((item for item in revision.robot.components() if item.name == component), None)
         if found is None:
-            text = f"there is no component {component!r} in the configuration"
-            raise ResolutionError(text, error_code="UOA-202")
+            raise ResolutionError(f"there is no component {component!r} in the configuration")
         what = f"asking for the structures of {component!r}"
         answer = deadlines.run(what, timeout, lambda: revision.structures.structures(found))
         if isinstance(answer, Unavailable):
-            text = f"component {component!r} is not there: {answer.sentence}"
-            raise ResolutionError(text, error_code="UOA-212")
+            raise ResolutionError(f"component {component!r} is not there: {answer.sentence}")
         return answer.by_port
 
     @arguments()

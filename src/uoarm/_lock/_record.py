@@ -159,8 +159,6 @@ def _normal(name: str) -> str:
 class LockError(ConfigurationError):
     """A lock, or what it is compared with, cannot be read; the text says what is wrong with it."""
 
-    error_code = "UOA-110"
-
 
 @frozen
 class LockedPart:

@@ -61,9 +61,7 @@ class Report:
         lines = [str(problem) for problem in self.problems[:_SHOWN]]
         if len(self.problems) > _SHOWN:
             lines.append(f"... and {len(self.problems) - _SHOWN:,} more")
-        codes = {problem.error_code for problem in self.problems}
-        error_code = codes.pop() if len(codes) == 1 else ""
-        raise ConfigurationError("\n".join(lines), error_code=error_code)
+        raise ConfigurationError("\n".join(lines))
 
 
 @arguments(path="uoarm.config.loads(text) reads a text")
@@ -135,17 +133,7 @@ def _report(
     if document.value is None and not document.problems:
         sentence, hint = "the file is empty", "begin with: version: 1"
         return Report(
-            None,
-            (
-                Problem(
-                    place=_START,
-                    path="$",
-                    sentence=sentence,
-                    hint=hint,
-                    file=file,
-                    error_code="UOA-102",
-                ),
-            ),
+            None, (Problem(place=_START, path="$", sentence=sentence, hint=hint, file=file),)
         )
     return _judge(document, file, types, parameters=parameters, missing=missing)
 

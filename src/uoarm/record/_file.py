@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-import io
 import os
-from collections.abc import Mapping
+import struct
+import zlib
+from collections.abc import Callable, Mapping
 from itertools import count
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, cast
+from typing import TYPE_CHECKING
 
 from uoarm._origin import install_command
 from uoarm._version import __version__
@@ -15,11 +16,21 @@ from uoarm.errors import PluginError, UsageError
 from uoarm.record._forms import ChannelForm
 
 if TYPE_CHECKING:
-    from _typeshed import ReadableBuffer
+    from mcap.records import McapRecord
 
 __all__ = ["McapFile", "free_path", "require_mcap"]
 
-_MESSAGE_OCTETS = 31  # of a message's record beside its data
+_MAGIC = b"\x89MCAP0\r\n"
+_HEAD = struct.Struct("<BQ")
+_MESSAGE = struct.Struct("<BQHIQQ")
+_MESSAGE_OCTETS = 22  # of a message's content before its data
+_CHUNK = struct.Struct("<BQQQQI")
+_INDEX = struct.Struct("<BQHI")
+_FOOTER = struct.Struct("<BQQQ")
+_OF_MESSAGE, _OF_CHUNK, _OF_INDEX, _OF_FOOTER = 5, 6, 7, 2
+_MOST_BUFFERS = 512  # of one call of the system
+_FAST = 1
+"""Of zstandard: half the time of its usual level, and a tenth more octets."""
 
 
 def require_mcap() -> None:
@@ -44,8 +55,8 @@ def free_path(path: Path) -> Path:
     raise AssertionError("numbers do not end")
 
 
-class _Output(io.BufferedIOBase):
-    """The file as the writer of MCAP sees it: nothing is kept back, and what is whole is known.
+class _Output:
+    """The file: nothing is kept back, and what is whole is known.
 
     A chunk that did not find room is taken back, so that the file ends with a whole record.
 
@@ -56,26 +67,24 @@ class _Output(io.BufferedIOBase):
 
     def __init__(self, path: Path) -> None:
         self._file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o666)
+        self._is_open = True
         self.count = self.whole = 0
 
-    def write(self, octets: ReadableBuffer) -> int:
-        rest = memoryview(octets)
-        size = len(rest)
+    def write(self, *parts: bytes | bytearray) -> None:
+        """Write whole records."""
+        rest = [memoryview(part) for part in parts if part]
         while rest:
-            written = os.write(self._file, rest)
+            written = os.writev(self._file, rest[:_MOST_BUFFERS])
             self.count += written
-            rest = rest[written:]
-        return size
-
-    def seek(self, offset: int, whence: int = os.SEEK_SET) -> int:
-        """Return where it is, which is at its end: nothing goes anywhere else."""
-        if (offset, whence) != (0, os.SEEK_CUR):
-            raise io.UnsupportedOperation("only appended to")
-        return self.count
+            while rest and written >= len(rest[0]):
+                written -= len(rest.pop(0))
+            if written:
+                rest[0] = rest[0][written:]
+        self.whole = self.count
 
     def close(self) -> None:
-        if not self.closed:
-            super().close()
+        if self._is_open:
+            self._is_open = False
             os.close(self._file)
 
     def take_back(self) -> None:
@@ -88,6 +97,9 @@ class _Output(io.BufferedIOBase):
 class McapFile:
     """One file, for one thread.
 
+    The package's records are written with the package, save messages, chunks and their indexes:
+    its writer takes three times as long for a message, and keeps an object for each chunk.
+
     Args:
         path: at which nothing is.
         compression: `zstd`, `lz4` or `none`.
@@ -98,30 +110,36 @@ class McapFile:
     """
 
     def __init__(self, path: Path, compression: str, chunk_octets: int) -> None:
-        from mcap.writer import CompressionType, Writer  # noqa: PLC0415 - an extra
-
         self.path = path
         try:
             self._output = _Output(path)
         except OSError as error:
             raise UsageError(f"{path} cannot be made: {error}") from error
-        self._writer = Writer(
-            cast("IO[bytes]", self._output),
-            chunk_size=chunk_octets,
-            compression=CompressionType[compression.upper()],
-        )
+        self._compression = "" if compression == "none" else compression
+        self._compress = _compressor(self._compression)
+        self._chunk_octets = chunk_octets
         self._channels: dict[ChannelForm, int] = {}
-        self._waiting = 0
+        self._definitions: list[bytes] = []  # of schemas, then channels
+        self._counts: dict[int, int] = {}
+        self._times: tuple[int, int] | None = None
+        # What stands in the summary of chunks, attachments and metadata, as it is written there.
+        self._indexes: dict[int, bytearray] = {}
+        self._numbers: dict[int, int] = {}  # of them, by the opcode of their index
+        # The chunk that is being filled, and of each channel times and places in turns. Messages
+        # are copied at once: encoders give back small octets in large blocks, which would add up.
+        self._chunk = bytearray()
+        self._index: dict[int, list[int]] = {}
 
     def begin(self, profile: str) -> None:
         """Write what stands before all else; `ros2` where every channel is one of ROS 2."""
-        self._writer.start(profile, f"uoarm {__version__}")
-        self._mark()
+        from mcap.records import Header  # noqa: PLC0415 - an extra
+
+        self._output.write(_MAGIC, _written(Header(profile, f"uoarm {__version__}")))
 
     @property
     def octets(self) -> int:
         """What it holds, with what waits to be written."""
-        return self._output.count + self._waiting
+        return self._output.count + len(self._chunk)
 
     @property
     def has_channels(self) -> bool:
@@ -131,46 +149,132 @@ class McapFile:
     @property
     def has_waiting(self) -> bool:
         """Whether a chunk has been begun."""
-        return self._waiting > 0
+        return bool(self._index)
 
     def add_channel(self, form: ChannelForm) -> None:
         """Add a channel, and its schema."""
-        schema = self._writer.register_schema(
-            form.schema_name, form.schema_encoding, form.schema_data
-        )
-        metadata = dict(form.metadata)
-        self._channels[form] = self._writer.register_channel(
-            form.topic, form.message_encoding, schema, metadata
-        )
+        from mcap.records import Channel, Schema  # noqa: PLC0415 - an extra
+
+        number = len(self._channels) + 1
+        self._channels[form] = number
+        schema = Schema(number, form.schema_data, form.schema_encoding, form.schema_name)
+        channel = Channel(number, form.topic, form.message_encoding, dict(form.metadata), number)
+        definitions = [_written(schema), _written(channel)]
+        self._definitions += definitions
+        self._chunk += b"".join(definitions)
 
     def add_message(self, form: ChannelForm, time: int, data: bytes, sequence: int) -> None:
         """Add a message to the chunk that is being filled, which is written when it is full."""
-        before = self._output.count
-        self._writer.add_message(self._channels[form], time, data, time, sequence & 0xFFFFFFFF)
-        if self._output.count > before:
-            self._mark()
-        else:
-            self._waiting += _MESSAGE_OCTETS + len(data)
+        channel = self._channels[form]
+        index = self._index.get(channel)
+        if index is None:
+            index = self._index[channel] = []
+        chunk = self._chunk
+        index += (time, len(chunk))
+        octets, number = _MESSAGE_OCTETS + len(data), sequence & 0xFFFFFFFF
+        chunk += _MESSAGE.pack(_OF_MESSAGE, octets, channel, number, time, time)
+        chunk += data
+        if len(chunk) >= self._chunk_octets:
+            self.flush()
 
     def attach(self, name: str, content: bytes, media_type: str, time: int) -> None:
         """Add an attachment."""
-        self._writer.add_attachment(time, time, name, media_type, content)
-        self._output.whole = self._output.count
+        from mcap.records import Attachment, AttachmentIndex  # noqa: PLC0415 - an extra
+
+        record = _written(Attachment(time, time, name, media_type, content))
+        index = AttachmentIndex(
+            self._output.count, len(record), time, time, len(content), name, media_type
+        )
+        self._output.write(record)
+        self._note(_written(index))
 
     def add_metadata(self, name: str, values: Mapping[str, str]) -> None:
         """Add metadata."""
-        self._writer.add_metadata(name, dict(values))
-        self._output.whole = self._output.count
+        from mcap.records import Metadata, MetadataIndex  # noqa: PLC0415 - an extra
+
+        record = _written(Metadata(name, dict(values)))
+        index = MetadataIndex(self._output.count, len(record), name)
+        self._output.write(record)
+        self._note(_written(index))
 
     def flush(self) -> None:
-        """Write the chunk that has been begun."""
-        self._writer.flush()  # type: ignore[no-untyped-call]  # of mcap
-        self._mark()
+        """Write the chunk that has been begun, where there is a message in it."""
+        from mcap.records import ChunkIndex  # noqa: PLC0415 - an extra
+
+        if not self._index:
+            return
+        data, self._chunk = self._chunk, bytearray()
+        indexes, self._index = self._index, {}
+        start = min(min(index[::2]) for index in indexes.values())
+        end = max(max(index[::2]) for index in indexes.values())
+        packed = self._compress(data)
+        kind = self._compression.encode()
+        tail = struct.pack(f"<I{len(kind)}sQ", len(kind), kind, len(packed))
+        octets = _CHUNK.size - _HEAD.size + len(tail) + len(packed)
+        head = _CHUNK.pack(_OF_CHUNK, octets, start, end, len(data), zlib.crc32(data)) + tail
+        at, length = self._output.count, len(head) + len(packed)
+        offsets, records, place = {}, [], at + length
+        for channel, index in indexes.items():
+            self._counts[channel] = self._counts.get(channel, 0) + len(index) // 2
+            content = struct.pack(f"<{len(index)}Q", *index)
+            record = _INDEX.pack(_OF_INDEX, 6 + len(content), channel, len(content)) + content
+            offsets[channel] = place
+            place += len(record)
+            records.append(record)
+        self._output.write(head, packed, *records)
+        first, last = self._times or (start, end)
+        self._times = min(first, start), max(last, end)
+        self._note(
+            _written(
+                ChunkIndex(
+                    chunk_start_offset=at,
+                    chunk_length=length,
+                    message_start_time=start,
+                    message_end_time=end,
+                    message_index_offsets=offsets,
+                    message_index_length=place - at - length,
+                    compression=self._compression,
+                    compressed_size=len(packed),
+                    uncompressed_size=len(data),
+                )
+            )
+        )
 
     def finish(self) -> None:
         """Write what waits and the index, and close it."""
-        self._writer.finish()  # type: ignore[no-untyped-call]  # of mcap
-        self._mark()
+        from mcap.opcode import Opcode  # noqa: PLC0415 - an extra
+        from mcap.records import DataEnd, Statistics, SummaryOffset  # noqa: PLC0415 - an extra
+
+        self.flush()
+        self._output.write(_written(DataEnd(0)))
+        start, end = self._times or (0, 0)
+        statistics = Statistics(
+            attachment_count=self._numbers.get(Opcode.ATTACHMENT_INDEX, 0),
+            channel_count=len(self._channels),
+            channel_message_counts=self._counts,
+            chunk_count=self._numbers.get(Opcode.CHUNK_INDEX, 0),
+            message_count=sum(self._counts.values()),
+            message_start_time=start,
+            message_end_time=end,
+            metadata_count=self._numbers.get(Opcode.METADATA_INDEX, 0),
+            schema_count=len(self._channels),
+        )
+        groups: dict[int, bytes | bytearray] = {
+            Opcode.SCHEMA: b"".join(self._definitions[::2]),
+            Opcode.CHANNEL: b"".join(self._definitions[1::2]),
+            Opcode.STATISTICS: _written(statistics),
+            **self._indexes,
+        }
+        begin = place = self._output.count
+        offsets = b""
+        for opcode, group in groups.items():
+            if group:
+                offsets += _written(SummaryOffset(opcode, place, len(group)))
+                place += len(group)
+        summary = b"".join((*groups.values(), offsets))
+        footer = _FOOTER.pack(_OF_FOOTER, 20, begin, place)
+        crc = zlib.crc32(footer, zlib.crc32(summary))
+        self._output.write(summary, footer, crc.to_bytes(4, "little"), _MAGIC)
         self._output.close()
 
     def abandon(self) -> None:
@@ -180,6 +284,29 @@ class McapFile:
         finally:
             self._output.close()
 
-    def _mark(self) -> None:
-        self._output.whole = self._output.count
-        self._waiting = 0
+    def _note(self, index: bytes) -> None:
+        """Keep what the summary has of something that was written."""
+        opcode = index[0]
+        self._indexes.setdefault(opcode, bytearray()).extend(index)
+        self._numbers[opcode] = self._numbers.get(opcode, 0) + 1
+
+
+def _written(record: McapRecord) -> bytes:
+    from mcap.data_stream import RecordBuilder  # noqa: PLC0415 - an extra
+
+    builder = RecordBuilder()
+    record.write(builder)
+    return bytes(builder.end())  # type: ignore[no-untyped-call]  # of mcap
+
+
+def _compressor(compression: str) -> Callable[[bytearray], bytes | bytearray]:
+    if compression == "zstd":
+        import zstandard  # noqa: PLC0415 - of the extra
+
+        return zstandard.ZstdCompressor(level=_FAST).compress
+    if compression == "lz4":
+        import lz4.frame  # noqa: PLC0415 - of the extra
+
+        compress: Callable[[bytearray], bytes | bytearray] = lz4.frame.compress
+        return compress
+    return lambda data: data

@@ -26,7 +26,7 @@ _LARGE = ("uint64", "int64")
 _MOST_DEPTH = 64
 
 
-@frozen
+@frozen(cache_hash=True)
 class ChannelForm:
     """How the messages of one channel are written.
 
@@ -75,9 +75,28 @@ def form_of(function: str, structure: MessageStructure, metadata: Mapping[str, s
             return _cdr_form(topic, definition, encode, all_metadata)
     from uoarm._wire import TEXT_FORM  # noqa: PLC0415 - needs an extra
 
+    write = TEXT_FORM.write if _has_octets(structure.schema) else _text_writer(TEXT_FORM.write)
     schema = write_json(TEXT_FORM.schema(structure.schema)).encode()
     name = structure.native_type or function
-    return ChannelForm(topic, name, "jsonschema", schema, "json", TEXT_FORM.write, all_metadata)
+    return ChannelForm(topic, name, "jsonschema", schema, "json", write, all_metadata)
+
+
+def _has_octets(schema: object) -> bool:
+    return schema is True or _look(schema, 0)[0]
+
+
+def _text_writer(write: Callable[[Message], bytes]) -> Callable[[Message], bytes]:
+    """Return what writes most messages without octets in a quarter of the time, all alike."""
+    import orjson  # noqa: PLC0415 - of an extra
+
+    def quick(message: Message) -> bytes:
+        try:
+            text = orjson.dumps(message, option=orjson.OPT_STRICT_INTEGER)
+        except TypeError:
+            return write(message)
+        return write(message) if b"null" in text else text  # which may stand for NaN
+
+    return quick
 
 
 def _cdr_form(

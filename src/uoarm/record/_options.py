@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from enum import Enum
+from typing import NamedTuple
 
 from attrs import field, frozen
 from attrs.validators import ge, gt, in_, optional
@@ -20,6 +21,7 @@ _SECONDS = re.compile(r"(\d+(?:\.\d+)?)\s*(s|min|h)", re.IGNORECASE)
 _LENGTHS = {"s": 1.0, "min": 60.0, "h": 3600.0}
 _STEP = 500_000_000  # nanoseconds between the clocks: beyond it the one of the day was set
 _NANO = 1_000_000_000
+_MOST_OCTETS = 2**63
 _QUEUE = QueuePolicy(length=10_000, policy=OverflowPolicy.DROP_OLDEST)
 
 
@@ -117,9 +119,8 @@ class RecordOptions:
         )
 
 
-@frozen
-class Instant:
-    """One moment on two clocks, in nanoseconds.
+class Instant(NamedTuple):
+    """One moment on two clocks, in nanoseconds; made for each message.
 
     Attributes:
         wall: since the epoch; that clock may be set.
@@ -149,9 +150,19 @@ class RecordingSchedule:
 
     def __init__(self, options: RecordOptions, now: Instant) -> None:
         self._options = options
-        self._began = self._file_began = self._last = now
+        self._began = self._file_began = now
+        self._offset = now.wall - now.steady
         self._flushed = now.steady
+        self._quiet_until = self._quiet_octets = 0
         self.end_cause = self.split_cause = ""
+
+    def is_quiet(self, wall: int, steady: int, file_octets: int) -> bool:
+        """Say whether nothing is due at a moment, as far as that is seen at once: asked often."""
+        step = wall - steady - self._offset
+        if steady >= self._quiet_until or file_octets >= self._quiet_octets or abs(step) > _STEP:
+            return False
+        self._offset += step
+        return True
 
     def due(self, now: Instant, *, file_octets: int, all_octets: int, waiting: bool) -> Due:
         """Return what is to be done now, before anything that came now is written.
@@ -163,8 +174,17 @@ class RecordingSchedule:
             waiting: whether a chunk has been begun.
         """
         options = self._options
-        step = (now.wall - self._last.wall) - (now.steady - self._last.steady)
-        self._last = now
+        step = now.wall - now.steady - self._offset
+        self._offset += step
+        if not waiting:
+            self._flushed = now.steady
+        room = [_MOST_OCTETS]
+        if options.split_size is not None:
+            room.append(options.split_size)
+        if options.max_size is not None:
+            room.append(options.max_size - all_octets + file_octets)
+        self._quiet_octets = min(room)
+        self._quiet_until = min(self._ends(waiting=True))
         if options.duration is not None and self._since(self._began, now) >= options.duration:
             self.end_cause = f"it lasted {options.duration:g} s"
             return Due.END
@@ -188,14 +208,19 @@ class RecordingSchedule:
     def file_begins(self, now: Instant) -> None:
         """A new file begins."""
         self._file_began = now
-        self._flushed = now.steady
+        self.flushed(now)
 
     def flushed(self, now: Instant) -> None:
         """What waited was written."""
         self._flushed = now.steady
+        self._quiet_until = 0
 
     def wait(self, now: Instant, *, waiting: bool) -> float | None:
         """Return seconds until something may be due though nothing comes; None: nothing is."""
+        ends = self._ends(waiting=waiting)
+        return max(0.0, (min(ends) - now.steady) / _NANO) if ends else None
+
+    def _ends(self, *, waiting: bool) -> list[int]:
         options, ends = self._options, []
         if waiting:
             ends.append(self._flushed + int(options.chunk_seconds * _NANO))
@@ -203,7 +228,7 @@ class RecordingSchedule:
             ends.append(self._began.steady + int(options.duration * _NANO))
         if options.split_seconds is not None:
             ends.append(self._file_began.steady + int(options.split_seconds * _NANO))
-        return max(0.0, (min(ends) - now.steady) / _NANO) if ends else None
+        return ends
 
     @staticmethod
     def _since(began: Instant, now: Instant) -> float:

@@ -10,17 +10,16 @@ from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future
 from concurrent.futures import TimeoutError as FutureTimeoutError
 from pathlib import Path
-from queue import Empty
 from types import TracebackType
 from typing import Any, Protocol, TypeAlias
 
 from attrs import define, field, frozen
 from typing_extensions import Self
 
-from uoarm._dataplane import BoundedQueue, QueueClosed
 from uoarm._raised import LimitedLog, text_of
 from uoarm.errors import MessageError, UoarmError, UsageError
-from uoarm.model import Gap, Message, Plan, Robot, StatusEvent, message_octets
+from uoarm.model import Gap, Message, Plan, Robot, StatusEvent
+from uoarm.record._arrivals import Arrivals
 from uoarm.record._documents import documents, event_message, gap_message
 from uoarm.record._file import McapFile, free_path, require_mcap
 from uoarm.record._forms import EVENTS, ChannelForm, form_of, ros_events
@@ -28,12 +27,11 @@ from uoarm.record._options import Due, Instant, RecordingSchedule, RecordOptions
 
 __all__ = ["RecordedChannel", "Recording", "RecordingStatus"]
 
-_Item: TypeAlias = "tuple[_Track | None, Instant, Message, int]"
-"""The function, None to look around only; when the message came, the message, its number."""
-
 _log = logging.getLogger("uoarm")
 _CLOSE_SECONDS = 60.0
 _GLANCE_SECONDS = 1.0
+_TURN_MESSAGES = 1024
+"""After which the writer lets those go first who bring messages."""
 _MOST_EVENTS = 10_000
 _FAILURES = frozenset({"lost", "failed"})
 
@@ -115,7 +113,7 @@ class _Track:
     """One function: its connection and what came of it.
 
     `received` is written by the thread that brings its messages, of which there is one at a time;
-    what follows it by the writer alone.
+    what follows it by the writer alone, save `taken` and `octets`: see `ArrivingTrack`.
     """
 
     function: str
@@ -123,8 +121,14 @@ class _Track:
     recorded: int = 0
     unwritable: int = 0
     gaps: int = 0
+    taken: int = 0
+    octets: int = 0
     connection: RecordedConnection | None = None
     form: ChannelForm | None = None
+
+
+_Item: TypeAlias = "tuple[_Track, int, int, Message, int]"
+"""As `Arrivals` has it."""
 
 
 @frozen
@@ -137,8 +141,8 @@ class _Kept:
     sequence: int
 
 
-def _now() -> Instant:
-    return Instant(time.time_ns(), time.monotonic_ns())
+def _now() -> tuple[int, int]:
+    return time.time_ns(), time.monotonic_ns()
 
 
 class Recording:
@@ -160,7 +164,7 @@ class Recording:
         report: Callable[[str, str, str], object] = lambda *_: None,
         *,
         timeout: float = 60.0,
-        clock: Callable[[], Instant] = _now,
+        clock: Callable[[], tuple[int, int]] = _now,
         identity: str = "r1",
     ) -> None:
         require_mcap()
@@ -171,12 +175,11 @@ class Recording:
             raise UsageError("a function is named twice")
         if not path.parent.is_dir():
             raise UsageError(f"{path} cannot be made: there is no folder {path.parent}")
-        self._path, self._options, self._clock = path, options, clock
+        self._path, self._options, self._moment = path, options, clock
         self._robot, self._report = robot, report
         self._dropped: Counter[str] = Counter()
         # Guards the counter, which the threads of all functions and the writer count up.
         self._counting = threading.Lock()
-        self._queue: BoundedQueue[_Item] = BoundedQueue(options.queue, self._drop, _measure)
         # Appended to by the thread of the manager's listeners, taken from by the writer.
         self._events: deque[tuple[Instant, Mapping[str, Any]]] = deque(maxlen=_MOST_EVENTS)
         self._wanted: deque[tuple[str, Future[str]]] = deque()
@@ -189,10 +192,11 @@ class Recording:
         self._state, self._cause = "recording", ""
         self._records = LimitedLog(_log)
         self._finished = threading.Event()
-        self._last = self._began = clock()
+        self._last = self._began = self._clock()
         self._ended: Instant | None = None
         self._schedule = RecordingSchedule(options, self._last)
         self._tracks = [_Track(function) for function in functions]
+        self._arrivals: Arrivals[_Track] = Arrivals(options.queue, self._tracks, self._drop)
         self._end_listening: Callable[[], None] = lambda: None
         if options.ring is None:
             # Before anything is opened: a path that cannot be written costs no connection.
@@ -260,7 +264,7 @@ class Recording:
             raise UsageError("this recording writes everything: only one with a ring is dumped")
         written: Future[str] = Future()
         self._wanted.append((cause, written))
-        self._wake()
+        self._arrivals.press()
         if self.ended and not written.done():
             raise UsageError("the recording has ended")
         try:
@@ -274,7 +278,7 @@ class Recording:
     def close(self) -> None:
         """End it: write what has come, close the file. Idempotent; waits a minute at most."""
         self._kill()
-        self._queue.close(discard=False)
+        self._arrivals.close()
         if threading.current_thread() is not self._thread:
             self._finished.wait(_CLOSE_SECONDS)
 
@@ -299,7 +303,10 @@ class Recording:
         self._end_listening = self._robot.listen(self._take_event)
         for track in self._tracks:
             connection = self._robot.request(
-                track.function, validate="off", on_message=self._taker(track), timeout=timeout
+                track.function,
+                validate="off",
+                on_message=self._arrivals.taker(track, self._moment),
+                timeout=timeout,
             )
             track.connection = connection
             step = connection.plan.provider
@@ -318,31 +325,20 @@ class Recording:
         if all(form.message_encoding == "cdr" for form in forms):
             self._event_form = ros_events()
 
-    def _taker(self, track: _Track) -> Callable[[Message], None]:
-        put, clock = self._queue.put, self._clock
-
-        def take(message: Message) -> None:
-            track.received += 1
-            put((track, clock(), message, track.received))
-
-        return take
-
     def _take_event(self, event: StatusEvent) -> None:
         self._events.append((self._clock(), event_message(event)))
         kind = event.subject.partition(" ")[0]
         if self._options.ring is not None and event.change in _FAILURES and kind != "recording":
             self._wanted.append((str(event), Future()))
         if kind == "connection" or self._wanted:
-            self._wake()
+            self._arrivals.press()
+
+    def _clock(self) -> Instant:
+        return Instant(*self._moment())
 
     def _drop(self, reason: str) -> None:
         with self._counting:
             self._dropped[reason] += 1
-
-    def _wake(self) -> None:
-        """Have the writer look around: it waits at its queue."""
-        if not len(self._queue):
-            self._queue.put((None, self._clock(), None, 0))
 
     def _kill(self) -> None:
         self._end_listening()
@@ -360,8 +356,10 @@ class Recording:
         except Exception as error:  # noqa: BLE001 - whatever it is, it ends the recording only
             self._fail(text_of(error))
         finally:
-            self._queue.close(discard=True)
+            self._arrivals.close()
             self._kill()
+            for _ in self._arrivals.take_waiting():
+                self._drop("closed")
             self._ended = self._clock()
             self._ring.clear()
             self._report(self._subject, self._state, self._cause)
@@ -376,27 +374,50 @@ class Recording:
 
     def _write_all(self) -> None:
         while True:
-            now = self._clock()
+            is_closed, now = self._arrivals.is_closed, self._clock()
             wait = self._schedule.wait(now, waiting=self._has_waiting)
-            try:
-                item = self._queue.get(_GLANCE_SECONDS if wait is None else min(wait, 1.0))
-            except Empty:
-                item = (None, self._clock(), None, 0)
-            except QueueClosed:
+            self._arrivals.wait(_GLANCE_SECONDS if wait is None else min(wait, _GLANCE_SECONDS))
+            wanted = len(self._wanted)  # before that: what came before a wish is in what is taken
+            items = self._arrivals.take_waiting()
+            goes_on = self._write(items) if self._options.ring is None else self._keep_all(items)
+            self._write_wanted(wanted)
+            if not goes_on:
                 break
-            if not self._take(*item):
+            if is_closed and not items:
                 break
-            if item[0] is None and not len(self._queue) and self._are_all_ended:
+            if not items and not len(self._arrivals) and self._are_all_ended:
                 self._cause = "every function has ended"
                 break
         self._finish()
 
-    def _take(self, track: _Track | None, at: Instant, message: Message, number: int) -> bool:
-        """Take one item of the queue; False where the recording ends with it."""
-        if self._options.ring is not None:
-            return self._take_into_ring(track, at, message, number)
+    def _write(self, items: list[_Item]) -> bool:
+        """Write what came, and what is due; False where the recording ends with it."""
         file = self._file
         assert file is not None, "only a ring has none"
+        events, is_quiet = self._events, self._schedule.is_quiet
+        for place, (track, wall, steady, message, number) in enumerate(items):
+            if events or not is_quiet(wall, steady, file.octets):
+                found = self._look(file, Instant(wall, steady))
+                if found is None:
+                    for _ in items[place:]:
+                        self._drop("closed")
+                    return False
+                file = found
+            data = self._encoded(track, message)
+            if data is not None:
+                assert track.form is not None, "it was opened"
+                file.add_message(track.form, wall, data, number)
+                track.recorded += 1
+            if not place % _TURN_MESSAGES:
+                self._last = Instant(wall, steady)
+                time.sleep(0)
+        if not items:
+            return self._look(file, self._clock()) is not None
+        self._last = Instant(*items[-1][1:3])
+        return True
+
+    def _look(self, file: McapFile, at: Instant) -> McapFile | None:
+        """Do what is due at a moment; returns the file to write into, None where it ends."""
         before, self._last = self._last, at
         due = self._schedule.due(
             at,
@@ -406,22 +427,16 @@ class Recording:
         )
         if due is Due.END:
             self._cause = self._schedule.end_cause
-            return False
+            return None
         if due is Due.SPLIT:
             file = self._split(at, before)
         elif due is Due.FLUSH:
             file.flush()
             self._schedule.flushed(at)
+        if not file.has_channels:
+            self._describe(file, at)
         self._write_events(file)
-        if track is not None:
-            if not file.has_channels:
-                self._describe(file, at)
-            data = self._encoded(track, message)
-            if data is not None:
-                assert track.form is not None, "it was opened"
-                file.add_message(track.form, at.wall, data, number)
-                track.recorded += 1
-        return True
+        return file
 
     @property
     def _has_waiting(self) -> bool:
@@ -562,26 +577,38 @@ class Recording:
 
     # The ring.
 
-    def _take_into_ring(
-        self, track: _Track | None, at: Instant, message: Message, number: int
-    ) -> bool:
+    def _keep_all(self, items: list[_Item]) -> bool:
+        """Keep what came, for as long as it is; False where the recording ends."""
         options = self._options
         assert options.ring is not None, "only with a ring"
-        while self._events:
-            moment, event = self._events.popleft()
-            self._keep(_Kept(self._event_form, moment, self._event_form.encode(event), 0))
-        if track is not None:
+        for track, wall, steady, message, number in items:
+            at = Instant(wall, steady)
+            self._keep_events(at)
             data = self._encoded(track, message)
             if data is not None:
                 assert track.form is not None, "it was opened"
                 self._keep(_Kept(track.form, at, data, number))
                 track.recorded += 1
-        oldest = at.steady - int(options.ring * 1e9)
+        now = self._clock()
+        self._keep_events(now)
+        oldest = now.steady - int(options.ring * 1e9)
         while self._ring and (
             self._ring[0].at.steady < oldest or self._ring_octets > options.ring_octets
         ):
             self._ring_octets -= len(self._ring.popleft().data)
-        while self._wanted and not len(self._queue):
+        due = self._schedule.due(now, file_octets=0, all_octets=self._octets_before, waiting=False)
+        if due is Due.END:
+            self._cause = self._schedule.end_cause
+        return due is not Due.END
+
+    def _keep_events(self, until: Instant) -> None:
+        while self._events and self._events[0][0].steady <= until.steady:
+            at, event = self._events.popleft()
+            self._keep(_Kept(self._event_form, at, self._event_form.encode(event), 0))
+
+    def _write_wanted(self, count: int) -> None:
+        """Write the ring for those who want it."""
+        for _ in range(count):
             cause, written = self._wanted.popleft()
             try:
                 written.set_result(self._write_ring(cause))
@@ -591,10 +618,6 @@ class Recording:
             except UoarmError as error:
                 self._records.write(logging.ERROR, f"{self._subject}: {error}")
                 written.set_exception(error)
-        due = self._schedule.due(at, file_octets=0, all_octets=self._octets_before, waiting=False)
-        if due is Due.END:
-            self._cause = self._schedule.end_cause
-        return due is not Due.END
 
     def _keep(self, kept: _Kept) -> None:
         self._ring.append(kept)
@@ -616,7 +639,3 @@ class Recording:
         self._ring_octets = 0
         self._report(self._subject, "written", f"{file.path}: {cause}")
         return str(file.path)
-
-
-def _measure(item: _Item) -> int:
-    return message_octets(item[2])

@@ -91,14 +91,7 @@ def read_file(path: File, budget: ReadBudget = _ROBOT) -> Document:
         place, sentence = _START, f"the file cannot be read: {error.strerror or error}"
     except ValueError as error:
         place, sentence = _START, f"the file cannot be read: {error}"
-    problem = Problem(
-        place=place,
-        path=path_in_data,
-        sentence=sentence,
-        hint=hint,
-        file=str(path),
-        error_code="UOA-101",
-    )
+    problem = Problem(place=place, path=path_in_data, sentence=sentence, hint=hint, file=str(path))
     return Document(None, Spot(_START), (problem,), whole=False)
 
 
@@ -187,12 +180,7 @@ class _Builder:
         """Note a problem and go on."""
         self.problems.append(
             Problem(
-                place=place,
-                path=write_path(path),
-                sentence=sentence,
-                hint=hint,
-                file=self._file,
-                error_code="UOA-102",
+                place=place, path=write_path(path), sentence=sentence, hint=hint, file=self._file
             )
         )
 

@@ -198,7 +198,6 @@ class _Reader:
                 sentence=sentence,
                 hint=hint,
                 file=self._file,
-                error_code="UOA-106",
             )
         )
 

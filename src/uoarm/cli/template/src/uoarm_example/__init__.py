@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from uoarm.bridge import Bridge, BridgeType, hookimpl
-from uoarm_example._options import BusOptions, ExampleOptions, mistake
+from uoarm.model import Options
+from uoarm_example._options import BRIDGE_OPTIONS, ExampleOptions, mistake
 
 __all__ = ["uoarm_bridge_types"]
 
 
-def _create(name: str, options: BusOptions) -> Bridge:
+def _create(name: str, options: Options) -> Bridge:
     from uoarm_example._bridge import ExampleBridge  # noqa: PLC0415 - imports the middleware
 
     return ExampleBridge(name, options)
@@ -22,7 +23,7 @@ def uoarm_bridge_types() -> list[BridgeType]:
             name="example",
             summary="topics and services of example",
             create=_create,
-            bridge_options=BusOptions,
+            options_schema=BRIDGE_OPTIONS,
             endpoint_options=ExampleOptions,
             check_endpoint=mistake,
             contract=2,  # of uoarm.bridge, for which this plugin is written

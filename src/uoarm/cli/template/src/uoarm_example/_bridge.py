@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from uoarm.bridge import (
     Bridge,
     Capabilities,
@@ -16,7 +18,7 @@ from uoarm.bridge import (
     reading_endpoint,
 )
 from uoarm.errors import BridgeError
-from uoarm.model import Endpoint, Health, Message, MessageStructure
+from uoarm.model import Endpoint, Health, Message, MessageStructure, Options
 from uoarm_example._channels import (
     ExampleLink,
     ExampleService,
@@ -27,7 +29,7 @@ from uoarm_example._channels import (
 )
 from uoarm_example._connection import ExampleConnection
 from uoarm_example._discovery import described, discovered, is_retained
-from uoarm_example._options import BusOptions, ExampleOptions, mistake
+from uoarm_example._options import ExampleOptions, mistake
 
 __all__ = ["ExampleBridge"]
 
@@ -37,9 +39,11 @@ class ExampleBridge(Bridge):
 
     capabilities = Capabilities(discover=True, call=True, serve=True, link=True)
 
-    def __init__(self, name: str, options: BusOptions) -> None:
+    def __init__(self, name: str, options: Options) -> None:
         super().__init__(name, options)
-        self._connection = ExampleConnection(options.host, options.port, options.timeout)
+        given: dict[str, Any] = dict(options)
+        host, timeout = given.get("host", "127.0.0.1"), given.get("timeout", 4.0)
+        self._connection = ExampleConnection(host, given["port"], timeout)
 
     def _describe(self, endpoint: Endpoint) -> Description:
         _options(endpoint)
