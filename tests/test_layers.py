@@ -35,6 +35,7 @@ LAYERS = [
         "_support",
         "_switch_interval",
     },
+    {"error_codes"},
     {"_plugins"},
     {"plugins"},
     {"_mistakes"},

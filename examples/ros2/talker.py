@@ -7,15 +7,17 @@ import sys
 import rclpy
 from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
+from rclpy.utilities import remove_ros_args
 from std_msgs.msg import String
 
 
 def main() -> None:
     """Publish on /chatter until interrupted, or as many times as the first argument says."""
-    most = int(sys.argv[1]) if len(sys.argv) > 1 else None
+    arguments = remove_ros_args(sys.argv)
+    most = int(arguments[1]) if len(arguments) > 1 else None
     rclpy.init()
     node = Node("talker")
-    publisher = node.create_publisher(String, "/chatter", 10)
+    publisher = node.create_publisher(String, "chatter", 10)
     said = 0
 
     def say() -> None:

@@ -13,6 +13,7 @@ UoarmError
 └── UsageError             the caller: an operation that this connection does not have
 
 `BridgeError.reason` says which kind of failure it was, for programs that must branch on it.
+`UoarmError.error_code` is what `uoarm explain` explains (`uoarm.error_codes`).
 """
 
 from __future__ import annotations
@@ -36,19 +37,40 @@ __all__ = [
 
 
 class UoarmError(Exception):
-    """The root of every error that this library raises on purpose."""
+    """The root of every error that this library raises on purpose.
+
+    Args:
+        text: what is wrong, and what to do.
+        error_code: where it is a more special one than that of the class.
+
+    Attributes:
+        error_code: stable, for programs and for `uoarm explain`, such as `UOA-201`.
+    """
+
+    error_code = "UOA-001"
+
+    def __init__(self, text: str = "", *, error_code: str = "") -> None:
+        super().__init__(text)
+        if error_code:
+            self.error_code = error_code
 
 
 class ConfigurationError(UoarmError, ValueError):
     """The configuration cannot be used; the text lists every mistake with its place."""
 
+    error_code = "UOA-100"
+
 
 class PluginError(UoarmError):
     """A bridge plugin is missing, broken, or implements another contract version."""
 
+    error_code = "UOA-301"
+
 
 class ResolutionError(UoarmError):
     """No plan satisfies the request; the text says for every candidate why."""
+
+    error_code = "UOA-201"
 
 
 class FailureReason(Enum):
@@ -66,6 +88,20 @@ class FailureReason(Enum):
     CONTRACT = "contract"
 
 
+_BRIDGE_CODES = {
+    FailureReason.NOT_FOUND: "UOA-401",
+    FailureReason.UNAVAILABLE: "UOA-402",
+    FailureReason.UNSUPPORTED: "UOA-403",
+    FailureReason.REFUSED: "UOA-404",
+    FailureReason.BAD_ENDPOINT: "UOA-405",
+    FailureReason.BAD_MESSAGE: "UOA-406",
+    FailureReason.CLOSED: "UOA-407",
+    FailureReason.TIMEOUT: "UOA-408",
+    FailureReason.RAISED: "UOA-409",
+    FailureReason.CONTRACT: "UOA-410",
+}
+
+
 class BridgeError(UoarmError):
     """A bridge could not do a step.
 
@@ -74,7 +110,7 @@ class BridgeError(UoarmError):
     """
 
     def __init__(self, text: str, reason: FailureReason = FailureReason.RAISED) -> None:
-        super().__init__(text)
+        super().__init__(text, error_code=_BRIDGE_CODES[reason])
         self.reason = reason
 
 
@@ -88,6 +124,19 @@ class BridgeTimeoutError(BridgeError, TimeoutError):
 class MessageError(UoarmError, ValueError):
     """A message does not match the structure that its port declares."""
 
+    error_code = "UOA-501"
+
+
+_COMMAND_CODES = {
+    "late": "UOA-601",
+    "beyond-limits": "UOA-602",
+    "stopping": "UOA-603",
+    "held": "UOA-604",
+    "leased": "UOA-605",
+    "stopped": "UOA-606",
+    "closed": "UOA-607",
+}
+
 
 class CommandRefusedError(UoarmError):
     """A command to an input that moves something was not sent.
@@ -99,17 +148,23 @@ class CommandRefusedError(UoarmError):
     """
 
     def __init__(self, text: str, reason: str) -> None:
-        super().__init__(text)
+        super().__init__(text, error_code=_COMMAND_CODES.get(reason, ""))
         self.reason = reason
 
 
 class ControlMessageError(UoarmError, ValueError):
     """A control message cannot be read; the text names the field and what was expected."""
 
+    error_code = "UOA-502"
+
 
 class ConnectionClosedError(UoarmError):
     """The connection or the manager is closed; the text says why."""
 
+    error_code = "UOA-504"
+
 
 class UsageError(UoarmError, TypeError):
     """The operation does not exist on this function, for example `send` without an input."""
+
+    error_code = "UOA-503"

@@ -172,7 +172,7 @@ def test_of_what_no_file_names_is_said_what_to_write_and_nothing_else(
     registry = Registry(())
     url = {"type": "string", "examples": ["lab://127.0.0.1"]}
     schema = {"type": "object", "properties": {"url": url}, "required": ["url"]}
-    registry.add(BridgeType("lab", "", fail, options_schema=schema, contract=2))
+    registry.add(BridgeType("lab", "", fail, bridge_options=schema, contract=2))
     registry.add(BridgeType("absent", "", fail, contract=2))
     monkeypatch.setattr(_discover, "Registry", lambda: registry)
     done = run("suggest", "--merge", "mine.yaml")

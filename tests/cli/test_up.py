@@ -103,7 +103,7 @@ def test_an_input_that_may_stay_without_a_feed_keeps_its_component_from_nothing(
 def test_a_plugin_that_cannot_go_without_options_says_which_a_file_must_give() -> None:
     registry = Registry([])
     schema = {"type": "object", "properties": {"url": {}, "port": {}}, "required": ["url", "port"]}
-    registry.add(BridgeType("memory", "", MemoryBridge, options_schema=schema, contract=2))
+    registry.add(BridgeType("memory", "", MemoryBridge, bridge_options=schema, contract=2))
     with RobotManager(loads(EMPTY), registry=registry) as manager:
         [lab] = manager.discover()
     needs = "plugin 'memory' needs the options url, port, which a file gives under `bridges`"

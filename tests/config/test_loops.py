@@ -22,7 +22,7 @@ BUS = BridgeType(
     "bus",
     "topics",
     never,
-    options_schema={"type": "object"},
+    bridge_options={"type": "object"},
     topic=lambda address, _: "" if address[0].startswith("one-way") else address[0],
     contract=2,
 )

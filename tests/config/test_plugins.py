@@ -46,7 +46,7 @@ PROBE = BridgeType(
     "probe",
     "for this test",
     never,
-    options_schema={
+    bridge_options={
         "type": "object",
         "properties": {"domain": {"type": "integer"}, "color": {}},
         "additionalProperties": False,

@@ -157,7 +157,7 @@ def test_with_a_full_disk_nothing_changes_and_no_new_bridge_is_left(file: Path) 
 
     registry = Registry(())
     options = {"properties": {"level": {"type": "integer"}}}
-    registry.add(BridgeType("memory", "", create, options_schema=options, contract=2))
+    registry.add(BridgeType("memory", "", create, bridge_options=options, contract=2))
     other = loads(ROBOT.replace("{plugin: memory}", "{plugin: memory, options: {level: 2}}"))
     with RobotManager(load(file, registry.types), registry=registry) as robot:
         robot.request("camera")

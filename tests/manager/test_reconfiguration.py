@@ -235,7 +235,7 @@ def registry(lab: Lab, made: list[MemoryBridge]) -> Registry:
 
     found = Registry(())
     schema = {"properties": {"level": {"type": "integer"}}}
-    found.add(BridgeType("memory", "", create, options_schema=schema, contract=2))
+    found.add(BridgeType("memory", "", create, bridge_options=schema, contract=2))
     return found
 
 

@@ -339,7 +339,7 @@ def test_mistakes_of_the_access_file_are_reported_with_their_place(
 
 
 def test_the_limits_of_the_access_file_are_on_the_page() -> None:
-    page = (Path(__file__).parents[2] / "docs" / "serve.md").read_text(encoding="utf-8")
+    page = (Path(__file__).parents[2] / "docs" / "access.md").read_text(encoding="utf-8")
     assert f"{BUDGET.octets:,} bytes and {BUDGET.nodes:,} values" in page
 
 

@@ -1326,14 +1326,14 @@ BUGS: tuple[Bug, ...] = (
     Bug(
         OPTIONS_KIND,
         "takes options that it does not know",
-        declares(options_schema=OPEN),
+        declares(bridge_options=OPEN),
         Declaring.test_an_option_that_is_not_known_is_refused,
         "DID NOT RAISE",
     ),
     Bug(
         OPTIONS_KIND,
         "takes any value of an option",
-        declares(options_schema=ANYTHING),
+        declares(bridge_options=ANYTHING),
         Declaring.test_an_option_of_a_wrong_type_is_refused,
         "'links' takes whatever it is given",
     ),
@@ -1342,7 +1342,7 @@ BUGS: tuple[Bug, ...] = (
         "does not hand its options on",
         declares(create=_forgets_options),
         Declaring.test_the_options_reach_the_bridge,
-        "of the option 'links' came 'nothing'",
+        "its options are {}",
     ),
     Bug(
         OPTIONS_KIND,

@@ -310,14 +310,14 @@ GENERAL: tuple[Bug, ...] = (
     Bug(
         OPTIONS_KIND,
         "takes whatever options there are",
-        declares(options_schema=lambda world: {"type": "object"}),
+        declares(bridge_options=lambda world: {"type": "object"}),
         Declaring.test_an_option_that_is_not_known_is_refused,
         "",
     ),
     Bug(
         OPTIONS_KIND,
         "takes any value of its options",
-        declares(options_schema=_any_value, create=lambda _: MemoryBridge),
+        declares(bridge_options=_any_value, create=lambda _: MemoryBridge),
         Declaring.test_an_option_of_a_wrong_type_is_refused,
         "",
     ),
@@ -326,13 +326,13 @@ GENERAL: tuple[Bug, ...] = (
         "forgets its options",
         declares(create=_forgets_options),
         Declaring.test_the_options_reach_the_bridge,
-        "came 'nothing'",
+        "its options are {}",
     ),
     Bug(
         OPTIONS_KIND,
         "needs an option that it does not require",
         declares(
-            options_schema=lambda world: {**world.declared.options_schema, "required": []},
+            bridge_options=lambda world: {**world.declared.options_schema, "required": []},
             create=_needs_what_it_does_not_require,
         ),
         Declaring.test_an_option_that_is_required_is_missed,

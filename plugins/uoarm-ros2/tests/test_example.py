@@ -21,7 +21,7 @@ from uoarm.testing import patience
 ROOT = Path(__file__).parents[3]
 EXAMPLE = ROOT / "examples" / "ros2"
 BLOCKS = re.findall(r"```\n(.*?)```", (EXAMPLE / "README.md").read_text(), re.DOTALL)
-Run = Callable[[str], "subprocess.Popen[str]"]
+Run = Callable[..., "subprocess.Popen[str]"]
 
 
 @pytest.fixture
@@ -30,11 +30,12 @@ def run() -> Iterator[Run]:
     started: list[subprocess.Popen[str]] = []
     tools = {"python": sys.executable, "uoarm": str(Path(sys.executable).with_name("uoarm"))}
 
-    def start(command: str) -> subprocess.Popen[str]:
+    def start(command: str, *, with_log: bool = False) -> subprocess.Popen[str]:
         program, *arguments = shlex.split(command)
         process = subprocess.Popen(
             [tools[program], *arguments],
             stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT if with_log else None,
             text=True,
             cwd=ROOT,
             env={**os.environ, "PYTHONUNBUFFERED": "1"},
@@ -113,3 +114,21 @@ def test_the_status_shows_what_ros_knows(run: Run) -> None:
     assert channel.port == "output.default"
     assert facts["matched"] == 1
     assert str(facts["qos"]).startswith("reliable, volatile")
+
+
+def test_the_tutorials_spare_takes_over(run: Run, tmp_path: Path) -> None:
+    page = (ROOT / "docs" / "tutorial-ros2.md").read_text(encoding="utf-8")
+    [configuration] = re.findall(r"```yaml\n(.*?)```", page, re.DOTALL)
+    nodes = re.findall(r"^(python .*) &$", page, re.MULTILINE)
+    file = tmp_path / "robot.yaml"
+    file.write_text(configuration, encoding="utf-8")
+    talker = run(nodes[0])
+    assert lines(talker.stdout, 1) == ["talking on /chatter\n"]
+    in_background(run, nodes[1])
+    received = run(f"uoarm request chatter -f {file}", with_log=True)
+    assert "hello" in lines(received.stdout, 1)[0]
+    talker.kill()
+    while "connection c1 replaced" not in lines(received.stdout, 1)[0]:
+        pass
+    assert "hello" in lines(received.stdout, 1)[0]
+    assert interrupted(received) == 130

@@ -184,7 +184,7 @@ def test_a_text_finds_what_it_includes_in_the_folder_of_its_file(
     for more, octets in (("", b"\1\0\0\0"), (", idl_folder: idl", b"\1\0")):
         file.write_text(text.replace("MORE", more))
         spec = load(file, Registry().types).bridges["rtm"]
-        located = Registry().types["rtm"].located(spec.options, spec.folder)
+        located = Registry().types["rtm"].value_of(spec.options, spec.folder)
         options = bridge_options("rtm", located)
         types = Types(options.idl, options.text, options.idl_folder)
         assert types.codec("Mine::M").encode({"p": {"x": 1}}) == octets

@@ -128,11 +128,13 @@ def _judge(
         verdict = _with_meaning(verdict, emitted, consumer.schema, meaning)
         return _within_limits(verdict, emitted, consumer.schema)
     except MappingError as error:
-        return EdgeVerdict(False, (Reason(f"the map cannot be understood: {error}"),))
+        sentence = f"the map cannot be understood: {error}"
+        return EdgeVerdict(False, (Reason(sentence, error_code="UOA-221"),))
     except UnfitError as error:
-        return EdgeVerdict(False, (Reason(str(error), path=error.path),))
+        return EdgeVerdict(False, (Reason(str(error), path=error.path, error_code="UOA-221"),))
     except SchemaError as error:
-        return EdgeVerdict(False, (Reason(f"a structure is no JSON Schema: {error}"),))
+        sentence = f"a structure is no JSON Schema: {error}"
+        return EdgeVerdict(False, (Reason(sentence, error_code="UOA-226"),))
 
 
 def _with_meaning(verdict: EdgeVerdict, emitted: Any, taken: Any, meaning: Meaning) -> EdgeVerdict:
@@ -147,6 +149,7 @@ def _with_meaning(verdict: EdgeVerdict, emitted: Any, taken: Any, meaning: Meani
             write_places(difference.path),
             difference.producer,
             difference.consumer,
+            error_code="UOA-222",
         )
         for difference in found.differences
     ]
@@ -155,7 +158,7 @@ def _with_meaning(verdict: EdgeVerdict, emitted: Any, taken: Any, meaning: Meani
             "not both sides say what it means, as `meaning: strict` demands, which is what inputs "
             "that move something have: state it (`x-unit`), or say `meaning: stated` there"
         )
-        reasons += [Reason(sentence, path) for path in unstated]
+        reasons += [Reason(sentence, path, error_code="UOA-222") for path in unstated]
     if reasons:
         return EdgeVerdict(False, tuple(reasons), unstated=unstated, differences=found.differences)
     if not found.notes and not unstated:
@@ -188,7 +191,8 @@ def _within_limits(verdict: EdgeVerdict, emitted: Any, taken: Any) -> EdgeVerdic
         )
         if most < size < math.inf:
             sentence = f"{which} {int(size):,} octets{form}, and {most:,} are taken"
-            return EdgeVerdict(False, (Reason(sentence, consumer=f"{limit} {most}"),))
+            reason = Reason(sentence, consumer=f"{limit} {most}", error_code="UOA-223")
+            return EdgeVerdict(False, (reason,))
     return verdict
 
 
@@ -205,15 +209,18 @@ def _with_losses(
         return verdict
     lines = f"allow_loss: [{', '.join((*allow_loss, *refused))}]"
     reasons = [Reason(f"the map drops the field {refused[0]!r}, which is not allowed",
-                      path=refused[0], suggestion=lines)]  # fmt: skip
-    reasons += [Reason(f"the map drops the field {loss!r} too", path=loss) for loss in refused[1:]]
+                      path=refused[0], suggestion=lines, error_code="UOA-225")]  # fmt: skip
+    reasons += [
+        Reason(f"the map drops the field {loss!r} too", path=loss, error_code="UOA-225")
+        for loss in refused[1:]
+    ]
     return EdgeVerdict(False, tuple(reasons))
 
 
 def _verdict(verdict: Verdict, losses: tuple[str, ...], allow_loss: tuple[str, ...]) -> EdgeVerdict:
     if verdict.undecided is not None:
         sentence = f"it cannot be decided whether every message fits: {verdict.undecided}"
-        return EdgeVerdict(False, (Reason(sentence),), is_undecided=True)
+        return EdgeVerdict(False, (Reason(sentence, error_code="UOA-224"),), is_undecided=True)
     if not verdict.compatible:
         reasons = tuple(
             Reason(reason.sentence, reason.path, reason.producer, reason.consumer, verdict.excerpt)

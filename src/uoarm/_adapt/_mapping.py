@@ -37,6 +37,8 @@ _KEYS = {"from", "const", "scale", "offset", "enum", "each", "map", "default", "
 class MappingError(ConfigurationError):
     """A mapping that cannot be understood; the text lists every mistake."""
 
+    error_code = "UOA-111"
+
 
 @frozen
 class Scale:

@@ -507,11 +507,13 @@ class RobotManager:
             )
         found = next((item for item in revision.robot.components() if item.name == component), None)
         if found is None:
-            raise ResolutionError(f"there is no component {component!r} in the configuration")
+            text = f"there is no component {component!r} in the configuration"
+            raise ResolutionError(text, error_code="UOA-202")
         what = f"asking for the structures of {component!r}"
         answer = deadlines.run(what, timeout, lambda: revision.structures.structures(found))
         if isinstance(answer, Unavailable):
-            raise ResolutionError(f"component {component!r} is not there: {answer.sentence}")
+            text = f"component {component!r} is not there: {answer.sentence}"
+            raise ResolutionError(text, error_code="UOA-212")
         return answer.by_port
 
     @arguments()

@@ -159,6 +159,8 @@ def _normal(name: str) -> str:
 class LockError(ConfigurationError):
     """A lock, or what it is compared with, cannot be read; the text says what is wrong with it."""
 
+    error_code = "UOA-110"
+
 
 @frozen
 class LockedPart:

@@ -280,7 +280,7 @@ class Fit:
         """Return the checked edge, or why it does not fit."""
         wanted = self.structures(consumer)
         if isinstance(wanted, Unavailable):
-            return (Reason(wanted.sentence),)
+            return (Reason(wanted.sentence, error_code="UOA-212"),)
         sent = structures.by_port[f"output.{output.name}"]
         taken = wanted.by_port[f"input.{port.name}"]
         judged = self._judge(_Key(sent, taken, port.mapping, port.allow_loss, port.meaning))
@@ -347,8 +347,9 @@ def _mistakes(place: str, command: CommandPolicy, structure: MessageStructure) -
         try:
             check(command.stop.message)
         except MessageError as error:
-            yield Reason(str(error))
+            yield Reason(str(error), error_code="UOA-217")
     for limit in command.limits:
         problem = number_problem(structure, limit.path)
         if problem:
-            yield Reason(f"limits of its {place}: {problem}", path=limit.path)
+            sentence = f"limits of its {place}: {problem}"
+            yield Reason(sentence, path=limit.path, error_code="UOA-217")

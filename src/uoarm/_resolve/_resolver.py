@@ -113,7 +113,8 @@ class Resolver:
         if name not in self._functions:
             close = difflib.get_close_matches(name, self._functions, n=1)
             hint = f"; did you mean {close[0]!r}?" if close else ""
-            raise ResolutionError(f"there is no function {name!r} in the configuration{hint}")
+            text = f"there is no function {name!r} in the configuration{hint}"
+            raise ResolutionError(text, error_code="UOA-202")
         # What is invalidated meanwhile may be in the plan: it is sought anew, and not kept when
         # there is no end of that.
         for _ in range(_SEARCHES):

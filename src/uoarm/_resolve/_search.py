@@ -119,7 +119,8 @@ class Search:
         depth, function = len(self._frames), self._functions[name]
         frame = _Frame(function, rest, depth, introducer)
         frame.rejected += (
-            Rejection(name, text, None, (Reason(cause),)) for text, cause in function.passed_over
+            Rejection(name, text, None, (Reason(cause, error_code="UOA-227"),))
+            for text, cause in function.passed_over
         )
         self._frames.append(frame)
 
@@ -128,7 +129,10 @@ class Search:
         for candidate in frame.function.components[frame.next_candidate :]:
             self._budget -= 1
             if self._budget < 0:
-                raise ResolutionError("the search was given up: too many combinations were tried")
+                raise ResolutionError(
+                    "the search was given up: too many combinations were tried",
+                    error_code="UOA-203",
+                )
             frame.next_candidate += 1
             refusal = self._try(frame, candidate)
             if refusal is None:
@@ -140,12 +144,14 @@ class Search:
 
     def _try(self, frame: _Frame, candidate: Component) -> _Refusal | None:
         if candidate.name in self._excluded:
-            return _Refusal((Reason("it is excluded: it died or was ruled out"),))
+            return _Refusal(
+                (Reason("it is excluded: it died or was ruled out", error_code="UOA-211"),)
+            )
         begun = self._clock()
         structures = self._fit.structures(candidate)
         if not isinstance(structures, Structures):
             self._seconds_unavailable = (self._seconds_unavailable or 0.0) + self._clock() - begun
-            return _Refusal((Reason(structures.sentence),))
+            return _Refusal((Reason(structures.sentence, error_code="UOA-212"),))
         mistakes = command_mistakes(candidate, structures)
         if mistakes:
             return _Refusal(mistakes)
@@ -167,9 +173,12 @@ class Search:
         assert port.source is not None, "fed by a function"
         name = port.source.function
         if name == frame.function.name:
-            return _Refusal((Reason(f"its input {port.name!r} needs its own function"),))
+            return _Refusal(
+                (Reason(f"its input {port.name!r} needs its own function", error_code="UOA-214"),)
+            )
         if name in self._impossible:
-            reason = Reason(f"its input {port.name!r} needs {name!r}, which nothing provides")
+            sentence = f"its input {port.name!r} needs {name!r}, which nothing provides"
+            reason = Reason(sentence, error_code="UOA-213")
             return _Refusal((reason,), because_of=self._impossible[name])
         producer = self._assigned.get(name)
         if producer is None:
@@ -178,7 +187,9 @@ class Search:
         if path is not None:
             cycle = " -> ".join([*path, name])
             depths = {self._assigned[text].depth for text in path if text in self._assigned}
-            return _Refusal((Reason(f"it would close the cycle {cycle}"),), depths)
+            return _Refusal(
+                (Reason(f"it would close the cycle {cycle}", error_code="UOA-214"),), depths
+            )
         assert producer.chosen is not None
         assert producer.structures is not None
         refusal = self._connect(frame, producer.chosen, producer.structures, candidate, port)
@@ -200,7 +211,7 @@ class Search:
             has = ", ".join(item.name for item in producer.outputs) or "none"
             wanted = port.source.port or "default"
             text = f"{producer.name} has no output {wanted!r} for {consumer.name}; it has {has}"
-            return _Refusal((Reason(text),))
+            return _Refusal((Reason(text, error_code="UOA-215"),))
         given = structures.by_port[f"output.{output.name}"].schema
         if (
             port.endpoint.command is not None
@@ -211,7 +222,7 @@ class Search:
                 f"{producer.name} gives what was recorded, and {consumer.name} moves something: "
                 "`allow_motion: true` in the options of the recording's bridge lets it"
             )
-            return _Refusal((Reason(sentence),))
+            return _Refusal((Reason(sentence, error_code="UOA-216"),))
         begun = self._clock()
         made = self._fit.edge(producer, output, structures, consumer, port)
         took = self._clock() - begun
@@ -221,7 +232,8 @@ class Search:
             raise ResolutionError(
                 f"the search was given up: checking structures took {self._checked:.0f} s, more "
                 f"than {_CHECK_SECONDS:.0f} s; the last, {edge}, {took:.1f} s: "
-                "simplify its structures or its map"
+                "simplify its structures or its map",
+                error_code="UOA-203",
             )
         if isinstance(made, Edge):
             frame.edges.append(made)
@@ -284,7 +296,8 @@ class Search:
         back = self._frames[target]
         assert back.chosen is not None
         sentence = f"nothing provides {name!r} for it"
-        back.rejected.append(_rejection(back.chosen, (Reason(sentence),), rejected))
+        reason = Reason(sentence, error_code="UOA-213")
+        back.rejected.append(_rejection(back.chosen, (reason,), rejected))
         back.culprits |= culprits - {target}
         self._retract(back)
         return True

@@ -15,7 +15,6 @@ from uoarm.bridge._description import (
     HealthEvent,
     ServiceStructures,
 )
-from uoarm.bridge._endpoint_options import EndpointOptions, option, options_table
 from uoarm.bridge._gate import Delivery
 from uoarm.bridge._health import (
     ChannelHealth,
@@ -23,6 +22,14 @@ from uoarm.bridge._health import (
     ChannelReport,
     Disconnection,
     HealthReason,
+)
+from uoarm.bridge._options import (
+    BridgeOptions,
+    DeclaredOptions,
+    EndpointOptions,
+    TlsOptions,
+    option,
+    options_table,
 )
 from uoarm.bridge._plugin import BridgeType
 from uoarm.bridge._registry import Registry
@@ -32,12 +39,14 @@ __all__ = [
     "CONTRACT_VERSION",
     "Backoff",
     "Bridge",
+    "BridgeOptions",
     "BridgeType",
     "Capabilities",
     "Channel",
     "ChannelHealth",
     "ChannelMonitor",
     "ChannelReport",
+    "DeclaredOptions",
     "Delivery",
     "Description",
     "Disconnection",
@@ -52,6 +61,7 @@ __all__ = [
     "ServiceStructures",
     "Sink",
     "Source",
+    "TlsOptions",
     "at_exit",
     "boot_seconds",
     "foreign",

@@ -28,6 +28,7 @@ from uoarm.bridge._description import (
     ServiceStructures,
 )
 from uoarm.bridge._gate import Delivery, Gate
+from uoarm.bridge._options import DeclaredOptions
 from uoarm.errors import BridgeError, FailureReason
 from uoarm.model import Deliver, Endpoint, Health, Message, MessageStructure, Options
 
@@ -59,14 +60,14 @@ class Bridge(ABC):
 
     Args:
         name: name of this instance in the configuration.
-        options: its settings, already checked against the plugin's options schema.
+        options: what `BridgeType.bridge_options` makes of the configuration.
     """
 
     capabilities: Capabilities = Capabilities()
     _is_last_hop = True
     """Whether the framework is talked to from this process, so that commands expire in it."""
 
-    def __init__(self, name: str, options: Options) -> None:
+    def __init__(self, name: str, options: Options | DeclaredOptions) -> None:
         self.name = name
         self.options = options
         self._lock = threading.Lock()

@@ -15,7 +15,7 @@ from typing_extensions import Self
 from uoarm._plugins import hookspec
 from uoarm.bridge._bridge import CONTRACT_VERSION, Bridge
 from uoarm.bridge._description import Description
-from uoarm.bridge._endpoint_options import EndpointOptions
+from uoarm.bridge._options import BridgeOptions, EndpointOptions
 from uoarm.errors import PluginError
 from uoarm.model import Endpoint, MessageStructure, Options, Schema
 
@@ -33,9 +33,11 @@ class BridgeType:
     Attributes:
         name: what the configuration's `plugin:` says.
         summary: one line for people.
-        create: takes the instance's name and checked options; may import the middleware, and
+        create: takes the instance's name and its options, checked; may import the middleware, and
             raises PluginError naming the distribution to install when it cannot.
-        options_schema: JSON Schema of the options. The first of the `examples` of one that must be
+        bridge_options: the options that a bridge may have: a class, of which `create` and the other
+            functions get a value; or a JSON Schema, and they get a mapping. The first of the
+            `examples` of one that must be
             given is shown to who has not given it. An integer with `x-uoarm-assign: {from: 64,
             to: 101, except_variable: NAME}` is chosen by uoarm for bridges in hosts of several
             installations that leave it out, a number each, so that they do not meet.
@@ -73,25 +75,36 @@ class BridgeType:
 
     name: str
     summary: str
-    create: Callable[[str, Options], Bridge]
-    options_schema: Schema = field(default=_CLOSED, hash=False)
+    create: Callable[[str, Any], Bridge]
+    bridge_options: type[BridgeOptions] | Schema = field(default=_CLOSED, hash=False)
     check_endpoint: Callable[[tuple[str, ...], Options], str] | None = None
     doctor: Callable[[], dict[str, str]] | None = None
     topic: Callable[[tuple[str, ...], Options], str] | None = None
-    check_parameters: Callable[[tuple[str, ...], Options, Options], Mapping[str, str]] | None = None
-    structure_of_type: Callable[[str, Options], MessageStructure | None] | None = None
-    describe: Callable[[Endpoint, Options], Description] | None = None
-    doubts: Callable[[Options, frozenset[Address]], Mapping[Address, str]] | None = None
+    check_parameters: Callable[[tuple[str, ...], Options, Any], Mapping[str, str]] | None = None
+    structure_of_type: Callable[[str, Any], MessageStructure | None] | None = None
+    describe: Callable[[Endpoint, Any], Description] | None = None
+    doubts: Callable[[Any, frozenset[Address]], Mapping[Address, str]] | None = None
     endpoint_options: type[EndpointOptions] | None = None
     contract: int = field(kw_only=True)
 
-    def located(self, options: Options, folder: str) -> dict[str, Any]:
-        """Return options in which every relative path begins in a folder, and `~` is the home.
+    @property
+    def options_schema(self) -> Schema:
+        """JSON Schema of the options of a bridge."""
+        kind = self.bridge_options
+        return kind.schema() if isinstance(kind, type) else kind
 
-        Paths with a default that are left out are among them.
+    def value_of(self, options: Options, folder: str) -> Any:
+        """Return what `create` takes, of options that match the schema.
+
+        Every relative path begins in a folder, and `~` is the home. Paths with a default that are
+        left out are among them.
+
+        Raises:
+            ValueError: the options do not go together; the text says how.
         """
-        made: dict[str, Any] = _located(self.options_schema, dict(options), folder)
-        return made
+        located: dict[str, Any] = _located(self.options_schema, dict(options), folder)
+        kind = self.bridge_options
+        return kind.of(located) if isinstance(kind, type) else located
 
     def lacking(self, options: Options) -> tuple[str, ...]:
         """Return the options that must be given and are not."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from uoarm._mistakes import mistakes
 from uoarm._origin import install_command
@@ -126,8 +126,9 @@ class Registry:
         if kind is None:
             raise PluginError(f"bridge {spec.name!r}: {self.missing(spec.plugin)}")
         _require_fitting(spec, kind)
+        options = _value_of(spec, kind)
         with translated(f"bridge {spec.name!r}: starting plugin {spec.plugin!r}"):
-            bridge: object = kind.create(spec.name, kind.located(spec.options, spec.folder))
+            bridge: object = kind.create(spec.name, options)
         if not isinstance(bridge, Bridge):
             text = f"plugin {spec.plugin!r} made a {type(bridge).__name__}, not a Bridge"
             raise BridgeError(text)
@@ -140,12 +141,13 @@ class Registry:
 
         Raises:
             BridgeError: it failed, or returned something else.
+            ConfigurationError: the plugin does not take the options of the bridge.
             BridgeTimeoutError: no answer within `timeout` seconds.
         """
         kind = self._types.get(spec.plugin)
         if kind is None or kind.structure_of_type is None:
             return None
-        options = kind.located(spec.options, spec.folder)
+        options = _value_of(spec, kind)
         ask, step = kind.structure_of_type, f"bridge {spec.name!r}: looking for type {name!r:.200}"
         with translated(step):
             found: object = deadlines.run(step, timeout, lambda: ask(name, options))
@@ -212,6 +214,14 @@ class _Types(Mapping[str, BridgeType]):
 
     def __len__(self) -> int:
         return len(self._names())
+
+
+def _value_of(spec: BridgeSpec, kind: BridgeType) -> Any:
+    try:
+        return kind.value_of(spec.options, spec.folder)
+    except ValueError as error:
+        text = f"bridge {spec.name!r}: the plugin {kind.name!r} does not take these options"
+        raise ConfigurationError(f"{text}: {error}") from None
 
 
 def _require_fitting(spec: BridgeSpec, kind: BridgeType) -> None:

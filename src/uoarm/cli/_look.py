@@ -151,7 +151,11 @@ def resolve(name: str, file: str, *, explain: bool, timeout: float, as_json: boo
                 plan = robot.resolve(name, timeout=timeout)
         except NoPlanError as error:
             if as_json:
-                reports = {"function": error.function, "error": str(error)}
+                reports = {
+                    "function": error.function,
+                    "error": str(error),
+                    "error_code": error.error_code,
+                }
                 print_json({**reports, "rejected": error.rejections})
             raise
         offers = [item for item in robot.config.offers if item.function == plan.function]

@@ -44,6 +44,7 @@ COMMANDS: Mapping[str, tuple[str, str, str]] = {
     "discover": ("_discover", "discover", "Show every component and port that bridges see now."),
     "doctor": ("_look", "doctor", "Say what the environment is and what plugins find in it."),
     "env": ("_setup", "env", "Make and remove Python environments for bridge hosts."),
+    "explain": ("_explain", "explain", "Say what an error CODE means and what to do."),
     "history": ("_remote", "history", "Show the revisions of a running robot's configuration."),
     "host": ("_host", "host", "Run BRIDGES of a configuration, until interrupted."),
     "list": ("_look", "list_functions", "List the functions and the components that provide them."),

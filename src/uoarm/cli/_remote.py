@@ -18,6 +18,7 @@ import click
 from attrs import field, fields_dict, frozen
 
 from uoarm import errors
+from uoarm._support.tls import client_context, show_certificate
 from uoarm.cli._file import takes_configuration
 from uoarm.cli._shared import BRIDGE, fail, json_option, needing, reporting
 from uoarm.model import write_json
@@ -52,10 +53,10 @@ class Remote:
             from uoarm.client import trust_fingerprint  # noqa: PLC0415 - needs an extra
 
             context = trust_fingerprint(self.url, self.fingerprint)
+            if self.certificate is not None:
+                show_certificate(context, self.certificate, self.key)
         elif self.authority is not None or self.certificate is not None:
-            context = ssl.create_default_context(cafile=self.authority)
-        if context is not None and self.certificate is not None:
-            context.load_cert_chain(self.certificate, self.key)
+            context = client_context(self.authority, self.certificate, self.key)
         return context
 
 

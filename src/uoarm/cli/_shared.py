@@ -162,7 +162,8 @@ def needing(extra: str) -> Iterator[None]:
         from uoarm._origin import install_command  # noqa: PLC0415 - when first needed
 
         command = install_command("uoarm", extra)
-        raise errors.PluginError(f"this needs: {command} ({error})") from error
+        text = f"this needs: {command} ({error})"
+        raise errors.PluginError(text, error_code="UOA-302") from error
 
 
 @contextmanager
@@ -223,6 +224,8 @@ def plain(message: Message, most: int | None = None) -> Any:
 def fail(error: Exception | str, code: int) -> NoReturn:
     """Say on stderr what is wrong, and exit."""
     print_error(error)
+    if isinstance(error, errors.UoarmError):
+        click.echo(f"uoarm explain {error.error_code} says more", err=True)
     sys.exit(code)
 
 

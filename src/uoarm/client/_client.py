@@ -618,7 +618,7 @@ class RemoteRobot:
         if asked is None or asked.answer.done():
             return
         if received["op"] == "Error":
-            asked.answer.set_exception(_error(message["code"], message["text"]))
+            asked.answer.set_exception(_error(message))
         elif asked.fields["op"] == "Request":
             # Made here, since the first message may follow before the caller has woken.
             stream = asked.renewed
@@ -658,6 +658,9 @@ def _merged_status(known: Mapping[str, Any], received: Mapping[str, Any]) -> Map
     return merged
 
 
-def _error(code: str, text: str) -> errors.UoarmError:
+def _error(message: Mapping[str, Any]) -> errors.UoarmError:
+    code, text = message["code"], message["text"]
     kind = _ERRORS.get(code)
-    return ServerError(code, text) if kind is None else kind(text)
+    error = ServerError(code, text) if kind is None else kind(text)
+    error.error_code = message.get("error_code", error.error_code)
+    return error

@@ -61,7 +61,9 @@ class Report:
         lines = [str(problem) for problem in self.problems[:_SHOWN]]
         if len(self.problems) > _SHOWN:
             lines.append(f"... and {len(self.problems) - _SHOWN:,} more")
-        raise ConfigurationError("\n".join(lines))
+        codes = {problem.error_code for problem in self.problems}
+        error_code = codes.pop() if len(codes) == 1 else ""
+        raise ConfigurationError("\n".join(lines), error_code=error_code)
 
 
 @arguments(path="uoarm.config.loads(text) reads a text")
@@ -133,7 +135,17 @@ def _report(
     if document.value is None and not document.problems:
         sentence, hint = "the file is empty", "begin with: version: 1"
         return Report(
-            None, (Problem(place=_START, path="$", sentence=sentence, hint=hint, file=file),)
+            None,
+            (
+                Problem(
+                    place=_START,
+                    path="$",
+                    sentence=sentence,
+                    hint=hint,
+                    file=file,
+                    error_code="UOA-102",
+                ),
+            ),
         )
     return _judge(document, file, types, parameters=parameters, missing=missing)
 

@@ -308,7 +308,12 @@ class MeaningChecker:
     def _problem(self, path: Path, sentence: str, hint: str, *, at_key: bool) -> Problem:
         place = self._document.key_place(path) if at_key else self._document.place(path)
         return Problem(
-            place=place, path=write_path(path), sentence=sentence, hint=hint, file=self._file
+            place=place,
+            path=write_path(path),
+            sentence=sentence,
+            hint=hint,
+            file=self._file,
+            error_code="UOA-104",
         )
 
 

@@ -65,7 +65,10 @@ class PluginChecker:
         for name, (kind, options) in self._bridges.items():
             if isinstance(options, dict):
                 path = ("bridges", name, "options")
-                yield from self._option_problems(kind, kind.options_schema, options, path)
+                wrong = list(self._option_problems(kind, kind.options_schema, options, path))
+                written = bridge_options(kind.name, options, self._file)
+                read = partial(kind.value_of, written, folder_of(self._file))
+                yield from wrong or self._contradictions(kind, read, path)
         for component in (*components(self._document.value), *offers(self._document.value)):
             of_offer = component.bridge if isinstance(component, OfferPart) else None
             bridge = of_offer or component.text("bridge") or ""
@@ -91,8 +94,8 @@ class PluginChecker:
             if component.path in self._unreachable:  # of which the cause was said
                 continue
             written = bridge_options(kind.name, options, self._file)
-            known = kind.located(written, folder_of(self._file))
             try:
+                known = kind.value_of(written, folder_of(self._file))
                 wrong = foreign(self._wrong, kind, address, given, known)
                 if not wrong:
                     found = foreign(list, self._without_structure(kind, component, known))
@@ -112,7 +115,7 @@ class PluginChecker:
                 yield self._problem(path, text, at_key=is_written)
 
     def _without_structure(
-        self, kind: BridgeType, component: ComponentPart, options: Mapping[str, Any]
+        self, kind: BridgeType, component: ComponentPart, options: Any
     ) -> Iterator[Problem]:
         """Yield ports whose structure is neither known nor declared: no plan can use them."""
         for role, ports in (
@@ -157,7 +160,7 @@ class PluginChecker:
         kind: BridgeType,
         address: tuple[str, ...],
         given: Mapping[str, Any],
-        options: Mapping[str, Any],
+        options: Any,
     ) -> Mapping[str, str]:
         check = kind.check_parameters
         if check is None:
@@ -202,12 +205,10 @@ class PluginChecker:
                 if address is not None:
                     places.setdefault(address, []).append((*port.path, "endpoint"))
         whole: Path = ("bridges", bridge, "options") if options else ("bridges", bridge)
-        written = kind.located(
-            bridge_options(kind.name, options, self._file), folder_of(self._file)
-        )
+        written = bridge_options(kind.name, options, self._file)
         step = f"looking at the addresses of bridge {bridge}"
-        ask = partial(check, written, frozenset(places))
         try:
+            ask = partial(check, kind.value_of(written, folder_of(self._file)), frozenset(places))
             found = dict(foreign(deadlines.run, step, _PARAMETER_SECONDS, ask))
         except Exception as error:  # noqa: BLE001 - a plugin may raise anything
             sentence = str(error) if isinstance(error, UoarmError) else text_of(error)
@@ -288,6 +289,16 @@ class PluginChecker:
             text = f"the plugin {kind.name}: {sentence}"
             yield self._problem((*path, *where), text, hint, at_key=at_key)
 
+    def _contradictions(
+        self, kind: BridgeType, read: Callable[[], object], path: Path
+    ) -> Iterator[Problem]:
+        """Yield that options, right each by itself, do not go together."""
+        try:
+            foreign(read)
+        except Exception as error:  # noqa: BLE001 - a plugin may raise anything
+            sentence = str(error) if isinstance(error, ValueError) else text_of(error)
+            yield self._problem(path, f"the plugin {kind.name}: {sentence}")
+
     def _endpoint_problems(self, kind: BridgeType, component: ComponentPart) -> Iterator[Problem]:
         """Yield what a plugin says of the addresses of one component: of the same mistake once."""
         found: dict[str, list[PortPart]] = {}
@@ -296,6 +307,9 @@ class PluginChecker:
             if kind.endpoint_options is not None and isinstance(options, dict):
                 schema, path = kind.endpoint_options.schema(), (*port.path, "options")
                 problems = list(self._option_problems(kind, schema, options, path))
+                if not problems:
+                    read = partial(kind.endpoint_options.of, options)
+                    problems = list(self._contradictions(kind, read, path))
                 if problems:
                     yield from problems
                     self._unreachable.add(component.path)
@@ -315,7 +329,12 @@ class PluginChecker:
     ) -> Problem:
         place = self._document.key_place(path) if at_key else self._document.place(path)
         return Problem(
-            place=place, path=write_path(path), sentence=sentence, hint=hint, file=self._file
+            place=place,
+            path=write_path(path),
+            sentence=sentence,
+            hint=hint,
+            file=self._file,
+            error_code="UOA-105",
         )
 
 

@@ -20,6 +20,7 @@ __all__ = [
     "MARK",
     "Environment",
     "EnvironmentFinding",
+    "PluginEnvironmentError",
     "environment_folder",
     "environment_python",
     "examine",
@@ -37,6 +38,12 @@ _OF_A_PYTHON = ("PYTHONHOME", "PYTHONPATH", "VIRTUAL_ENV")
 _MARK_OF_ROS_WHEELS = "_ROS_WHEELS_BOOTSTRAP_COMPLETE"
 _LIBRARIES = "LD_LIBRARY_PATH"
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}")
+
+
+class PluginEnvironmentError(PluginError):
+    """An environment for bridge hosts cannot be made, used or removed."""
+
+    error_code = "UOA-303"
 
 
 @frozen
@@ -65,7 +72,7 @@ def environment_folder(name: str) -> Path:
         PluginError: this cannot be the name of an environment.
     """
     if not _NAME.fullmatch(name):
-        raise PluginError(
+        raise PluginEnvironmentError(
             f"{name!r} cannot be the name of an environment: expected letters, digits, dots, "
             "hyphens and underscores, 64 at most"
         )
@@ -90,7 +97,7 @@ def installed(name: str) -> Path:
             or "none"
         )
         what = "is not whole: make it again" if folder.is_dir() else "is not there"
-        raise PluginError(f"the environment {name!r} {what} (whole are: {whole})")
+        raise PluginEnvironmentError(f"the environment {name!r} {what} (whole are: {whole})")
     return folder
 
 
@@ -111,11 +118,11 @@ def remove(name: str) -> None:
     folder = environment_folder(name)
     if not folder.is_dir():
         known = ", ".join(environment.name for environment in listed()) or "none"
-        raise PluginError(f"there is no environment {name!r} (there are: {known})")
+        raise PluginEnvironmentError(f"there is no environment {name!r} (there are: {known})")
     try:
         shutil.rmtree(folder)
     except OSError as error:
-        raise PluginError(f"environment {name!r} cannot be removed: {error}") from error
+        raise PluginEnvironmentError(f"environment {name!r} cannot be removed: {error}") from error
 
 
 def passed_on(inherited: Mapping[str, str], *, is_environment: bool) -> dict[str, str]:

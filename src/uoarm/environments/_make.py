@@ -24,12 +24,12 @@ from uoarm._origin import installed, origin_of
 from uoarm._support.files import write_whole
 from uoarm.environments._environment import (
     MARK,
+    PluginEnvironmentError,
     environment_folder,
     environment_python,
     extras_in,
     passed_on,
 )
-from uoarm.errors import PluginError
 
 __all__ = ["create", "extras_of", "handed_on", "repack", "requirements", "unknown_extra"]
 
@@ -103,7 +103,9 @@ def requirements(plugin: str, version: str | None, more: tuple[str, ...] = ()) -
     provider = None if point is None else point.dist
     if provider is not None and provider.name == _CORE:
         if version is not None:
-            raise PluginError(f"the plugin {plugin} has no middleware: leave {version!r} out")
+            raise PluginEnvironmentError(
+                f"the plugin {plugin} has no middleware: leave {version!r} out"
+            )
         return (ours, *more)
     if provider is not None and version is not None:
         _require_extra(provider, version)
@@ -112,7 +114,7 @@ def requirements(plugin: str, version: str | None, more: tuple[str, ...] = ()) -
         asks = re.compile(rf"\[([^\]]*,)?\s*{re.escape(version or '')}\s*[,\]]")
         if version is not None and not any(map(asks.search, given)):
             text = f"{given[0]} stands for the plugin, and does not ask for {version!r}"
-            raise PluginError(f"{text}: expected [{version}] after its name or path")
+            raise PluginEnvironmentError(f"{text}: expected [{version}] after its name or path")
         return (ours, *more)
     return (ours, _requirement(provider, f"uoarm-{plugin}", version), *more)
 
@@ -154,7 +156,7 @@ def _require_extra(provider: Distribution, extra: str) -> None:
         brought = [_BROUGHT.match(text) for text in provider.requires or ()]
         versions = {found[2] for found in brought if found and f"-{found[2]}-" in found[1]}
         there = [text for text in known if text in versions] or known
-        raise PluginError(unknown_extra(provider.name, extra, there))
+        raise PluginEnvironmentError(unknown_extra(provider.name, extra, there))
 
 
 def _is_ours(found: Distribution) -> bool:
@@ -202,7 +204,9 @@ def create(
     """
     folder = environment_folder(name)
     if folder.exists():
-        raise PluginError(f"there is an environment {name!r} already: uoarm env remove {name}")
+        raise PluginEnvironmentError(
+            f"there is an environment {name!r} already: uoarm env remove {name}"
+        )
     found = shutil.which("uv") if uv is None else uv
     base = python or sys.executable
     interpreter = environment_python(name)
@@ -224,7 +228,7 @@ def create(
     except BaseException as error:
         shutil.rmtree(folder, ignore_errors=True)
         if isinstance(error, OSError):
-            raise PluginError(f"environment {name!r} cannot be made: {error}") from error
+            raise PluginEnvironmentError(f"environment {name!r} cannot be made: {error}") from error
         raise
     return interpreter
 
@@ -236,7 +240,7 @@ def _require_extras(interpreter: Path, requirements: tuple[str, ...]) -> None:
         plain = {_normal(text) for text in known}
         for extra in wanted[name]:
             if _normal(extra) not in plain:
-                raise PluginError(unknown_extra(name, extra, known))
+                raise PluginEnvironmentError(unknown_extra(name, extra, known))
 
 
 def _normal(extra: str) -> str:
@@ -272,4 +276,6 @@ def _run(step: list[str], progress: Progress | None) -> None:
             limit.cancel()
     if process.returncode != 0:
         last = "".join(f"\n{line}" for line in lines)
-        raise PluginError(f"{command} ended with status {process.returncode}{last and ':'}{last}")
+        raise PluginEnvironmentError(
+            f"{command} ended with status {process.returncode}{last and ':'}{last}"
+        )

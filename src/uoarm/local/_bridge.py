@@ -371,7 +371,7 @@ def uoarm_bridge_types() -> list[BridgeType]:
             name="python",
             summary="plain Python functions, generators and classes, in this process",
             create=PythonBridge,
-            options_schema=_OPTIONS,
+            bridge_options=_OPTIONS,
             check_endpoint=_check_endpoint,
             check_parameters=_check_parameters,
             describe=_describe_here,

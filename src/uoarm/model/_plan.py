@@ -28,6 +28,7 @@ class Reason:
         consumer: what the consuming side takes there.
         example: the smallest part of a message that shows it.
         suggestion: configuration lines that would mend it, ready to paste.
+        error_code: of `uoarm.error_codes`.
     """
 
     sentence: str
@@ -36,6 +37,7 @@ class Reason:
     consumer: str = ""
     example: object = field(default=None, hash=False)
     suggestion: str = ""
+    error_code: str = "UOA-220"
 
 
 @frozen

@@ -8,7 +8,7 @@ from enum import Enum
 from functools import partial
 from typing import Any
 
-from attrs import asdict, frozen
+from attrs import Factory, asdict, field, frozen
 
 from uoarm.model._command import CommandStatus, FieldLimit, LeaseStatus
 from uoarm.model._offer import OfferStatus
@@ -466,6 +466,24 @@ class StatusMap:
         return format_status(asdict(self))
 
 
+_EVENT_CODES: Mapping[tuple[str, str], str] = {
+    ("component", "lost"): "UOA-801",
+    ("component", "degraded"): "UOA-802",
+    ("bridge", "lost"): "UOA-803",
+    ("bridge", "degraded"): "UOA-804",
+    ("connection", "failed"): "UOA-805",
+    ("connection", "waiting"): "UOA-806",
+    ("connection", "replaced"): "UOA-807",
+    ("offer", "failed"): "UOA-808",
+    ("lock", "differs"): "UOA-809",
+    ("recording", "failed"): "UOA-810",
+}
+
+
+def _event_code(subject: str, change: str) -> str:
+    return _EVENT_CODES.get((subject.partition(" ")[0], change), "")
+
+
 @frozen
 class StatusEvent:
     """One change, in the order in which it happened.
@@ -477,6 +495,7 @@ class StatusEvent:
         change: the new state, one word.
         cause: why, and who killed a connection; empty for what the application itself asked for.
         function: which a connection is of or a component provides; empty for other subjects.
+        error_code: of `uoarm.error_codes`, where the change is a failure; empty otherwise.
 
     As text (`str`, `print`) it is the line that `uoarm status --url --watch` shows.
     """
@@ -487,6 +506,9 @@ class StatusEvent:
     change: str
     cause: str = ""
     function: str = ""
+    error_code: str = field(
+        default=Factory(lambda event: _event_code(event.subject, event.change), takes_self=True)
+    )
 
     def __str__(self) -> str:
         cause = f": {self.cause}" if self.cause else ""

@@ -73,7 +73,7 @@ def uoarm_bridge_types() -> list[BridgeType]:
             name="recording",
             summary="channels of MCAP files and of bags of ROS, played again",
             create=_create,
-            options_schema=RECORDING_OPTIONS,
+            bridge_options=RECORDING_OPTIONS,
             topic=_topic,
             contract=2,
         )

@@ -9,7 +9,15 @@ from typing import TypeAlias
 from uoarm import errors
 from uoarm.server.access import DeniedError
 
-__all__ = ["BusyError", "LimitError", "UnknownError", "code_of", "error_text", "without_frames"]
+__all__ = [
+    "BusyError",
+    "LimitError",
+    "UnknownError",
+    "code_of",
+    "error_code_of",
+    "error_text",
+    "without_frames",
+]
 
 _log = logging.getLogger("uoarm.server")
 
@@ -17,13 +25,19 @@ _log = logging.getLogger("uoarm.server")
 class BusyError(errors.UoarmError):
     """Every worker is taken; nothing was begun. Ask again later."""
 
+    error_code = "UOA-701"
+
 
 class LimitError(errors.UoarmError):
     """A client wants more than it may have at one time."""
 
+    error_code = "UOA-702"
+
 
 class UnknownError(errors.UoarmError):
     """There is nothing of that name among what this client may see."""
+
+    error_code = "UOA-703"
 
 
 _Kinds: TypeAlias = Mapping[type[Exception], str]
@@ -55,6 +69,11 @@ def code_of(error: BaseException) -> str:
     if isinstance(error, errors.CommandRefusedError) and error.reason in _REFUSALS:
         return error.reason
     return next((code for kind, code in _CODES.items() if isinstance(error, kind)), "internal")
+
+
+def error_code_of(error: BaseException) -> str:
+    """Return the code that `uoarm explain` explains."""
+    return error.error_code if isinstance(error, errors.UoarmError) else "UOA-708"
 
 
 def without_frames(error: Exception) -> Exception:

@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import ipaddress
-import ssl
 from collections.abc import Mapping
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from attrs import field, frozen
 
+from uoarm._support.tls import server_context
 from uoarm.errors import ConfigurationError
 from uoarm.model import is_loopback
 from uoarm.server._limits import Limits
 from uoarm.server.http import own_certificate, state_folder
+
+if TYPE_CHECKING:
+    import ssl
 
 __all__ = ["ServerOptions"]
 
@@ -128,16 +132,7 @@ class ServerOptions:
         certificate = self.certificate_file()
         if certificate is None:
             return None
-        context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
-        context.minimum_version = ssl.TLSVersion.TLSv1_2
-        try:
-            context.load_cert_chain(certificate, self.key)
-            if self.client_authority is not None:
-                context.load_verify_locations(self.client_authority)
-                context.verify_mode = ssl.CERT_OPTIONAL
-        except (OSError, ssl.SSLError) as error:
-            raise ConfigurationError(f"TLS: {certificate}: {error}") from error
-        return context
+        return server_context(certificate, self.key, self.client_authority)
 
 
 def _place(host: str, port: int) -> str:

@@ -34,6 +34,7 @@ from uoarm.server._failures import (
     LimitError,
     UnknownError,
     code_of,
+    error_code_of,
     error_text,
     without_frames,
 )
@@ -134,6 +135,7 @@ __all__ = [
     "check_message",
     "code_of",
     "dump_parts",
+    "error_code_of",
     "error_text",
     "hookimpl",
     "read_binary",

@@ -14,6 +14,7 @@ from uoarm.bridge import (
     Bridge,
     Capabilities,
     Channel,
+    DeclaredOptions,
     Delivery,
     Description,
     Discovered,
@@ -47,7 +48,11 @@ class MemoryBridge(Bridge):
 
     @arguments()
     def __init__(
-        self, name: str = "memory", options: Options | None = None, *, links: bool = False
+        self,
+        name: str = "memory",
+        options: Options | DeclaredOptions | None = None,
+        *,
+        links: bool = False,
     ) -> None:
         super().__init__(name, options or {})
         self.capabilities = Capabilities(discover=True, call=True, serve=True, link=links)

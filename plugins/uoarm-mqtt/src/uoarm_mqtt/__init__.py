@@ -40,7 +40,7 @@ def uoarm_bridge_types() -> list[BridgeType]:
             name="mqtt",
             summary="topics and services on an MQTT 5 broker",
             create=_create,
-            options_schema=BRIDGE_OPTIONS,
+            bridge_options=BRIDGE_OPTIONS,
             endpoint_options=TopicOptions,
             check_endpoint=mistake,
             topic=_topic,

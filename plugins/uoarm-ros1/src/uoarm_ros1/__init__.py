@@ -21,7 +21,7 @@ def uoarm_bridge_types() -> list[BridgeType]:
             name="ros1",
             summary="topics, services, parameters and actions of ROS 1, without ROS here",
             create=_create,
-            options_schema=BRIDGE_OPTIONS,
+            bridge_options=BRIDGE_OPTIONS,
             endpoint_options=Ros1Options,
             check_endpoint=mistake,
             topic=topic_name,

@@ -28,7 +28,7 @@ def uoarm_bridge_types() -> list[BridgeType]:
             name="ros2",
             summary="ROS 2 topics, services and actions through rclpy",
             create=_create,
-            options_schema=BRIDGE_OPTIONS,
+            bridge_options=BRIDGE_OPTIONS,
             endpoint_options=Ros2Options,
             check_endpoint=mistake,
             topic=topic_name,

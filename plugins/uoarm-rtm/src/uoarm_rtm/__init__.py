@@ -24,7 +24,7 @@ def uoarm_bridge_types() -> list[BridgeType]:
             name="rtm",
             summary="OpenRTM components through CORBA",
             create=_create,
-            options_schema=BRIDGE_OPTIONS,
+            bridge_options=BRIDGE_OPTIONS,
             endpoint_options=RtmEndpointOptions,
             check_endpoint=option_mistake,
             doctor=_doctor,

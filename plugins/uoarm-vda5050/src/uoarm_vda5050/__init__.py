@@ -35,7 +35,7 @@ def uoarm_bridge_types() -> list[BridgeType]:
             name="vda5050",
             summary="vehicles that speak VDA 5050, through an MQTT 5 broker",
             create=_create,
-            options_schema=BRIDGE_OPTIONS,
+            bridge_options=BRIDGE_OPTIONS,
             endpoint_options=VehicleOptions,
             check_endpoint=mistake,
             topic=_topic,

@@ -45,6 +45,8 @@ class InputInUseError(ResolutionError):
         producer: from which it would.
     """
 
+    error_code = "UOA-204"
+
     def __init__(self, text: str, producer: str) -> None:
         super().__init__(text)
         self.producer = producer

@@ -40,6 +40,7 @@ class LinkLostError(BridgeError):
 
     def __init__(self, text: str) -> None:
         super().__init__(text, FailureReason.UNAVAILABLE)
+        self.error_code = "UOA-411"
 
 
 class Transport(ABC):

@@ -45,6 +45,7 @@ class Problem:
         sentence: what is wrong: what was expected and what came.
         hint: what to do, empty where the sentence says it.
         file: the file, empty for text that was not read from one.
+        error_code: of `uoarm.error_codes`.
     """
 
     place: Position
@@ -52,6 +53,7 @@ class Problem:
     sentence: str
     hint: str = ""
     file: str = ""
+    error_code: str = "UOA-103"
 
     def __str__(self) -> str:
         where = f":{self.place.line}:{self.place.column}: {self.path}" if self.path else ""

@@ -91,7 +91,14 @@ def read_file(path: File, budget: ReadBudget = _ROBOT) -> Document:
         place, sentence = _START, f"the file cannot be read: {error.strerror or error}"
     except ValueError as error:
         place, sentence = _START, f"the file cannot be read: {error}"
-    problem = Problem(place=place, path=path_in_data, sentence=sentence, hint=hint, file=str(path))
+    problem = Problem(
+        place=place,
+        path=path_in_data,
+        sentence=sentence,
+        hint=hint,
+        file=str(path),
+        error_code="UOA-101",
+    )
     return Document(None, Spot(_START), (problem,), whole=False)
 
 
@@ -180,7 +187,12 @@ class _Builder:
         """Note a problem and go on."""
         self.problems.append(
             Problem(
-                place=place, path=write_path(path), sentence=sentence, hint=hint, file=self._file
+                place=place,
+                path=write_path(path),
+                sentence=sentence,
+                hint=hint,
+                file=self._file,
+                error_code="UOA-102",
             )
         )
 

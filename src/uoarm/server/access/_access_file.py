@@ -198,6 +198,7 @@ class _Reader:
                 sentence=sentence,
                 hint=hint,
                 file=self._file,
+                error_code="UOA-106",
             )
         )
 

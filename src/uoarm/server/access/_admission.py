@@ -117,6 +117,8 @@ _FIELDS = 10
 class RefusedError(UoarmError):
     """A handshake that is answered with an HTTP error."""
 
+    error_code = "UOA-705"
+
     def __init__(self, status: HTTPStatus, text: str) -> None:
         super().__init__(text)
         self.status = status
@@ -124,6 +126,8 @@ class RefusedError(UoarmError):
 
 class WrongTokenError(RefusedError):
     """A token that is not valid, which may be a guess."""
+
+    error_code = "UOA-706"
 
 
 @frozen

@@ -46,6 +46,8 @@ _KEPT_SECONDS = 900.0
 class ApprovalError(DeniedError):
     """There is no approval for what is to be done, or it may not be given so."""
 
+    error_code = "UOA-707"
+
 
 class ApprovalPhase(Enum):
     """How an approval stands. Only the first two are ever left."""

@@ -39,6 +39,8 @@ __all__ = [
 class DeniedError(UoarmError):
     """The client's role does not allow what it asked."""
 
+    error_code = "UOA-704"
+
 
 class Operation(Enum):
     """What a role allows or does not.

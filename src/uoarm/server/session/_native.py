@@ -29,7 +29,7 @@ from uoarm.model import (
     message_octets,
     to_json,
 )
-from uoarm.server._failures import LimitError, UnknownError, code_of, without_frames
+from uoarm.server._failures import LimitError, UnknownError, code_of, error_code_of, without_frames
 from uoarm.server.access import Operation, RoleView
 from uoarm.server.session._client import ConnectedClient
 from uoarm.server.session._discoveries import Discoveries
@@ -515,7 +515,12 @@ class NativeSession:
         text = _FAILED if code == "internal" else self._view.text(str(error), kind)
         notice: dict[str, Any] = {
             "op": "Error",
-            "jsonMessage": {"code": code, "text": text, **more},
+            "jsonMessage": {
+                "code": code,
+                "error_code": error_code_of(error),
+                "text": text,
+                **more,
+            },
         }
         if kind:
             notice["type"] = kind

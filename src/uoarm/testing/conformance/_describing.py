@@ -116,12 +116,14 @@ class Declaring:
         assert not hidden, f"attributes hide what `Bridge` has under these names: {hidden}"
 
     def test_the_options_reach_the_bridge(self, world: World, spec: BridgeSpec) -> None:
-        made = world.registry().create(spec)
+        registry = world.registry()
+        made = registry.create(spec)
+        expected: Any = registry.types[spec.plugin].value_of(spec.options, spec.folder)
         try:
             assert made.name == spec.name
-            for name, value in spec.options.items():
-                got = made.options.get(name, "nothing")
-                assert got == value, f"of the option {name!r} came {got!r}, not {value!r}"
+            assert made.options == expected, (
+                f"its options are {made.options!r}, expected {expected!r}"
+            )
         finally:
             made.close()
 

@@ -17,7 +17,7 @@ def uoarm_bridge_types() -> list[BridgeType]:
             name="rosbridge",
             summary="topics, services, actions and parameters behind a rosbridge server",
             create=_create,
-            options_schema=BRIDGE_OPTIONS,
+            bridge_options=BRIDGE_OPTIONS,
             endpoint_options=Port,
             check_endpoint=mistake,
             topic=topic_name,

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from uoarm.bridge import Bridge, BridgeType, hookimpl
-from uoarm.model import Options
-from uoarm_example._options import BRIDGE_OPTIONS, ExampleOptions, mistake
+from uoarm_example._options import BusOptions, ExampleOptions, mistake
 
 __all__ = ["uoarm_bridge_types"]
 
 
-def _create(name: str, options: Options) -> Bridge:
+def _create(name: str, options: BusOptions) -> Bridge:
     from uoarm_example._bridge import ExampleBridge  # noqa: PLC0415 - imports the middleware
 
     return ExampleBridge(name, options)
@@ -23,7 +22,7 @@ def uoarm_bridge_types() -> list[BridgeType]:
             name="example",
             summary="topics and services of example",
             create=_create,
-            options_schema=BRIDGE_OPTIONS,
+            bridge_options=BusOptions,
             endpoint_options=ExampleOptions,
             check_endpoint=mistake,
             contract=2,  # of uoarm.bridge, for which this plugin is written

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from uoarm.bridge import (
     Bridge,
     Capabilities,
@@ -18,7 +16,7 @@ from uoarm.bridge import (
     reading_endpoint,
 )
 from uoarm.errors import BridgeError
-from uoarm.model import Endpoint, Health, Message, MessageStructure, Options
+from uoarm.model import Endpoint, Health, Message, MessageStructure
 from uoarm_example._channels import (
     ExampleLink,
     ExampleService,
@@ -29,7 +27,7 @@ from uoarm_example._channels import (
 )
 from uoarm_example._connection import ExampleConnection
 from uoarm_example._discovery import described, discovered, is_retained
-from uoarm_example._options import ExampleOptions, mistake
+from uoarm_example._options import BusOptions, ExampleOptions, mistake
 
 __all__ = ["ExampleBridge"]
 
@@ -39,11 +37,9 @@ class ExampleBridge(Bridge):
 
     capabilities = Capabilities(discover=True, call=True, serve=True, link=True)
 
-    def __init__(self, name: str, options: Options) -> None:
+    def __init__(self, name: str, options: BusOptions) -> None:
         super().__init__(name, options)
-        given: dict[str, Any] = dict(options)
-        host, timeout = given.get("host", "127.0.0.1"), given.get("timeout", 4.0)
-        self._connection = ExampleConnection(host, given["port"], timeout)
+        self._connection = ExampleConnection(options.host, options.port, options.timeout)
 
     def _describe(self, endpoint: Endpoint) -> Description:
         _options(endpoint)

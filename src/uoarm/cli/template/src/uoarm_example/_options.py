@@ -2,32 +2,29 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from attrs import frozen
 
-from uoarm.bridge import EndpointOptions, option
+from uoarm.bridge import BridgeOptions, EndpointOptions, option
 from uoarm.model import Options
 
-__all__ = ["BRIDGE_OPTIONS", "ExampleOptions", "mistake"]
+__all__ = ["BusOptions", "ExampleOptions", "mistake"]
 
 _SECONDS = {"type": "number", "exclusiveMinimum": 0}
-BRIDGE_OPTIONS: dict[str, Any] = {
-    "type": "object",
-    "properties": {
-        "host": {"type": "string", "minLength": 1, "default": "127.0.0.1"},
-        "port": {"type": "integer", "minimum": 1, "maximum": 65535, "examples": [7400]},
-        "timeout": {**_SECONDS, "default": 4.0, "description": "seconds that the bus has to reply"},
-    },
-    "required": ["port"],
-    "additionalProperties": False,
-}
-"""JSON Schema of the bridge's own options."""
+_PORT = {"type": "integer", "minimum": 1, "maximum": 65535, "examples": [7400]}
+
+
+@frozen
+class BusOptions(BridgeOptions):
+    """The options of the bridge: a further one is a further line."""
+
+    host: str = option("127.0.0.1", {"type": "string", "minLength": 1}, "that the bus is on")
+    port: int = option(0, _PORT, "of the bus", required=True)
+    timeout: float = option(4.0, _SECONDS, "seconds that the bus has to reply", unit="s")
 
 
 @frozen
 class ExampleOptions(EndpointOptions):
-    """The options of one endpoint: a further one is a further line."""
+    """The options of one endpoint."""
 
     stale_after: float | None = option(
         None, _SECONDS, "without a message, after which an output is lost", unit="s"

@@ -1,4 +1,4 @@
-"""Options of an endpoint that a plugin declares once: one line is all that an option takes."""
+"""Options that a plugin declares once: one line is all that an option takes."""
 
 from __future__ import annotations
 
@@ -14,10 +14,19 @@ from hypothesis import given
 from hypothesis import strategies as st
 from jsonschema import Draft202012Validator
 
-from uoarm.bridge import BridgeType, EndpointOptions, Registry, option, options_table
+from uoarm.bridge import (
+    BridgeOptions,
+    BridgeType,
+    DeclaredOptions,
+    EndpointOptions,
+    Registry,
+    TlsOptions,
+    option,
+    options_table,
+)
 from uoarm.config import completed_schema, inspect, published_schema
-from uoarm.errors import BridgeError, FailureReason
-from uoarm.model import Endpoint, Role
+from uoarm.errors import BridgeError, ConfigurationError, FailureReason
+from uoarm.model import BridgeSpec, Endpoint, Role
 from uoarm.testing import MemoryBridge
 
 
@@ -207,3 +216,147 @@ def test_what_the_schema_takes_is_read_as_it_was_written(
     else:
         with pytest.raises(ValueError, match="option"):
             Options.of(options)
+
+
+@frozen
+class Door(DeclaredOptions):
+    """What stands in a mapping of names."""
+
+    wide: float = option(1.0, {"type": "number", "minimum": 0}, "of the opening", unit="m")
+
+
+@frozen
+class House(BridgeOptions):
+    """Options of a bridge: members of every kind."""
+
+    street: str = option("", {"type": "string", "minLength": 1}, "that it is in", required=True)
+    from_: float = option(0.0, {"type": "number", "minimum": 0}, "when it begins", unit="s")
+    files: tuple[str, ...] = option(
+        (), {"type": "array", "items": {"type": "string", "x-uoarm-path": True}}, "of its plans"
+    )
+    doors: Mapping[str, Door] = option(
+        {},
+        {"type": "object", "additionalProperties": Door},
+        "by name",
+    )
+    locked: bool = option(False, {"type": "boolean"}, "whether there is a key")
+    tls: TlsOptions = option(TlsOptions(), TlsOptions, "of its line")  # noqa: RUF009 - a field
+
+    def check_together(self) -> None:
+        """Refuse a lock without a door."""
+        if self.locked and not self.doors:
+            raise ValueError("`locked` goes with `doors`")
+
+
+class HouseBridge(MemoryBridge):
+    """Keeps what it was made of."""
+
+
+HOUSE = BridgeType("house", "a house", HouseBridge, bridge_options=House, contract=2)
+
+
+def house(folder: Path, options: str) -> Path:
+    file = folder / "robot.yaml"
+    file.write_text(
+        "version: 1\nbridges:\n  home:\n    plugin: house\n"
+        f"    options: {options}\nfunctions: {{}}\n",
+        encoding="utf-8",
+    )
+    return file
+
+
+def test_a_bridge_gets_a_value_that_is_complete() -> None:
+    registry = Registry([])
+    registry.add(HOUSE)
+    spec = BridgeSpec(
+        "home",
+        "house",
+        {"street": "High St", "from": 2, "files": ["a"], "doors": {"front": {}}},
+        folder="/lab",
+    )
+    bridge = registry.create(spec)
+    assert bridge.options == House("High St", 2, ("/lab/a",), {"front": Door(1.0)})
+    bridge.close()
+
+
+def test_a_file_names_every_mistake_in_the_options_of_a_bridge_at_its_place(tmp_path: Path) -> None:
+    file = house(tmp_path, "{stret: x, from: -1, doors: {front: {wid: 2}}, tls: {ca: 3}}")
+    report = inspect(file, types={"house": HOUSE})
+    found = {(problem.path, problem.sentence, problem.hint) for problem in report.problems}
+    path = "$.bridges.home.options"
+    assert found == {
+        (path, 'the plugin house: the key "street" is missing', ""),
+        (f"{path}.stret", 'the plugin house: unknown key "stret"', 'did you mean "street"?'),
+        (f"{path}.from", "the plugin house: expected at least 0, got -1", ""),
+        (
+            f"{path}.doors.front.wid",
+            'the plugin house: unknown key "wid"',
+            'did you mean "wide"?',
+        ),
+        (f"{path}.tls.ca", "the plugin house: expected text, got 3", ""),
+    }
+    assert {problem.place.line for problem in report.problems} == {5}
+
+
+@pytest.mark.parametrize(
+    ("options", "sentence"),
+    [
+        ("{street: x, locked: true}", "`locked` goes with `doors`"),
+        ("{street: x, tls: {key: k.pem}}", "tls: a `key` goes with a `certificate`"),
+    ],
+)
+def test_options_that_do_not_go_together_are_found_by_the_check(
+    tmp_path: Path, options: str, sentence: str
+) -> None:
+    (problem,) = inspect(house(tmp_path, options), types={"house": HOUSE}).problems
+    assert (problem.path, problem.sentence) == (
+        "$.bridges.home.options",
+        f"the plugin house: {sentence}",
+    )
+
+
+def test_options_of_an_endpoint_that_do_not_go_together_are_found_too(tmp_path: Path) -> None:
+    @frozen
+    class Contrary(Options):
+        def check_together(self) -> None:
+            if self.label and not self.lamp:
+                raise ValueError("`label` goes with `lamp`")
+
+    kind = attrs.evolve(KIND, endpoint_options=Contrary)
+    (problem,) = inspect(written(tmp_path, "{label: a}"), types={"shed": kind}).problems
+    assert problem.path == "$.functions.door.components[0].output.options"
+    assert problem.sentence == "the plugin shed: `label` goes with `lamp`"
+
+
+def test_a_program_is_refused_with_the_same_words() -> None:
+    registry = Registry([])
+    registry.add(HOUSE)
+    spec = BridgeSpec("home", "house", {"street": "x", "locked": True})
+    with pytest.raises(ConfigurationError, match=r"bridge 'home': .*`locked` goes with `doors`"):
+        registry.create(spec)
+
+
+def test_a_further_option_of_a_bridge_is_one_line_and_shows_everywhere(tmp_path: Path) -> None:
+    @frozen
+    class Further(House):
+        depth: int = option(3, {"type": "integer"}, "of the cellar", unit="m")
+
+    kind = attrs.evolve(HOUSE, bridge_options=Further)
+    file = house(tmp_path, "{street: x, depth: deep}")
+    (problem,) = inspect(file, types={"house": kind}).problems
+    assert problem.sentence == 'the plugin house: expected a whole number, got "deep"'
+    shown = completed_schema({"house": kind})["$defs"]["options.house"]["properties"]["depth"]
+    assert shown == {
+        "type": "integer",
+        "default": 3,
+        "x-unit": "m",
+        "description": "of the cellar",
+    }
+    assert "| `depth` | 3 | of the cellar |" in options_table(Further.schema())
+
+
+def test_a_table_of_a_bridge_has_what_is_a_mapping_or_a_list() -> None:
+    rows = options_table(House.schema()).splitlines()
+    assert "| `from` | 0.0 | when it begins |" in rows
+    assert "| `files` |  | of its plans |" in rows
+    assert "| `doors` |  | by name |" in rows

@@ -1,0 +1,83 @@
+"""The contexts of TLS, for whatever speaks it: one set of rules, and of errors that name the file.
+
+Nothing older than TLS 1.2 is spoken. No passphrase is asked for on a terminal: a key that has one
+is refused.
+"""
+
+from __future__ import annotations
+
+import ssl
+from collections.abc import Iterator
+from contextlib import contextmanager
+from os import PathLike
+from typing import TypeAlias
+
+from uoarm.errors import ConfigurationError
+
+__all__ = ["client_context", "server_context", "show_certificate"]
+
+_File: TypeAlias = "str | PathLike[str]"
+
+
+def client_context(
+    authority: _File | None = None, certificate: _File | None = None, key: _File | None = None
+) -> ssl.SSLContext:
+    """Return the context of a client, which checks the server's certificate and name.
+
+    Args:
+        authority: PEM file that the server's certificate rests on; None: the system's.
+        certificate: PEM file that the server is shown.
+        key: of the certificate; None: in the same file.
+
+    Raises:
+        ConfigurationError: a file cannot be used; the text names it.
+    """
+    with _using(authority):
+        context = ssl.create_default_context(cafile=authority)
+    context.minimum_version = ssl.TLSVersion.TLSv1_2
+    if certificate is not None:
+        show_certificate(context, certificate, key)
+    return context
+
+
+def server_context(
+    certificate: _File, key: _File | None = None, authority: _File | None = None
+) -> ssl.SSLContext:
+    """Return the context of a server.
+
+    Args:
+        certificate: PEM file that clients are shown.
+        key: of the certificate; None: in the same file.
+        authority: PEM file that certificates of clients rest on, where they show one; None: clients
+            are asked for none.
+
+    Raises:
+        ConfigurationError: a file cannot be used; the text names it.
+    """
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+    context.minimum_version = ssl.TLSVersion.TLSv1_2
+    show_certificate(context, certificate, key)
+    if authority is not None:
+        with _using(authority):
+            context.load_verify_locations(authority)
+        context.verify_mode = ssl.CERT_OPTIONAL
+    return context
+
+
+def show_certificate(context: ssl.SSLContext, certificate: _File, key: _File | None = None) -> None:
+    """Have a context show a certificate.
+
+    Raises:
+        ConfigurationError: a file cannot be used; the text names it.
+    """
+    with _using(certificate, key):
+        context.load_cert_chain(certificate, key, password=lambda: b"")
+
+
+@contextmanager
+def _using(*files: _File | None) -> Iterator[None]:
+    try:
+        yield
+    except (OSError, ValueError) as error:  # of a wrong passphrase ValueError
+        names = " with ".join(str(file) for file in files if file is not None)
+        raise ConfigurationError(f"TLS: {names or 'the system'}: {error}") from error

@@ -1,0 +1,252 @@
+"""Options of a bridge and of an endpoint, declared once: a class whose attributes are the options.
+
+    @frozen
+    class TopicOptions(EndpointOptions):
+        qos: int = option(1, {"enum": [0, 1, 2]}, "how surely messages arrive")
+        expiry: float = option(0.0, SECONDS, "after which the broker drops what is sent", unit="s")
+
+`BridgeType(bridge_options=PlantOptions, endpoint_options=TopicOptions)` makes the check of the
+configuration, what an editor explains, and the values that the bridge gets of it; `options_table`
+makes the table of a page. A further option is one more line. A class is the source, not a JSON
+Schema, since the type checker then knows what the bridge reads; the schema follows from it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from functools import cache
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import attrs
+from typing_extensions import Self
+
+from uoarm._mistakes import Mistake, schema_mistakes
+from uoarm._spelling import Speller
+from uoarm._support.yaml import write_path
+from uoarm.bridge._border import reading_endpoint
+from uoarm.model import Endpoint, Options, Schema
+
+if TYPE_CHECKING:
+    import ssl
+
+__all__ = [
+    "BridgeOptions",
+    "DeclaredOptions",
+    "EndpointOptions",
+    "TlsOptions",
+    "option",
+    "options_table",
+]
+
+_OPTION = "uoarm option"
+T = TypeVar("T")
+
+
+def option(
+    default: T,
+    schema: Mapping[str, Any] | type[DeclaredOptions],
+    description: str,
+    *,
+    unit: str = "",
+    required: bool = False,
+) -> T:
+    """Declare one option, as the value of an attribute of a class of `DeclaredOptions`.
+
+    An attribute whose name would be a word of Python ends with `_`, which the option has not.
+
+    Args:
+        default: what it is where it is left out; None: nothing.
+        schema: JSON Schema of what may be written; or another such class, for an option that is a
+            mapping with options of its own. The class may also stand in the schema, in the place of
+            `additionalProperties` or of `items`.
+        description: what it does, in one sentence or less, for editors, tables and people.
+        unit: of its number, in UCUM, such as `s`.
+        required: whether it must be given where the mapping that it stands in is.
+    """
+    metadata = {_OPTION: (schema, description, unit, required)}
+    made: T = attrs.field(default=default, metadata=metadata)
+    return made
+
+
+class DeclaredOptions:
+    """Options, checked and complete: what is left out has its default, and lists are tuples.
+
+    A class of them is an attrs class, `@frozen`, whose attributes are all `option(...)`.
+    """
+
+    __slots__ = ()
+
+    @classmethod
+    def schema(cls) -> Schema:
+        """Return the JSON Schema of a mapping of these options; no others are allowed."""
+        kind: Any = cls
+        return _schema(kind)
+
+    @classmethod
+    def of(cls, options: Options) -> Self:
+        """Read options.
+
+        Raises:
+            ValueError: they are wrong; the text names every one, what was expected and what came.
+        """
+        given = dict(options)
+        found = schema_mistakes(given, cls.schema(), Speller())
+        if wrong := [_sentence(mistake) for mistake in found]:
+            raise ValueError("; ".join(wrong))
+        made: Self = _made(cls, given)
+        return made
+
+    def check_together(self) -> None:
+        """Hold options that are right each by itself against one another; reads nothing else.
+
+        Raises:
+            ValueError: they do not go together; the text says how.
+        """
+
+
+class EndpointOptions(DeclaredOptions):
+    """The options of one endpoint."""
+
+    __slots__ = ()
+
+    @classmethod
+    def of_endpoint(cls, endpoint: Endpoint) -> Self:
+        """Read the options of an endpoint.
+
+        Raises:
+            BridgeError: with BAD_ENDPOINT, the endpoint and everything that is wrong.
+        """
+        with reading_endpoint(endpoint):
+            return cls.of(endpoint.options)
+
+
+class BridgeOptions(DeclaredOptions):
+    """The options of a bridge, as its plugin gets them."""
+
+    __slots__ = ()
+
+
+_FILE: Mapping[str, Any] = {"type": "string", "minLength": 1, "x-uoarm-path": True}
+
+
+@attrs.frozen
+class TlsOptions(DeclaredOptions):
+    """What a client of TLS trusts, and what it shows: the same for every plugin."""
+
+    ca: str | None = option(
+        None, _FILE, "PEM file that the server's certificate rests on; left out: the system's"
+    )
+    certificate: str | None = option(None, _FILE, "PEM file that the server is shown")
+    key: str | None = option(None, _FILE, "of the certificate; left out: in the same file")
+
+    def check_together(self) -> None:
+        """Refuse a key without its certificate."""
+        if self.key is not None and self.certificate is None:
+            raise ValueError("a `key` goes with a `certificate`")
+
+    def context(self) -> ssl.SSLContext:
+        """Return the context of a client; the certificate and the name of a server are checked.
+
+        Raises:
+            ConfigurationError: a file cannot be used; the text names it.
+        """
+        from uoarm._support.tls import client_context  # noqa: PLC0415 - slow import
+
+        return client_context(self.ca, self.certificate, self.key)
+
+
+def options_table(schema: Schema, heading: str = "option") -> str:
+    """Return the table of a page, in Markdown, of the options that a schema describes."""
+    described: Any = schema
+    required = described.get("required", ())
+    rows = [f"| {heading} | default | meaning |", "|---|---|---|"]
+    for name, known in described.get("properties", {}).items():
+        default = "must be given" if name in required else _written(known.get("default"))
+        rows.append(f"| `{name}` | {default} | {known.get('description', '')} |")
+    return "\n".join(rows)
+
+
+def _written(default: object) -> str:
+    if default is None or default in ("", [], {}):
+        return ""
+    if isinstance(default, bool):
+        return str(default).lower()
+    return f"{default:,}" if isinstance(default, int | float) else f"`{default}`"
+
+
+def _attributes(kind: Any) -> tuple[attrs.Attribute[Any], ...]:
+    attributes: tuple[attrs.Attribute[Any], ...] = attrs.fields(kind)
+    return attributes
+
+
+@cache
+def _schema(kind: Any) -> Schema:
+    properties: dict[str, Any] = {}
+    required: list[str] = []
+    for attribute in _attributes(kind):
+        schema, description, unit, is_required = attribute.metadata[_OPTION]
+        known = _resolved(schema)
+        default = attribute.default
+        if default is not None and not is_required:
+            known["default"] = list(default) if isinstance(default, tuple) else default
+        if unit:
+            known["x-unit"] = unit
+        name = attribute.name.rstrip("_")
+        properties[name] = {**known, "description": description}
+        if is_required:
+            required.append(name)
+    closed = {"type": "object", "properties": properties, "additionalProperties": False}
+    return {**closed, "required": required} if required else closed
+
+
+def _resolved(schema: Any) -> dict[str, Any]:
+    """Return a schema in which classes are the schemas that they make."""
+    known: Any = _schema(schema) if isinstance(schema, type) else schema
+    return {
+        keyword: _resolved(value) if isinstance(value, type) else value
+        for keyword, value in known.items()
+    }
+
+
+def _made(kind: Any, given: Mapping[str, Any]) -> Any:
+    """Return the value of options that were checked: each as it was written, or its default."""
+    values = {}
+    for attribute in _attributes(kind):
+        name = attribute.name.rstrip("_")
+        if name in given:
+            with _inside(name):
+                values[attribute.name] = _value(attribute.metadata[_OPTION][0], given[name])
+    made = kind(**values)
+    made.check_together()
+    return made
+
+
+def _value(schema: Any, value: Any) -> Any:
+    if isinstance(schema, type):
+        return value if value is None else _made(schema, value)
+    if isinstance(value, list):
+        return tuple(_value(schema.get("items", {}), item) for item in value)
+    others = schema.get("additionalProperties")
+    if isinstance(value, Mapping) and isinstance(others, type):
+        made = {}
+        for name, member in value.items():
+            with _inside(name):
+                made[name] = _made(others, member)
+        return made
+    return value
+
+
+@contextmanager
+def _inside(name: str) -> Iterator[None]:
+    """Begin what is wrong within with the name of the option."""
+    try:
+        yield
+    except ValueError as error:
+        raise ValueError(f"{name}: {error}") from None
+
+
+def _sentence(mistake: Mistake) -> str:
+    path, sentence, hint, _ = mistake
+    place = f"option {write_path(path)}: " if path else ""
+    return f"{place}{sentence}{f' ({hint})' if hint else ''}"

@@ -1,0 +1,62 @@
+"""The one home of TLS contexts: what is refused names the file, for clients and servers alike."""
+
+from __future__ import annotations
+
+import ssl
+from functools import partial
+from pathlib import Path
+
+import pytest
+from cryptography.hazmat.primitives.serialization import (
+    BestAvailableEncryption,
+    Encoding,
+    NoEncryption,
+    PrivateFormat,
+)
+
+from uoarm._support.certificates import new_key
+from uoarm._support.tls import client_context, server_context
+from uoarm.bridge import TlsOptions
+from uoarm.errors import ConfigurationError
+from uoarm.server.http import own_certificate
+
+
+@pytest.fixture
+def certificate(tmp_path: Path) -> Path:
+    return own_certificate(tmp_path, ("localhost",))
+
+
+def test_a_client_checks_certificate_and_name(certificate: Path) -> None:
+    context = TlsOptions(ca=str(certificate)).context()
+    assert (context.verify_mode, context.check_hostname) == (ssl.CERT_REQUIRED, True)
+    assert context.minimum_version >= ssl.TLSVersion.TLSv1_2
+
+
+def test_a_client_can_show_a_certificate(certificate: Path) -> None:
+    assert TlsOptions(None, str(certificate)).context().verify_mode is ssl.CERT_REQUIRED
+
+
+def test_a_server_asks_for_certificates_where_it_has_an_authority(certificate: Path) -> None:
+    assert server_context(certificate).verify_mode is ssl.CERT_NONE
+    assert server_context(certificate, None, certificate).verify_mode is ssl.CERT_OPTIONAL
+
+
+def test_a_file_that_is_not_there_is_named(tmp_path: Path, certificate: Path) -> None:
+    missing = tmp_path / "no.pem"
+    for authority, shown in ((missing, None), (None, missing)):
+        with pytest.raises(ConfigurationError, match=r"TLS: .*no\.pem: .*No such file"):
+            client_context(authority, shown)
+    for shown, authority in ((missing, None), (certificate, missing)):
+        with pytest.raises(ConfigurationError, match=r"TLS: .*no\.pem: .*No such file"):
+            server_context(shown, None, authority)
+
+
+@pytest.mark.parametrize("encryption", [NoEncryption(), BestAvailableEncryption(b"x")])
+def test_a_key_of_another_or_with_a_passphrase_is_refused_without_asking(
+    tmp_path: Path, certificate: Path, encryption: NoEncryption | BestAvailableEncryption
+) -> None:
+    key = tmp_path / "other.pem"
+    key.write_bytes(new_key().private_bytes(Encoding.PEM, PrivateFormat.PKCS8, encryption))
+    for show in (partial(client_context, None), server_context):
+        with pytest.raises(ConfigurationError, match=f"{certificate} with {key}: "):
+            show(certificate, key)
