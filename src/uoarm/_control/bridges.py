@@ -10,7 +10,7 @@ import threading
 import time
 from collections.abc import Callable, Mapping
 
-from attrs import define
+from attrs import define, evolve
 
 from uoarm._backoff import Backoff
 from uoarm._control.machines import Machines, StagedMachines
@@ -153,6 +153,7 @@ class BridgeSet:
         clock: seconds, for the waits between restarts.
         listening: where hosts on other machines join.
         origin: the configuration file, for those who look at the processes of hosts.
+        manager: identity of the manager that uses them.
     """
 
     def __init__(
@@ -164,8 +165,9 @@ class BridgeSet:
         clock: Clock,
         listening: Listening | None = None,
         origin: str = "",
+        manager: str = "",
     ) -> None:
-        self._origin = origin
+        self._origin, self._manager = origin, manager
         self._specs = specs
         self._registry = registry
         self._listener = listener
@@ -366,6 +368,7 @@ class BridgeSet:
     ) -> Bridge:
         if spec is None:
             raise BridgeError(f"there is no bridge {name!r}", FailureReason.NOT_FOUND)
+        spec = evolve(spec, manager=self._manager)
         if spec.host is not None:
             return start_hosted(spec, spec.host, self._restarts, machines, self._origin)
         return deadlines.run(

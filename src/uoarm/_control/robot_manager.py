@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import logging
+import secrets
 import threading
 import time
 from collections.abc import Callable, Mapping
@@ -101,6 +102,7 @@ class RobotManager:
         self.registry = registry or Registry()
         file = KeptFile(robot)
         robot = config.assign(robot, self.registry.types)
+        self._identity = secrets.token_hex(16)
         self._events = EventDispatcher(clock)
         self._bridges = BridgeSet(
             robot.bridges,
@@ -110,6 +112,7 @@ class RobotManager:
             clock,
             robot.hosts,
             robot.origin,
+            self._identity,
         )
         self._revisions = Revisions(
             robot,
@@ -162,6 +165,11 @@ class RobotManager:
         self._recordings: dict[str, recorder.Recording] = {}
         self._recording_numbers = itertools.count(1)
         self._bridges.machines.begin()
+
+    @property
+    def identity(self) -> str:
+        """What other managers know this one by: random, and as long as the manager lives."""
+        return self._identity
 
     @property
     def config(self) -> Robot:

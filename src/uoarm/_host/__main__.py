@@ -83,7 +83,11 @@ def main() -> int:
     transport = SocketTransport(LinkSockets.inherited(orders["link"]))
     try:
         spec = BridgeSpec(
-            orders["name"], orders["plugin"], orders["options"], folder=orders["folder"]
+            orders["name"],
+            orders["plugin"],
+            orders["options"],
+            folder=orders["folder"],
+            manager=orders["manager"],
         )
         bridge = Registry().create(spec)
     except UoarmError as error:

@@ -156,6 +156,7 @@ class ProcessConnection:
                         "plugin": spec.plugin,
                         "options": dict(spec.options),
                         "folder": spec.folder,
+                        "manager": spec.manager,
                         "link": far.descriptors,
                         "counters": counted.fileno(),
                         "parent": os.getpid(),

@@ -32,10 +32,14 @@ class Unavailable:
 
 @frozen
 class Structures:
-    """The structures of a component's ports by name, and what a reader should know of them."""
+    """The structures of a component's ports by name, and what a reader should know of them.
+
+    `managers` are those through which its messages pass, as bridges say.
+    """
 
     by_port: Mapping[str, MessageStructure]
     warnings: tuple[str, ...] = ()
+    managers: tuple[str, ...] = ()
 
 
 class StructureCatalogue(Protocol):
@@ -160,10 +164,12 @@ class StructureCache:
     def _ask(self, component: Component) -> Structures:
         found: dict[str, MessageStructure] = {}
         warnings: list[str] = []
+        managers: dict[str, None] = {}
 
         def settle(
             name: str, part: str, description: Description, declared: MessageStructure | None
         ) -> None:
+            managers.update(dict.fromkeys(description.managers))
             said: MessageStructure | None = getattr(description, part)
             if declared is not None:
                 found[name] = declared
@@ -196,7 +202,7 @@ class StructureCache:
                 warnings.append(f"{component.name}: {description.note}")
             settle("request", "request", description, service.request)
             settle("reply", "reply", description, service.reply)
-        return Structures(found, tuple(warnings))
+        return Structures(found, tuple(warnings), tuple(managers))
 
     def _describe(self, endpoint: Endpoint) -> Description:
         return self._bridge(endpoint.bridge).describe(endpoint, timeout=_DESCRIBE_SECONDS)

@@ -308,7 +308,7 @@ class Search:
         for frame in _producers_first(self._frames, self._assigned):
             assert frame.chosen is not None
             assert frame.structures is not None
-            steps.append(Step(frame.chosen, frame.structures.by_port))
+            steps.append(Step(frame.chosen, frame.structures.by_port, frame.structures.managers))
         for frame in self._frames:
             edges.extend(frame.edges)
         return Plan(

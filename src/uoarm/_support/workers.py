@@ -7,11 +7,12 @@ import threading
 from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
+from contextvars import Context, copy_context
 from functools import partial
 from queue import Empty, SimpleQueue
 from typing import Any, Generic, TypeAlias, TypeVar
 
-from attrs import frozen
+from attrs import field, frozen
 
 from uoarm._raised import contained
 from uoarm._switch_interval import fit_switch_interval
@@ -36,6 +37,8 @@ class _Task(Generic[T]):
     call: Callable[..., T]
     args: tuple[Any, ...]
     done: Done | None
+    # That of the thread which asks: whose question it is goes with the question.
+    context: Context = field(factory=copy_context)
 
 
 class WorkerPool:
@@ -228,7 +231,7 @@ class WorkerPool:
         while task is not None:
             result, error = None, None
             try:
-                result = task.call(*task.args)
+                result = task.context.run(task.call, *task.args)
             except BaseException as raised:  # noqa: BLE001 - whatever it is, the thread goes on
                 error = contained(raised)
             with self._lock:

@@ -23,6 +23,7 @@ from uoarm.bridge._health import (
     Disconnection,
     HealthReason,
 )
+from uoarm.bridge._managers import MOST_HOPS, asking, asking_managers, refuse_loop
 from uoarm.bridge._options import (
     BridgeOptions,
     DeclaredOptions,
@@ -37,6 +38,7 @@ from uoarm.bridge._watchdog import boot_seconds
 
 __all__ = [
     "CONTRACT_VERSION",
+    "MOST_HOPS",
     "Backoff",
     "Bridge",
     "BridgeOptions",
@@ -62,6 +64,8 @@ __all__ = [
     "Sink",
     "Source",
     "TlsOptions",
+    "asking",
+    "asking_managers",
     "at_exit",
     "boot_seconds",
     "foreign",
@@ -70,4 +74,5 @@ __all__ = [
     "option",
     "options_table",
     "reading_endpoint",
+    "refuse_loop",
 ]

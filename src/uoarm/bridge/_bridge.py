@@ -61,7 +61,12 @@ class Bridge(ABC):
     Args:
         name: name of this instance in the configuration.
         options: what `BridgeType.bridge_options` makes of the configuration.
+
+    Attributes:
+        manager: identity of the manager that uses it, set before its first step; "": it has none.
     """
+
+    manager: str = ""
 
     capabilities: Capabilities = Capabilities()
     _is_last_hop = True

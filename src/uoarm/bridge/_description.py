@@ -27,6 +27,7 @@ class Description:
         hint: what would have the framework know what it does not: a sentence without a full stop.
         note: what a careful reader of a plan should know of the endpoint, such as what is lost
             there without a word: a sentence without a full stop.
+        managers: identities of the managers through which its messages pass, the nearest first.
         limits: keywords that hold of whatever is sent there, also where the configuration declares
             another structure: `x-max-json`, `x-max-octets` and `x-nonfinite: false`.
     """
@@ -37,6 +38,7 @@ class Description:
     hint: str = ""
     note: str = ""
     limits: Mapping[str, object] = field(factory=dict, hash=False)
+    managers: tuple[str, ...] = ()
 
     def limited(self, structure: MessageStructure) -> MessageStructure:
         """Return a structure of what is sent there, with the limits that hold of it."""

@@ -132,6 +132,7 @@ class Registry:
         if not isinstance(bridge, Bridge):
             text = f"plugin {spec.plugin!r} made a {type(bridge).__name__}, not a Bridge"
             raise BridgeError(text)
+        bridge.manager = spec.manager
         return bridge
 
     def structure_of_type(

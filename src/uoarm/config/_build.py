@@ -72,6 +72,7 @@ def build(value: Mapping[str, Any], origin: str, warnings: tuple[str, ...]) -> R
         offers,
         lock,
         record=record,
+        exports={role: tuple(names) for role, names in value.get("export", {}).items()},
     )
 
 

@@ -90,6 +90,7 @@ def compare(before: Robot, after: Robot) -> ConfigurationDifference:
         *(() if before.record == after.record else ("~ record",)),
         *_changes_of("offer", _offers(before), _offers(after)),
         *(() if before.applications == after.applications else ("~ applications",)),
+        *(() if before.exports == after.exports else ("~ export",)),
     )
     functions = fed_by(own, (*before.components(), *after.components()))
     return ConfigurationDifference(bridges, superseded, functions, reports)

@@ -16,6 +16,7 @@ from uoarm.config._parts import (
     applications,
     bridge_names,
     components,
+    exports,
     function_names,
     host_mistakes,
     need_mistakes,
@@ -85,6 +86,7 @@ class MeaningChecker:
         self._check_cycles()
         self._check_applications()
         self._check_record()
+        self._check_exports()
 
     def structures(self) -> list[tuple[Path, object]]:
         """Return every declared structure with its path."""
@@ -261,6 +263,15 @@ class MeaningChecker:
             if name not in used:
                 sentence = f"no application and no component uses the function {clip(name)}"
                 self._warn(("functions", name), sentence, at_key=True)
+
+    def _check_exports(self) -> None:
+        for role, names in exports(self._document.value).items():
+            for number, name in enumerate(names):
+                is_name = isinstance(name, str) and not set(name) & set("*?[")
+                if is_name and name not in self._functions:
+                    hint = self._speller.guess_or_list(name, self._functions, "functions")
+                    sentence = f"there is no function {clip(name)} to export"
+                    self._refuse(("export", role, number), sentence, hint)
 
     def _check_priorities(self) -> None:
         same: dict[tuple[str, int], list[ComponentPart]] = {}

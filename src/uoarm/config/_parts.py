@@ -21,6 +21,7 @@ __all__ = [
     "applications",
     "bridge_names",
     "components",
+    "exports",
     "function_names",
     "host_mistakes",
     "listening",
@@ -145,6 +146,12 @@ def recorded(value: object) -> list[Any]:
     """Return what is recorded, where it can be read."""
     functions = _mapping(_mapping(value).get("record")).get("functions")
     return functions if isinstance(functions, list) else []
+
+
+def exports(value: object) -> dict[str, list[Any]]:
+    """Return what other managers may import, by role, where it can be read."""
+    roles = _mapping(_mapping(value).get("export"))
+    return {role: names for role, names in roles.items() if isinstance(names, list)}
 
 
 def listening(value: object) -> dict[str, Any]:

@@ -80,11 +80,13 @@ class Edge:
 class Step:
     """One chosen component with the structures of its ports.
 
-    They are keyed `input.NAME` and `output.NAME`; a service has `request` and `reply`.
+    They are keyed `input.NAME` and `output.NAME`; a service has `request` and `reply`. `managers`
+    are the identities of the other managers through which its messages pass, the nearest first.
     """
 
     component: Component
     structures: Mapping[str, MessageStructure] = field(hash=False)
+    managers: tuple[str, ...] = ()
 
 
 @frozen(repr=False)
@@ -112,6 +114,11 @@ class Plan:
         """The step whose component provides the function asked for."""
         return self.steps[-1]
 
+    @property
+    def managers(self) -> tuple[str, ...]:
+        """Identities of the other managers through which its messages pass."""
+        return tuple(dict.fromkeys(name for step in self.steps for name in step.managers))
+
     def __str__(self) -> str:
         lines = [f"plan for {self.function}"]
         for number, step in enumerate(self.steps, 1):
@@ -121,6 +128,8 @@ class Plan:
             lines.append(
                 f"  {number}. {provider.function}: {provider.name} ({provider.bridge}, {how})"
             )
+            if step.managers:
+                lines.append(f"      through other managers: {', then '.join(step.managers)}")
         if self.edges:
             lines.append("connections, all proven to fit")
         for edge in self.edges:

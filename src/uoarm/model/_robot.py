@@ -79,6 +79,7 @@ class BridgeSpec:
         assigned: the options among these that uoarm chose, since the configuration left them out.
         folder: that of the configuration's file, where relative paths among the options begin;
             "": they begin where the bridge runs.
+        manager: identity of the manager that uses the bridge; "": it has none.
     """
 
     name: str
@@ -87,6 +88,7 @@ class BridgeSpec:
     host: Options | None = field(default=None, hash=False)
     assigned: Options = field(factory=dict, hash=False)
     folder: str = ""
+    manager: str = field(default="", eq=False)
 
 
 @frozen
@@ -167,6 +169,7 @@ class Robot:
         lock: how requests are held to the `robot.lock` beside the file; None: they are not.
         text: the YAML that it was read from, empty when it was built in memory.
         record: what is recorded while the robot is served; None: nothing.
+        exports: names and patterns of the functions that other managers may import, by role.
     """
 
     bridges: Mapping[str, BridgeSpec] = field(hash=False)
@@ -180,6 +183,7 @@ class Robot:
     lock: LockMode | None = None
     text: str = field(default="", eq=False, repr=False)
     record: RecordSettings | None = None
+    exports: Mapping[str, tuple[str, ...]] = field(factory=dict, hash=False)
 
     def components(self) -> Iterator[Component]:
         """Yield every component, in the order of the file."""

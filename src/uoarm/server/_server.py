@@ -94,6 +94,7 @@ class Server:
             hosts=settings.hosts,
             local=settings.local,
             slowest=self._limits.handshake_seconds / 2,
+            exports=lambda: robot.config.exports,
         )
         self._tls = settings.tls()
         self._audit = Audit()

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import ipaddress
 import logging
+import re
 from collections import Counter, OrderedDict
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from datetime import datetime, timezone
 from http import HTTPStatus
 from pathlib import Path
 from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
-from attrs import define, frozen
+from attrs import define, evolve, frozen
 from websockets.datastructures import Headers
 from websockets.http11 import Request
 
@@ -23,6 +24,7 @@ from uoarm.server.access._access_file import read_access
 from uoarm.server.access._role import LOCAL, AccessPolicy, AccessRole, Grant, Now, hash_token
 
 __all__ = [
+    "MANAGER_HEADER",
     "TOKEN_SUBPROTOCOL",
     "Admission",
     "Credentials",
@@ -111,6 +113,8 @@ def _network(address: str) -> str:
 
 
 TOKEN_SUBPROTOCOL = "uoarm.token."  # noqa: S105 - the name of the place, not a token
+MANAGER_HEADER = "Uoarm-Manager"
+_IDENTITY = re.compile(r"[0-9a-f]{32}")
 _FIELDS = 10
 
 
@@ -140,6 +144,7 @@ class RequestHead:
         origin: the header `Origin`; None: it has none.
         token: what it shows, wherever it can put one; empty: none.
         upgrade: whether it asks for a WebSocket.
+        importer: the identity of the manager that it says it is; empty: none.
     """
 
     path: str
@@ -147,6 +152,7 @@ class RequestHead:
     origin: str | None
     token: str
     upgrade: bool
+    importer: str = ""
 
 
 def read_head(request: Request) -> RequestHead:
@@ -172,7 +178,15 @@ def read_head(request: Request) -> RequestHead:
         origin,
         _token(_one(headers, "Authorization") or "", headers, query.get("token", [])),
         "Upgrade" in headers,
+        _importer(_one(headers, MANAGER_HEADER)),
     )
+
+
+def _importer(identity: str | None) -> str:
+    if identity is not None and not _IDENTITY.fullmatch(identity):
+        text = f"the header {MANAGER_HEADER} has no identity: expected 32 hexadecimal digits"
+        raise RefusedError(HTTPStatus.BAD_REQUEST, text)
+    return identity or ""
 
 
 def _one(headers: Headers, name: str) -> str | None:
@@ -204,10 +218,13 @@ class Credentials:
     Attributes:
         digest: hash of its token, empty where it has none.
         certificate: common name of its certificate, empty where it has none.
+        importer: identity of the manager that imports with them, which then gets what is exported
+            only; empty: none.
     """
 
     digest: str = ""
     certificate: str = ""
+    importer: str = ""
 
 
 class Admission:
@@ -220,6 +237,7 @@ class Admission:
         local: whether the server listens on loopback, where Host is checked.
         slowest: seconds after which a wrong token is answered at the latest.
         now: time of day, for expiry.
+        exports: returns what other managers may import, by role.
 
     Attributes:
         wrong_tokens: says how slowly they are answered, on all ports together.
@@ -237,7 +255,9 @@ class Admission:
         local: bool = True,
         slowest: float = 2.5,
         now: Now = lambda: datetime.now(timezone.utc),
+        exports: Callable[[], Mapping[str, tuple[str, ...]]] = dict,
     ) -> None:
+        self._exports = exports
         self._path = access
         self._origins = origins
         self._hosts = hosts
@@ -271,7 +291,7 @@ class Admission:
             RefusedError: 401, none that are known; a WrongTokenError where it shows a token.
         """
         digest = hash_token(head.token) if head.token else ""
-        credentials = Credentials(digest, _common_name(certificate))
+        credentials = Credentials(digest, _common_name(certificate), head.importer)
         if self.role(credentials) is None:
             kind = WrongTokenError if credentials.digest else RefusedError
             had = "a token that is not valid" if credentials.digest else "no token"
@@ -285,6 +305,13 @@ class Admission:
 
     def grant(self, credentials: Credentials) -> Grant | None:
         """Return the role of a client and whose it is, None when it may not stay."""
+        grant = self._whole_grant(credentials)
+        if grant is None or not credentials.importer:
+            return grant
+        role = grant.role
+        return evolve(grant, role=role.exporting(self._exports().get(role.name, ())))
+
+    def _whole_grant(self, credentials: Credentials) -> Grant | None:
         if self._policy is None:
             return LOCAL
         now = self._now()

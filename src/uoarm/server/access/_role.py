@@ -72,6 +72,12 @@ OF_NO_FUNCTION = frozenset({Operation.CONFIGURE, Operation.KEEP, Operation.STOP,
 """Operations that are of no function: no pattern gives them."""
 
 
+_OF_IMPORTERS = frozenset({
+    Operation.SEE, Operation.REQUEST, Operation.SEND, Operation.CALL, Operation.KILL,
+})  # fmt: skip
+"""Operations on exported functions that another manager may use, where its role has them."""
+
+
 @frozen
 class AccessRole:
     """A named set of rights; whatever is not named is denied.
@@ -83,15 +89,35 @@ class AccessRole:
             pattern stands for that, `*` neither.
         supervised: whether it does what needs an approval with an approval only, which it asks
             for by the Model Context Protocol: by any other protocol it may not do it.
+        exported: patterns of the functions that a manager which imports may use; None: it is no
+            such manager, and the rules say all.
     """
 
     name: str
     rules: Mapping[Operation, tuple[str, ...]] = field(factory=dict, hash=False)
     everything: frozenset[Operation] = frozenset()
     supervised: bool = False
+    exported: tuple[str, ...] | None = None
+
+    def exporting(self, names: tuple[str, ...]) -> AccessRole:
+        """Return the role of a manager that imports: what is exported to it, and no more rights.
+
+        Of what is of no function it keeps the emergency stop: its own must reach here.
+        """
+        operations = set(self.rules) | self.everything
+        rules = {
+            operation: ("*",) if operation in self.everything else self.rules[operation]
+            for operation in operations & _OF_IMPORTERS
+        }
+        kept = self.everything & {Operation.STOP, Operation.RELEASE}
+        return AccessRole(self.name, rules, kept, self.supervised, names)
 
     def allows(self, operation: Operation, function: str) -> bool:
         """Say whether an operation on a function is allowed."""
+        if self.exported is not None and not any(
+            fnmatchcase(function, pattern) for pattern in self.exported
+        ):
+            return operation in self.everything
         return self.allows_all(operation) or (
             bool(function)
             and any(fnmatchcase(function, pattern) for pattern in self.rules.get(operation, ()))
@@ -112,6 +138,13 @@ class AccessRole:
             raise self._denied(operation, "" if operation in OF_NO_FUNCTION else " everything")
 
     def _denied(self, operation: Operation, what: str) -> DeniedError:
+        if self.exported is not None and operation in _OF_IMPORTERS:
+            # The same words for what is not there, not exported and not allowed.
+            return DeniedError(
+                f"role {self.name!r} may not {operation.value}{what} from another manager: the "
+                f"function must be in `export: {{{self.name}: [...]}}` of this robot's "
+                "configuration, and in the role"
+            )
         hint = (
             f": without an access file no client may. Give a role `{operation.value}: all` "
             "in one, let `uoarm token NAME --role ROLE` make a token and its line there, and "

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import functools
 import logging
+import time
 from collections.abc import Callable, Coroutine, Iterable, Mapping
 from pathlib import Path
 from types import MappingProxyType
@@ -16,6 +17,7 @@ from uoarm._control import Connection
 from uoarm._resolve import NoPlanError
 from uoarm._version import __version__
 from uoarm._wire import Form, check_asked, salvage_id, write_or_error
+from uoarm.bridge import asking, refuse_loop
 from uoarm.errors import ConnectionClosedError, ControlMessageError, UoarmError, UsageError
 from uoarm.model import (
     ConfigurationChange,
@@ -165,12 +167,24 @@ class NativeSession:
         if self._replies is not None and asked.id is not None:
             self._replies.begin(asked.id)
         try:
-            if asked.op in self._quick:
-                self._quick[asked.op](asked)
-            else:
-                self._begin(asked, self._slow[asked.op](asked))
+            with asking(self._asking(asked)):
+                if asked.op in self._quick:
+                    self._quick[asked.op](asked)
+                else:
+                    self._begin(asked, self._slow[asked.op](asked))
         except Exception as error:  # noqa: BLE001 - every message gets its answer
             self._failed(asked, error)
+
+    def _asking(self, asked: ControlMessage) -> tuple[str, ...]:
+        """Return the managers through which a question came; refuse what comes back to this one."""
+        importer = self._client.credentials.importer
+        if not importer:
+            return ()
+        shown = asked.extensions.get("x-managers", (importer,))
+        assert isinstance(shown, list | tuple), "the schema says so"
+        managers = tuple(map(str, shown))
+        refuse_loop(str(asked.type or asked.op.value), (*managers, self._registry.robot.identity))
+        return managers
 
     def go_on(self, asked: ControlMessage) -> None:
         """Answer the Resume that took this session up, and what its client may not have received.
@@ -245,9 +259,13 @@ class NativeSession:
             "inputs": [port.name for port in plan.provider.component.inputs if port.source is None],
             "warnings": self._view.data(plan.warnings, plan.function),
             "lifetimes": dict(stream.connection.lifetimes()),
+            "managers": self._managers(plan),
         }
         self._reply(asked, opened)
         self._streams.begin(stream)
+
+    def _managers(self, plan: Plan) -> list[str]:
+        return [self._registry.robot.identity, *plan.managers]
 
     def _waits(self, asked: ControlMessage, cause: str) -> None:
         message = {"function": asked.type, "cause": self._view.text(cause, str(asked.type))}
@@ -271,7 +289,8 @@ class NativeSession:
         view = self._view
 
         def act(plan: Plan) -> bytes:
-            return self._written(asked, show_plan(plan, self._form, view))
+            shown = {**show_plan(plan, self._form, view), "managers": self._managers(plan)}
+            return self._written(asked, shown)
 
         self._emit_frame(asked.id, await self._registry.resolve_and(act, name))
 
@@ -479,6 +498,8 @@ class NativeSession:
             "message_bytes": self._client.limits.message_bytes,
             "elements": self._client.limits.elements,
             "depth": self._client.limits.depth,
+            "manager": self._registry.robot.identity,
+            "time": time.time(),
         }
 
     def _done(self, asked: ControlMessage, error: BaseException | None) -> None:
