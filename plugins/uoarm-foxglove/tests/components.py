@@ -17,6 +17,9 @@ functions:
   picture:
     components:
       - {name: eye, bridge: python, output: {endpoint: ["components:picture"]}}
+  shown:
+    components:
+      - {name: shower, bridge: python, output: {endpoint: ["components:shown"]}}
   loose:
     components:
       - {name: loose, bridge: python, output: {endpoint: ["components:loose"]}}
@@ -62,6 +65,11 @@ class Picture(TypedDict):
     data: bytes
 
 
+class Shown(TypedDict):
+    format: str
+    data: bytes
+
+
 class Loose(TypedDict, total=False):
     any_number: float
     text: str
@@ -73,15 +81,17 @@ class Pair(TypedDict):
 
 
 numbers_script, pictures_script, loose_script = Script(), Script(), Script()
+shown_script = Script()
 numbers = numbers_script.source(Number)
 picture = pictures_script.source(Picture)
+shown = shown_script.source(Shown)
 loose = loose_script.source(Loose)
 taken: list[object] = []
 
 
 def renew() -> None:
     """Forget what was played and taken, and end what still plays."""
-    for source in (numbers_script, pictures_script, loose_script):
+    for source in (numbers_script, pictures_script, shown_script, loose_script):
         source.reset()
     taken.clear()
 

@@ -18,6 +18,7 @@ from uoarm.model import Component, Function, MessageStructure, Robot
 from uoarm.server.front_end import AccessRole, Backend
 from uoarm_foxglove._encoding import StructureCodec, codec_of
 from uoarm_foxglove._protocol import write
+from uoarm_foxglove._views import view_of
 
 __all__ = [
     "NOTHING",
@@ -30,6 +31,7 @@ __all__ = [
 ]
 
 Structures: TypeAlias = Mapping[str, MessageStructure]
+_VIEW = "view"
 _FRESH_SECONDS = 1.0
 _FRAME_OCTETS = 262_144
 
@@ -48,12 +50,14 @@ class OutputChannel:
         function: whose output it is.
         port: empty for the only one.
         codec: how its messages are encoded.
+        is_view: whether it has what viewers draw, not the messages as they are.
     """
 
     number: int
     function: str
     port: str
     codec: StructureCodec
+    is_view: bool = False
 
     @property
     def wanted(self) -> str:
@@ -63,7 +67,8 @@ class OutputChannel:
     @property
     def topic(self) -> str:
         """Under which viewers find it."""
-        return topic_of(self.function, self.port)
+        topic = topic_of(self.function, self.port)
+        return f"{topic}/{_VIEW}" if self.is_view else topic
 
     @property
     def stated(self) -> dict[str, object]:
@@ -259,9 +264,7 @@ class ChannelCatalogue:
         known = self._functions.get(function.name)
         if known and known.function is function and known.structures == structures:
             return known
-        former = (
-            {(item.wanted, item.codec.schema): item for item in known.channels} if known else {}
-        )
+        former = {(item.topic, item.codec.schema): item for item in known.channels} if known else {}
         outputs, inputs = _outputs(function.components), _inputs(function.components)
         channels = []
         for output in outputs:
@@ -270,8 +273,12 @@ class ChannelCatalogue:
                 continue  # what nothing provides now is announced once something does
             port = output if len(outputs) > 1 else ""
             codec = codec_of(structure, _type_name(function.name, output))
-            made = OutputChannel(next(self._numbers), function.name, port, codec)
-            channels.append(former.get((made.wanted, codec.schema), made))
+            made = [OutputChannel(next(self._numbers), function.name, port, codec)]
+            view = view_of(structure, function.name)
+            if view is not None and not (port == "" and _VIEW in outputs):
+                number = next(self._numbers)
+                made.append(OutputChannel(number, function.name, port, view, is_view=True))
+            channels += [former.get((item.topic, item.codec.schema), item) for item in made]
         return _FunctionListing(
             function,
             structures,
@@ -333,7 +340,7 @@ def _graph(
     # Of functions that the role does not see there are no topics here.
     topics: dict[str, list[str]] = {}
     for channel in channels:
-        topics.setdefault(channel.function, []).append(topic_of(channel.function, channel.port))
+        topics.setdefault(channel.function, []).append(channel.topic)
     subscribers: dict[str, list[str]] = {}
     for function in functions:
         for component in function.components:
