@@ -44,7 +44,7 @@ class Options(EndpointOptions):
 
     period: float = option(0.5, {"type": "number", "exclusiveMinimum": 0}, "of a look", unit="s")
     label: str | None = option(None, {"type": "string"}, "that people see")
-    lamp: Lamp | None = option(None, Lamp, "that shines")  # noqa: RUF009 - a field
+    lamp: Lamp | None = option(None, Lamp, "that shines")
 
 
 KIND = BridgeType("shed", "a shed", MemoryBridge, endpoint_options=Options, contract=2)
@@ -240,7 +240,7 @@ class House(BridgeOptions):
         "by name",
     )
     locked: bool = option(False, {"type": "boolean"}, "whether there is a key")
-    tls: TlsOptions = option(TlsOptions(), TlsOptions, "of its line")  # noqa: RUF009 - a field
+    tls: TlsOptions = option(TlsOptions(), TlsOptions, "of its line")
 
     def check_together(self) -> None:
         """Refuse a lock without a door."""

@@ -27,13 +27,13 @@ def certificate(tmp_path: Path) -> Path:
 
 
 def test_a_client_checks_certificate_and_name(certificate: Path) -> None:
-    context = TlsOptions(ca=str(certificate)).context()
+    context = TlsOptions(ca=str(certificate)).context("b")
     assert (context.verify_mode, context.check_hostname) == (ssl.CERT_REQUIRED, True)
     assert context.minimum_version >= ssl.TLSVersion.TLSv1_2
 
 
 def test_a_client_can_show_a_certificate(certificate: Path) -> None:
-    assert TlsOptions(None, str(certificate)).context().verify_mode is ssl.CERT_REQUIRED
+    assert TlsOptions(None, str(certificate)).context("b").verify_mode is ssl.CERT_REQUIRED
 
 
 def test_a_server_asks_for_certificates_where_it_has_an_authority(certificate: Path) -> None:
@@ -60,3 +60,8 @@ def test_a_key_of_another_or_with_a_passphrase_is_refused_without_asking(
     for show in (partial(client_context, None), server_context):
         with pytest.raises(ConfigurationError, match=f"{certificate} with {key}: "):
             show(certificate, key)
+
+
+def test_the_error_of_a_bridge_names_it(tmp_path: Path) -> None:
+    with pytest.raises(ConfigurationError, match=r"bridge 'b': tls: .*no\.pem: "):
+        TlsOptions(str(tmp_path / "no.pem")).context("b")

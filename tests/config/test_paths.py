@@ -140,7 +140,7 @@ def test_without_a_file_paths_begin_where_the_program_runs(
 ) -> None:
     monkeypatch.setenv("HOME", "/home/lab")
     kind = BridgeType("lab", "", lambda name, _: MemoryBridge(name), OPTIONS, contract=2)
-    assert kind.value_of({"file": "~/a", "files": "", "name": "~"}, "") == {
+    assert kind.located({"file": "~/a", "files": "", "name": "~"}, "") == {
         "file": "/home/lab/a",
         "files": "",
         "name": "~",
@@ -151,8 +151,8 @@ def test_a_path_that_is_left_out_is_its_default_in_the_folder() -> None:
     option = {"type": "string", "x-uoarm-path": True, "default": "."}
     schema = {"type": "object", "properties": {"folder": option, "other": {"default": "."}}}
     kind = BridgeType("lab", "", lambda name, _: MemoryBridge(name), schema, contract=2)
-    assert kind.value_of({}, "/lab") == {"folder": "/lab"}
-    assert kind.value_of({"folder": "idl"}, "/lab") == {"folder": "/lab/idl"}
+    assert kind.located({}, "/lab") == {"folder": "/lab"}
+    assert kind.located({"folder": "idl"}, "/lab") == {"folder": "/lab/idl"}
 
 
 def test_a_robot_in_memory_names_no_folder() -> None:

@@ -169,7 +169,7 @@ def paho_of(bridge: Bridge) -> Any:
 
 @contextmanager
 def bridge_to_same(bridge: Bridge) -> Iterator[Bridge]:
-    made = Registry().create(BridgeSpec("other", "mqtt", dict(bridge.options)))
+    made = Registry().create(BridgeSpec("other", "mqtt", {"url": vars(bridge)["_options"].url}))
     try:
         yield made
     finally:

@@ -10,7 +10,7 @@ import pytest
 from brokers import Broker
 from uoarm_mqtt import _link
 from uoarm_mqtt._link import BrokerConnection, PacketOutcome
-from uoarm_mqtt._options import connection_options
+from uoarm_mqtt._options import BrokerOptions, connection_options
 
 from uoarm.errors import BridgeError, FailureReason
 from uoarm.testing import Background, patience, wait
@@ -57,7 +57,8 @@ def close_during(link: BrokerConnection, gate: Gate) -> None:
 
 @pytest.fixture
 def link(broker: Broker) -> BrokerConnection:
-    return BrokerConnection("m", connection_options("m", {"url": broker.url}), lambda *_: None)
+    options = connection_options("m", BrokerOptions.of({"url": broker.url}))
+    return BrokerConnection("m", options, lambda *_: None)
 
 
 @pytest.mark.parametrize("qos", [0, 1])

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 from brokers import Broker, Peer
-from uoarm_mqtt._options import TopicOptions
+from uoarm_mqtt._options import MqttOptions, TopicOptions
 
 from uoarm.bridge import options_table
 from uoarm.testing import patience, wait
@@ -65,4 +65,5 @@ def _run(words: list[str], folder: Path) -> subprocess.CompletedProcess[str]:
 
 
 def test_the_table_of_options_is_what_the_plugin_declares() -> None:
-    assert options_table(TopicOptions.schema()) in PAGE.read_text(encoding="utf-8")
+    for kind in (TopicOptions, MqttOptions):
+        assert options_table(kind.schema()) in PAGE.read_text(encoding="utf-8")

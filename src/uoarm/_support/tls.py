@@ -20,7 +20,11 @@ _File: TypeAlias = "str | PathLike[str]"
 
 
 def client_context(
-    authority: _File | None = None, certificate: _File | None = None, key: _File | None = None
+    authority: _File | None = None,
+    certificate: _File | None = None,
+    key: _File | None = None,
+    *,
+    what: str = "TLS",
 ) -> ssl.SSLContext:
     """Return the context of a client, which checks the server's certificate and name.
 
@@ -28,15 +32,16 @@ def client_context(
         authority: PEM file that the server's certificate rests on; None: the system's.
         certificate: PEM file that the server is shown.
         key: of the certificate; None: in the same file.
+        what: is set up, as errors name it.
 
     Raises:
         ConfigurationError: a file cannot be used; the text names it.
     """
-    with _using(authority):
+    with _using(what, authority):
         context = ssl.create_default_context(cafile=authority)
     context.minimum_version = ssl.TLSVersion.TLSv1_2
     if certificate is not None:
-        show_certificate(context, certificate, key)
+        show_certificate(context, certificate, key, what=what)
     return context
 
 
@@ -58,26 +63,28 @@ def server_context(
     context.minimum_version = ssl.TLSVersion.TLSv1_2
     show_certificate(context, certificate, key)
     if authority is not None:
-        with _using(authority):
+        with _using("TLS", authority):
             context.load_verify_locations(authority)
         context.verify_mode = ssl.CERT_OPTIONAL
     return context
 
 
-def show_certificate(context: ssl.SSLContext, certificate: _File, key: _File | None = None) -> None:
+def show_certificate(
+    context: ssl.SSLContext, certificate: _File, key: _File | None = None, *, what: str = "TLS"
+) -> None:
     """Have a context show a certificate.
 
     Raises:
         ConfigurationError: a file cannot be used; the text names it.
     """
-    with _using(certificate, key):
+    with _using(what, certificate, key):
         context.load_cert_chain(certificate, key, password=lambda: b"")
 
 
 @contextmanager
-def _using(*files: _File | None) -> Iterator[None]:
+def _using(what: str, *files: _File | None) -> Iterator[None]:
     try:
         yield
     except (OSError, ValueError) as error:  # of a wrong passphrase ValueError
         names = " with ".join(str(file) for file in files if file is not None)
-        raise ConfigurationError(f"TLS: {names or 'the system'}: {error}") from error
+        raise ConfigurationError(f"{what}: {names or 'the system'}: {error}") from error

@@ -145,15 +145,19 @@ class TlsOptions(DeclaredOptions):
         if self.key is not None and self.certificate is None:
             raise ValueError("a `key` goes with a `certificate`")
 
-    def context(self) -> ssl.SSLContext:
+    def context(self, bridge: str) -> ssl.SSLContext:
         """Return the context of a client; the certificate and the name of a server are checked.
+
+        Args:
+            bridge: its name, for errors.
 
         Raises:
             ConfigurationError: a file cannot be used; the text names it.
         """
         from uoarm._support.tls import client_context  # noqa: PLC0415 - slow import
 
-        return client_context(self.ca, self.certificate, self.key)
+        what = f"bridge {bridge!r}: tls"
+        return client_context(self.ca, self.certificate, self.key, what=what)
 
 
 def options_table(schema: Schema, heading: str = "option") -> str:
@@ -188,7 +192,8 @@ def _schema(kind: Any) -> Schema:
         schema, description, unit, is_required = attribute.metadata[_OPTION]
         known = _resolved(schema)
         default = attribute.default
-        if default is not None and not is_required:
+        is_nothing = default is None or default == "" or isinstance(default, DeclaredOptions)
+        if not (is_nothing or is_required):
             known["default"] = list(default) if isinstance(default, tuple) else default
         if unit:
             known["x-unit"] = unit

@@ -93,17 +93,21 @@ class BridgeType:
         kind = self.bridge_options
         return kind.schema() if isinstance(kind, type) else kind
 
-    def value_of(self, options: Options, folder: str) -> Any:
-        """Return what `create` takes, of options that match the schema.
+    def located(self, options: Options, folder: str) -> dict[str, Any]:
+        """Return options in which every relative path begins in a folder, and `~` is the home.
 
-        Every relative path begins in a folder, and `~` is the home. Paths with a default that are
-        left out are among them.
+        Paths with a default that are left out are among them.
+        """
+        made: dict[str, Any] = _located(self.options_schema, dict(options), folder)
+        return made
+
+    def value_of(self, options: Options, folder: str) -> Any:
+        """Return what `create` takes, of options that match the schema, located in a folder.
 
         Raises:
             ValueError: the options do not go together; the text says how.
         """
-        located: dict[str, Any] = _located(self.options_schema, dict(options), folder)
-        kind = self.bridge_options
+        kind, located = self.bridge_options, self.located(options, folder)
         return kind.of(located) if isinstance(kind, type) else located
 
     def lacking(self, options: Options) -> tuple[str, ...]:

@@ -4,18 +4,18 @@ from __future__ import annotations
 
 from uoarm.bridge import Bridge, BridgeType, Description, hookimpl
 from uoarm.model import Endpoint, Options
-from uoarm_mqtt._options import BRIDGE_OPTIONS, CONNECTION_OPTIONS, TopicOptions, mistake
+from uoarm_mqtt._options import BrokerOptions, MqttOptions, TopicOptions, mistake
 
-__all__ = ["CONNECTION_OPTIONS", "uoarm_bridge_types"]
+__all__ = ["BrokerOptions", "uoarm_bridge_types"]
 
 
-def _create(name: str, options: Options) -> Bridge:
+def _create(name: str, options: MqttOptions) -> Bridge:
     from uoarm_mqtt._bridge import MqttBridge  # noqa: PLC0415 - imports paho
 
     return MqttBridge(name, options)
 
 
-def _describe(endpoint: Endpoint, options: Options) -> Description:
+def _describe(endpoint: Endpoint, options: MqttOptions) -> Description:
     from uoarm_mqtt._discovery import describe_offline  # noqa: PLC0415 - imports paho
 
     return describe_offline(endpoint, options)
@@ -40,7 +40,7 @@ def uoarm_bridge_types() -> list[BridgeType]:
             name="mqtt",
             summary="topics and services on an MQTT 5 broker",
             create=_create,
-            bridge_options=BRIDGE_OPTIONS,
+            bridge_options=MqttOptions,
             endpoint_options=TopicOptions,
             check_endpoint=mistake,
             topic=_topic,

@@ -20,7 +20,7 @@ from uoarm.bridge import (
     reading_endpoint,
 )
 from uoarm.errors import BridgeError, FailureReason
-from uoarm.model import Endpoint, Health, Message, MessageStructure, Options, Role
+from uoarm.model import Endpoint, Health, Message, MessageStructure, Role
 from uoarm_mqtt._channels import MqttSink, MqttSource, ServedTopic, ServiceCalls
 from uoarm_mqtt._codec import PayloadCodec, limits_of, with_topic, without_topic
 from uoarm_mqtt._discovery import (
@@ -32,7 +32,7 @@ from uoarm_mqtt._discovery import (
     topics_on,
 )
 from uoarm_mqtt._link import BrokerConnection
-from uoarm_mqtt._options import TopicOptions, connection_options, mistake
+from uoarm_mqtt._options import MqttOptions, TopicOptions, announcement, connection_options, mistake
 
 __all__ = ["MqttBridge"]
 
@@ -42,16 +42,17 @@ class MqttBridge(Bridge):
 
     capabilities = Capabilities(discover=True, call=True, serve=True)
 
-    def __init__(self, name: str, options: Options) -> None:
+    def __init__(self, name: str, options: MqttOptions) -> None:
         super().__init__(name, options)
-        self._given: dict[str, Any] = dict(options)
-        self._broker = BrokerConnection(name, connection_options(name, options), self.report)
+        self._options = options
+        connection = connection_options(name, options, announcement(options.presence))
+        self._broker = BrokerConnection(name, connection, self.report)
         self._components = Components(
             self._broker,
-            self._given.get("retained_wait", 0.2),
+            options.retained_wait,
             lambda component, health, cause: self.report(health, cause, component=component),
         )
-        self._calls = ServiceCalls(self._broker, self._given.get("replies", "uoarm/replies"))
+        self._calls = ServiceCalls(self._broker, options.replies)
 
     @property
     def process_id(self) -> int | None:
@@ -99,13 +100,12 @@ class MqttBridge(Bridge):
         return ServedTopic(endpoint, self._options_of(endpoint), structures, handler, self._broker)
 
     def _discover(self) -> tuple[Discovered, ...]:
-        wanted = self._given.get("discover", {})
-        pattern = self._given.get("schemas", "")
+        wanted, pattern = self._options.discover, self._options.schemas
         before, _, after = pattern.partition("{topic}")
-        filters = [f"{before}#"] if pattern else wanted.get("topics", ["#"])
+        filters = (f"{before}#",) if pattern else wanted.topics
         # Schemas are retained, and so are there at once; others have to be waited for.
-        seconds = self._given.get("retained_wait", 0.2) if pattern else wanted.get("seconds", 1.0)
-        topics = topics_on(self._broker, filters, seconds, wanted.get("most", 200))
+        seconds = self._options.retained_wait if pattern else wanted.seconds
+        topics = topics_on(self._broker, filters, seconds, wanted.most)
         if pattern:
             topics = [
                 topic[len(before) : len(topic) - len(after)]
@@ -138,12 +138,12 @@ class MqttBridge(Bridge):
         """Refuse what is not there, by the presence or by the schema that it should have."""
         self._broker.require_up()
         self._require_present(endpoint, options)
-        if configured(self._given, endpoint, options) is None and "schemas" in self._given:
+        if configured(self._options, endpoint, options) is None and self._options.schemas:
             self._description(endpoint, options)
 
     def _description(self, endpoint: Endpoint, options: TopicOptions) -> Description:
-        found = configured(self._given, endpoint, options)
-        if found is None and (pattern := self._given.get("schemas")):
+        found = configured(self._options, endpoint, options)
+        if found is None and (pattern := self._options.schemas):
             topic = endpoint.address[0]
             place = pattern.replace("{topic}", topic)
             payload = (
@@ -167,7 +167,7 @@ class MqttBridge(Bridge):
         raise BridgeError(f"bridge {self.name!r}: {endpoint}: {why}", FailureReason.NOT_FOUND)
 
     def _discovered(self, topic: str) -> Discovered | None:
-        if topic.startswith(("$", self._given.get("replies", "uoarm/replies"))):
+        if topic.startswith(("$", self._options.replies)):
             return None
         for role in (Role.OUTPUT, Role.SERVICE):
             endpoint = Endpoint(self.name, topic, role, (topic,))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from jsonschema import Draft202012Validator, SchemaError
@@ -11,11 +11,11 @@ from paho.mqtt.client import topic_matches_sub
 
 from uoarm.bridge import Description
 from uoarm.errors import BridgeError, FailureReason, MessageError
-from uoarm.model import Budget, Endpoint, Health, MessageStructure, Options, Role
+from uoarm.model import Budget, Endpoint, Health, MessageStructure, Role
 from uoarm_mqtt._codec import STRUCTURES, PayloadCodec
 from uoarm_mqtt._health import ComponentPresence, PresenceStatus
 from uoarm_mqtt._link import BrokerConnection
-from uoarm_mqtt._options import PresenceOptions, TopicOptions
+from uoarm_mqtt._options import MqttOptions, PresenceOptions, TopicOptions
 from uoarm_mqtt._subscriptions import ReceivedMessage, Receiver
 
 __all__ = [
@@ -132,7 +132,9 @@ def read_schema(topic: str, payload: bytes, budget: Budget) -> Any:
     return found
 
 
-def topics_on(link: BrokerConnection, filters: list[str], seconds: float, most: int) -> list[str]:
+def topics_on(
+    link: BrokerConnection, filters: Sequence[str], seconds: float, most: int
+) -> list[str]:
     """Return topics on which something comes or is retained, in order, at most so many."""
     found: dict[str, None] = {}
     enough = threading.Event()
@@ -158,23 +160,23 @@ def topics_on(link: BrokerConnection, filters: list[str], seconds: float, most: 
 
 
 def configured(
-    bridge_options: Mapping[str, Any], endpoint: Endpoint, options: TopicOptions
+    bridge_options: MqttOptions, endpoint: Endpoint, options: TopicOptions
 ) -> Description | None:
     """Return what options say of an endpoint's structures, None where they say nothing."""
     topic = endpoint.address[0]
     if endpoint.role is Role.SERVICE:
-        return described(bridge_options.get("services", {}).get(topic))
-    for pattern, schema in bridge_options.get("structures", {}).items():
+        return described(bridge_options.services.get(topic))
+    for pattern, schema in bridge_options.structures.items():
         if pattern == topic or topic_matches_sub(pattern, topic):
             return described(schema)
     known = STRUCTURES.get(options.content)
     return None if known is None else Description(known)
 
 
-def describe_offline(endpoint: Endpoint, options: Options) -> Description:
+def describe_offline(endpoint: Endpoint, options: MqttOptions) -> Description:
     """Return what a bridge would describe, as far as that is known without its broker."""
     found = configured(options, endpoint, TopicOptions.of(endpoint.options))
-    if found is None and "schemas" not in options:
+    if found is None and not options.schemas:
         return Description(hint=STRUCTURE_HINTS[endpoint.role is Role.SERVICE])
     return found or Description()
 

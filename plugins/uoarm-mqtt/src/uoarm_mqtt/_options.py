@@ -11,82 +11,188 @@ from urllib.parse import urlsplit
 
 from attrs import frozen
 
-from uoarm.bridge import EndpointOptions, option
+from uoarm.bridge import BridgeOptions, DeclaredOptions, EndpointOptions, TlsOptions, option
 from uoarm.errors import ConfigurationError
-from uoarm.model import Budget, Options, Schema, is_loopback
+from uoarm.model import Budget, Options, is_loopback
 
 __all__ = [
-    "BRIDGE_OPTIONS",
-    "CONNECTION_OPTIONS",
+    "AnnouncementOptions",
+    "BrokerOptions",
     "ConnectionOptions",
+    "DiscoveryOptions",
+    "MqttOptions",
     "PresenceAnnouncement",
     "PresenceOptions",
     "TopicOptions",
+    "announcement",
     "connection_options",
     "mistake",
 ]
 
 _TEXT: Mapping[str, Any] = {"type": "string", "minLength": 1}
-_PATH: Schema = {"type": "string", "minLength": 1, "x-uoarm-path": True}
-_SECONDS: Schema = {"type": "number", "exclusiveMinimum": 0, "maximum": 86400}
-_COUNT: Schema = {"type": "integer", "minimum": 1}
-_STRUCTURE: Schema = {"type": ["object", "boolean"]}
-
-
-def _closed(properties: Mapping[str, Any], *required: str) -> Schema:
-    return {
-        "type": "object",
-        "properties": dict(properties),
-        "required": list(required),
-        "additionalProperties": False,
-    }
-
-
-CONNECTION_OPTIONS: Mapping[str, Any] = {
-    "url": {
-        "type": "string",
-        "pattern": r"^mqtts?://[^/@?#\s]+$",
-        "examples": ["mqtt://127.0.0.1:1883"],
-    },
-    "client_id": _TEXT,
-    "user": _TEXT,
-    "password_env": _TEXT,
-    "password_file": _PATH,
-    "plain_password": {"const": True},
-    "tls": _closed({"ca": _PATH, "certificate": _PATH, "key": _PATH}),
-    "keepalive": {"type": "integer", "minimum": 1, "maximum": 65535},
-    "grace": _SECONDS,
-    "backlog": _COUNT,
-    "max_octets": _COUNT,
-    "max_values": _COUNT,
-    "max_depth": {"type": "integer", "minimum": 1, "maximum": 200},
+_PATH: Mapping[str, Any] = {"type": "string", "minLength": 1, "x-uoarm-path": True}
+_SECONDS: Mapping[str, Any] = {"type": "number", "exclusiveMinimum": 0, "maximum": 86400}
+_COUNT: Mapping[str, Any] = {"type": "integer", "minimum": 1}
+_STRUCTURE: Mapping[str, Any] = {"type": ["object", "boolean"]}
+_SERVICE: Mapping[str, Any] = {
+    "type": "object",
+    "properties": {"request": _STRUCTURE, "reply": _STRUCTURE},
+    "additionalProperties": False,
 }
-"""JSON Schemas of the options that `connection_options` reads, by name; `url` must be given."""
 
-BRIDGE_OPTIONS: Schema = _closed(
-    {
-        **CONNECTION_OPTIONS,
-        "presence": _closed({"topic": _TEXT, "online": _TEXT, "offline": _TEXT}, "topic"),
-        "structures": {"type": "object", "additionalProperties": _STRUCTURE},
-        "services": {
-            "type": "object",
-            "additionalProperties": _closed({"request": _STRUCTURE, "reply": _STRUCTURE}),
-        },
-        "schemas": {"type": "string", "pattern": r"^[^+#{}]*\{topic\}[^+#{}]*$"},
-        "retained_wait": {"type": "number", "minimum": 0, "maximum": 4},
-        "replies": _TEXT,
-        "discover": _closed(
-            {"topics": {"type": "array", "items": _TEXT}, "seconds": _SECONDS, "most": _COUNT}
-        ),
-    },
-    "url",
-)
 
 _LONGEST_TOPIC = 65535
 
 
 @frozen
-class PresenceOptions(EndpointOptions):
+class BrokerOptions(BridgeOptions):
+    """The options of a connection to a broker; a plugin on top of MQTT adds its own."""
+
+    url: str = option(
+        "",
+        {
+            "type": "string",
+            "pattern": r"^mqtts?://[^/@?#\s]+$",
+            "examples": ["mqtt://127.0.0.1:1883"],
+        },
+        "`mqtt://host:1883`, or `mqtts://host:8883` with TLS",
+        required=True,
+    )
+    tls: TlsOptions | None = option(
+        None, TlsOptions, "`{ca, certificate, key}`, files in PEM; left out: as the system trusts"
+    )
+    user: str = option("", _TEXT, "that the broker knows")
+    password_env: str = option(
+        "",
+        _TEXT,
+        "an environment variable that holds the password. It is never an option itself, and stands "
+        "in no log and no error",
+    )
+    password_file: str = option("", _PATH, "a file that holds it")
+    plain_password: bool = option(
+        False,
+        {"type": "boolean"},
+        "whether a password may cross a network without TLS; on loopback it may",
+    )
+    client_id: str = option(
+        "",
+        _TEXT,
+        "two clients with the same one end each other's connection; left out: a new one",
+    )
+    keepalive: int = option(
+        15,
+        {"type": "integer", "minimum": 1, "maximum": 65535},
+        "seconds after which a broker that says nothing is asked whether it lives; it is given up "
+        "after twice as many",
+        unit="s",
+    )
+    grace: float = option(
+        30.0,
+        _SECONDS,
+        "seconds that a break may last before it is a loss; so long the broker is asked to keep "
+        "what comes for us with QoS 1 and 2",
+        unit="s",
+    )
+    backlog: int = option(1000, _COUNT, "messages of a channel that may wait, in either direction")
+    max_octets: int = option(
+        1_048_576, _COUNT, "of one payload; this and the next two are checked before it is decoded"
+    )
+    max_values: int = option(100_000, _COUNT, "in one payload")
+    max_depth: int = option(64, {"type": "integer", "minimum": 1, "maximum": 200}, "of one payload")
+
+    @property
+    def budget(self) -> Budget:
+        """What one payload may cost."""
+        return Budget(octets=self.max_octets, elements=self.max_values, depth=self.max_depth)
+
+    @property
+    def place(self) -> tuple[str, int, bool]:
+        """Host and port of the broker, and whether TLS is spoken; raises ValueError."""
+        url = urlsplit(self.url)
+        is_secure = url.scheme == "mqtts"
+        try:
+            host, port = url.hostname or "", url.port or (8883 if is_secure else 1883)
+            host.encode("idna")
+        except ValueError as error:
+            raise ValueError(f"url {self.url!r}: {error}") from None
+        return host, port, is_secure
+
+    def check_together(self) -> None:
+        """Refuse options of which one asks for, or excludes, another."""
+        host, _, is_secure = self.place
+        if self.tls is not None and not is_secure:
+            raise ValueError("`tls` goes with a url that begins with mqtts://")
+        has_password = bool(self.password_env or self.password_file)
+        if self.password_env and self.password_file:
+            raise ValueError("`password_env` or `password_file`, not both")
+        if has_password and not self.user:
+            raise ValueError("a password goes with a `user`")
+        if has_password and not (is_secure or is_loopback(host) or self.plain_password):
+            text = "the password would cross the network unencrypted: mqtts://, or `plain_password`"
+            raise ValueError(f"{text}: true where the network is your own")
+
+
+@frozen
+class AnnouncementOptions(DeclaredOptions):
+    """Where a bridge says that it is there."""
+
+    topic: str = option("", _TEXT, "that it says it on, retained", required=True)
+    online: str = option("online", _TEXT, "what it says while it is there")
+    offline: str = option("offline", _TEXT, "what its last will says")
+
+
+@frozen
+class DiscoveryOptions(DeclaredOptions):
+    """Where components are looked for."""
+
+    topics: tuple[str, ...] = option(
+        ("#",), {"type": "array", "items": _TEXT}, "filters of the topics that are looked at"
+    )
+    seconds: float = option(1.0, _SECONDS, "that is waited for messages", unit="s")
+    most: int = option(200, _COUNT, "topics that are listed")
+
+
+@frozen
+class MqttOptions(BrokerOptions):
+    """The options of a bridge."""
+
+    presence: AnnouncementOptions | None = option(
+        None,
+        AnnouncementOptions,
+        "`{topic, online, offline}`: where this bridge says that it is there, retained, `offline` "
+        "by its last will",
+    )
+    structures: Mapping[str, Any] = option(
+        {},
+        {"type": "object", "additionalProperties": _STRUCTURE},
+        "JSON Schemas by topic or filter",
+    )
+    services: Mapping[str, Any] = option(
+        {}, {"type": "object", "additionalProperties": _SERVICE}, "`{request, reply}` by topic"
+    )
+    schemas: str = option(
+        "",
+        {"type": "string", "pattern": r"^[^+#{}]*\{topic\}[^+#{}]*$"},
+        "where structures are retained, such as `schemas/{topic}`",
+    )
+    retained_wait: float = option(
+        0.2,
+        {"type": "number", "minimum": 0, "maximum": 4},
+        "seconds that a retained message may come after the broker has answered",
+        unit="s",
+    )
+    replies: str = option(
+        "uoarm/replies",
+        _TEXT,
+        "replies come to this topic, with the client's name as one more level",
+    )
+    discover: DiscoveryOptions = option(
+        DiscoveryOptions(), DiscoveryOptions, "`{topics, seconds, most}`, see below"
+    )
+
+
+@frozen
+class PresenceOptions(DeclaredOptions):
     """Where a component says whether it is there: a retained topic, written by its last will."""
 
     topic: str = option("", _TEXT, "that it says it on", required=True)
@@ -127,7 +233,7 @@ class TopicOptions(EndpointOptions):
         "seconds after which the broker drops what is sent, when no client has taken it; 0: never",
         unit="s",
     )
-    presence: PresenceOptions | None = option(  # noqa: RUF009 - a field, of an immutable value
+    presence: PresenceOptions | None = option(
         None,
         PresenceOptions,
         "`{topic, member, online, finished}`: where the component says that it is there, see below",
@@ -186,7 +292,7 @@ class ConnectionOptions:
         context: for TLS; None without it.
         keepalive: seconds after which a broker that says nothing is asked whether it lives.
         grace: seconds that a break may last before it is a loss.
-        announcement: what the client says of itself; None for nothing.
+        announcement: what the client says of itself; None: nothing.
         budget: what one payload may cost.
         backlog: messages of one channel that may wait.
     """
@@ -203,78 +309,49 @@ class ConnectionOptions:
     backlog: int
 
 
-def connection_options(name: str, options: Options) -> ConnectionOptions:
-    """Read the options of a bridge, already checked against the schema.
+def connection_options(
+    name: str, options: BrokerOptions, announcement: PresenceAnnouncement | None = None
+) -> ConnectionOptions:
+    """Read what options name: files, and variables of the environment.
 
     Raises:
-        ConfigurationError: a file or variable that they name cannot be read, or they contradict
-            one another.
+        ConfigurationError: one cannot be read.
     """
-    given: dict[str, Any] = dict(options)
-    url = urlsplit(given["url"])
-    encrypted = url.scheme == "mqtts"
-    try:
-        host, port = url.hostname or "", url.port or (8883 if encrypted else 1883)
-        host.encode("idna")
-    except ValueError as error:
-        raise _wrong(name, f"url {given['url']!r}: {error}") from None
-    if "tls" in given and not encrypted:
-        raise _wrong(name, "`tls` goes with a url that begins with mqtts://")
-    password = _password(name, given)
-    if password and not (encrypted or is_loopback(host) or given.get("plain_password")):
-        text = "the password would cross the network unencrypted: mqtts://, or `plain_password`"
-        raise _wrong(name, f"{text}: true where the network is your own")
+    host, port, is_secure = options.place
+    password = _password(name, options)
     return ConnectionOptions(
         host=host,
         port=port,
-        client_id=given.get("client_id", f"uoarm-{name}-{os.urandom(4).hex()}"),
-        login=(lambda: (given["user"], password)) if "user" in given else None,
-        context=_context(name, given.get("tls", {})) if encrypted else None,
-        keepalive=given.get("keepalive", 15),
-        grace=given.get("grace", 30.0),
-        announcement=_announcement(given["presence"]) if "presence" in given else None,
-        budget=Budget(
-            octets=given.get("max_octets", 1_048_576),
-            elements=given.get("max_values", 100_000),
-            depth=given.get("max_depth", 64),
-        ),
-        backlog=given.get("backlog", 1000),
+        client_id=options.client_id or f"uoarm-{name}-{os.urandom(4).hex()}",
+        login=(lambda: (options.user, password)) if options.user else None,
+        context=(options.tls or TlsOptions()).context(name) if is_secure else None,
+        keepalive=options.keepalive,
+        grace=options.grace,
+        announcement=announcement,
+        budget=options.budget,
+        backlog=options.backlog,
     )
 
 
-def _announcement(says: Mapping[str, str]) -> PresenceAnnouncement:
-    online, offline = says.get("online", "online"), says.get("offline", "offline")
-    return PresenceAnnouncement(says["topic"], offline, lambda: online, lambda: offline)
+def announcement(options: AnnouncementOptions | None) -> PresenceAnnouncement | None:
+    """Return what a bridge says of itself."""
+    if options is None:
+        return None
+    online, offline = options.online, options.offline
+    return PresenceAnnouncement(options.topic, offline, lambda: online, lambda: offline)
 
 
-def _password(name: str, given: Mapping[str, Any]) -> str | None:
-    if "password_env" in given and "password_file" in given:
-        raise _wrong(name, "`password_env` or `password_file`, not both")
-    if "user" not in given and ({"password_env", "password_file"} & given.keys()):
-        raise _wrong(name, "a password goes with a `user`")
-    if (variable := given.get("password_env")) is not None:
+def _password(name: str, options: BrokerOptions) -> str | None:
+    if variable := options.password_env:
         if variable not in os.environ:
             raise _wrong(name, f"the environment has no variable {variable!r} (password_env)")
         return os.environ[variable]
-    if (file := given.get("password_file")) is not None:
+    if file := options.password_file:
         try:
             return Path(file).read_text(encoding="utf-8").rstrip("\r\n")
         except (OSError, ValueError) as error:
             raise _wrong(name, f"password_file {file!r}: {error}") from None
     return None
-
-
-def _context(name: str, tls: Mapping[str, str]) -> ssl.SSLContext:
-    if "key" in tls and "certificate" not in tls:
-        raise _wrong(name, "tls: a `key` goes with a `certificate`")
-    try:
-        context = ssl.create_default_context(cafile=tls.get("ca"))
-        if "certificate" in tls:
-            # Asked for no passphrase on a terminal: a key that has one is refused.
-            context.load_cert_chain(tls["certificate"], tls.get("key"), password=lambda: b"")
-    except (OSError, ValueError) as error:
-        raise _wrong(name, f"tls: {dict(tls)}: {error}") from None
-    return context
 
 
 def _wrong(name: str, what: str) -> ConfigurationError:

@@ -1,12 +1,12 @@
 """What a plugin for a protocol on top of MQTT builds upon: a connection, subscriptions, channels.
 
-`connection_options` reads the options of a bridge that has `uoarm_mqtt.CONNECTION_OPTIONS` among
-its own. A `BrokerConnection` of these options connects at the first use and again after each break.
+`connection_options` reads the options of a bridge whose class is below `BrokerOptions`. A
+`BrokerConnection` of these connects at the first use and again after each break.
 Receivers are called in the thread of the network and must return at once: a `ReceiveQueue` hands
 what came to a thread of its own. `MqttSource` and `MqttSink` are the channels of one topic, with a
 `PayloadCodec` that reads payloads within a budget; a subclass of it may read more than JSON. ::
 
-    options = connection_options("plant", {"url": "mqtt://127.0.0.1"})
+    options = connection_options("plant", BrokerOptions.of({"url": "mqtt://127.0.0.1"}))
     broker = BrokerConnection("plant", options, report)
     broker.subscribe(Receiver("plant/+/state", queue.put, retained=True))
     broker.publish("plant/lamp", b"on", lambda outcome: None, qos=1)
@@ -21,6 +21,7 @@ from uoarm_mqtt._channels import MqttSink, MqttSource, ReceiveQueue, Report
 from uoarm_mqtt._codec import PayloadCodec, limits_of
 from uoarm_mqtt._link import BrokerConnection, Done, PacketOutcome
 from uoarm_mqtt._options import (
+    BrokerOptions,
     ConnectionOptions,
     PresenceAnnouncement,
     TopicOptions,
@@ -30,6 +31,7 @@ from uoarm_mqtt._subscriptions import ReceivedMessage, Receiver
 
 __all__ = [
     "BrokerConnection",
+    "BrokerOptions",
     "ConnectionOptions",
     "Done",
     "MqttSink",

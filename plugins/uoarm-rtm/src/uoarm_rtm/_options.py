@@ -365,13 +365,13 @@ class RtmEndpointOptions(EndpointOptions):
         {"type": "integer", "minimum": 0, "maximum": _MOST_SKIPPED},
         "with `skip`: how many are left out before each that is pushed; left out: 0",
     )
-    buffer: BufferOptions | None = option(  # noqa: RUF009 - a field
+    buffer: BufferOptions | None = option(
         None, BufferOptions, "how messages wait at both ends, see below"
     )
-    inport_buffer: BufferOptions | None = option(  # noqa: RUF009 - a field
+    inport_buffer: BufferOptions | None = option(
         None, BufferOptions, "the same for the InPort, before `buffer`"
     )
-    outport_buffer: BufferOptions | None = option(  # noqa: RUF009 - a field
+    outport_buffer: BufferOptions | None = option(
         None, BufferOptions, "the same for the OutPort, before `buffer`"
     )
     endian: Literal["little", "big"] = option(

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from uoarm.bridge import Bridge, BridgeType, hookimpl
 from uoarm.model import Options
-from uoarm_vda5050._options import BRIDGE_OPTIONS, VehicleOptions, mistake
+from uoarm_vda5050._options import FleetOptions, VehicleOptions, mistake
 from uoarm_vda5050._releases import SENT
 
 __all__ = ["uoarm_bridge_types"]
 
 
-def _create(name: str, options: Options) -> Bridge:
+def _create(name: str, options: FleetOptions) -> Bridge:
     from uoarm_vda5050._bridge import Vda5050Bridge  # noqa: PLC0415 - imports paho
 
     return Vda5050Bridge(name, options)
@@ -35,7 +35,7 @@ def uoarm_bridge_types() -> list[BridgeType]:
             name="vda5050",
             summary="vehicles that speak VDA 5050, through an MQTT 5 broker",
             create=_create,
-            bridge_options=BRIDGE_OPTIONS,
+            bridge_options=FleetOptions,
             endpoint_options=VehicleOptions,
             check_endpoint=mistake,
             topic=_topic,

@@ -25,7 +25,7 @@ from uoarm.bridge import (
     Source,
     reading_endpoint,
 )
-from uoarm.model import Endpoint, Health, Message, MessageStructure, Options
+from uoarm.model import Endpoint, Health, Message, MessageStructure
 from uoarm_vda5050._channels import Follower, TransportSink, TransportSource, call
 from uoarm_vda5050._discovery import VehicleDirectory
 from uoarm_vda5050._health import Presence, Vehicle, VehicleHealth
@@ -44,9 +44,9 @@ class Vda5050Bridge(Bridge):
 
     capabilities = Capabilities(discover=True, call=True)
 
-    def __init__(self, name: str, options: Options) -> None:
+    def __init__(self, name: str, options: FleetOptions) -> None:
         super().__init__(name, options)
-        self._options = FleetOptions.of_bridge(options)
+        self._options = options
         self._release = RELEASES[self._options.release]
         self._prefix = self._release.prefix(self._options.interface)
         folder = self._options.schemas

@@ -7,15 +7,14 @@ from collections.abc import Mapping
 from typing import Any
 
 from attrs import frozen
-from uoarm_mqtt import CONNECTION_OPTIONS
+from uoarm_mqtt import BrokerOptions
 
 from uoarm.bridge import EndpointOptions, option
-from uoarm.model import Options, Role, Schema
+from uoarm.model import Options, Role
 from uoarm_vda5050._releases import RELEASES, SENT, TOPICS
 from uoarm_vda5050._structures import TRANSPORT_PARTS
 
 __all__ = [
-    "BRIDGE_OPTIONS",
     "TRANSPORT",
     "FleetOptions",
     "VehicleAddress",
@@ -29,8 +28,8 @@ _COUNT: Mapping[str, Any] = {"type": "integer", "minimum": 1, "maximum": 10_000}
 
 
 @frozen
-class FleetOptions(EndpointOptions):
-    """The options of a bridge beside those of its connection to the broker."""
+class FleetOptions(BrokerOptions):
+    """The options of a bridge."""
 
     release: str = option(
         "2.1",
@@ -72,11 +71,6 @@ class FleetOptions(EndpointOptions):
     max_nodes: int = option(1000, _COUNT, "of one order")
     max_vehicles: int = option(1000, _COUNT, "that are kept track of")
 
-    @classmethod
-    def of_bridge(cls, options: Mapping[str, Any]) -> FleetOptions:
-        """Read the options of a bridge, already checked against the schema."""
-        return cls.of({key: options[key] for key in options if key not in CONNECTION_OPTIONS})
-
 
 @frozen
 class VehicleOptions(EndpointOptions):
@@ -86,13 +80,6 @@ class VehicleOptions(EndpointOptions):
         False, {"type": "boolean"}, "messages of an output of a topic keep their header"
     )
 
-
-_FLEET: Any = FleetOptions.schema()
-BRIDGE_OPTIONS: Schema = {
-    **_FLEET,
-    "properties": {**CONNECTION_OPTIONS, **_FLEET["properties"]},
-    "required": ["url"],
-}
 
 TRANSPORT = "transport"
 _ID = re.compile(r"^[^/+#$\0]{1,200}$")

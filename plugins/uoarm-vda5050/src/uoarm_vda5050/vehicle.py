@@ -19,6 +19,7 @@ from attrs import evolve
 from typing_extensions import Self
 from uoarm_mqtt.connection import (
     BrokerConnection,
+    BrokerOptions,
     PacketOutcome,
     PresenceAnnouncement,
     ReceivedMessage,
@@ -26,7 +27,7 @@ from uoarm_mqtt.connection import (
     connection_options,
 )
 
-from uoarm.errors import BridgeError, MessageError
+from uoarm.errors import BridgeError, ConfigurationError, MessageError
 from uoarm.model import Health
 from uoarm_vda5050._messages import Headers, VdaCodec, check_of
 from uoarm_vda5050._releases import RELEASES, TOPICS
@@ -84,9 +85,12 @@ class Vehicle:
         }
         self._battery, self._charging, self._localized = 100.0, False, True
         self._said_at = self._shown_at = float("-inf")
-        self._options = connection_options(
-            self._name, {"url": url, "grace": 86400.0, **(options or {})}
-        )
+        given = {"url": url, "grace": 86400.0, **(options or {})}
+        try:
+            broker = BrokerOptions.of(given)
+        except ValueError as error:
+            raise ConfigurationError(f"vehicle {self._name!r}: {error}") from None
+        self._options = connection_options(self._name, broker)
         self._codecs = {topic: self._codec(topic) for topic in TOPICS}
         self._broker = self._connection()
 
