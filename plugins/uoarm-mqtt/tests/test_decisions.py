@@ -102,10 +102,11 @@ KNOWN: list[tuple[Role, dict[str, object], dict[str, object], bool]] = [
 def test_check_knows_without_a_broker_which_structures_must_be_written(
     role: Role, port: dict[str, object], options: dict[str, object], is_known: bool
 ) -> None:
-    describe = Registry().types["mqtt"].describe
-    assert describe is not None
+    kind = Registry().types["mqtt"]
+    assert kind.describe is not None
     endpoint = Endpoint("mqtt", "temp", role, ("room/temp",), options=port)
-    description = describe(endpoint, {"url": "mqtt://127.0.0.1:1", **options})
+    given = kind.value_of({"url": "mqtt://127.0.0.1:1", **options}, "")
+    description = kind.describe(endpoint, given)
     where = "services" if role is Role.SERVICE else "structures"
     assert bool(description.hint) is not is_known
     assert is_known or f"under `{where}` of the bridge's options" in description.hint

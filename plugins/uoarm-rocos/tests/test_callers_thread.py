@@ -16,6 +16,7 @@ from test_faults import Scripted
 from uoarm_rocos import LengthFramer, TcpTransport, Wire, XmlCodec
 from uoarm_rocos._bridge import RocosBridge
 from uoarm_rocos._catalogue import CallMessage, CloseMessage, ResultMessage, WireMessage
+from uoarm_rocos._options import RocosOptions
 from uoarm_rocos.simulate import SimulatedRobot
 
 from uoarm.bridge import Bridge
@@ -65,7 +66,7 @@ class Sipping(TcpTransport):
 @contextmanager
 def made(wire: Wire) -> Iterator[Bridge]:
     options = {"devices": {"robot": {**QUICK, "url": "tcp://of.the.wire:1"}}}
-    bridge = RocosBridge("rocos", options, lambda _: wire)
+    bridge = RocosBridge("rocos", RocosOptions.of(options), lambda _: wire)
     try:
         yield bridge
     finally:

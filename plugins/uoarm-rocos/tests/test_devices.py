@@ -13,10 +13,9 @@ from uoarm_rocos._catalogue import DeviceCatalogue
 from uoarm_rocos._framing import LineError
 from uoarm_rocos._options import (
     DRIVERS,
-    DeviceOptions,
     LineOptions,
+    RocosOptions,
     Timing,
-    devices_of,
 )
 from uoarm_rocos._transport import LineTransport
 from uoarm_rocos.devices._blood_pressure import Measurement, Monitor, ua767_frame
@@ -70,7 +69,7 @@ def test_an_oximeter_says_finger_out_then_searching_then_numbers(driver: str, ki
 @pytest.mark.parametrize(("driver", "options"), list(DRIVERS.items()))
 def test_line_settings_are_the_makers_own(driver: str, options: LineOptions | None) -> None:
     url = {} if options is None else {"url": "/dev/ttyS0"}
-    made: DeviceOptions = devices_of({"devices": {"d": {"driver": driver, **url}}})["d"]
+    made = RocosOptions.of({"devices": {"d": {"driver": driver, **url}}}).devices["d"]
     if options is not None:
         assert made.line == options
     if driver.startswith("contec"):
@@ -82,7 +81,7 @@ def test_line_settings_are_the_makers_own(driver: str, options: LineOptions | No
 def test_what_the_options_say_of_drivers_and_limits_is_so() -> None:
     usual: dict[str, object] = {"url": "tcp://robot:1"}
     given: dict[str, object] = {**usual, "wait": 1, "grace": 2, "backoff": [0.3, 0.4]}
-    made = devices_of({"devices": {"usual": usual, "given": given}})
+    made = RocosOptions.of({"devices": {"usual": usual, "given": given}}).devices
     assert made["usual"].timing == Timing(3.0, 5.0, Backoff(0.1, 2.0))
     assert made["given"].timing == Timing(1, 2, Backoff(0.3, 0.4))
 

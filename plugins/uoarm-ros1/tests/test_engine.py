@@ -14,7 +14,14 @@ from hypothesis import strategies as st
 from uoarm_ros1._definitions import DefinitionError, Listing, Scalar, record_of, service_of
 from uoarm_ros1._health import LostComponents, MasterHealth
 from uoarm_ros1._node_api import NodeApi, ParameterUpdate, PublisherUpdate, Shutdown
-from uoarm_ros1._options import Names, Ros1Options, mistake, read_ros1_options, topic_name
+from uoarm_ros1._options import (
+    Names,
+    NodeIdentity,
+    Ros1BridgeOptions,
+    Ros1Options,
+    mistake,
+    topic_name,
+)
 from uoarm_ros1._tcpros import (
     ProtocolError,
     ReplyReader,
@@ -398,15 +405,14 @@ def test_the_environment_says_what_the_options_leave_out() -> None:
         "ROS_IP": "10.0.0.5",
         "ROS_NAMESPACE": "lab",
     }
-    found = read_ros1_options("a bridge", {}, environment)
+    found = NodeIdentity.of("a bridge", Ros1BridgeOptions(), environment)
     assert (found.master, found.host) == ("http://robot:4000/", "10.0.0.5")
     assert re.fullmatch(r"/lab/uoarm_a_bridge_\d+_[0-9a-f]{8}", found.names.node)
-    stated = read_ros1_options(
-        "b", {"master": "http://here:1", "node": "n", "host": "h"}, environment
-    )
+    options = Ros1BridgeOptions(master="http://here:1", node="n", host="h")
+    stated = NodeIdentity.of("b", options, environment)
     assert (stated.master, stated.host, stated.names.node) == ("http://here:1/", "h", "/lab/n")
     with pytest.raises(ConfigurationError, match="expected a master such as"):
-        read_ros1_options("b", {}, {"ROS_MASTER_URI": "robot"})
+        NodeIdentity.of("b", Ros1BridgeOptions(), {"ROS_MASTER_URI": "robot"})
 
 
 def test_addresses_and_options_are_checked_in_words() -> None:

@@ -7,7 +7,7 @@ from typing import Any, cast
 import pytest
 from endpoints import Reports, bridge_to, input_, output, service
 from peers import Master, Peer, running
-from uoarm_ros1._options import read_ros1_options
+from uoarm_ros1._options import NodeIdentity, Ros1BridgeOptions
 
 from uoarm import RobotManager
 from uoarm.config import loads
@@ -58,8 +58,8 @@ def test_relative_private_and_remapped_names_are_those_of_the_robot(
 
 def test_the_name_of_a_host_goes_before_its_address() -> None:
     environment = {"ROS_IP": "10.0.0.5", "ROS_HOSTNAME": "cart.local"}
-    assert read_ros1_options("b", {}, environment).host == "cart.local"
-    assert read_ros1_options("b", {"host": "10.0.0.9"}, environment).host == "10.0.0.9"
+    assert NodeIdentity.of("b", Ros1BridgeOptions(), environment).host == "cart.local"
+    assert NodeIdentity.of("b", Ros1BridgeOptions(host="10.0.0.9"), environment).host == "10.0.0.9"
 
 
 def test_tools_that_take_any_type_are_given_type_sum_and_definition(

@@ -12,7 +12,7 @@ from typing import Any
 
 import yaml
 from peers import Master
-from uoarm_ros1._options import Ros1Options
+from uoarm_ros1._options import Ros1BridgeOptions, Ros1Options
 from uoarm_ros1._types import TypeStore, structure_of
 
 from uoarm._adapt import check_edge
@@ -89,4 +89,5 @@ def _run(line: str, folder: Path) -> subprocess.CompletedProcess[str]:
 
 
 def test_the_table_of_options_is_what_the_plugin_declares() -> None:
-    assert options_table(Ros1Options.schema()) in PAGE.read_text(encoding="utf-8")
+    for kind in (Ros1Options, Ros1BridgeOptions):
+        assert options_table(kind.schema()) in PAGE.read_text(encoding="utf-8")

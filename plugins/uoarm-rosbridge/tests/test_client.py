@@ -11,7 +11,7 @@ import pytest
 import trustme
 from played import LISTEN, TALK, Played, asked, bridge_to, seen
 from ros import Serve, eventually, url
-from uoarm_rosbridge.client._options import Port, mistake
+from uoarm_rosbridge.client._options import ClientOptions, Port, mistake
 from uoarm_rosbridge.client._types import read_types, reader, structure_of, writer
 from websockets.sync.server import ServerConnection
 
@@ -261,4 +261,5 @@ def test_options_are_checked_in_words() -> None:
 
 def test_the_table_of_options_is_what_the_plugin_declares() -> None:
     page = Path(__file__).parents[3] / "docs" / "rosbridge.md"
-    assert options_table(Port.schema()) in page.read_text(encoding="utf-8")
+    for kind in (Port, ClientOptions):
+        assert options_table(kind.schema()) in page.read_text(encoding="utf-8")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
 from collections.abc import Callable
@@ -13,6 +14,7 @@ from endpoints import ANSWERS, Inbox, checked, endpoint
 from peers import Peer
 from uoarm_rtm import _orb
 from uoarm_rtm._naming import NamingService, corbaloc
+from uoarm_rtm._options import RtmEndpointOptions
 from uoarm_rtm._orb import Orb
 from uoarm_rtm.component import ComponentProfile, RtComponent, Types
 from uoarm_rtm.nameserver import NameServer
@@ -159,8 +161,9 @@ def test_wrong_options_of_a_bridge_are_refused(options: dict[str, Any]) -> None:
 def test_wrong_options_of_an_endpoint_are_named(options: dict[str, Any], words: str) -> None:
     kind: BridgeType = Registry().types["rtm"]
     assert kind.check_endpoint is not None
-    assert words in kind.check_endpoint(("A.rtc", "out"), options)
     assert kind.check_endpoint(("A.rtc", "out"), {}) == ""
+    with pytest.raises(ValueError, match=re.escape(words)):
+        RtmEndpointOptions.of(options)
 
 
 @pytest.mark.parametrize("address", [("self", "out"), ("A.rtc", "@lifecycle"), ("A.rtc", "")])

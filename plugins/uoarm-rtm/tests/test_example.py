@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
-from uoarm_rtm._options import BufferOptions, RtmEndpointOptions
+from uoarm_rtm._options import BufferOptions, RtmBridgeOptions, RtmEndpointOptions
 
 from uoarm._control import RobotManager
 from uoarm.bridge import options_table
@@ -101,4 +101,5 @@ def test_a_chain_through_ros_and_rtc_and_its_refusal(
 def test_the_tables_of_options_are_what_the_plugin_declares() -> None:
     page = (EXAMPLES.parent / "docs" / "rtm.md").read_text(encoding="utf-8")
     assert options_table(RtmEndpointOptions.schema()) in page
+    assert options_table(RtmBridgeOptions.schema()) in page
     assert options_table(BufferOptions.schema(), "member") in page

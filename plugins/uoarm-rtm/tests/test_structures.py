@@ -18,7 +18,6 @@ from jsonschema import Draft202012Validator
 from messages import messages
 from plain import plain
 from uoarm_rtm._compiler import OUR_IDL, load_idl
-from uoarm_rtm._options import bridge_options
 from uoarm_rtm._shape import schema_of
 from uoarm_rtm._types import Types, derive
 
@@ -184,9 +183,8 @@ def test_a_text_finds_what_it_includes_in_the_folder_of_its_file(
     for more, octets in (("", b"\1\0\0\0"), (", idl_folder: idl", b"\1\0")):
         file.write_text(text.replace("MORE", more))
         spec = load(file, Registry().types).bridges["rtm"]
-        located = Registry().types["rtm"].value_of(spec.options, spec.folder)
-        options = bridge_options("rtm", located)
-        types = Types(options.idl, options.text, options.idl_folder)
+        options = Registry().types["rtm"].value_of(spec.options, spec.folder)
+        types = Types(options.idl_sources, options.text, options.idl_folder)
         assert types.codec("Mine::M").encode({"p": {"x": 1}}) == octets
 
 

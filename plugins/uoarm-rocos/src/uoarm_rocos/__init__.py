@@ -11,8 +11,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 from uoarm.bridge import Bridge, BridgeType, hookimpl
-from uoarm.model import Options
-from uoarm_rocos._options import BRIDGE_OPTIONS, PortOptions, mistake
+from uoarm_rocos._options import PortOptions, RocosOptions, mistake
 
 if TYPE_CHECKING:
     from uoarm_rocos._bridge import MakeWire, xml_wire
@@ -93,7 +92,7 @@ def bridge_type(name: str, summary: str, wire: MakeWire | None = None) -> Bridge
         name=name,
         summary=summary,
         create=_maker(wire),
-        bridge_options=BRIDGE_OPTIONS,
+        bridge_options=RocosOptions,
         endpoint_options=PortOptions,
         check_endpoint=mistake,
         doctor=_doctor,
@@ -121,8 +120,8 @@ def _doctor() -> dict[str, str]:
     return doctor()
 
 
-def _maker(wire: MakeWire | None) -> Callable[[str, Options], Bridge]:
-    def make(name: str, options: Options) -> Bridge:
+def _maker(wire: MakeWire | None) -> Callable[[str, RocosOptions], Bridge]:
+    def make(name: str, options: RocosOptions) -> Bridge:
         from uoarm_rocos._bridge import RocosBridge, xml_wire  # noqa: PLC0415 - loads pyserial
 
         return RocosBridge(name, options, wire or xml_wire)

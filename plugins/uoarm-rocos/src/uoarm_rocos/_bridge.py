@@ -20,7 +20,7 @@ from uoarm.bridge import (
     Source,
 )
 from uoarm.errors import BridgeError, FailureReason
-from uoarm.model import Endpoint, Health, Message, MessageStructure, Options
+from uoarm.model import Endpoint, Health, Message, MessageStructure
 from uoarm_rocos._catalogue import Api, Direction
 from uoarm_rocos._catalogue_xml import load_catalogue
 from uoarm_rocos._channels import SinkChannel, SourceChannel
@@ -29,7 +29,7 @@ from uoarm_rocos._conversation import Wire
 from uoarm_rocos._device import Device, find
 from uoarm_rocos._discovery import listing
 from uoarm_rocos._framing import SERIAL_LIMITS, TCP_LIMITS, LengthFramer, StuffedFramer
-from uoarm_rocos._options import DeviceOptions, address_of, devices_of
+from uoarm_rocos._options import DeviceOptions, RocosOptions, address_of
 from uoarm_rocos._profile import Changed, ProfileDevice
 from uoarm_rocos._structure import describe
 from uoarm_rocos._transport import transport_for
@@ -100,15 +100,15 @@ class RocosBridge(Bridge):
 
     Args:
         name: of the instance.
-        options: fitting `BRIDGE_OPTIONS`.
+        options: the devices.
         wire: makes the parts of a line; replaces the plain-XML profile.
     """
 
     capabilities = Capabilities(discover=True, call=True)
 
-    def __init__(self, name: str, options: Options, wire: MakeWire = xml_wire) -> None:
+    def __init__(self, name: str, options: RocosOptions, wire: MakeWire = xml_wire) -> None:
         super().__init__(name, options)
-        self._device_options = devices_of(options)
+        self._device_options = options.devices
         self._wire = wire
         # Guards the devices between callers of the bridge and `close`: each is made once, and none
         # after the bridge was closed. Reading the dictionary needs no lock.

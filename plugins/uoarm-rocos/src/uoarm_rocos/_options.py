@@ -7,20 +7,25 @@ from typing import Any
 
 from attrs import evolve, field, frozen
 
-from uoarm.bridge import Backoff, EndpointOptions, option, reading_endpoint
-from uoarm.errors import BridgeError, FailureReason
-from uoarm.model import Endpoint, Options, Role, Schema
+from uoarm.bridge import (
+    Backoff,
+    BridgeOptions,
+    DeclaredOptions,
+    EndpointOptions,
+    option,
+    reading_endpoint,
+)
+from uoarm.model import Endpoint, Options, Role
 from uoarm_rocos._catalogue import NAME, Direction
 
 __all__ = [
-    "BRIDGE_OPTIONS",
     "DRIVERS",
     "DeviceOptions",
     "LineOptions",
     "PortOptions",
+    "RocosOptions",
     "Timing",
     "address_of",
-    "devices_of",
     "mistake",
     "tcp_address",
 ]
@@ -71,7 +76,7 @@ DRIVERS: Mapping[str, LineOptions | None] = {
 
 
 @frozen
-class DeviceOptions(EndpointOptions):
+class DeviceOptions(DeclaredOptions):
     """The options of one device."""
 
     driver: str = option("profile", {"enum": list(DRIVERS)}, "what it speaks, see below")
@@ -123,12 +128,8 @@ class DeviceOptions(EndpointOptions):
         first, most = self.backoff or (0.1, 2.0)
         return Timing(self.wait, self.grace, Backoff(first, most))
 
-    def check(self) -> None:
-        """Hold the options against one another.
-
-        Raises:
-            ValueError: they do not go together; the text says how.
-        """
+    def check_together(self) -> None:
+        """Refuse what the driver does not need, and miss what it does."""
         if DRIVERS[self.driver] is None:
             if self.url:
                 raise ValueError(f"driver {self.driver} has no line: leave out url")
@@ -145,20 +146,22 @@ class PortOptions(EndpointOptions):
     """The options of one endpoint: there are none."""
 
 
-BRIDGE_OPTIONS: Schema = {
-    "type": "object",
-    "additionalProperties": False,
-    "required": ["devices"],
-    "properties": {
-        "devices": {
+@frozen
+class RocosOptions(BridgeOptions):
+    """The options of a bridge."""
+
+    devices: Mapping[str, DeviceOptions] = option(
+        {},
+        {
             "type": "object",
             "minProperties": 1,
             "propertyNames": {"pattern": "^[A-Za-z_][A-Za-z0-9_.-]*$"},
-            "additionalProperties": DeviceOptions.schema(),
+            "additionalProperties": DeviceOptions,
             "examples": [{"robot": {"url": "tcp://127.0.0.1:4000"}}],
         },
-    },
-}
+        "by name",
+        required=True,
+    )
 
 
 def mistake(address: tuple[str, ...], options: Options) -> str:
@@ -167,24 +170,6 @@ def mistake(address: tuple[str, ...], options: Options) -> str:
     if len(address) != 2 or not NAME.fullmatch(address[1]):  # noqa: PLR2004 - as the text says
         return f"expected [device, API name], got {list(address)}"
     return ""
-
-
-def devices_of(options: Options) -> dict[str, DeviceOptions]:
-    """Read a bridge's options.
-
-    Raises:
-        BridgeError: BAD_ENDPOINT, with the device and what is wrong.
-    """
-    found = {}
-    devices: Any = options["devices"]
-    for name, given in devices.items():
-        try:
-            device = DeviceOptions.of(given)
-            device.check()
-        except ValueError as error:
-            raise BridgeError(f"devices.{name}: {error}", FailureReason.BAD_ENDPOINT) from None
-        found[name] = device
-    return found
 
 
 def address_of(endpoint: Endpoint) -> tuple[str, str, Direction | None]:

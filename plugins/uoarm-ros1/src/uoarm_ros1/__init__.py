@@ -7,8 +7,8 @@ from __future__ import annotations
 
 from uoarm.bridge import Bridge, BridgeType, hookimpl
 from uoarm.errors import BridgeError
-from uoarm.model import MessageStructure, Options
-from uoarm_ros1._options import BRIDGE_OPTIONS, Ros1Options, mistake, topic_name
+from uoarm.model import MessageStructure
+from uoarm_ros1._options import Ros1BridgeOptions, Ros1Options, mistake, topic_name
 
 __all__ = ["uoarm_bridge_types"]
 
@@ -21,7 +21,7 @@ def uoarm_bridge_types() -> list[BridgeType]:
             name="ros1",
             summary="topics, services, parameters and actions of ROS 1, without ROS here",
             create=_create,
-            bridge_options=BRIDGE_OPTIONS,
+            bridge_options=Ros1BridgeOptions,
             endpoint_options=Ros1Options,
             check_endpoint=mistake,
             topic=topic_name,
@@ -32,19 +32,17 @@ def uoarm_bridge_types() -> list[BridgeType]:
     ]
 
 
-def _create(name: str, options: Options) -> Bridge:
+def _create(name: str, options: Ros1BridgeOptions) -> Bridge:
     from uoarm_ros1._bridge import Ros1Bridge  # noqa: PLC0415 - imports numpy
 
     return Ros1Bridge(name, options)
 
 
-def _structure_of_type(name: str, options: Options) -> MessageStructure | None:
+def _structure_of_type(name: str, options: Ros1BridgeOptions) -> MessageStructure | None:
     from uoarm_ros1._types import TypeStore, structure_of  # noqa: PLC0415 - imports numpy
 
-    given = options.get("definitions", ())
-    folders = [str(folder) for folder in given] if isinstance(given, list | tuple) else []
     try:
-        record = TypeStore(folders).message(name)
+        record = TypeStore(options.definitions).message(name)
     except BridgeError:
         return None
     return None if record is None else structure_of(record)

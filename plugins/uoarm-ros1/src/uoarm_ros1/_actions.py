@@ -124,9 +124,9 @@ class ActionCaller:
         port: Ros1Options,
     ) -> None:
         self._node, self._name = node, name
-        self._wait = node.settings.wait if port.wait is None else port.wait
+        self._wait = node.options.wait if port.wait is None else port.wait
         kinds = action_type(Graph(node), types, endpoint, name, address)
-        budget = node.settings.budget
+        budget = node.options.budget
         self._write_goal = framed_writer(kinds.goal)
         self._read_result = reader(kinds.result, budget)
         cancel = types.require(_GOAL_ID)
@@ -142,7 +142,7 @@ class ActionCaller:
                 kinds.result.name,
                 kinds.result.md5,
                 most=budget.octets,
-                silence=node.settings.silence,
+                silence=node.options.silence,
             ),
             self._take_result,
             lambda _: None,
@@ -297,7 +297,7 @@ class ServedAction(Channel):
     ) -> None:
         super().__init__(endpoint)
         self._node, self._handler = node, handler
-        budget = node.settings.budget
+        budget = node.options.budget
         goal_id, status = types.require(_GOAL_ID), types.require(_STATUS_ARRAY)
         self._read_goal, self._read_cancel = reader(kinds.goal, budget), reader(goal_id, budget)
         self._write_result = framed_writer(kinds.result)
@@ -325,7 +325,7 @@ class ServedAction(Channel):
                     kind.name,
                     kind.md5,
                     most=budget.octets,
-                    silence=node.settings.silence,
+                    silence=node.options.silence,
                 )
                 made = TopicSubscription(wanted, take, _ignore_header, _ignore_end)
                 self._subscriptions.append(made)

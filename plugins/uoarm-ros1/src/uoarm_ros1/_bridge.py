@@ -22,7 +22,7 @@ from uoarm.bridge import (
     Source,
 )
 from uoarm.errors import BridgeError, FailureReason
-from uoarm.model import Endpoint, Health, Message, MessageStructure, Options, Role
+from uoarm.model import Endpoint, Health, Message, MessageStructure, Role
 from uoarm_ros1._actions import ActionCaller, ServedAction, described_action
 from uoarm_ros1._channels import (
     Relay,
@@ -38,7 +38,14 @@ from uoarm_ros1._definitions import DefinitionError, RosRecord, RosService, reco
 from uoarm_ros1._discovery import Graph, discovered
 from uoarm_ros1._health import LostComponents, MasterHealth
 from uoarm_ros1._node import Clock, Node, Rosout
-from uoarm_ros1._options import Ros1Address, Ros1Options, address_of, port_of, read_ros1_options
+from uoarm_ros1._options import (
+    NodeIdentity,
+    Ros1Address,
+    Ros1BridgeOptions,
+    Ros1Options,
+    address_of,
+    port_of,
+)
 from uoarm_ros1._services import Caller, ServedService, probe_service
 from uoarm_ros1._subscription import PublisherHeader
 from uoarm_ros1._types import TypeStore, described_service, structure_of
@@ -60,20 +67,20 @@ class Ros1Bridge(Bridge):
 
     capabilities = Capabilities(discover=True, call=True, serve=True, link=True)
 
-    def __init__(self, name: str, options: Options) -> None:
+    def __init__(self, name: str, options: Ros1BridgeOptions) -> None:
         super().__init__(name, options)
-        settings = read_ros1_options(name, options, os.environ)
-        self._settings = settings
-        self._types = TypeStore(settings.definitions)
-        self._node = Node(settings, self._asked_to_end)
+        self._options = options
+        self._types = TypeStore(options.definitions)
+        identity = NodeIdentity.of(name, options, os.environ)
+        self._node = Node(identity, options, self._asked_to_end)
         self._master_health, self._lost = MasterHealth(), LostComponents()
         self._callers: dict[tuple[str, str], Caller | ActionCaller] = {}
         # Guards the callers, and what was lost, between steps and the watch.
         self._table_lock = threading.Lock()
         self._ticking: WeakSet[_Ticking] = WeakSet()
         self._closing = threading.Event()
-        self._rosout = Rosout(self._node, self._types) if settings.rosout else None
-        self._clock = Clock(self._node, self._types) if settings.use_sim_time else None
+        self._rosout = Rosout(self._node, self._types) if options.rosout else None
+        self._clock = Clock(self._node, self._types) if options.use_sim_time else None
         self._watch = threading.Thread(
             target=self._look_around, name=f"uoarm-ros1-watch-{name}", daemon=True
         )
@@ -356,7 +363,7 @@ class Ros1Bridge(Bridge):
         self._watch.join(_JOIN_SECONDS)
 
     def _place(self, endpoint: Endpoint, topic: str, port: Ros1Options) -> TopicPlace:
-        wait = self._settings.wait if port.wait is None else port.wait
+        wait = self._options.wait if port.wait is None else port.wait
         clock: Callable[[], float] = time.monotonic if self._clock is None else self._clock.now
         return TopicPlace(self._node, endpoint, topic, port, wait, self._report_channel, clock)
 
@@ -399,7 +406,7 @@ class Ros1Bridge(Bridge):
         next_look = 0.0
         while not self._closing.is_set():
             if time.monotonic() >= next_look:
-                next_look = time.monotonic() + self._settings.check
+                next_look = time.monotonic() + self._options.check
                 self._look_at_master()
             self._tick()
             left = next_look - time.monotonic()

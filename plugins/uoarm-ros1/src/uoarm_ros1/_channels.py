@@ -68,15 +68,15 @@ class TopicPlace:
 
     def wanted(self, record: RosRecord | None) -> Wanted:
         """Return what a subscription here takes."""
-        settings, node = self.node.settings, self.port.node
+        options, node = self.node.options, self.port.node
         return Wanted(
             self.node.name,
             self.topic,
             "" if record is None else record.name,
             "" if record is None else record.md5,
             self.node.resolve(node) if node else "",
-            settings.budget.octets,
-            settings.silence,
+            options.budget.octets,
+            options.silence,
             self.port.nodelay,
         )
 
@@ -161,7 +161,7 @@ class Ros1TopicSource(Source):
     def __init__(self, place: TopicPlace, record: RosRecord, deliver: Delivery) -> None:
         super().__init__(place.endpoint)
         self._place, self._deliver = place, deliver
-        self._read = reader(record, place.node.settings.budget)
+        self._read = reader(record, place.node.options.budget)
         self._received = 0
         self._subscribed = _Subscribed(
             place,
@@ -214,7 +214,7 @@ class _Publishing:
         self.health = place.health("subscriber", say)
         self._refusal = ""
         port, node = place.port, place.node
-        limits = (port.queue, 4 * node.settings.budget.octets)
+        limits = (port.queue, 4 * node.options.budget.octets)
         self.publication = node.advertise(place.topic, record, latch=int(port.latch), limits=limits)
         self._before = self.publication.lost
         self.publication.watchers = (*self.publication.watchers, self._watch)
@@ -274,7 +274,7 @@ class _Publishing:
             if self._refusal:
                 text = f"{place.endpoint}: {self._refusal}"
             elif expected and not wanted:
-                host = node.settings.host or "its own"
+                host = node.identity.host or "its own"
                 text = (
                     f"{place.endpoint}: {', '.join(sorted(expected))} did not connect within "
                     f"{place.wait:g} s: set the bridge's option `host`, or ROS_IP, to an address "

@@ -19,7 +19,7 @@ from uoarm.model import Health
 from uoarm_ros1._definitions import RosRecord
 from uoarm_ros1._master import Master, call_api
 from uoarm_ros1._node_api import NodeApi, ParameterUpdate, PublisherUpdate, Shutdown
-from uoarm_ros1._options import Ros1BridgeOptions
+from uoarm_ros1._options import NodeIdentity, Ros1BridgeOptions
 from uoarm_ros1._publication import TopicPublication
 from uoarm_ros1._server import NodeServer, SocketLoop
 from uoarm_ros1._subscription import TopicSubscription, Wanted
@@ -44,7 +44,8 @@ class Node:
     """One node. It is there as long as the bridge is, whether the master is or not.
 
     Args:
-        settings: of the bridge.
+        identity: its name, and where its master is.
+        options: of the bridge.
         ended: is called, with the reason, when the master or an operator asks the node to end.
 
     Attributes:
@@ -54,9 +55,11 @@ class Node:
         stamp: returns the time as headers have it: this machine's, or that of /clock.
     """
 
-    def __init__(self, settings: Ros1BridgeOptions, ended: Callable[[str], object]) -> None:
-        self.settings = settings
-        self.name = settings.names.node
+    def __init__(
+        self, identity: NodeIdentity, options: Ros1BridgeOptions, ended: Callable[[str], object]
+    ) -> None:
+        self.identity, self.options = identity, options
+        self.name = identity.names.node
         self._ended = ended
         self.stamp: Callable[[], Mapping[str, int]] = _stamp
         # Guards the tables of what is registered, between steps, the loop and the watch.
@@ -67,11 +70,11 @@ class Node:
         self._parameters: dict[str, tuple[ParameterListener, ...]] = {}
         self._is_closing = self._is_alone = False
         self._numbers = count(2)
-        host = settings.host or _own_address(settings.master_host, settings.master_port)
+        host = identity.host or _own_address(identity.master_host, identity.master_port)
         # Who says that it is reached on this machine alone is reached from no other.
         is_here = host in _LOOPBACK or host.startswith("127.")
         address = ("127.0.0.1" if host == "localhost" else host) if is_here else ""
-        self._api = NodeApi(self.name, settings.master, os.getpid(), host)
+        self._api = NodeApi(self.name, identity.master, os.getpid(), host)
         self._api.connections = self._connections
         self.loop = SocketLoop(f"uoarm-ros1{self.name}")
         try:
@@ -83,11 +86,11 @@ class Node:
         at = f"[{host}]" if ":" in host else host
         self.uri = f"http://{at}:{server.api_port}/"
         self.service_uri = f"rosrpc://{at}:{server.port}"
-        self.master = Master(settings.master, self.name, self.uri)
+        self.master = Master(identity.master, self.name, self.uri)
 
     def resolve(self, name: str) -> str:
         """Return a full name."""
-        return self.settings.names.resolve(name)
+        return self.identity.names.resolve(name)
 
     @property
     def is_registered(self) -> bool:
@@ -456,7 +459,7 @@ class Clock:
     def __init__(self, node: Node, types: TypeStore) -> None:
         record = types.require("rosgraph_msgs/Clock")
         self._node = node
-        self._read = reader(record, node.settings.budget)
+        self._read = reader(record, node.options.budget)
         self._wanted = Wanted(node.name, "/clock", record.name, record.md5)
         self._subscription: TopicSubscription | None = None
         self._time: Mapping[str, int] = {"secs": 0, "nsecs": 0}

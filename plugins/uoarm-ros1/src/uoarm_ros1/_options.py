@@ -5,25 +5,23 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Mapping
-from typing import Any
 from urllib.parse import urlsplit
 
 from attrs import evolve, field, frozen
 
-from uoarm.bridge import EndpointOptions, option, reading_endpoint
+from uoarm.bridge import BridgeOptions, EndpointOptions, option, reading_endpoint
 from uoarm.errors import ConfigurationError
-from uoarm.model import Budget, Endpoint, Options, Role, Schema
+from uoarm.model import Budget, Endpoint, Options, Role
 
 __all__ = [
-    "BRIDGE_OPTIONS",
     "Names",
+    "NodeIdentity",
     "Ros1Address",
     "Ros1BridgeOptions",
     "Ros1Options",
     "address_of",
     "mistake",
     "port_of",
-    "read_ros1_options",
     "topic_name",
 ]
 
@@ -35,69 +33,71 @@ _GRAPH_NAME = r"[/~]?[A-Za-z][A-Za-z0-9_]*(/[A-Za-z0-9_]+)*"
 _NAME = re.compile(_GRAPH_NAME)
 _TYPE = re.compile(r"[A-Za-z][A-Za-z0-9_]*/[A-Za-z][A-Za-z0-9_]*")
 
-BRIDGE_OPTIONS: Schema = {
-    "type": "object",
-    "additionalProperties": False,
-    "properties": {
-        "master": {
-            "type": "string",
-            "pattern": r"^http://[^/@?#\s]+/?$",
-            "description": "of the ROS master; default: ROS_MASTER_URI, else port 11311 here",
-        },
-        "node": {
-            "type": "string",
-            "pattern": "^[A-Za-z][A-Za-z0-9_]*$",
-            "description": "name of the bridge's node; default: one that no other has",
-        },
-        "namespace": {
-            "type": "string",
-            "pattern": f"^(/|{_GRAPH_NAME})$",
-            "description": "of the node and of relative names; default: ROS_NAMESPACE, else /",
-        },
-        "remap": {
+_PERIOD: Mapping[str, object] = {"type": "number", "minimum": 0.05, "maximum": 3600}
+
+
+@frozen
+class Ros1BridgeOptions(BridgeOptions):
+    """The options of a bridge; what it takes from the environment is in its `NodeIdentity`."""
+
+    master: str = option(
+        "",
+        {"type": "string", "pattern": r"^http://[^/@?#\s]+/?$"},
+        "of the ROS master; left out: `ROS_MASTER_URI`, else port 11311 here",
+    )
+    host: str = option(
+        "",
+        _TEXT,
+        "under which other nodes reach this one; left out: `ROS_HOSTNAME`, `ROS_IP`, else the "
+        "address from which the master is reached",
+    )
+    node: str = option(
+        "",
+        {"type": "string", "pattern": "^[A-Za-z][A-Za-z0-9_]*$"},
+        "name of the node; two nodes of one name end each other; left out: one that no other has",
+    )
+    namespace: str = option(
+        "",
+        {"type": "string", "pattern": f"^(/|{_GRAPH_NAME})$"},
+        "of the node and of relative names; left out: `ROS_NAMESPACE`, else `/`",
+    )
+    remap: Mapping[str, str] = option(
+        {},
+        {
             "type": "object",
             "propertyNames": {"pattern": f"^{_GRAPH_NAME}$"},
             "additionalProperties": {"type": "string", "pattern": f"^{_GRAPH_NAME}$"},
-            "description": "names that stand for others",
         },
-        "host": {
-            **_TEXT,
-            "description": "under which others reach the node; default: ROS_HOSTNAME, ROS_IP, "
-            "else the address from which the master is reached",
-        },
-        "definitions": {
-            "type": "array",
-            "items": dict(_TEXT),
-            "maxItems": 64,
-            "description": "folders of .msg, .srv and .action files",
-        },
-        "wait": {**_SECONDS, "description": "seconds to wait for the other end; default 1"},
-        "check": {
-            "type": "number",
-            "minimum": 0.05,
-            "maximum": 3600,
-            "description": "seconds between looks at the master; default 1",
-        },
-        "silence": {
-            "type": "number",
-            "minimum": 0.05,
-            "maximum": 3600,
-            "description": "seconds without a message until a publisher is asked whether it is "
-            "alive; default 5",
-        },
-        "use_sim_time": {
-            "type": "boolean",
-            "description": "whether stale_after counts by /clock, and goals have its time; "
-            "default false",
-        },
-        "rosout": {
-            "type": "boolean",
-            "description": "whether the node says on /rosout what is wrong; default true",
-        },
-        "max_octets": {**_COUNT, "description": "of a message that comes; default 16 MiB"},
-        "max_values": {**_COUNT, "description": "in lists of a message; default 500,000"},
-    },
-}
+        "names that stand for others",
+    )
+    definitions: tuple[str, ...] = option(
+        (),
+        {"type": "array", "items": {**_TEXT, "x-uoarm-path": True}, "maxItems": 64},
+        "folders of `.msg`, `.srv` and `.action` files",
+    )
+    wait: float = option(1.0, _SECONDS, "seconds to wait for the other end", unit="s")
+    check: float = option(1.0, _PERIOD, "seconds between looks at the master", unit="s")
+    silence: float = option(
+        5.0,
+        _PERIOD,
+        "seconds without a message after which a publisher is asked whether it lives",
+        unit="s",
+    )
+    use_sim_time: bool = option(
+        False,
+        {"type": "boolean"},
+        "`stale_after` counts the seconds of `/clock`, and goals and headers of ours have its time",
+    )
+    rosout: bool = option(
+        True, {"type": "boolean"}, "what the bridge reports is said on `/rosout`, too"
+    )
+    max_octets: int = option(16_777_216, _COUNT, "of one message that comes")
+    max_values: int = option(500_000, _COUNT, "in lists of one message")
+
+    @property
+    def budget(self) -> Budget:
+        """What one message may cost."""
+        return Budget(octets=self.max_octets, elements=self.max_values)
 
 
 @frozen
@@ -208,73 +208,58 @@ class Names:
 
 
 @frozen
-class Ros1BridgeOptions:
-    """The options of a bridge, with what the environment says of what they leave out."""
+class NodeIdentity:
+    """What a node is called and where its master is, by the options and the environment.
+
+    Attributes:
+        master_host: of the master.
+        master_port: of the master.
+        names: the node's own name, and what others stand for.
+        host: under which others reach it; empty: the address from which the master is reached.
+    """
 
     master_host: str
     master_port: int
     names: Names
     host: str
-    definitions: tuple[str, ...]
-    wait: float
-    check: float
-    silence: float
-    use_sim_time: bool
-    rosout: bool
-    budget: Budget
 
     @property
     def master(self) -> str:
         """The master's address."""
         return f"http://{self.master_host}:{self.master_port}/"
 
+    @classmethod
+    def of(
+        cls, name: str, options: Ros1BridgeOptions, environment: Mapping[str, str]
+    ) -> NodeIdentity:
+        """Return that of a bridge.
 
-def read_ros1_options(
-    name: str, options: Options, environment: Mapping[str, str]
-) -> Ros1BridgeOptions:
-    """Read the options of a bridge, already checked against the schema.
-
-    Raises:
-        ConfigurationError: the address of the master, or a name of the environment, is none.
-    """
-    given: dict[str, Any] = dict(options)
-    uri = given.get("master") or environment.get("ROS_MASTER_URI") or "http://localhost:11311"
-    try:
-        parts = urlsplit(uri)
-        host, port = parts.hostname or "", parts.port or 11311
-    except ValueError as error:
-        raise ConfigurationError(f"bridge {name!r}: master {uri!r}: {error}") from None
-    if parts.scheme != "http" or not host:
-        text = f"bridge {name!r}: expected a master such as http://robot:11311, got {uri!r}"
-        raise ConfigurationError(text)
-    namespace = given.get("namespace") or environment.get("ROS_NAMESPACE") or "/"
-    namespace = "/" + namespace.strip("/")
-    if namespace != "/" and not _NAME.fullmatch(namespace):
-        raise ConfigurationError(f"bridge {name!r}: ROS_NAMESPACE {namespace!r} is no namespace")
-    plain = re.sub(r"\W", "_", name, flags=re.ASCII)
-    # Two nodes of one name end each other: unless it is stated, no other node has it.
-    node = given.get("node") or f"uoarm_{plain}_{os.getpid()}_{os.urandom(4).hex()}"
-    names = Names(f"{namespace.rstrip('/')}/{node}", namespace)
-    remap = {
-        names.resolve(alias): names.resolve(target)
-        for alias, target in given.get("remap", {}).items()
-    }
-    said = environment.get("ROS_HOSTNAME") or environment.get("ROS_IP") or ""
-    return Ros1BridgeOptions(
-        host,
-        port,
-        Names(names.node, namespace, remap),
-        given.get("host") or said,
-        tuple(given.get("definitions", ())),
-        given.get("wait", 1.0),
-        given.get("check", 1.0),
-        given.get("silence", 5.0),
-        given.get("use_sim_time", False),
-        given.get("rosout", True),
-        Budget(
-            octets=given.get("max_octets", 16_777_216), elements=given.get("max_values", 500_000)
-        ),
-    )
+        Raises:
+            ConfigurationError: the address of the master, or a name of the environment, is none.
+        """
+        uri = options.master or environment.get("ROS_MASTER_URI") or "http://localhost:11311"
+        try:
+            parts = urlsplit(uri)
+            host, port = parts.hostname or "", parts.port or 11311
+        except ValueError as error:
+            raise ConfigurationError(f"bridge {name!r}: master {uri!r}: {error}") from None
+        if parts.scheme != "http" or not host:
+            text = f"bridge {name!r}: expected a master such as http://robot:11311, got {uri!r}"
+            raise ConfigurationError(text)
+        namespace = options.namespace or environment.get("ROS_NAMESPACE") or "/"
+        namespace = "/" + namespace.strip("/")
+        if namespace != "/" and not _NAME.fullmatch(namespace):
+            text = f"bridge {name!r}: ROS_NAMESPACE {namespace!r} is no namespace"
+            raise ConfigurationError(text)
+        plain = re.sub(r"\W", "_", name, flags=re.ASCII)
+        # Two nodes of one name end each other: unless it is stated, no other node has it.
+        node = options.node or f"uoarm_{plain}_{os.getpid()}_{os.urandom(4).hex()}"
+        names = Names(f"{namespace.rstrip('/')}/{node}", namespace)
+        remap = {
+            names.resolve(alias): names.resolve(target) for alias, target in options.remap.items()
+        }
+        said = environment.get("ROS_HOSTNAME") or environment.get("ROS_IP") or ""
+        return cls(host, port, Names(names.node, namespace, remap), options.host or said)
 
 
 def address_of(endpoint: Endpoint) -> Ros1Address:

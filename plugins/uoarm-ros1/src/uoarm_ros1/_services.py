@@ -108,7 +108,7 @@ class Caller:
 
     def __init__(self, node: Node, service: str, kind: RosService) -> None:
         self._node, self._service, self._kind = node, service, kind
-        budget = node.settings.budget
+        budget = node.options.budget
         self._write, self._read = framed_writer(kind.request), reader(kind.reply, budget)
         self._most = budget.octets
         # Guards the connections that are idle, between threads that call.
@@ -217,7 +217,7 @@ class ServedService(Channel):
         super().__init__(endpoint)
         self._node, self._service, self._kind = node, service, kind
         self._handler = handler
-        budget: Budget = node.settings.budget
+        budget: Budget = node.options.budget
         self._read, self._write = reader(kind.request, budget), framed_writer(kind.reply)
         self._most = budget.octets
         self._turns = threading.BoundedSemaphore(at_once)

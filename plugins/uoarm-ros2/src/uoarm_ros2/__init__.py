@@ -14,7 +14,7 @@ from uoarm.bridge import Bridge, BridgeType, hookimpl, install_command
 from uoarm.errors import PluginError
 from uoarm.model import Options
 from uoarm_ros2._installed import absent_middleware, doubts, structure_of_type
-from uoarm_ros2._options import BRIDGE_OPTIONS, Ros2Options, mistake, topic_name
+from uoarm_ros2._options import Ros2BridgeOptions, Ros2Options, mistake, topic_name
 from uoarm_ros2._parameters import mistakes
 
 __all__ = ["uoarm_bridge_types"]
@@ -28,7 +28,7 @@ def uoarm_bridge_types() -> list[BridgeType]:
             name="ros2",
             summary="ROS 2 topics, services and actions through rclpy",
             create=_create,
-            bridge_options=BRIDGE_OPTIONS,
+            bridge_options=Ros2BridgeOptions,
             endpoint_options=Ros2Options,
             check_endpoint=mistake,
             topic=topic_name,
@@ -41,7 +41,7 @@ def uoarm_bridge_types() -> list[BridgeType]:
     ]
 
 
-def _create(name: str, options: Options) -> Bridge:
+def _create(name: str, options: Ros2BridgeOptions) -> Bridge:
     try:
         module = import_with_middleware("uoarm_ros2._bridge")
     except PluginError as error:
@@ -51,7 +51,7 @@ def _create(name: str, options: Options) -> Bridge:
 
 
 def _check_parameters(
-    address: tuple[str, ...], parameters: Options, options: Options
+    address: tuple[str, ...], parameters: Options, options: Ros2BridgeOptions
 ) -> dict[str, str]:
     del address, options  # which parameters a node has only the node knows
     return mistakes(parameters)

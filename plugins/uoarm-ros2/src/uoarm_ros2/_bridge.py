@@ -26,7 +26,7 @@ from uoarm.bridge import (
 )
 from uoarm.cdr import Codec
 from uoarm.errors import BridgeError, FailureReason, MessageError
-from uoarm.model import Endpoint, Health, Message, MessageStructure, Options, Role
+from uoarm.model import Endpoint, Health, Message, MessageStructure, Role
 from uoarm_ros2._actions import Action, ActionSink, ActionSource
 from uoarm_ros2._channels import PublisherSink, SameTopicLink, SerialisedRelay, SubscriptionSource
 from uoarm_ros2._conversion import writer
@@ -199,17 +199,15 @@ class Ros2Bridge(Bridge):
 
     capabilities = Capabilities(discover=True, call=True, serve=True, link=True)
 
-    def __init__(self, name: str, options: Options) -> None:
+    def __init__(self, name: str, options: Ros2BridgeOptions) -> None:
         super().__init__(name, options)
-        given = {key: value for key, value in options.items() if key != "node"}
-        node = str(options.get("node", f"uoarm_{''.join(c if c.isalnum() else '_' for c in name)}"))
-        self._options = Ros2BridgeOptions(node, **given)  # type: ignore[arg-type]  # by the schema
+        self._options = options
         defined = DefinedTypes(self._options.definitions)
         self._participant = Participant(
             self._options.domain_id, self._options.namespace, self._options.shared_memory
         )
         try:
-            self._runner = self._participant.start_node(node)
+            self._runner = self._participant.start_node(options.node_name(name))
             self._clock = (
                 self._subscribe_to_clock() if self._options.use_sim_time else time.monotonic
             )
@@ -222,7 +220,9 @@ class Ros2Bridge(Bridge):
             self._runner.node, self._participant.node_names, self._report_component
         )
         self._shared = SharedEntities(
-            self._runner, self._graph, partial(self._participant.start_node, f"{node}_replies")
+            self._runner,
+            self._graph,
+            partial(self._participant.start_node, f"{options.node_name(name)}_replies"),
         )
         access = NodeAccess(
             self._shared.ask,

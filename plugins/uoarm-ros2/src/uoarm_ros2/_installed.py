@@ -15,8 +15,8 @@ from typing import Any
 from attrs import frozen
 
 from uoarm.errors import BridgeError, ConfigurationError, FailureReason
-from uoarm.model import MessageStructure, Options
-from uoarm_ros2._options import TF_MESSAGE
+from uoarm.model import MessageStructure
+from uoarm_ros2._options import TF_MESSAGE, Ros2BridgeOptions
 from uoarm_ros2._schema import structure_of
 from uoarm_ros2._types import (
     ACTION,
@@ -140,7 +140,7 @@ _SHOWN = 5
 _PARTS = {SERVICE: ("Request", "Response"), ACTION: ("Goal", "Result", "Feedback")}
 
 
-def structure_of_type(name: str, options: Options) -> MessageStructure | None:
+def structure_of_type(name: str, options: object) -> MessageStructure | None:
     """Return the structure of an installed message type; None: there is none of this name.
 
     Takes `package/Name` for `package/msg/Name`, as ROS 1 and its clients spell it. Parts of
@@ -184,7 +184,9 @@ def installed() -> list[str]:
     return sorted(name for name in found if not type_mistake(name))
 
 
-def doubts(options: Options, addresses: frozenset[tuple[str, ...]]) -> dict[tuple[str, ...], str]:
+def doubts(
+    options: Ros2BridgeOptions, addresses: frozenset[tuple[str, ...]]
+) -> dict[tuple[str, ...], str]:
     """Return what is wrong with definitions, and which addresses name a type that is not here.
 
     A node may describe such a message type, so that it is a doubt and no mistake. Where there is no
@@ -194,9 +196,8 @@ def doubts(options: Options, addresses: frozenset[tuple[str, ...]]) -> dict[tupl
         return {}
     reading = DefinitionReader()
     found: dict[tuple[str, ...], str] = {}
-    folders: Any = options.get("definitions", ())
     try:
-        for folder in folders:
+        for folder in options.definitions:
             reading.take(Path(folder).expanduser())
     except ConfigurationError as error:
         found[()] = str(error)

@@ -8,13 +8,12 @@ from typing import Any
 
 from attrs import evolve, frozen
 
-from uoarm.bridge import EndpointOptions, option, reading_endpoint
-from uoarm.model import Endpoint, Options, Role, Schema
+from uoarm.bridge import BridgeOptions, EndpointOptions, option, reading_endpoint
+from uoarm.model import Endpoint, Options, Role
 from uoarm_ros2._qos import AUTO_ONLY, QosOptions
 from uoarm_ros2._types import ACTION, MESSAGE, SERVICE, kind_of, type_mistake
 
 __all__ = [
-    "BRIDGE_OPTIONS",
     "HIGHEST_DOMAIN",
     "LOOKUP",
     "TF_MESSAGE",
@@ -36,54 +35,68 @@ _PARTS = {
 }
 # Fast DDS announces a participant every 3 s: one that starts beside us may be unseen that long.
 _WAIT_SECONDS = 3.5
-_SETTLE_SECONDS = 0.05
 HIGHEST_DOMAIN = 232  # from there on the ports that DDS computes do not exist
 TF_MESSAGE, LOOKUP = "tf2_msgs/msg/TFMessage", "lookup"
 
 _QOS: Any = QosOptions.schema()
 _SECONDS: dict[str, object] = {"type": "number", "minimum": 0, "maximum": 60}
-BRIDGE_OPTIONS: Schema = {
-    "type": "object",
-    "additionalProperties": False,
-    "properties": {
-        "domain_id": {
+
+
+@frozen
+class Ros2BridgeOptions(BridgeOptions):
+    """The options of a bridge."""
+
+    domain_id: int | None = option(
+        None,
+        {
             "type": "integer",
             "minimum": 0,
             "maximum": HIGHEST_DOMAIN,
             # 102 to 214 lie in the ephemeral ports of Linux; small numbers are people's own.
             "x-uoarm-assign": {"from": 64, "to": 101, "except_variable": "ROS_DOMAIN_ID"},
-            "description": "DDS domain; default: ROS_DOMAIN_ID of the environment, else 0",
         },
-        "node": {
-            "type": "string",
-            "pattern": "^[A-Za-z_][A-Za-z0-9_]*$",
-            "description": "name of the bridge's node; default: uoarm_ and the bridge's name",
-        },
-        "namespace": {"type": "string", "description": "namespace of the bridge's node"},
-        "definitions": {
+        "DDS domain; left out: `ROS_DOMAIN_ID` of the environment, else 0, and 64 to 101 between "
+        "hosted installations. Several bridges may live in several domains in one process",
+    )
+    node: str = option(
+        "",
+        {"type": "string", "pattern": "^[A-Za-z_][A-Za-z0-9_]*$"},
+        "name of the bridge's node; left out: `uoarm_` and the bridge's name",
+    )
+    namespace: str = option(
+        "", {"type": "string"}, "of the bridge's node; relative names are resolved in it"
+    )
+    definitions: tuple[str, ...] = option(
+        (),
+        {
             "type": "array",
             "items": {"type": "string", "minLength": 1, "x-uoarm-path": True},
             "maxItems": 64,
-            "description": "folders of .msg files for message types that are not installed",
         },
-        "use_sim_time": {
-            "type": "boolean",
-            "description": "whether stale_after counts the seconds of /clock; default false",
-        },
-        "wait": {**_SECONDS, "description": "seconds to wait for the other end; default 3.5"},
-        "shared_memory": {
-            "type": "integer",
-            "minimum": 1,
-            "maximum": 1024,
-            "description": "MiB of shared memory through which messages go out to readers on this "
-            "machine; default: half a MiB, less than one picture",
-        },
-        "settle": {
-            **_SECONDS,
-            "description": "seconds for a matched publisher to learn of us; default 0.05",
-        },
-    },
-}
+        "folders of `.msg` files for message types that are not installed",
+    )
+    wait: float = option(
+        _WAIT_SECONDS,
+        _SECONDS,
+        "seconds to wait for the other end; the graph counts as formed that long after the start",
+        unit="s",
+    )
+    shared_memory: int | None = option(
+        None,
+        {"type": "integer", "minimum": 1, "maximum": 1024},
+        "MiB of shared memory through which messages go out to readers on this machine; left out: "
+        "half a MiB, less than one picture",
+    )
+    settle: float = option(
+        0.05, _SECONDS, "seconds given to a matched publisher to match us in turn", unit="s"
+    )
+    use_sim_time: bool = option(
+        False, {"type": "boolean"}, "whether `stale_after` counts the seconds of `/clock`"
+    )
+
+    def node_name(self, bridge: str) -> str:
+        """Return the name of the node of a bridge."""
+        return self.node or f"uoarm_{''.join(c if c.isalnum() else '_' for c in bridge)}"
 
 
 @frozen
@@ -104,20 +117,6 @@ class Ros2Address:
     def kind(self) -> str:
         """`msg`, `srv` or `action`; `msg` also when the type is left to the graph."""
         return kind_of(self.type) if self.type else MESSAGE
-
-
-@frozen
-class Ros2BridgeOptions:
-    """The options of a bridge instance; `domain_id` None: what the environment says."""
-
-    node: str
-    namespace: str = ""
-    domain_id: int | None = None
-    wait: float = _WAIT_SECONDS
-    settle: float = _SETTLE_SECONDS
-    shared_memory: int | None = None
-    definitions: tuple[str, ...] = ()
-    use_sim_time: bool = False
 
 
 @frozen

@@ -7,8 +7,7 @@ from __future__ import annotations
 
 from uoarm.bridge import Bridge, BridgeType, hookimpl
 from uoarm.errors import PluginError
-from uoarm.model import Options
-from uoarm_rtm._options import BRIDGE_OPTIONS, RtmEndpointOptions, option_mistake
+from uoarm_rtm._options import RtmBridgeOptions, RtmEndpointOptions, option_mistake
 
 __all__ = ["uoarm_bridge_types"]
 
@@ -24,7 +23,7 @@ def uoarm_bridge_types() -> list[BridgeType]:
             name="rtm",
             summary="OpenRTM components through CORBA",
             create=_create,
-            bridge_options=BRIDGE_OPTIONS,
+            bridge_options=RtmBridgeOptions,
             endpoint_options=RtmEndpointOptions,
             check_endpoint=option_mistake,
             doctor=_doctor,
@@ -33,7 +32,7 @@ def uoarm_bridge_types() -> list[BridgeType]:
     ]
 
 
-def _create(name: str, options: Options) -> Bridge:
+def _create(name: str, options: RtmBridgeOptions) -> Bridge:
     try:
         from uoarm_rtm._bridge import RtmBridge  # noqa: PLC0415 - imports the middleware
     except ImportError as error:

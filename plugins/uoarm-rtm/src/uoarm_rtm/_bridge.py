@@ -23,7 +23,7 @@ from uoarm.bridge import (
     at_exit,
 )
 from uoarm.errors import BridgeError, FailureReason
-from uoarm.model import Endpoint, Message, MessageStructure, Options, Role
+from uoarm.model import Endpoint, Message, MessageStructure, Role
 from uoarm_rtm._channels import (
     InPortSink,
     NativeConnector,
@@ -40,9 +40,9 @@ from uoarm_rtm._options import (
     LIFECYCLE,
     SELF,
     PortAddress,
+    RtmBridgeOptions,
     RtmEndpointOptions,
     address_of,
-    bridge_options,
     linked_options,
 )
 from uoarm_rtm._orb import Orb
@@ -69,7 +69,7 @@ class RtmBridge(Bridge):
 
     Args:
         name: name of this instance in the configuration.
-        options: checked against `_options.BRIDGE_OPTIONS`.
+        options: of it.
 
     Raises:
         BridgeError: the IDL of the options cannot be compiled, or the ORB cannot begin.
@@ -77,12 +77,13 @@ class RtmBridge(Bridge):
 
     capabilities = Capabilities(discover=True, call=True, serve=True, link=True)
 
-    def __init__(self, name: str, options: Options) -> None:
+    def __init__(self, name: str, options: RtmBridgeOptions) -> None:
         super().__init__(name, options)
-        self._options = bridge_options(name, options)
-        self._types = Types(self._options.idl, self._options.text, self._options.idl_folder)
-        seconds = self._options.call_seconds
-        self._orb = Orb(self._options.address, seconds, self._options.most_octets)
+        self._options = options
+        self._component = options.component or f"uoarm_{name}"
+        self._types = Types(options.idl_sources, options.text, options.idl_folder)
+        seconds = options.call_seconds
+        self._orb = Orb(options.address, seconds, int(options.max_message))
         try:
             self._services = [
                 NamingService(self._orb, nameserver, seconds)
@@ -92,7 +93,7 @@ class RtmBridge(Bridge):
             self._orb.close()  # a bridge that was never made is never closed
             raise
         self._directory = Directory(self._services, seconds)
-        self._connections = Connections(self._orb, self._options.component, seconds)
+        self._connections = Connections(self._orb, self._component, seconds)
         # Guards the callers, our own component and the checks: calls, openings, closings and the
         # ticker's rounds are in different threads. Never held while a component is called.
         self._guard = threading.Lock()
@@ -102,11 +103,11 @@ class RtmBridge(Bridge):
         self._callers: dict[tuple[str, ...], OperationCaller] = {}
         self._active = Activations(seconds)
         self._ticking: dict[Channel, Callable[[], None]] = {}
-        own = f"{self._options.component}.rtc"
+        own = f"{self._component}.rtc"
         self._monitor = DirectoryMonitor(self._directory, self.report, own)
-        self._ticker = Ticker(self._ticks, self._options.watch_seconds)
+        self._ticker = Ticker(self._ticks, self._options.watch)
         soon = self._ticker.soon
-        self._observers = Observers(self._orb, self._options.component, seconds, soon)
+        self._observers = Observers(self._orb, self._component, seconds, soon)
         self._ticker.start()
         self._forget_exit = at_exit(partial(_end_at_exit, weakref.ref(self)))
 
@@ -163,8 +164,8 @@ class RtmBridge(Bridge):
         limit = timeout, "the limit of the call"
         if own is not None:
             limit = min(limit, (own, "`timeout` of the endpoint"))
-        elif self._options.operation_seconds is not None:
-            limit = min(limit, (self._options.operation_seconds, "`call_timeout` of the bridge"))
+        elif self._options.call_timeout is not None:
+            limit = min(limit, (self._options.call_timeout, "`call_timeout` of the bridge"))
         if address.port == LIFECYCLE:
             return drive(self._directory.peer(address.component), message, seconds)
         if address.port == CONFIGURATION:
@@ -327,7 +328,7 @@ class RtmBridge(Bridge):
                 raise
         with self._guard:
             self._ticking[channel] = tick
-        if self._options.observe and self._options.watch_seconds:
+        if self._options.observe and self._options.watch:
             for remote in remotes:
                 self._observers.enter(channel, tick, remote.peer)
 
@@ -341,7 +342,7 @@ class RtmBridge(Bridge):
             self._require_open()
             if self._own is not None:
                 return self._own
-            name, seconds = self._options.component, self._options.call_seconds
+            name, seconds = self._component, self._options.call_seconds
             made = OwnComponent(self._orb, name, self._services, self._types, seconds, self.report)
             try:
                 with self._guard:

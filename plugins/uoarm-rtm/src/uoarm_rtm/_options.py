@@ -7,16 +7,14 @@ them by the side that holds the buffer: `requested_properties` writes, `buffer_p
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, Literal
+from typing import Literal
 
 from attrs import frozen
-from typing_extensions import Self
 
-from uoarm.bridge import EndpointOptions, option, reading_endpoint
-from uoarm.model import Endpoint, Options, Role, Schema
+from uoarm.bridge import BridgeOptions, DeclaredOptions, EndpointOptions, option, reading_endpoint
+from uoarm.model import Endpoint, Options, Role
 
 __all__ = [
-    "BRIDGE_OPTIONS",
     "CONFIGURATION",
     "LIFECYCLE",
     "SELF",
@@ -27,7 +25,6 @@ __all__ = [
     "RtmBridgeOptions",
     "RtmEndpointOptions",
     "address_of",
-    "bridge_options",
     "buffer_policy",
     "linked_options",
     "option_mistake",
@@ -187,63 +184,91 @@ _OF_OPTIONS = {
 }
 
 _NAMESERVER = "corbaloc::localhost:2809/NameService"
-_TEXTS: dict[str, object] = {"type": "array", "items": {"type": "string"}, "minItems": 1}
+_TEXT = {"type": "string"}
+_TEXTS: dict[str, object] = {"type": "array", "items": _TEXT, "minItems": 1}
 _IDL: dict[str, object] = {"type": "string", "minLength": 1, "x-uoarm-path": r"[^{]+"}
+_CALL_SECONDS = 2.0
 
-BRIDGE_OPTIONS: Schema = {
-    "type": "object",
-    "additionalProperties": False,
-    "properties": {
-        "nameserver": {
-            "anyOf": [{"type": "string", "minLength": 1}, _TEXTS],
-            "description": "one or several naming services, corbaloc or host:port",
-        },
-        "idl": {
-            "anyOf": [_IDL, {"type": "array", "items": _IDL, "minItems": 1}],
-            "description": "IDL files or texts with further data types",
-        },
-        "idl_folder": {
-            "type": "string",
-            "x-uoarm-path": True,
-            "default": ".",
-            "description": "where texts of `idl` find what they include; default: the file's",
-        },
-        "address": {"type": "string", "description": "interface to listen on; default 127.0.0.1"},
-        "call_timeout": {
-            "type": "number",
-            "exclusiveMinimum": 0,
-            "maximum": 60,
-            "description": "seconds that one CORBA call may take; default 2, and for operations "
-            "of services the limit of the call",
-        },
-        "watch": {
-            "type": "number",
-            "minimum": 0,
-            "maximum": 3600,
-            "description": "seconds between checks of components; 0 never; default 1",
-        },
-        "observe": {
-            "type": "boolean",
-            "description": "whether components are asked to notify us when their states change; "
-            "default true",
-        },
-        "text": {
-            "enum": ["utf-8", "latin-1"],
-            "description": "encoding of strings in data; default utf-8",
-        },
-        "max_message": {
-            "type": "integer",
-            "minimum": 1 << 16,
-            "maximum": 1 << 30,
-            "description": "octets of one message that we send or take at most; default 64 MiB",
-        },
-        "component": {
-            "type": "string",
-            "pattern": "^[A-Za-z0-9_]+$",
-            "description": "name of the bridge's own component; default: uoarm_ and its name",
-        },
-    },
-}
+
+@frozen
+class RtmBridgeOptions(BridgeOptions):
+    """The options of a bridge."""
+
+    nameserver: str | tuple[str, ...] = option(
+        _NAMESERVER,
+        {"anyOf": [{"type": "string", "minLength": 1}, _TEXTS]},
+        "one or several naming services; `host:port` will do",
+    )
+    idl: str | tuple[str, ...] = option(
+        (),
+        {"anyOf": [_IDL, {"type": "array", "items": _IDL, "minItems": 1}]},
+        'IDL files or texts with further types and interfaces; `#include "BasicDataType.idl"` '
+        "finds ours",
+    )
+    idl_folder: str = option(
+        ".",
+        {"type": "string", "x-uoarm-path": True},
+        "where a text of `idl` finds what else it includes; relative to the configuration's file. "
+        "A file finds it beside itself",
+    )
+    call_timeout: float | None = option(
+        None,
+        {"type": "number", "exclusiveMinimum": 0, "maximum": 60},
+        "seconds that one CORBA call may take, connecting included; left out: 2. Operations of "
+        "services have the limit of the call (`robot.call(timeout=)`) and `timeout` of their "
+        "endpoint; where the endpoint has none, this one too, but only where it is written down: "
+        "2 s are too few for what moves an arm",
+        unit="s",
+    )
+    max_message: int = option(
+        1 << 26,
+        {"type": "integer", "minimum": 1 << 16, "maximum": 1 << 30},
+        "octets of one message (of GIOP) that our side sends or takes, up to 1 GiB; one figure for "
+        "all bridges of a process",
+    )
+    watch: float = option(
+        1.0,
+        {"type": "number", "minimum": 0, "maximum": 3600},
+        "seconds between checks of components; 0: never",
+        unit="s",
+    )
+    observe: bool = option(
+        True,
+        {"type": "boolean"},
+        "whether components are asked to report changes of their states; `false`: they are only "
+        "checked",
+    )
+    text: str = option(
+        "utf-8",
+        {"enum": ["utf-8", "latin-1"]},
+        "encoding of strings in data; `latin-1` for components that send umlauts from omniORBpy",
+    )
+    address: str = option(
+        "127.0.0.1",
+        _TEXT,
+        "interface that our side listens on: `0.0.0.0`, or one address, for components on other "
+        "machines",
+    )
+    component: str = option(
+        "",
+        {"type": "string", "pattern": "^[A-Za-z0-9_]+$"},
+        "the name under which the bridge is a component itself; left out: `uoarm_` and its name",
+    )
+
+    @property
+    def nameservers(self) -> tuple[str, ...]:
+        """Naming services."""
+        return _texts(self.nameserver)
+
+    @property
+    def idl_sources(self) -> tuple[str, ...]:
+        """IDL files or texts."""
+        return _texts(self.idl)
+
+    @property
+    def call_seconds(self) -> float:
+        """Seconds that one CORBA call may take."""
+        return _CALL_SECONDS if self.call_timeout is None else self.call_timeout
 
 
 @frozen
@@ -261,30 +286,12 @@ class PortAddress:
     type: str = ""
 
 
-@frozen
-class RtmBridgeOptions:
-    """The options of a bridge instance; `operation_seconds` is None where none are asked for."""
-
-    component: str
-    nameservers: tuple[str, ...] = (_NAMESERVER,)
-    idl: tuple[str, ...] = ()
-    address: str = "127.0.0.1"
-    call_seconds: float = 2.0
-    watch_seconds: float = 1.0
-    text: str = "utf-8"
-    most_octets: int = 1 << 26
-    operation_seconds: float | None = None
-    observe: bool = True
-    idl_folder: str = "."
-
-
 _WAITING = {"type": "number", "minimum": 0, "maximum": _MOST_SECONDS}
 _ABOVE_ZERO = {"type": "number", "exclusiveMinimum": 0}
-_TEXT = {"type": "string"}
 
 
 @frozen
-class BufferOptions(EndpointOptions):
+class BufferOptions(DeclaredOptions):
     """How messages wait at one end of a connector; what is left out is the holder's to choose."""
 
     length: int | None = option(
@@ -325,11 +332,11 @@ class BufferOptions(EndpointOptions):
         asked["length"] = None if self.length is None else int(self.length)
         return {name: str(value) for name, value in asked.items() if value is not None}
 
-    def check_together(self, name: str) -> None:
-        """Raise ValueError where a time limit is given for what does not wait."""
+    def check_together(self) -> None:
+        """Refuse a time limit of what does not wait."""
         for timeout, policy in (("write_timeout", "full_policy"), ("read_timeout", "empty_policy")):
             if getattr(self, timeout) is not None and getattr(self, policy) != "block":
-                raise ValueError(f"{name}.{timeout} means nothing without {policy}: block")
+                raise ValueError(f"{timeout} means nothing without {policy}: block")
 
 
 @frozen
@@ -434,17 +441,6 @@ class RtmEndpointOptions(EndpointOptions):
         "type than `corba_cdr`",
     )
 
-    @classmethod
-    def of(cls, options: Options) -> Self:
-        """Read options.
-
-        Raises:
-            ValueError: some are wrong, or do not go together.
-        """
-        made = super().of(options)
-        made._check_together()  # noqa: SLF001 - our own class
-        return made
-
     @property
     def period(self) -> float:
         """Seconds from one push of ours to the next; 0 for whenever there is something."""
@@ -469,7 +465,8 @@ class RtmEndpointOptions(EndpointOptions):
             requested["dataport.fsm_event_name"] = self.event
         return {**requested, **(self.properties or {})}
 
-    def _check_together(self) -> None:
+    def check_together(self) -> None:
+        """Refuse options of which one means nothing without, or beside, another."""
         if self.reset and not self.activate:
             raise ValueError("reset means nothing without activate: true or keep")
         if self.push_policy and (self.flow == "pull" or self.subscription == "flush"):
@@ -477,10 +474,6 @@ class RtmEndpointOptions(EndpointOptions):
             raise ValueError(text)
         if self.skip_count is not None and self.push_policy != "skip":
             raise ValueError("skip_count means nothing without push_policy: skip")
-        for name in ("buffer", "inport_buffer", "outport_buffer"):
-            table: BufferOptions | None = getattr(self, name)
-            if table is not None:
-                table.check_together(name)
         properties = self.properties or {}
         for name, instead in _OF_OPTIONS.items():
             if name in properties:
@@ -494,25 +487,6 @@ class RtmEndpointOptions(EndpointOptions):
         for side in _SIDES:
             buffer_policy(requested, side)
         push_policy(requested)
-
-
-def bridge_options(name: str, options: Options) -> RtmBridgeOptions:
-    """Read the options of a bridge, which have been checked against BRIDGE_OPTIONS."""
-    given: Any = options
-    defaults = RtmBridgeOptions(given.get("component", f"uoarm_{name}"))
-    return RtmBridgeOptions(
-        defaults.component,
-        _texts(given.get("nameserver")) or defaults.nameservers,
-        _texts(given.get("idl")),
-        given.get("address", defaults.address),
-        given.get("call_timeout", defaults.call_seconds),
-        given.get("watch", defaults.watch_seconds),
-        given.get("text", defaults.text),
-        int(given.get("max_message", defaults.most_octets)),
-        given.get("call_timeout"),
-        given.get("observe", defaults.observe),
-        given.get("idl_folder", defaults.idl_folder),
-    )
 
 
 def address_of(endpoint: Endpoint) -> PortAddress:
@@ -554,10 +528,10 @@ def linked_options(source: Endpoint, sink: Endpoint) -> RtmEndpointOptions | Non
 
 
 def option_mistake(address: tuple[str, ...], options: Options) -> str:
-    """Return what is wrong with an address or its options, or ""."""
+    """Return what is wrong with an address, or ""."""
+    del options  # each is checked by itself
     try:
         _address(address)
-        RtmEndpointOptions.of(options)
     except ValueError as error:
         return str(error)
     return ""
@@ -577,7 +551,5 @@ def _fits(address: PortAddress, role: Role, *, is_offered: bool) -> None:
         raise ValueError("a port of our own component needs its type as third part")
 
 
-def _texts(value: object) -> tuple[str, ...]:
-    if value is None:
-        return ()
-    return (value,) if isinstance(value, str) else tuple(map(str, value))  # type: ignore[call-overload]  # by the schema
+def _texts(value: str | tuple[str, ...]) -> tuple[str, ...]:
+    return (value,) if isinstance(value, str) else value

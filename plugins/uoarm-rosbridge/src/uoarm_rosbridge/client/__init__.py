@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from uoarm.bridge import Bridge, BridgeType, hookimpl
-from uoarm.model import Options
-from uoarm_rosbridge.client._options import BRIDGE_OPTIONS, Port, mistake, topic_name
+from uoarm_rosbridge.client._options import ClientOptions, Port, mistake, topic_name
 
 __all__ = ["uoarm_bridge_types"]
 
@@ -17,7 +16,7 @@ def uoarm_bridge_types() -> list[BridgeType]:
             name="rosbridge",
             summary="topics, services, actions and parameters behind a rosbridge server",
             create=_create,
-            bridge_options=BRIDGE_OPTIONS,
+            bridge_options=ClientOptions,
             endpoint_options=Port,
             check_endpoint=mistake,
             topic=topic_name,
@@ -26,7 +25,7 @@ def uoarm_bridge_types() -> list[BridgeType]:
     ]
 
 
-def _create(name: str, options: Options) -> Bridge:
+def _create(name: str, options: ClientOptions) -> Bridge:
     from uoarm_rosbridge.client._bridge import RosbridgeBridge  # noqa: PLC0415 - the server's, too
 
     return RosbridgeBridge(name, options)

@@ -21,7 +21,7 @@ from uoarm.bridge import (
     Source,
 )
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason
-from uoarm.model import Endpoint, Health, Message, MessageStructure, Options, Role
+from uoarm.model import Endpoint, Health, Message, MessageStructure, Role
 from uoarm_rosbridge.client._channels import (
     ParameterSink,
     ParameterSource,
@@ -34,9 +34,10 @@ from uoarm_rosbridge.client._discovery import discovered
 from uoarm_rosbridge.client._goals import ActionlibCaller, ActionlibTypes, call_action
 from uoarm_rosbridge.client._options import (
     Address,
+    ClientOptions,
     Port,
+    ServerAccess,
     address_of,
-    client_options,
     port_of,
 )
 from uoarm_rosbridge.client._served import AdvertisedAction, AdvertisedService, ServedTypes
@@ -60,14 +61,15 @@ class RosbridgeBridge(Bridge):
 
     capabilities = Capabilities(discover=True, call=True, serve=True)
 
-    def __init__(self, name: str, options: Options) -> None:
+    def __init__(self, name: str, options: ClientOptions) -> None:
         super().__init__(name, options)
-        self._given = client_options(name, options)
-        self._connection = ServerConnection(name, self._given, self.report)
+        self._options = options
+        access = ServerAccess.of(name, options)
+        self._connection = ServerConnection(name, options, access, self.report)
         self._connection.watchers = (self._changed,)
         # rosbridge_suite works through what a client sends in order, and waits for each reply: a
         # call has a connection of its own, so that it holds up no message and no question.
-        self._calls = ServerConnection(name, self._given, lambda *_: None)
+        self._calls = ServerConnection(name, options, access, lambda *_: None)
         self._types: dict[tuple[str, str], RosType] = {}
         self._kinds: dict[Endpoint, str] = {}
         self._channels: WeakSet[Channel] = WeakSet()
@@ -400,13 +402,13 @@ class RosbridgeBridge(Bridge):
 
     def _look_around(self) -> None:
         """Watch who publishes, what was lost, and the silence of sources, until the close."""
-        next_look = time.monotonic() + self._given.check
+        next_look = time.monotonic() + self._options.check
         while not self._closing.is_set():
             left = next_look - time.monotonic()
             self._poked.wait(max(0.0, min(_TICK_SECONDS, left)))
             if self._poked.is_set() or time.monotonic() >= next_look:
                 self._poked.clear()
-                next_look = time.monotonic() + self._given.check
+                next_look = time.monotonic() + self._options.check
                 if self._connection.is_up and not self._closing.is_set():
                     with suppress(BridgeError):
                         self._look()

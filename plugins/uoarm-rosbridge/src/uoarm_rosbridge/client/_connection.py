@@ -19,7 +19,7 @@ from uoarm.bridge import Backoff, Disconnection
 from uoarm.errors import BridgeError, BridgeTimeoutError, ControlMessageError, FailureReason
 from uoarm.model import Health, Spending
 from uoarm.server.front_end import read_binary, read_text
-from uoarm_rosbridge.client._options import ClientOptions
+from uoarm_rosbridge.client._options import ClientOptions, ServerAccess
 
 __all__ = ["Fields", "ServerConnection"]
 
@@ -68,6 +68,7 @@ class ServerConnection:
     Args:
         name: of the bridge.
         options: of the bridge.
+        access: what the server is shown.
         report: has the health of the connection reported.
 
     Attributes:
@@ -78,9 +79,14 @@ class ServerConnection:
     """
 
     def __init__(
-        self, name: str, options: ClientOptions, report: Callable[[Health, str], None]
+        self,
+        name: str,
+        options: ClientOptions,
+        access: ServerAccess,
+        report: Callable[[Health, str], None],
     ) -> None:
         self.options = options
+        self._access = access
         self.serving: dict[tuple[str, str], Callable[[Fields], None]] = {}
         self.watchers: tuple[Callable[[str], None], ...] = ()
         self.breaks = 0
@@ -313,8 +319,8 @@ class ServerConnection:
         limit = _CONNECT_SECONDS if left is None else max(left, _QUICKEST_SECONDS)
         return connect(
             options.url,
-            ssl=options.context,
-            additional_headers=dict(options.headers),
+            ssl=self._access.context,
+            additional_headers=dict(self._access.headers),
             compression=None,
             open_timeout=min(limit, _CONNECT_SECONDS),
             ping_interval=options.silence / 2,
@@ -325,8 +331,8 @@ class ServerConnection:
         )
 
     def _begin(self, socket: ClientConnection) -> None:
-        if self.options.authentication is not None:
-            socket.send(json.dumps(self.options.authentication()))
+        if self._access.authentication is not None:
+            socket.send(json.dumps(self._access.authentication()))
         with self._standing_lock:
             for fields in self._standing.values():
                 socket.send(json.dumps(fields, allow_nan=False))

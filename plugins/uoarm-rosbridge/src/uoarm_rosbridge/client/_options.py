@@ -9,22 +9,28 @@ import ssl
 import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
 from urllib.parse import urlsplit
 
 from attrs import evolve, frozen
 
-from uoarm.bridge import EndpointOptions, option, reading_endpoint
+from uoarm.bridge import (
+    BridgeOptions,
+    DeclaredOptions,
+    EndpointOptions,
+    TlsOptions,
+    option,
+    reading_endpoint,
+)
 from uoarm.errors import ConfigurationError
-from uoarm.model import Budget, Endpoint, Options, Role, Schema, is_loopback
+from uoarm.model import Budget, Endpoint, Options, Role, is_loopback
 
 __all__ = [
-    "BRIDGE_OPTIONS",
     "Address",
+    "AuthenticationOptions",
     "ClientOptions",
     "Port",
+    "ServerAccess",
     "address_of",
-    "client_options",
     "is_type",
     "mistake",
     "port_of",
@@ -32,6 +38,7 @@ __all__ = [
 ]
 
 _TEXT: Mapping[str, object] = {"type": "string", "minLength": 1}
+_FILE: Mapping[str, object] = {**_TEXT, "x-uoarm-path": True}
 _SECONDS: Mapping[str, object] = {"type": "number", "minimum": 0, "maximum": 60}
 _COUNT: Mapping[str, object] = {"type": "integer", "minimum": 1}
 _PARAMETER = "parameter"
@@ -41,63 +48,92 @@ _PARAMETER_NAME = re.compile(r"[A-Za-z0-9_/~.:-]+")
 _TYPE = re.compile(r"[A-Za-z][A-Za-z0-9_]*(/(msg|srv|action))?/[A-Za-z][A-Za-z0-9_]*")
 
 
-def _closed(properties: Mapping[str, object], *required: str) -> Schema:
-    return {
-        "type": "object",
-        "properties": dict(properties),
-        "required": list(required),
-        "additionalProperties": False,
-    }
+@frozen
+class AuthenticationOptions(DeclaredOptions):
+    """What the operation `auth` of rosauth says of a client."""
+
+    secret_file: str = option("", _FILE, "whose line is shared with the server", required=True)
+    client: str = option("", _TEXT, "that this is", required=True)
+    dest: str = option("", _TEXT, "that the server is", required=True)
+    level: str = option("user", _TEXT, "that is asked for")
 
 
-BRIDGE_OPTIONS: Schema = _closed(
-    {
-        "url": {
-            "type": "string",
-            "pattern": r"^wss?://[^@?#\s]+$",
-            "examples": ["ws://robot:9090"],
-            "description": "of the server",
-        },
-        "tls": _closed({"ca": _TEXT, "certificate": _TEXT, "key": _TEXT}),
-        "token_file": {**_TEXT, "description": "whose text is shown as a bearer token"},
-        "auth": _closed(
-            {"secret_file": _TEXT, "client": _TEXT, "dest": _TEXT, "level": _TEXT},
-            "secret_file",
-            "client",
-            "dest",
-        ),
-        "compression": {
-            "enum": [*_COMPRESSIONS],
-            "description": "how messages come; default cbor",
-        },
-        "plain_secrets": {
-            "const": True,
-            "description": "a token or `auth` may go without TLS to another machine",
-        },
-        "wait": {**_SECONDS, "description": "seconds to wait for an answer of rosapi; default 3"},
-        "check": {
-            "type": "number",
-            "minimum": 0.05,
-            "maximum": 3600,
-            "description": "seconds between looks at who publishes; default 2",
-        },
-        "grace": {
-            **_SECONDS,
-            "description": "seconds that the connection may be away before what is open is lost; "
-            "default 5",
-        },
-        "silence": {
-            "type": "number",
-            "minimum": 0.5,
-            "maximum": 3600,
-            "description": "seconds without an answer to a ping until the server counts as lost; "
-            "default 10",
-        },
-        "max_octets": {**_COUNT, "description": "of a message that comes; default 16 MiB"},
-        "max_values": {**_COUNT, "description": "of a message that comes; default 500,000"},
-    },
-    "url",
-)
+@frozen
+class ClientOptions(BridgeOptions):
+    """The options of a bridge."""
+
+    url: str = option(
+        "",
+        {"type": "string", "pattern": r"^wss?://[^@?#\s]+$", "examples": ["ws://robot:9090"]},
+        "`ws://` or `wss://`",
+        required=True,
+    )
+    tls: TlsOptions | None = option(
+        None, TlsOptions, "`{ca, certificate, key}`, files in PEM; left out: as the system trusts"
+    )
+    token_file: str = option(
+        "", _FILE, "a file whose line is shown as a bearer token, as `uoarm serve` takes it"
+    )
+    auth: AuthenticationOptions | None = option(
+        None,
+        AuthenticationOptions,
+        "`{secret_file, client, dest, level}`: the operation `auth` of rosauth, first on each "
+        "connection",
+    )
+    plain_secrets: bool = option(
+        False,
+        {"type": "boolean"},
+        "whether a token or `auth` may go to another machine without TLS",
+    )
+    compression: str = option(
+        "cbor",
+        {"enum": [*_COMPRESSIONS]},
+        "`cbor-raw`: messages come as ROS serialised them, for pictures; `none`: as JSON",
+    )
+    wait: float = option(3.0, _SECONDS, "seconds to wait for an answer of rosapi", unit="s")
+    check: float = option(
+        2.0,
+        {"type": "number", "minimum": 0.05, "maximum": 3600},
+        "seconds between looks at who publishes and subscribes",
+        unit="s",
+    )
+    grace: float = option(
+        5.0,
+        _SECONDS,
+        "seconds that the connection may be away before everything behind it is lost",
+        unit="s",
+    )
+    silence: float = option(
+        10.0,
+        {"type": "number", "minimum": 0.5, "maximum": 3600},
+        "seconds without an answer to a ping until the server counts as lost",
+        unit="s",
+    )
+    max_octets: int = option(16_777_216, _COUNT, "of one message that comes")
+    max_values: int = option(500_000, _COUNT, "in one message that comes")
+
+    @property
+    def is_secure(self) -> bool:
+        """Whether TLS is spoken."""
+        return self.url.startswith("wss://")
+
+    @property
+    def budget(self) -> Budget:
+        """What one message that comes may cost."""
+        return Budget(octets=self.max_octets, elements=self.max_values)
+
+    def check_together(self) -> None:
+        """Refuse options of which one excludes another, and a secret on an open line."""
+        try:
+            host = urlsplit(self.url).hostname or ""
+        except ValueError as error:
+            raise ValueError(f"url {self.url}: {error}") from None
+        if self.tls is not None and not self.is_secure:
+            raise ValueError(f"`tls` is for wss://, and the url is {self.url}")
+        is_open = not (self.is_secure or is_loopback(host) or self.plain_secrets)
+        if is_open and (self.token_file or self.auth is not None):
+            text = f"the secret would go to {self.url} in the clear: use wss://, or say "
+            raise ValueError(f"{text}`plain_secrets: true`")
 
 
 @frozen
@@ -180,87 +216,35 @@ class Port(EndpointOptions):
 
 
 @frozen
-class ClientOptions:
-    """The options of a bridge.
+class ServerAccess:
+    """What a server is shown, read from the files that options name.
 
     Attributes:
-        url: of the server.
-        context: of TLS; None: it is not spoken, or as the system trusts.
+        context: of TLS; None: it is not spoken.
         headers: of the handshake.
         authentication: returns the operation that a server with rosauth wants first.
-        compression: how messages come.
-        wait: seconds to wait for an answer of rosapi.
-        check: seconds between looks at who publishes.
-        grace: seconds that the connection may be away before it is lost.
-        silence: seconds without an answer to a ping until the server is lost.
-        budget: of a message that comes.
     """
 
-    url: str
     context: ssl.SSLContext | None
     headers: Mapping[str, str]
     authentication: Callable[[], dict[str, object]] | None
-    compression: str
-    wait: float
-    check: float
-    grace: float
-    silence: float
-    budget: Budget
 
+    @classmethod
+    def of(cls, name: str, options: ClientOptions) -> ServerAccess:
+        """Read the files.
 
-def client_options(name: str, options: Options) -> ClientOptions:
-    """Read the options of a bridge, already checked against the schema.
-
-    Raises:
-        ConfigurationError: a file cannot be read, or a secret would go over an open line.
-    """
-    given: dict[str, Any] = dict(options)
-    url, tls = given["url"], given.get("tls")
-    is_secure = url.startswith("wss://")
-    if tls is not None and not is_secure:
-        raise ConfigurationError(f"bridge {name!r}: `tls` is for wss://, and the url is {url}")
-    has_secret = "token_file" in given or "auth" in given
-    is_here = is_loopback(_host(name, url))
-    if has_secret and not (is_secure or is_here or given.get("plain_secrets")):
-        text = f"bridge {name!r}: the secret would go to {url} in the clear: use wss://, or say "
-        raise ConfigurationError(f"{text}`plain_secrets: true`")
-    headers = {}
-    if "token_file" in given:
-        headers["Authorization"] = f"Bearer {_secret(name, given['token_file'])}"
-    auth = given.get("auth")
-    return ClientOptions(
-        url,
-        _context(name, tls) if is_secure else None,
-        headers,
-        None if auth is None else _Authentication(_secret(name, auth["secret_file"]), auth),
-        given.get("compression", "cbor"),
-        given.get("wait", 3.0),
-        given.get("check", 2.0),
-        given.get("grace", 5.0),
-        given.get("silence", 10.0),
-        Budget(
-            octets=given.get("max_octets", 16_777_216), elements=given.get("max_values", 500_000)
-        ),
-    )
-
-
-def _host(name: str, url: str) -> str:
-    try:
-        return urlsplit(url).hostname or ""
-    except ValueError as error:
-        raise ConfigurationError(f"bridge {name!r}: url {url}: {error}") from None
-
-
-def _context(name: str, tls: Mapping[str, str] | None) -> ssl.SSLContext:
-    given = tls or {}
-    try:
-        context = ssl.create_default_context(cafile=given.get("ca"))
-        if "certificate" in given:
-            # Asked for no passphrase on a terminal: a key that has one is refused.
-            context.load_cert_chain(given["certificate"], given.get("key"), password=lambda: b"")
-    except (OSError, ValueError) as error:
-        raise ConfigurationError(f"bridge {name!r}: tls: {error}") from error
-    return context
+        Raises:
+            ConfigurationError: one cannot be read.
+        """
+        headers = {}
+        if options.token_file:
+            headers["Authorization"] = f"Bearer {_secret(name, options.token_file)}"
+        auth = options.auth
+        return cls(
+            (options.tls or TlsOptions()).context(name) if options.is_secure else None,
+            headers,
+            None if auth is None else _Authentication(_secret(name, auth.secret_file), auth),
+        )
 
 
 def _secret(name: str, path: str) -> str:
@@ -276,14 +260,14 @@ def _secret(name: str, path: str) -> str:
 class _Authentication:
     """Makes the operation `auth` of rosauth, anew for each connection."""
 
-    def __init__(self, secret: str, given: Mapping[str, str]) -> None:
+    def __init__(self, secret: str, given: AuthenticationOptions) -> None:
         self._secret, self._given = secret, given
 
     def __call__(self) -> dict[str, object]:
         """Return it, good for a minute."""
         now, given = int(time.time()), self._given
         rand, end = os.urandom(16).hex(), now + 60
-        client, dest, level = given["client"], given["dest"], given.get("level", "user")
+        client, dest, level = given.client, given.dest, given.level
         text = f"{self._secret}{client}{dest}{rand}{now}{level}{end}"
         mac = hashlib.sha512(text.encode()).hexdigest()
         return {
