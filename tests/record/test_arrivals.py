@@ -10,8 +10,9 @@ from typing import Any
 import pytest
 from attrs import define
 
+from uoarm.cdr import forget_octets, note_octets
 from uoarm.model import QueuePolicy
-from uoarm.record._arrivals import Arrivals
+from uoarm.record._arrivals import Arrivals, ReadOctets
 from uoarm.testing import Background, patience, wait
 
 
@@ -20,6 +21,7 @@ class Function:
     received: int = 0
     taken: int = 0
     octets: int = 0
+    definition: str = ""
 
 
 class World:
@@ -80,6 +82,24 @@ def test_large_messages_are_bounded_by_their_octets() -> None:
         world.takers[0]({"n": n, "data": bytes(1_000_000)})
     assert world.numbers() == [97, 98, 99, 100]
     assert world.lost == {"queue-octets": 96}
+
+
+def test_what_was_read_of_octets_waits_as_these() -> None:
+    world = World(QueuePolicy(length=100))
+    world.functions[0].definition = "int32 n\n"
+    take, message = world.takers[0], {"n": 1}
+    octets = b"\0\1\0\0\1\0\0\0"
+    note_octets(message, octets, "int32 n\n")
+    take(message)  # the very one
+    take({"n": 1})  # one like it
+    note_octets(message, b"\0\0\0\0\0\0\0\1", "int32 n\n")
+    take(message)  # of a machine that writes numbers in the other order
+    note_octets(message, octets, "int32 m\n")
+    take(message)  # of another type
+    forget_octets()
+    take(message)
+    taken = [message for *_, message, _ in world.arrivals.take_waiting()]
+    assert taken == [ReadOctets(octets), *[message] * 4]
 
 
 def test_a_source_waits_for_room() -> None:

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from uoarm.cdr._codec import Codec, deserialiser, serialiser
     from uoarm.cdr._definition import RosDefinition, definition_of, structure_of_definition
     from uoarm.cdr._layout import CORBA, DDS, NATIVE, ROS_1, SWITCH, ByteOrder, Encoding
+    from uoarm.cdr._origin import forget_octets, note_octets, octets_of
     from uoarm.cdr._writing import Part
 
 __all__ = [
@@ -33,7 +34,10 @@ __all__ = [
     "basic_type",
     "definition_of",
     "deserialiser",
+    "forget_octets",
+    "note_octets",
     "number_schema",
+    "octets_of",
     "ros_unit",
     "serialiser",
     "structure_of_definition",
@@ -47,6 +51,7 @@ if not TYPE_CHECKING:
             "_codec": ("Codec", "deserialiser", "serialiser"),
             "_definition": ("RosDefinition", "definition_of", "structure_of_definition"),
             "_layout": ("CORBA", "DDS", "NATIVE", "ROS_1", "SWITCH", "ByteOrder", "Encoding"),
+            "_origin": ("forget_octets", "note_octets", "octets_of"),
             "_writing": ("Part",),
         },
     )

@@ -14,9 +14,12 @@ from collections import deque
 from collections.abc import Callable, Iterable
 from typing import Generic, Protocol, TypeVar
 
+from attrs import frozen
+
+from uoarm.cdr import octets_of
 from uoarm.model import Message, OverflowPolicy, QueuePolicy, message_octets
 
-__all__ = ["Arrivals", "ArrivingTrack"]
+__all__ = ["Arrivals", "ArrivingTrack", "ReadOctets"]
 
 _GATHER_SECONDS = 0.02
 _LARGE_OCTETS = 65_536
@@ -33,11 +36,20 @@ class ArrivingTrack(Protocol):
         received: messages that came; written by their thread alone.
         taken: of these, those that wait no more; written under the lock here.
         octets: that one of its last messages had.
+        definition: of its type, where a message that was read of octets waits as `ReadOctets`.
     """
 
     received: int
     taken: int
     octets: int
+    definition: str
+
+
+@frozen
+class ReadOctets:
+    """What stands for a message of which its octets are known."""
+
+    octets: bytes
 
 
 T = TypeVar("T", bound=ArrivingTrack)
@@ -85,6 +97,10 @@ class Arrivals(Generic[T]):
                 track, message
             ):
                 return
+            if track.definition:
+                octets = octets_of(message, track.definition)
+                if octets is not None:
+                    message = ReadOctets(octets)
             wall, steady = clock()
             append((track, wall, steady, message, number))
             if self._is_idle:

@@ -19,7 +19,7 @@ from typing_extensions import Self
 from uoarm._raised import LimitedLog, text_of
 from uoarm.errors import MessageError, UoarmError, UsageError
 from uoarm.model import Gap, Message, Plan, Robot, StatusEvent
-from uoarm.record._arrivals import Arrivals
+from uoarm.record._arrivals import Arrivals, ReadOctets
 from uoarm.record._documents import documents, event_message, gap_message
 from uoarm.record._file import McapFile, free_path, require_mcap
 from uoarm.record._forms import EVENTS, ChannelForm, form_of, ros_events
@@ -113,7 +113,7 @@ class _Track:
     """One function: its connection and what came of it.
 
     `received` is written by the thread that brings its messages, of which there is one at a time;
-    what follows it by the writer alone, save `taken` and `octets`: see `ArrivingTrack`.
+    what follows it by the writer alone, save `taken` and what follows that: see `ArrivingTrack`.
     """
 
     function: str
@@ -123,6 +123,7 @@ class _Track:
     gaps: int = 0
     taken: int = 0
     octets: int = 0
+    definition: str = ""
     connection: RecordedConnection | None = None
     form: ChannelForm | None = None
 
@@ -320,6 +321,8 @@ class Recording:
                 metadata["uoarm.qos"] = str(endpoint.options["qos"])
             structure = step.structures[f"output.{connection.output}"]
             track.form = form_of(track.function, structure, metadata)
+            if track.form.message_encoding == "cdr":
+                track.definition = track.form.schema_data.decode()
 
         forms = [track.form for track in self._tracks if track.form is not None]
         if all(form.message_encoding == "cdr" for form in forms):
@@ -448,6 +451,8 @@ class Recording:
 
     def _encoded(self, track: _Track, message: Message) -> bytes | None:
         assert track.form is not None, "it was opened"
+        if type(message) is ReadOctets:
+            return message.octets
         try:
             return track.form.encode(message)
         except MessageError as error:

@@ -24,7 +24,7 @@ from uoarm.bridge import (
     Sink,
     Source,
 )
-from uoarm.cdr import Codec
+from uoarm.cdr import Codec, definition_of
 from uoarm.errors import BridgeError, FailureReason, MessageError
 from uoarm.model import Endpoint, Health, Message, MessageStructure, Role
 from uoarm_ros2._actions import Action, ActionSink, ActionSource
@@ -304,10 +304,11 @@ class Ros2Bridge(Bridge):
                 source = ActionSource(endpoint, action, address.part, deliver, self._report_channel)
                 return leased.until_closed(source)
             context = self._topic_context(endpoint, address, leased.options)
-            read = Codec(structure_of(shape_of(context.native, context.topic.type))).decode
-            return leased.until_closed(
-                self._wait_for_peer(SubscriptionSource(context, read, deliver))
+            shown = structure_of(shape_of(context.native, context.topic.type))
+            subscription = SubscriptionSource(
+                context, Codec(shown).decode, deliver, _definition(shown)
             )
+            return leased.until_closed(self._wait_for_peer(subscription))
 
     def _open_sink(self, endpoint: Endpoint, structure: MessageStructure) -> Sink:
         del structure
@@ -507,3 +508,11 @@ class Ros2Bridge(Bridge):
         self._managed.tick()
         self._graph.tick()
         self._attendance.tick()
+
+
+def _definition(structure: MessageStructure) -> str:
+    """Return the text of a type; empty where a message file cannot have it."""
+    try:
+        return definition_of(structure, structure.native_type).text
+    except MessageError:
+        return ""

@@ -12,6 +12,7 @@ from typing import Any
 from attrs import evolve
 
 from uoarm.bridge import Channel, Delivery, Sink, Source
+from uoarm.cdr import forget_octets, note_octets
 from uoarm.errors import BridgeError, FailureReason, MessageError
 from uoarm.model import Deliver, Health, Message, OverflowPolicy, QueuePolicy
 from uoarm_ros2._health import TopicHealth
@@ -282,14 +283,19 @@ class SubscriptionSource(Source):
         context: where to subscribe.
         read: makes what is delivered of the serialised form; raises MessageError.
         deliver: takes it.
+        definition: of the type, where what is delivered is a message of it.
     """
 
     def __init__(
-        self, context: TopicContext, read: Callable[[bytes], Message], deliver: Deliver
+        self,
+        context: TopicContext,
+        read: Callable[[bytes], Message],
+        deliver: Deliver,
+        definition: str = "",
     ) -> None:
         super().__init__(context.endpoint)
         self._context = context
-        self._read = read
+        self._read, self._definition = read, definition
         self._deliver = deliver
         self._delivery = deliver if isinstance(deliver, Delivery) else None
         self._health = TopicHealth(
@@ -360,11 +366,16 @@ class SubscriptionSource(Source):
                 self._delivery.unreadable(f"topic {self._context.topic.name}: {error}")
             return
         self._health.note_message()
-        if writer and self._delivery is not None:
-            self._writers.add(writer)
-            self._delivery(message, writer.hex())
-        else:
-            self._deliver(message)
+        if self._definition:
+            note_octets(message, octets, self._definition)
+        try:
+            if writer and self._delivery is not None:
+                self._writers.add(writer)
+                self._delivery(message, writer.hex())
+            else:
+                self._deliver(message)
+        finally:
+            forget_octets()
 
 
 class SerialisedRelay(Channel):
