@@ -15,6 +15,7 @@ from attrs import evolve
 from uoarm._adapt import check_edge
 from uoarm._control.engine import actions as act
 from uoarm._control.engine import events as ev
+from uoarm._control.engine.difference import desired, difference
 from uoarm._control.engine.move import MovePhase, MoveReason
 from uoarm._control.engine.state import ConnectionRecord, Kind, Part, Parts, Placement, State, names
 from uoarm._control.engine.step import step
@@ -340,6 +341,9 @@ class World:
             assert not state.components[number].is_lost
         for connection in state.connections.values():
             self._check_move(connection)
+            # Whatever may be done now was taken by the step: what stands first is under way.
+            for first in difference(state, connection)[:1]:
+                assert first.is_begun or first.awaits, first
 
     def _check_move(self, connection: ConnectionRecord) -> None:
         """A connection has one move at most, and the plan that it leads to belongs to it."""
@@ -380,7 +384,7 @@ class World:
         assert not state.outdated
         assert not state.recalled
         assert Counter(self.replies) == Counter(self.asked)
-        wanted: set[Part] = set()
+        wanted = desired(state)
         for record in state.connections.values():
             assert record.next is None
             assert record.state in {ConnectionState.RUNNING, ConnectionState.WAITING}
@@ -399,7 +403,7 @@ class World:
             for part in placed.parts:
                 if part.kind in {Kind.COMPONENT, Kind.OUTPUT}:
                     assert (part.id in lost) == state.components[part.id].is_lost
-            wanted.update(placed.parts)
+            assert wanted.issuperset(placed.parts)
         opened = {part for part in self.open if part.kind is not Kind.OUTPUT or part in wanted}
         assert opened == wanted, (opened - wanted, wanted - opened)
 

@@ -64,10 +64,12 @@ class Draft(State):
     Attributes:
         now: the time of the event.
         actions: that follow from it so far.
+        concerned: connections for which something may be done now, in the order in which it is.
     """
 
     now: float
     actions: list[Action]
+    concerned: list[str]
     # A state refuses to be assigned to; this one is still in the making.
     __setattr__ = object.__setattr__
 
@@ -75,7 +77,7 @@ class Draft(State):
     def of(cls, state: State, now: float) -> Draft:
         """Return a draft of what follows a state."""
         made = cls.__new__(cls)
-        vars(made).update(vars(state), now=now, actions=[])
+        vars(made).update(vars(state), now=now, actions=[], concerned=[])
         return made
 
     def finished(self) -> State:
@@ -83,7 +85,7 @@ class Draft(State):
         made = State.__new__(State)
         values = vars(made)
         values.update(vars(self))
-        del values["now"], values["actions"]
+        del values["now"], values["actions"], values["concerned"]
         return made
 
     def new_id(self) -> int:
@@ -186,6 +188,7 @@ class Draft(State):
                 edges[edge.producer].append(number)
         # Last: what the application sends finds all that it leads to.
         parts.append(Part(Kind.SEND, ports))
+        self.concerned.append(record.id)
         return Placement(user, plan, ids, tuple(chain(*edges.values())), ports, tuple(parts))
 
     def unplace(self, placement: Placement, *, ports: bool = True) -> Parts:
@@ -267,9 +270,9 @@ class Draft(State):
         """Yield the edges from and to a component: plans that use one use both its ends."""
         for user in component.users:
             record = self.connections.get(connection_of(user))
-            placements = () if record is None else (record.current, record.next)
+            placements = () if record is None else record.plans
             for placement in placements:
-                if placement is None or placement.user != user:
+                if placement.user != user:
                     continue
                 for number in placement.edges:
                     joined = self.edges[number]
@@ -312,27 +315,24 @@ class Draft(State):
                 if joined.consumer == number:
                     self._unlist(joined)
 
-    def open(
-        self, record: ConnectionRecord, placement: Placement, lane: str, *, is_receiving: bool
-    ) -> bool:
-        """Have what is missing of a plan opened, unless some of it is being opened already.
+    def open(self, record: ConnectionRecord, parts: tuple[Part, ...]) -> None:
+        """Have the missing parts of a connection's next plan opened, none of which is being so.
 
-        A connection that waits for a batch, its own or another's, is advanced when that is over.
-        Returns whether all of it is open.
+        It is concerned again when that is over, as are the others that use any of them.
         """
-        # Where another batch opens some of it, even the rest waits: opened beside it, an output
-        # might come before an edge that it feeds. What that batch fails at is asked for again here.
-        missing = [part for part in placement.parts if not self._has_open(part)]
-        if missing and not any(part in self.parts for part in missing):
-            batch = self.new_id()
-            parts = tuple(missing)
-            self.parts = self.parts.update(dict.fromkeys(parts, batch))
-            self.batches = self.batches.insert(batch, Batch(placement.user, parts))
-            recalled = self._recalled_for(placement) if self.recalled else ()
-            self.actions.append(
-                Open(lane, batch, record.id, placement, parts, is_receiving, recalled)
-            )
-        return not missing
+        move = record.move
+        assert move is not None, "it is on its way to a plan"
+        placement = move.next
+        assert placement is not None, "there is a plan to open"
+        # Of a request in its caller's lane, under its time limit; of members one after another.
+        lane = f"switchover {move.group}" if move.group else record.waiter or placement.user
+        batch = self.new_id()
+        self.parts = self.parts.update(dict.fromkeys(parts, batch))
+        self.batches = self.batches.insert(batch, Batch(placement.user, parts))
+        recalled = self._recalled_for(placement) if self.recalled else ()
+        self.actions.append(
+            Open(lane, batch, record.id, placement, parts, not move.rule.is_beside, recalled)
+        )
 
     def _recalled_for(self, placement: Placement) -> tuple[int, ...]:
         """Return what a plan uses that is to take commands again, once."""

@@ -40,7 +40,6 @@ from uoarm.errors import BridgeError, FailureReason
 from uoarm.model import ConnectionState, Health, Plan
 
 __all__ = [
-    "advance",
     "cancel_switchover",
     "death",
     "drop_next",
@@ -452,7 +451,7 @@ def found(draft: Draft, record: ConnectionRecord, event: ReplacementSought) -> N
             _seek_without(draft, record, frozenset({error.producer}))
             return
         move = move._replace(phase=MovePhase.OPENING, next=placement)
-        advance(draft, draft.put(record, move=move))
+        draft.put(record, move=move)
         return
     until = move.since + move.rule.patience(draft.policy)
     if draft.now >= until:
@@ -492,13 +491,6 @@ def look_soon(draft: Draft) -> None:
         if move is not None and move.retry_at is not None and move.retry_at > soon:
             draft.put(record, move=move._replace(retry_at=soon))
             draft.actions.append(WakeAt(soon))
-
-
-def advance(draft: Draft, record: ConnectionRecord) -> None:
-    """Have what is missing of the next plan opened; hand over when all of it is open."""
-    assert record.next is not None, "there is a plan to open"
-    if draft.open(record, record.next, record.next.user, is_receiving=True):
-        hand_over(draft, record)
 
 
 def try_another(draft: Draft, record: ConnectionRecord, error: str) -> None:

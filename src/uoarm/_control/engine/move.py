@@ -35,6 +35,7 @@ class MovePhase(Enum):
     WAITING = "waiting"  # until it is time to seek again, or until others have moved away
     OPENING = "opening"
     SWITCHING = "switching"
+    TAKING_OVER = "taking over"  # within one event: no state has it
     DRAINING = "draining"  # nothing is opened any more, and what is open closes
 
     __hash__ = object.__hash__
@@ -51,6 +52,10 @@ class Failing(Enum):
     __hash__ = object.__hash__
 
 
+_ALONE = MovePhase.SEEKING, MovePhase.OPENING, MovePhase.TAKING_OVER
+_TOGETHER = MovePhase.SEEKING, MovePhase.OPENING, MovePhase.SWITCHING, MovePhase.TAKING_OVER
+
+
 @frozen
 class MoveRule:
     """What a reason of a move means for it.
@@ -63,8 +68,7 @@ class MoveRule:
         patience: for how many seconds it waits: after a death for what can take over, before a
             return while its plan is there without a break.
         failing: what happens where its plan cannot be opened.
-        is_beside: whether the plan before runs until what is new is open: inputs that it feeds
-            change hands at once, for all who share them, and messages are counted up to then.
+        phases: that it goes through, in their order; while it seeks it may have to wait.
         avoids_failed: whether what failed lately is tried last.
         is_owed: whether it is begun anew where it was disturbed, as a caller waits for it; else
             each looks for itself again.
@@ -79,14 +83,23 @@ class MoveRule:
     cause: str
     announced: str
     failing: Failing
+    phases: tuple[MovePhase, ...] = _ALONE
     patience: Callable[[FailoverPolicy], float] = lambda _: 0.0
-    is_beside: bool = False
     avoids_failed: bool = False
     is_owed: bool = False
     is_shared: bool = False
     may_stay: bool = False
     is_counted: bool = False
     remembers: bool = False
+
+    @property
+    def is_beside(self) -> bool:
+        """Whether the plan before runs until what is new is open.
+
+        Inputs that it feeds change hands at once, for all who share them, and messages are counted
+        up to then.
+        """
+        return MovePhase.SWITCHING in self.phases
 
 
 # The same table, in words, stands in docs/architecture.md.
@@ -113,7 +126,7 @@ RULES: Mapping[MoveReason, MoveRule] = {
         announced="replaced",
         failing=Failing.STAYS,
         patience=lambda policy: policy.return_after or 0.0,
-        is_beside=True,
+        phases=_TOGETHER,
         is_shared=True,
         is_counted=True,
     ),
@@ -122,7 +135,7 @@ RULES: Mapping[MoveReason, MoveRule] = {
         cause="the configuration was changed",
         announced="replaced",
         failing=Failing.STAYS,
-        is_beside=True,
+        phases=_TOGETHER,
         avoids_failed=True,
         is_owed=True,
         may_stay=True,
@@ -132,5 +145,6 @@ RULES: Mapping[MoveReason, MoveRule] = {
         cause="",
         announced="",
         failing=Failing.CLOSES,
+        phases=(MovePhase.DRAINING,),
     ),
 }

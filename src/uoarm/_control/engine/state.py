@@ -416,6 +416,13 @@ class ConnectionRecord(NamedTuple):
         return None if self.move is None else self.move.reason
 
     @property
+    def plans(self) -> tuple[Placement, ...]:
+        """The plans whose parts should be open: none when it ends."""
+        if self.state is ConnectionState.CLOSING:
+            return ()
+        return tuple(plan for plan in (self.current, self.next) if plan is not None)
+
+    @property
     def has_plan(self) -> bool:
         """Whether a plan is open, or being opened: none is while the first one is sought."""
         return self.current is not None or self.next is not None
@@ -439,9 +446,7 @@ class ConnectionRecord(NamedTuple):
     @property
     def ports(self) -> tuple[int, ...]:
         """Ids of its application ports; none when it ends."""
-        if self.state is ConnectionState.CLOSING:
-            return ()
-        return tuple(plan.ports for plan in (self.current, self.next) if plan is not None)
+        return tuple(plan.ports for plan in self.plans)
 
     @property
     def placement(self) -> Placement:

@@ -12,6 +12,7 @@ from typing import Any
 
 from uoarm._control.engine import failover, switchover
 from uoarm._control.engine.actions import Action, Close, Forget, Publish, Reply
+from uoarm._control.engine.difference import difference
 from uoarm._control.engine.draft import Draft, InputInUseError, connection_of
 from uoarm._control.engine.events import (
     CandidatesChanged,
@@ -59,10 +60,32 @@ def step(state: State, event: Event, now: float) -> tuple[State, tuple[Action, .
     """
     draft = Draft.of(state, now)
     _HANDLERS[type(event)](draft, event)
+    _proceed(draft)
     # Whatever happened may have been the last thing that a change of configuration waited for.
     if draft.configurers:
         switchover.continue_reconfiguration(draft)
     return draft.finished(), tuple(draft.actions)
+
+
+def _proceed(draft: Draft) -> None:
+    """Take of what remains for the connections concerned what may be done now."""
+    for identity in draft.concerned:
+        # Read anew: what was done for one may have ended another, or all that move with it.
+        record = draft.connections.get(identity)
+        remaining = () if record is None else difference(draft, record)
+        if record is None or not remaining or remaining[0].is_begun:
+            continue
+        first = remaining[0]
+        if first.phase is MovePhase.SWITCHING:
+            switchover.arrive(draft, record, is_last=not first.awaits)
+        elif first.awaits:
+            continue
+        elif first.phase is MovePhase.OPENING:
+            draft.open(record, first.parts)
+        elif record.reason is MoveReason.REQUEST:
+            _run(draft, record)
+        else:
+            failover.hand_over(draft, record)
 
 
 def _requested(draft: Draft, event: Requested) -> None:
@@ -140,7 +163,6 @@ def _begin(draft: Draft, record: ConnectionRecord, plan: Plan) -> None:
     # the inbox, from the record that was published last.
     record = draft.put(record, move=_request(draft, MovePhase.OPENING, placement))
     draft.publish(record)
-    _advance(draft, record)
 
 
 def _refuse(draft: Draft, record: ConnectionRecord, error: BaseException | None) -> None:
@@ -160,22 +182,6 @@ def _output(plan: Plan, wanted: PortRef) -> str | None:
         has = ", ".join(f"{wanted.function}.{output.name}" for output in component.outputs)
         raise UsageError(f"say which output of {wanted.function!r} is meant: {has or 'none'}")
     return output.name
-
-
-def _advance(draft: Draft, record: ConnectionRecord) -> None:
-    """Have what a connection still needs opened; proceed where all of it is open."""
-    # It may be called for a batch of another connection that had a part of this plan: what is open
-    # by now says how far it is, and the batch does not.
-    move = record.move
-    if move is None or move.next is None:
-        return
-    if move.reason is MoveReason.REQUEST:
-        if draft.open(record, move.next, record.waiter, is_receiving=True):
-            _run(draft, record)
-    elif move.group:
-        switchover.advance(draft, draft.switchovers[move.group], (record.id,))
-    else:
-        failover.advance(draft, record)
 
 
 def _run(draft: Draft, record: ConnectionRecord) -> None:
@@ -202,19 +208,15 @@ def _opened(draft: Draft, event: Opened) -> None:
     if event.error is not None and record is not None:
         _failed_to_open(draft, record, batch.user, event.error)
     # Those that shared what has failed have it opened in a batch of their own, and fail by
-    # themselves where it fails again. What failed above may have ended some of these connections.
-    for identity in waiting:
-        record = draft.connections.get(identity)
-        if record is not None:
-            _advance(draft, record)
+    # themselves where it fails again.
+    draft.concerned += waiting
 
 
 def _failed_to_open(
     draft: Draft, record: ConnectionRecord, user: str, error: BaseException
 ) -> None:
     """Do without the plan that could not be opened, unless the connection has left it already."""
-    move, placements = record.move, (record.current, record.next)
-    users = {placement.user for placement in placements if placement is not None}
+    move, users = record.move, {placement.user for placement in record.plans}
     if move is None or user not in users:
         return
     match move.rule.failing:

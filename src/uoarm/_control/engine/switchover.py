@@ -8,7 +8,7 @@ the configuration has no more is closed first and replaced like what died.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 
 from attrs import evolve
 from rpds import HashTrieMap, HashTrieSet
@@ -58,7 +58,7 @@ from uoarm.model import ConnectionState, Plan
 
 __all__ = [
     "abandon",
-    "advance",
+    "arrive",
     "begin",
     "candidates_changed",
     "configured",
@@ -144,7 +144,7 @@ def found(draft: Draft, record: ConnectionRecord, event: ReplacementSought) -> N
             return
         assert record.move is not None, "a member moves"
         draft.put(record, move=record.move._replace(phase=MovePhase.OPENING, next=placement))
-    advance(draft, _put(draft, evolve(group, unopened=HashTrieSet(members))), members)
+    _put(draft, evolve(group, unopened=HashTrieSet(members)))
 
 
 def seek_outdated(draft: Draft) -> None:
@@ -167,21 +167,12 @@ def seek_outdated(draft: Draft) -> None:
         _put(draft, evolve(group, members=members, unsought=unsought))
 
 
-def advance(draft: Draft, group: Switchover, members: Iterable[str]) -> None:
-    """Have what is missing of these members opened; switch the inputs when all is open."""
-    if group.is_switching:
-        return
-    unopened = group.unopened
-    for identity in members:
-        record = draft.connections[identity]
-        if record.next is None:  # it is being placed, in `found`
-            return
-        # All are asked for, also after one that is not open: they open one after another anyway.
-        lane = f"switchover {group.id}"
-        if draft.open(record, record.next, lane, is_receiving=False):
-            unopened = unopened.discard(identity)
-    group = _put(draft, evolve(group, unopened=unopened))
-    if unopened:
+def arrive(draft: Draft, record: ConnectionRecord, *, is_last: bool) -> None:
+    """Note that all of a member's plan is open; switch the inputs after the last one."""
+    assert record.move is not None, "a member moves"
+    group = draft.switchovers[record.move.group]
+    group = _put(draft, evolve(group, unopened=group.unopened.discard(record.id)))
+    if not is_last:
         return
     plans = (draft.connections[identity].next for identity in group.members)
     edges = [edge for plan in plans if plan is not None for edge in plan.edges]
@@ -417,13 +408,7 @@ def continue_reconfiguration(draft: Draft) -> None:
 
 def _superseded(draft: Draft, record: ConnectionRecord) -> tuple[int, ...]:
     """Return what a connection uses that the configuration has no more."""
-    placements = (record.current, record.next)
-    ids = {
-        component
-        for placement in placements
-        if placement is not None
-        for component in placement.components.values()
-    }
+    ids = {id_ for placement in record.plans for id_ in placement.components.values()}
     return tuple(sorted(id_ for id_ in ids if draft.components[id_].is_superseded))
 
 
