@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from uoarm import RobotManager
-from uoarm._control.offers import OfferMachine, Work
+from uoarm._control.offers import OfferWant, Work
 from uoarm.config import loads
 from uoarm.errors import ConfigurationError, MessageError, ResolutionError
 from uoarm.model import Endpoint, Health, OfferState, OfferStatus, Role
@@ -320,40 +320,39 @@ offer: {{net: {{turn: {{output: {{endpoint: [angle]{port}}}}}}}}}
 
 
 def test_pauses_grow_to_half_a_minute() -> None:
-    machine, pauses, now = OfferMachine(), [], 0.0
+    want, pauses, now = OfferWant(), [], 0.0
     for _ in range(8):
-        assert machine.begin(now) is Work.OPEN
-        machine.failed("no", now)
-        assert machine.due is not None
-        pauses.append(machine.due - now)
-        now = machine.due
+        assert want.next_work(now) is Work.OPEN
+        want.failed("no", now)
+        assert want.due is not None
+        pauses.append(want.due - now)
+        now = want.due
     assert pauses == [1, 2, 4, 8, 16, 30, 30, 30]
 
 
 def test_what_breaks_again_and_again_is_opened_with_pauses() -> None:
-    machine, opened = OfferMachine(), []
+    want, opened = OfferWant(), []
     for now in range(20):
-        if machine.begin(now) is Work.OPEN:
+        if want.next_work(now) is Work.OPEN:
             opened.append(now)
-            machine.opened()
-            machine.broke("it fell over")
-            assert machine.begin(now) is Work.CLOSE
-            assert machine.begin(now) is None  # it is under way
-            machine.closed(now)
+            want.opened()
+            want.ended(OfferState.OPENING, "it fell over")
+            assert want.next_work(now) is Work.CLOSE
+            want.closed(now)
     assert opened == [0, 1, 2, 4, 8, 16]
-    machine.retry(18)
-    assert machine.begin(18) is Work.OPEN
+    want.retry(18)
+    assert want.next_work(18) is Work.OPEN
 
 
 def test_what_is_ended_while_it_opens_is_closed() -> None:
-    machine = OfferMachine()
-    assert machine.begin(0) is Work.OPEN
-    machine.end()
-    assert machine.begin(0) is None
-    machine.opened()
-    assert machine.begin(0) is Work.CLOSE
-    machine.closed(0)
-    assert (machine.begin(0), machine.due, machine.state) == (None, None, OfferState.CLOSED)
+    want = OfferWant()
+    assert want.next_work(0) is Work.OPEN
+    want.end()
+    assert want.next_work(0) is None
+    want.opened()
+    assert want.next_work(0) is Work.CLOSE
+    want.closed(0)
+    assert (want.next_work(0), want.due, want.state) == (None, None, OfferState.CLOSED)
 
 
 @pytest.mark.parametrize(

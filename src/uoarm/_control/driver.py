@@ -71,6 +71,7 @@ class Driver:
         live: what is open, as objects.
         deaths: how often each component was lost, of the thousand that were last.
         takeovers: how often a plan took over, by function, of as many.
+        timer: of the one time that is waited for.
     """
 
     def __init__(
@@ -100,7 +101,7 @@ class Driver:
         # interpreter; but those that a bridge holds up must hold up no others.
         self._workers = WorkerPool("uoarm-lane", _LANES, patience=_PATIENCE_SECONDS)
         self._lanes = Lanes(self._start)
-        self._timer = Timer(clock, partial(self.post, ev.TimeReached()))
+        self.timer = Timer(clock, partial(self.post, ev.TimeReached()))
         # Read by the threads that open, which take a look before each part: one look too early
         # opens one part more, which comes back with the others and is closed.
         self._cancelled: set[int] = set()
@@ -162,6 +163,14 @@ class Driver:
                 self.kill(runtime.id, str(error) or type(error).__name__, is_failure=True)
                 self.live.runtimes.pop(runtime.id, None)
             raise
+
+    def put(self, lane: str, job: Job) -> None:
+        """Have a job of the manager's own done by a worker, after the others of its lane.
+
+        Raises:
+            RuntimeError: the system gives no more threads; the next job of the lane tries again.
+        """
+        self._lanes.put(lane, job)
 
     @property
     def is_foreign(self) -> bool:
@@ -304,7 +313,7 @@ class Driver:
     def close(self) -> None:
         """End every connection, and take no more requests or times that are reached."""
         self._ask(ev.Stopped(f"close {next(self._numbers)}"))
-        self._timer.close()
+        self.timer.close()
         # What lanes still have to close is closed; later ones get threads of their own (`_start`).
         self._workers.close(drop=False)
 
@@ -405,7 +414,7 @@ class Driver:
                 self._revisions.adopt(action.revision)
                 self._bridges.retire_replaced(self.live.uses)
             case act.WakeAt():
-                self._timer.wake_at(action.time)
+                self.timer.wake_at(action.time)
             case act.Warn():
                 _log.warning("connection %s: %s", action.connection, action.text)
 

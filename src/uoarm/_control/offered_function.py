@@ -6,6 +6,7 @@ import logging
 import threading
 from collections import deque
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any, Protocol
 
 from uoarm._adapt import check_edge, transfer
@@ -313,7 +314,7 @@ class OfferedFunction:
         self._channels.append(
             self.bridge.serve(
                 service.endpoint,
-                lambda message: self._answer(service, message),
+                partial(self._answer, service),
                 proof.structures,
                 timeout=_OPEN_SECONDS,
             )

@@ -1,6 +1,7 @@
-"""What the configuration offers: kept open by worker threads, as `OfferMachine` says.
+"""What the configuration offers: wants of the manager's own, whose functions it requests.
 
-The machine decides when one offer is opened, closed and tried again, without thread and clock.
+An offer is opened, closed and tried again in its lane, as `OfferWant` says, with the threads and
+the timer of the driver.
 """
 
 from __future__ import annotations
@@ -15,104 +16,95 @@ from attrs import define
 
 from uoarm._backoff import Backoff
 from uoarm._control.bridges import BridgeSet
+from uoarm._control.driver import Driver
 from uoarm._control.offered_function import Functions, OfferedFunction
 from uoarm._control.revisions import Revisions
-from uoarm._control.threads import EventDispatcher, Timer
+from uoarm._control.threads import EventDispatcher
 from uoarm._dataplane import Clock
 from uoarm._interrupts import Uninterrupted
-from uoarm._support.workers import WorkerPool
 from uoarm.bridge import Bridge, HealthEvent
 from uoarm.errors import UoarmError
 from uoarm.model import Health, Offer, OfferState, OfferStatus, Robot, RouteStatus, StatusEvent
 
-__all__ = ["OfferMachine", "Offers", "Work"]
+__all__ = ["OfferWant", "Offers", "Work"]
 
 _LEAST_PAUSE, _LONGEST_PAUSE = 0.1, 30.0
 _PAUSES = Backoff(first=1.0, most=_LONGEST_PAUSE)
 
 
 class Work(Enum):
-    """What is to be done; its end is reported to the machine before anything else is."""
+    """What is to be done; its end is reported to the want before it is asked again."""
 
     OPEN = "open"
     CLOSE = "close"
 
 
 @define(eq=False)
-class OfferMachine:
-    """One offer. The caller holds a lock, does what `begin` returns, and reports what came of it.
+class OfferWant:
+    """That one offer is open: what is to be done for it now, without thread and clock.
 
-    What broke is opened again at once, and with pauses where it breaks again and again. What has
-    finished is closed and stays so: a source that ends is no failure, and is not played again.
+    The caller holds a lock, does what `next_work` returns, and reports what came of it. What broke
+    is opened again at once, and with pauses where it breaks again and again. What has finished is
+    closed and stays so: a source that ends is no failure, and is not played again.
 
     Attributes:
         state: what the status shows.
         cause: why, likewise.
-        is_tried: whether the first attempt is through, whatever it came to.
-        due: when `begin` is to be asked again, None where no time changes anything.
+        due: when it is to be opened, None where no time changes anything.
     """
 
     state: OfferState = OfferState.OPENING
     cause: str = ""
-    is_tried: bool = False
     due: float | None = 0.0
-    _work: Work | None = None
     _is_open: bool = False
-    _broken: str | None = None
-    _finished: str | None = None
+    # What open or opening is over for: OPENING where it broke, FINISHED. The first report counts.
+    _ended: tuple[OfferState, str] | None = None
     _is_over: bool = False
     _failures: int = 0
     _begun: float = 0.0
     _earliest: float = 0.0
 
-    def begin(self, now: float) -> Work | None:
-        """Return what is to be done now; None while something is under way or nothing is due."""
-        if self._work is not None:
-            return None
+    def next_work(self, now: float) -> Work | None:
+        """Return what is to be done now; None while all is as it should be, or nothing is due."""
         if self._is_open:
-            if self._is_over or self._finished is not None:
-                self._work = Work.CLOSE
-            elif self._broken is not None:
-                self._turn(OfferState.OPENING, self._broken)
-                self._work = Work.CLOSE
-        elif self._is_over:
-            self._turn(OfferState.CLOSED, "")
-            self.due = None
+            if self._ended is not None and self._ended[0] is OfferState.OPENING:
+                self.state, self.cause = self._ended
+            return Work.CLOSE if self._is_over or self._ended is not None else None
+        if self._is_over:
+            self.state, self.cause, self.due = OfferState.CLOSED, "", None
         elif self.due is not None and now >= self.due:
-            self._work, self.due = Work.OPEN, None
-            self._begun, self._broken, self._finished = now, None, None
-        return self._work
+            self._begun, self._ended, self.due = now, None, None
+            return Work.OPEN
+        return None
 
     def opened(self) -> None:
         """Take in that it is open. It may have broken meanwhile."""
-        self._work, self._is_open, self.is_tried = None, True, True
-        self._turn(OfferState.OPEN, "")
+        self._is_open = True
+        self.state, self.cause = OfferState.OPEN, ""
 
     def failed(self, cause: str, now: float) -> None:
         """Take in that it could not be opened."""
-        self._work, self.is_tried = None, True
         self._failures += 1
-        self._turn(OfferState.FAILED, cause)
+        self.state, self.cause = OfferState.FAILED, cause
         self._rest(_PAUSES.pause(self._failures), now)
 
     def closed(self, now: float) -> None:
         """Take in that what was open is closed."""
-        self._work, self._is_open = None, False
-        if self._finished is not None and not self._is_over:
-            self._turn(OfferState.FINISHED, self._finished)
+        self._is_open = False
+        if self._ended is not None and self._ended[0] is OfferState.FINISHED and not self._is_over:
+            self.state, self.cause = self._ended
             return
         self._failures = self._failures + 1 if now - self._begun < _LONGEST_PAUSE else 0
         self._rest(_PAUSES.pause(self._failures - 1) if self._failures > 1 else 0.0, now)
 
-    def broke(self, cause: str) -> None:
-        """Take in that what is open, or is being opened, does not do any more."""
-        if self._broken is None and self._finished is None:
-            self._broken = cause
+    def ended(self, state: OfferState, cause: str) -> None:
+        """Take in that what is open, or is being opened, does not do any more, or has finished.
 
-    def finished(self, cause: str) -> None:
-        """Take in that nothing more will come, in good order."""
-        if self._broken is None and self._finished is None:
-            self._finished = cause
+        Args:
+            state: OPENING where it broke, as it is opened again, or FINISHED.
+            cause: why.
+        """
+        self._ended = self._ended or (state, cause)
 
     def degraded(self, cause: str) -> None:
         """Take in what the bridge says is wrong with what is open; empty: nothing any more."""
@@ -132,9 +124,6 @@ class OfferMachine:
         self.due = now + seconds
         self._earliest = now + min(seconds, _LEAST_PAUSE)
 
-    def _turn(self, state: OfferState, cause: str) -> None:
-        self.state, self.cause = state, cause
-
 
 _log = logging.getLogger("uoarm")
 _CLOSE_SECONDS = 5.0
@@ -143,11 +132,10 @@ _CONNECTION_CHANGES = frozenset({"failed", "closed", "waiting", "replaced"})
 Hold = Callable[[Offer, Bridge], None]
 
 
-class _Keeper:
-    """Keeps one offer open until it is ended.
+class _KeptOffer:
+    """One offer, and what is open for it, until it is ended.
 
-    No thread waits for it: `drive` has a worker thread do what is due, and has the timer call it
-    when something will be.
+    All that opens and closes is done in its lane, by one thread at a time; none waits for it.
 
     Attributes:
         tried: set once the first attempt is through, whatever it came to.
@@ -160,8 +148,7 @@ class _Keeper:
         bridges: BridgeSet,
         events: EventDispatcher,
         clock: Clock,
-        start: Callable[[Callable[[], None]], object],
-        timer: Timer,
+        driver: Driver,
         hold: Hold,
     ) -> None:
         self.offer = offer
@@ -170,13 +157,12 @@ class _Keeper:
         self._bridges = bridges
         self._events = events
         self._clock = clock
-        self._start = start
-        self._timer = timer
+        self._driver = driver
         self._hold = hold
-        # Guards the machine, which knows no threads: bridges report while a worker opens.
+        # Guards the want, which knows no threads: bridges report while its lane opens.
         self._lock = threading.Lock()
-        self._machine = OfferMachine()
-        self._announced = self._machine.state, ""
+        self._want = OfferWant()
+        self._announced = self._want.state, ""
         self._opened: OfferedFunction | None = None
         self._worker: threading.Thread | None = None
         self._ended = threading.Event()
@@ -185,7 +171,7 @@ class _Keeper:
         """Return what the status map shows."""
         opened = self._opened
         with self._lock:
-            state, cause = self._machine.state, self._machine.cause
+            state, cause = self._want.state, self._want.cause
         return OfferStatus(
             name=self.offer.name,
             function=self.offer.function,
@@ -214,14 +200,15 @@ class _Keeper:
             return False
         if channel is not None and channel.closed:
             return True
-        if event.health is Health.LOST:
-            self._report(lambda machine: machine.broke(event.cause))
-        elif event.health is Health.FINISHED:
-            self._report(lambda machine: machine.finished(event.cause))
-        elif not is_whole:
-            cause = event.cause if event.health is Health.DEGRADED else ""
-            self._report(lambda machine: machine.degraded(cause))
-            self._events.post(f"offer {self.offer.name}", event.health.value, event.cause)
+        with self._lock:
+            if event.health is Health.LOST:
+                self._want.ended(OfferState.OPENING, event.cause)
+            elif event.health is Health.FINISHED:
+                self._want.ended(OfferState.FINISHED, event.cause)
+            elif not is_whole:
+                self._want.degraded(event.cause if event.health is Health.DEGRADED else "")
+                self._events.post(f"offer {self.offer.name}", event.health.value, event.cause)
+        self.settle()
         return not is_whole
 
     def look(self, *, again: bool = True) -> None:
@@ -233,60 +220,33 @@ class _Keeper:
             if not self._bridges.is_in_use(opened.bridge):
                 cause = f"bridge {self.offer.bridge!r} is another one"
                 with self._lock:
-                    self._machine.broke(cause)
+                    self._want.ended(OfferState.OPENING, cause)
         if again:
             with self._lock:
-                self._machine.retry(self._clock())
-        self.drive()
+                self._want.retry(self._clock())
+        self.settle()
 
     def end(self) -> None:
         """Have it close what is open, and end. Returns at once; `join` waits."""
-        self._report(lambda machine: machine.end())
+        with self._lock:
+            self._want.end()
+        self.settle()
 
     def join(self, timeout: float) -> None:
         """Wait until it has ended; not in the thread that is to end it."""
         if self._worker is not threading.current_thread():
             self._ended.wait(timeout)
 
-    def drive(self) -> None:
-        """Have a worker thread do what is due, if nothing is under way. Waits for nothing."""
-        work = self._next()
-        if work is None:
-            return
+    def settle(self) -> None:
+        """Have what is open made what it should be, in its lane. Waits for nothing."""
         try:
-            self._start(lambda: self._do(work))
-        except RuntimeError as error:  # the system gives no more threads
-            with self._lock:
-                self._machine.failed(str(error), self._clock())
-                self._timer.wake_at(self._clock() + 1)
+            self._driver.put(f"offer {self.offer.name}", self._settle)
+        except RuntimeError:  # the system gives no more threads
+            self._driver.timer.wake_at(self._clock() + _PAUSES.first)
 
-    def _report(self, report: Callable[[OfferMachine], None]) -> None:
-        with self._lock:
-            report(self._machine)
-        self.drive()
-
-    def _next(self) -> Work | None:
-        """Return what is to be done now, and announce what has changed."""
-        with self._lock:
-            machine = self._machine
-            work = machine.begin(self._clock())
-            now = machine.state, "" if machine.state is OfferState.OPEN else machine.cause
-            if now != self._announced:  # under the lock, so that events come in order
-                self._announced = now
-                self._events.post(f"offer {self.offer.name}", now[0].value, now[1])
-            if work is None and machine.due is not None:
-                self._timer.wake_at(machine.due)
-        if machine.is_tried or machine.state is OfferState.CLOSED:
-            self.tried.set()
-        if machine.state is OfferState.CLOSED:
-            self._ended.set()
-        return work
-
-    def _do(self, first: Work) -> None:
-        """Do what is to be done, and what follows from it."""
-        self._worker = own = threading.current_thread()
-        work: Work | None = first
-        while work is not None:
+    def _settle(self) -> None:
+        self._worker = threading.current_thread()
+        while (work := self._next_work()) is not None:
             try:
                 if work is Work.OPEN:
                     self._open()
@@ -297,10 +257,25 @@ class _Keeper:
                     _log.exception("offering %s failed", self.offer.name)
                 self._opened = None
                 with self._lock:
-                    self._machine.failed(str(error) or type(error).__name__, self._clock())
-            work = self._next()
-        if self._worker is own:
-            self._worker = None
+                    self._want.failed(str(error) or type(error).__name__, self._clock())
+            self.tried.set()
+        self._worker = None
+
+    def _next_work(self) -> Work | None:
+        """Return what is to be done now, and announce what has changed."""
+        with self._lock:
+            want = self._want
+            work = want.next_work(self._clock())
+            now = want.state, "" if want.state is OfferState.OPEN else want.cause
+            if now != self._announced:  # under the lock, so that events come in order
+                self._announced = now
+                self._events.post(f"offer {self.offer.name}", now[0].value, now[1])
+            if work is None and want.due is not None:
+                self._driver.timer.wake_at(want.due)
+        if want.state is OfferState.CLOSED:
+            self._ended.set()
+            self.tried.set()
+        return work
 
     def _open(self) -> None:
         bridge = self._bridges.get(self.offer.bridge)
@@ -309,22 +284,22 @@ class _Keeper:
         self._opened = opened  # before it opens: a channel may report at once
         opened.open()
         with self._lock:
-            self._machine.opened()
+            self._want.opened()
         self._judge(opened)  # what ended before it could be known whose connection it was
 
     def _judge(self, opened: OfferedFunction) -> None:
         with self._lock:
             if opened.broken is not None:
-                self._machine.broke(opened.broken)
+                self._want.ended(OfferState.OPENING, opened.broken)
             elif opened.finished is not None:
-                self._machine.finished(opened.finished)
+                self._want.ended(OfferState.FINISHED, opened.finished)
 
     def _close(self) -> None:
         opened, self._opened = self._opened, None
         if opened is not None:
             opened.close()
         with self._lock:
-            self._machine.closed(self._clock())
+            self._want.closed(self._clock())
 
 
 class Offers:
@@ -336,6 +311,7 @@ class Offers:
         bridges: of the manager.
         events: notified of every change, and listened to for those that concern an offer.
         clock: a monotonic clock, in seconds.
+        driver: in whose lanes offers open and close, and whose timer says when to try again.
         hold: raises ResolutionError where an offer may not be opened.
     """
 
@@ -346,6 +322,7 @@ class Offers:
         bridges: BridgeSet,
         events: EventDispatcher,
         clock: Clock,
+        driver: Driver,
         hold: Hold,
     ) -> None:
         self._revisions = revisions
@@ -353,13 +330,12 @@ class Offers:
         self._bridges = bridges
         self._events = events
         self._clock = clock
+        self._driver = driver
         self._hold = hold
         # Guards which offers are kept: a change of configuration adds some while the manager
         # closes.
         self._lock = threading.Lock()
-        self._keepers: tuple[_Keeper, ...] = ()
-        self._workers = WorkerPool("uoarm-offer")
-        self._timer = Timer(clock, self._time_reached)
+        self._kept: tuple[_KeptOffer, ...] = ()
         self._has_begun = False
         self._stop_listening: Callable[[], None] | None = None
         self._closed = threading.Event()
@@ -369,8 +345,8 @@ class Offers:
         self._has_begun = True
         self.follow()
         deadline = time.monotonic() + timeout
-        for keeper in self._keepers:
-            keeper.tried.wait(max(0.0, deadline - time.monotonic()))
+        for kept in self._kept:
+            kept.tried.wait(max(0.0, deadline - time.monotonic()))
         return self.statuses()
 
     def follow(self) -> None:
@@ -381,78 +357,74 @@ class Offers:
     def _follow(self) -> None:
         with self._lock:
             wanted = self._revisions.current.robot.offers
-            if self._closed.is_set() or not self._has_begun or not (wanted or self._keepers):
+            if self._closed.is_set() or not self._has_begun or not (wanted or self._kept):
                 return
             if self._stop_listening is None:
                 self._stop_listening = self._events.listen(self._note_event)
-            gone = [item for item in self._keepers if item.offer not in wanted]
-        for keeper in gone:
-            keeper.end()
-        for keeper in gone:  # its endpoints may be offered for another function next
-            keeper.join(_CLOSE_SECONDS)
+                self._driver.timer.share(self._time_reached)
+            gone = [kept for kept in self._kept if kept.offer not in wanted]
+        for kept in gone:
+            kept.end()
+        for kept in gone:  # its endpoints may be offered for another function next
+            kept.join(_CLOSE_SECONDS)
         with self._lock:
             if self._closed.is_set():
                 return
-            kept = {item.offer.name: item for item in self._keepers if item not in gone}
-            self._keepers = tuple(kept.get(offer.name) or self._keeper(offer) for offer in wanted)
-        for keeper in self._keepers:
-            keeper.look()
+            by_name = {kept.offer.name: kept for kept in self._kept if kept not in gone}
+            self._kept = tuple(by_name.get(offer.name) or self._keep(offer) for offer in wanted)
+        for kept in self._kept:
+            kept.look()
 
     def reported(self, event: HealthEvent) -> bool:
         """Take what a bridge reports; True where it concerns an offer and nothing else."""
-        reports = [keeper.reported(event) for keeper in self._keepers]
+        reports = [kept.reported(event) for kept in self._kept]
         return any(reports)
 
     def statuses(self) -> tuple[OfferStatus, ...]:
         """Return what the status map shows of offers."""
-        return tuple(keeper.status() for keeper in self._keepers)
+        return tuple(kept.status() for kept in self._kept)
 
     def routes(self) -> tuple[RouteStatus, ...]:
         """Return the counters of what goes out to frameworks and comes in from them."""
-        return tuple(route for keeper in self._keepers for route in keeper.routes())
+        return tuple(route for kept in self._kept for route in kept.routes())
 
     def connections_without(self, robot: Robot) -> frozenset[str]:
         """Return the connections behind offers that another configuration has no more."""
-        gone = (keeper for keeper in self._keepers if keeper.offer not in robot.offers)
-        return frozenset(
-            connection for keeper in gone for connection in keeper.status().connections
-        )
+        gone = (kept for kept in self._kept if kept.offer not in robot.offers)
+        return frozenset(connection for kept in gone for connection in kept.status().connections)
 
     def close(self) -> None:
         """Offer nothing more. Waits five seconds at most for what hangs."""
         with self._lock:
             self._closed.set()
-            keepers, stop = self._keepers, self._stop_listening
+            kept_offers, stop = self._kept, self._stop_listening
         if stop is not None:
             stop()
-        for keeper in keepers:
-            keeper.end()
+        for kept in kept_offers:
+            kept.end()
         deadline = time.monotonic() + _CLOSE_SECONDS
-        for keeper in keepers:
-            keeper.join(max(0.0, deadline - time.monotonic()))
-        self._timer.close()
-        self._workers.close(drop=False)
+        for kept in kept_offers:
+            kept.join(max(0.0, deadline - time.monotonic()))
 
-    def _keeper(self, offer: Offer) -> _Keeper:
-        return _Keeper(
+    def _keep(self, offer: Offer) -> _KeptOffer:
+        return _KeptOffer(
             offer,
             self._functions,
             self._bridges,
             self._events,
             self._clock,
-            self._workers.submit,
-            self._timer,
+            self._driver,
             self._hold,
         )
 
     def _time_reached(self) -> None:
-        for keeper in self._keepers:
-            keeper.drive()
+        for kept in self._kept:
+            kept.settle()
 
     def _note_event(self, event: StatusEvent) -> None:
         """Have offers look again after what may concern them: an end, or something that is well."""
         kind = event.subject.partition(" ")[0]
         wanted = _CONNECTION_CHANGES if kind == "connection" else {Health.OK.value}
         if kind in {"connection", "component", "bridge"} and event.change in wanted:
-            for keeper in self._keepers:
-                keeper.look(again=kind != "connection")
+            for kept in self._kept:
+                kept.look(again=kind != "connection")

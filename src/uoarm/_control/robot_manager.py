@@ -144,7 +144,13 @@ class RobotManager:
         )
         self._services = Services(self._bridges.get, self._driver, clock)
         self._offers = Offers(
-            self._revisions, self, self._bridges, self._events, clock, self._hold_offer
+            self._revisions,
+            self,
+            self._bridges,
+            self._events,
+            clock,
+            self._driver,
+            self._hold_offer,
         )
         self._staleness = StalenessWatch(
             self._driver.live.shared,
@@ -312,13 +318,12 @@ class RobotManager:
             UsageError: the function is a stream, or a reply may be no `as_type`.
         """
         wanted = None if as_type is None else MessageType(as_type, f"the reply of {name!r}")
-        return deadlines.run(
-            f"call of {name!r}",
-            timeout,
-            lambda: self._services.call(
-                name, self.resolve(name, timeout=timeout).provider, message, wanted, timeout
-            ),
-        )
+
+        def call() -> Message:
+            provider = self.resolve(name, timeout=timeout).provider
+            return self._services.call(name, provider, message, wanted, timeout)
+
+        return deadlines.run(f"call of {name!r}", timeout, call)
 
     def _call_planned(
         self,
@@ -338,8 +343,8 @@ class RobotManager:
         return deadlines.run(
             f"call of {plan.function!r}",
             timeout,
-            lambda: self._services.call(
-                plan.function, plan.provider, message, None, timeout, began
+            partial(
+                self._services.call, plan.function, plan.provider, message, None, timeout, began
             ),
         )
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import threading
 from collections.abc import Callable
+from functools import partial
 from queue import Empty, SimpleQueue
 from typing import TypeAlias
 
@@ -80,7 +81,12 @@ class Lanes:
             if lane.is_driven:
                 return
             lane.is_driven = True
-        self._start(lambda: self._serve(name, lane))
+        try:
+            self._start(partial(self._serve, name, lane))
+        except RuntimeError:  # the system gives no more threads: the next job tries again
+            with self._lock:
+                lane.is_driven = False
+            raise
 
     def reply(self, name: str, error: BaseException | None) -> None:
         """End the `drive` of a lane after the jobs that are in it; nothing where there is none."""
@@ -112,7 +118,7 @@ class Lanes:
             while not isinstance(job := lane.jobs.get(), _Done):
                 job()
         except BaseException:
-            self._start(lambda: self._serve(name, lane))
+            self._start(partial(self._serve, name, lane))
             raise
         with self._lock:
             del self._lanes[name]
@@ -126,7 +132,7 @@ class Lanes:
             if lane is None or lane.has_begun:
                 return
             lane.has_begun = True
-        self._start(lambda: self._serve(name, lane))
+        self._start(partial(self._serve, name, lane))
 
     def _serve(self, name: str, lane: _Lane) -> None:
         while True:
@@ -163,13 +169,17 @@ class Timer:
 
     def __init__(self, clock: Clock, reached: Callable[[], None]) -> None:
         self._clock = clock
-        self._reached = reached
+        self._reached: tuple[Callable[[], None], ...] = (reached,)
         # Guards the one time that is waited for. No list of times: what is not yet due is said so
         # again.
         self._changed = threading.Condition(threading.Lock())
         self._due: float | None = None
         self._is_closed = False
         self._thread: threading.Thread | None = None
+
+    def share(self, reached: Callable[[], None]) -> None:
+        """Call this, too, whenever a time is reached that was asked for."""
+        self._reached = (*self._reached, reached)
 
     def wake_at(self, time: float) -> None:
         """Call back at this time, or at an earlier one asked for. Any thread."""
@@ -190,7 +200,8 @@ class Timer:
 
     def _run(self) -> None:
         while self._wait():
-            self._reached()
+            for reached in self._reached:
+                reached()
 
     def _wait(self) -> bool:
         """Wait until the earliest time; False when there will be none."""

@@ -371,7 +371,7 @@ class LiveParts:
             record.edge,
             self.components[record.producer],
             self.components[record.consumer],
-            lambda: self._strictness(record.id),
+            partial(self._strictness, record.id),
             held=record.is_held,
         )
         joined.open(self._clock)
