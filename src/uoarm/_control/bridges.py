@@ -9,11 +9,13 @@ import logging
 import threading
 import time
 from collections.abc import Callable, Mapping
+from functools import partial
+from typing import TYPE_CHECKING
 
 from attrs import define, evolve
 
 from uoarm._backoff import Backoff
-from uoarm._control.machines import Machines, StagedMachines
+from uoarm._control.machines import Joining, Machines
 from uoarm._dataplane import Clock
 from uoarm._origin import install_command
 from uoarm._raised import foreign, text_of
@@ -21,6 +23,9 @@ from uoarm._support import deadlines
 from uoarm.bridge import Bridge, Channel, HealthEvent, Registry
 from uoarm.errors import BridgeError, ConnectionClosedError, FailureReason, PluginError
 from uoarm.model import BridgeSpec, BridgeStatus, Health, Listening, Options
+
+if TYPE_CHECKING:
+    from uoarm._host.machines import MachineRegistry
 
 __all__ = ["BridgeSet", "Restarts", "StagedBridges", "facts_of", "start_hosted"]
 
@@ -102,7 +107,7 @@ def start_hosted(
     spec: BridgeSpec,
     host: Options,
     restarts: Restarts,
-    machines: Machines | StagedMachines,
+    registry: Callable[[], MachineRegistry],
     origin: str,
 ) -> Bridge:
     """Start the host of a bridge, or find it on its machine, and return when it is ready.
@@ -111,7 +116,7 @@ def start_hosted(
         spec: the bridge.
         host: the settings of its host, see `HostSettings`.
         restarts: what is known of earlier deaths.
-        machines: other machines; what runs there is never started from here.
+        registry: says where other machines join; what runs there is never started from here.
         origin: the configuration file, which the host's command line shows.
 
     Raises:
@@ -125,7 +130,7 @@ def start_hosted(
         text = f"bridge {spec.name!r} has a host, which needs: {command} ({error})"
         raise PluginError(text) from error
     if "machine" in host:
-        return RemoteBridge(spec, machines.registry())
+        return RemoteBridge(spec, registry())
     restarts.check(spec.name, HostSettings.read(host).restarts)
     restarts.began(spec.name)
     try:
@@ -206,7 +211,7 @@ class BridgeSet:
             if bridge is not None:
                 return bridge
             spec = self._specs.get(name)
-            bridge = self._start(name, spec, self.machines)
+            bridge = self.start(name, spec)
             with self._lock:
                 # What another configuration has no more is closed where it would go unnoticed.
                 keep = not self._closed and self._specs.get(name) == spec
@@ -260,8 +265,7 @@ class BridgeSet:
             BridgeError: other machines cannot join at its address.
             PluginError: the extra `uoarm[machines]` is missing.
         """
-        machines = self.machines.stage(specs, listening)
-        return StagedBridges(self, self._specs, specs, self._start, machines)
+        return StagedBridges(self, self._specs, specs, self.machines.stage(specs, listening))
 
     def adopt(self, staged: StagedBridges) -> None:
         """Have these bridges in place of those so far, which go on for who uses them. Quick."""
@@ -279,7 +283,7 @@ class BridgeSet:
                 if new is not None:
                     self._bridges[name] = new
                     new.watch(self._note_health)
-        self.machines.adopt(staged.machines, frozenset(changed))
+        self.machines.adopt(staged.joining, frozenset(changed))
 
     def retire_replaced(self, in_use: Callable[[Bridge], bool]) -> None:
         """Close those that were replaced and that have no user any more; returns at once."""
@@ -363,18 +367,27 @@ class BridgeSet:
                 self._restarts.died(event.bridge, event.cause)
         self._listener(event)
 
-    def _start(
-        self, name: str, spec: BridgeSpec | None, machines: Machines | StagedMachines
-    ) -> Bridge:
+    def start(self, name: str, spec: BridgeSpec | None, joining: Joining | None = None) -> Bridge:
+        """Make a bridge, which is kept by who asked for it.
+
+        Args:
+            name: of the bridge.
+            spec: how it is configured; None: not at all.
+            joining: where machines join; None: in the configuration in force.
+
+        Raises:
+            UoarmError: as `get`.
+        """
         if spec is None:
             raise BridgeError(f"there is no bridge {name!r}", FailureReason.NOT_FOUND)
         spec = evolve(spec, manager=self._manager)
         if spec.host is not None:
-            return start_hosted(spec, spec.host, self._restarts, machines, self._origin)
+            registry = partial(self.machines.registry, joining)
+            return start_hosted(spec, spec.host, self._restarts, registry, self._origin)
         return deadlines.run(
             f"starting bridge {name!r}",
             _START_SECONDS,
-            lambda: self._registry.create(spec),
+            partial(self._registry.create, spec),
             on_late=lambda late: late.close(),
         )
 
@@ -386,8 +399,7 @@ class StagedBridges:
         running: the bridges in force.
         before: their configuration.
         specs: the bridges of the new one.
-        start: starts a bridge.
-        machines: other machines, as the new configuration has them.
+        joining: where machines join in it.
     """
 
     def __init__(
@@ -395,16 +407,14 @@ class StagedBridges:
         running: BridgeSet,
         before: Mapping[str, BridgeSpec],
         specs: Mapping[str, BridgeSpec],
-        start: Callable[[str, BridgeSpec | None, StagedMachines], Bridge],
-        machines: StagedMachines,
+        joining: Joining,
     ) -> None:
         self._running = running
         self._before = before
-        self._start = start
         # Held while a bridge starts: two threads that ask for structures must not start it twice.
         self._lock = threading.Lock()
         self.specs = specs
-        self.machines = machines
+        self.joining = joining
         self.made: dict[str, Bridge] = {}
 
     def get(self, name: str) -> Bridge:
@@ -418,7 +428,7 @@ class StagedBridges:
             return self._running.get(name)
         with self._lock:
             if name not in self.made:
-                self.made[name] = self._start(name, spec, self.machines)
+                self.made[name] = self._running.start(name, spec, self.joining)
             return self.made[name]
 
     def close(self) -> None:
@@ -429,7 +439,7 @@ class StagedBridges:
                 bridge.close()
             except BridgeError as error:
                 _log.warning("%s", error)
-        self.machines.close()
+        self._running.machines.discard(self.joining)
 
 
 def facts_of(source: Bridge | Channel) -> tuple[tuple[str, object], ...]:

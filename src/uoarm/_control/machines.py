@@ -7,6 +7,8 @@ import threading
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING
 
+from attrs import frozen
+
 from uoarm._origin import install_command
 from uoarm.bridge import HealthEvent
 from uoarm.errors import BridgeError, FailureReason, PluginError
@@ -15,10 +17,32 @@ from uoarm.model import BridgeSpec, Health, Listening, MachineStatus
 if TYPE_CHECKING:
     from uoarm._host.machines import MachineRegistry
 
-__all__ = ["Machines", "StagedMachines"]
+__all__ = ["Joining", "Machines"]
 
 _log = logging.getLogger("uoarm")
 _LET_GO_SECONDS = 10.0
+
+
+@frozen
+class Joining:
+    """Which machines join where, as one configuration has it: the one in force, or one to come.
+
+    Attributes:
+        bridges: names by machine.
+        listener: where they join.
+        is_cut: whether machines that have joined must join anew when it comes into force, since
+            the address is the same; until then none can.
+    """
+
+    bridges: Mapping[str, tuple[str, ...]]
+    listener: _Listener
+    is_cut: bool = False
+
+    @property
+    def cut_bridges(self) -> frozenset[str]:
+        """The bridges that machines must take up anew."""
+        names = (name for names in self.bridges.values() for name in names)
+        return frozenset(names) if self.is_cut else frozenset()
 
 
 class Machines:
@@ -43,41 +67,46 @@ class Machines:
     ) -> None:
         self._notify = notify
         self._state = state
-        self._bridges = _by_machine(specs)
+        bridges = _by_machine(specs)
+        self._joining = Joining(bridges, _Listener(listening, frozenset(bridges)))
         # Held from the look at a machine to its report: or one that left and came would be
         # reported in the other order.
         self._reporting = threading.Lock()
         self._reported: dict[str, bool] = {}
-        self._listener = _Listener(listening, frozenset(self._bridges))
         self._retired: list[_Listener] = []
         self._beginning: set[threading.Thread] = set()
         self._closed = False
 
     def begin(self) -> None:
         """Listen, where there is a machine to wait for; what is in the way is logged."""
-        if not self._bridges or self._closed:
+        if not self._joining.bridges or self._closed:
             return
         try:
             self.registry()
         except (BridgeError, PluginError) as error:
             _log.warning("no other machine can join: %s", error)
-            for machine in tuple(self._bridges):
+            for machine in tuple(self._joining.bridges):
                 self._changed(machine, None)
 
-    def registry(self) -> MachineRegistry:
-        """Return where machines join.
+    def registry(self, joining: Joining | None = None) -> MachineRegistry:
+        """Return where machines join; None: in the configuration in force.
 
         Raises:
-            BridgeError: the address cannot be had, the certificate is missing, or it is closed.
+            BridgeError: the address cannot be had, or not before the configuration is in force; or
+                the certificate is missing, or it is closed.
             PluginError: the extra `uoarm[machines]` is missing.
         """
-        found, is_new = self._listener.registry(self._changed)
-        if is_new:
-            for machine in tuple(self._bridges):  # those that came before there was a listener
+        joining = joining or self._joining
+        if joining.is_cut:
+            text = "it can join once the configuration is in force"
+            raise BridgeError(text, FailureReason.UNAVAILABLE)
+        found, is_new = joining.listener.registry(self._changed)
+        if is_new and joining is self._joining:
+            for machine in tuple(joining.bridges):  # those that came before there was a listener
                 self._changed(machine, None)
         return found
 
-    def stage(self, specs: Mapping[str, BridgeSpec], listening: Listening | None) -> StagedMachines:
+    def stage(self, specs: Mapping[str, BridgeSpec], listening: Listening | None) -> Joining:
         """Return the machines of another configuration, which can join it from now on.
 
         Where the address is another one, both are listened at. Where it is the same, and must be
@@ -87,31 +116,33 @@ class Machines:
             BridgeError: the address cannot be had, or the certificate not be used.
             PluginError: the extra `uoarm[machines]` is missing.
         """
-        bridges = _by_machine(specs)
-        before, names = self._listener, frozenset(bridges)
-        if before.listening == listening and (bridges == self._bridges or before.can_watch(names)):
-            before.watch(names | set(self._bridges))
-            return StagedMachines(self, bridges, before)
+        bridges, running = _by_machine(specs), self._joining
+        before, names = running.listener, frozenset(bridges)
+        if before.listening == listening and (
+            bridges == running.bridges or before.can_watch(names)
+        ):
+            before.watch(names | set(running.bridges))
+            return Joining(bridges, before)
         is_elsewhere = not before.is_open or _place(before.listening) != _place(listening)
         listener = _Listener(listening, names, None if is_elsewhere else before)
         if is_elsewhere and bridges:
             listener.registry(self._changed)
-        return StagedMachines(self, bridges, listener, is_cut=not is_elsewhere and bool(names))
+        return Joining(bridges, listener, is_cut=not is_elsewhere and bool(names))
 
-    def adopt(self, staged: StagedMachines, changed: frozenset[str]) -> None:
+    def adopt(self, staged: Joining, changed: frozenset[str]) -> None:
         """Have these machines in place of those so far; returns at once.
 
         Args:
             staged: what is in force from now on.
             changed: names of the bridges that are others, or gone.
         """
-        before, after = self._listener, staged.listener
-        if after is before and staged.bridges == self._bridges and not changed:
+        before, after = self._joining.listener, staged.listener
+        if after is before and staged.bridges == self._joining.bridges and not changed:
             return
-        self._bridges, self._listener = staged.bridges, after
+        self._joining = Joining(staged.bridges, after)
         for name in changed:
             self._reported.pop(name, None)
-        lost = staged.cut_bridges() - changed
+        lost = staged.cut_bridges - changed
         if after is not before:
             self._retired = [listener for listener in self._retired if listener.is_open]
             self._retired.append(before)
@@ -121,7 +152,7 @@ class Machines:
                 if self._state(name) not in {None, Health.LOST}:
                     cause = "the manager listens anew for other machines"
                     self._notify(HealthEvent(name, Health.LOST, cause))
-            before.retire() if after is not before else before.watch(frozenset(self._bridges))
+            before.retire() if after is not before else before.watch(frozenset(staged.bridges))
             self.begin()
             self._beginning.discard(thread)
 
@@ -131,26 +162,28 @@ class Machines:
 
     def statuses(self) -> tuple[MachineStatus, ...]:
         """Return what the status map shows of every machine of the configuration."""
-        return tuple(self._status(machine, names) for machine, names in self._bridges.items())
+        return tuple(
+            self._status(machine, names) for machine, names in self._joining.bridges.items()
+        )
 
     def close(self) -> None:
         """Let every machine go. Once is enough."""
         self._closed = True
-        for listener in (self._listener, *self._retired):
+        for listener in (self._joining.listener, *self._retired):
             listener.close()
         for thread in tuple(self._beginning):
             thread.join(_LET_GO_SECONDS)
 
-    def discard(self, staged: StagedMachines) -> None:
+    def discard(self, staged: Joining) -> None:
         """Listen no more for what only a configuration needed that is not taken."""
-        if staged.listener is self._listener:
-            self._listener.watch(frozenset(self._bridges))
+        if staged.listener is self._joining.listener:
+            staged.listener.watch(frozenset(self._joining.bridges))
         else:
             staged.listener.close()
 
     def _status(self, machine: str, bridges: tuple[str, ...]) -> MachineStatus:
         missing = [bridge for bridge in bridges if not self._here(machine, bridge)]
-        registry = self._listener.opened
+        registry = self._joining.listener.opened
         offset = None if registry is None else registry.offset(machine)
         known = offset is not None and offset.known
         return MachineStatus(
@@ -163,12 +196,12 @@ class Machines:
         )
 
     def _here(self, machine: str, bridge: str) -> bool:
-        opened = [listener.opened for listener in (self._listener, *self._retired)]
+        opened = [listener.opened for listener in (self._joining.listener, *self._retired)]
         return any(registry is not None and registry.here(machine, bridge) for registry in opened)
 
     def _changed(self, machine: str, bridge: str | None) -> None:
         """Report what is new of each bridge of a machine."""
-        mine = self._bridges.get(machine, ())
+        mine = self._joining.bridges.get(machine, ())
         with self._reporting:
             for name in mine if bridge is None else {bridge}.intersection(mine):
                 present = self._here(machine, name)
@@ -186,57 +219,11 @@ class Machines:
 
     def _waiting(self, what: str) -> str:
         """Return the cause of a row; the names that the row itself has are not said again."""
-        return f"waiting for {what}{self._listener.problem}"
+        return f"waiting for {what}{self._joining.listener.problem}"
 
 
 def _listed(bridges: list[str]) -> str:
     return f"bridge{'s' * (len(bridges) > 1)} {', '.join(bridges)}"
-
-
-class StagedMachines:
-    """The machines of a configuration that is not in force yet.
-
-    Args:
-        machines: those in force.
-        bridges: names by machine.
-        listener: where they join.
-        is_cut: whether machines that have joined must join anew, since the address is the same.
-    """
-
-    def __init__(
-        self,
-        machines: Machines,
-        bridges: Mapping[str, tuple[str, ...]],
-        listener: _Listener,
-        *,
-        is_cut: bool = False,
-    ) -> None:
-        self._machines = machines
-        self.bridges = bridges
-        self.listener = listener
-        self.is_cut = is_cut
-
-    def registry(self) -> MachineRegistry:
-        """Return where machines join.
-
-        Raises:
-            BridgeError: the address cannot be had, or not before the configuration is in force.
-            PluginError: the extra `uoarm[machines]` is missing.
-        """
-        if self.is_cut:
-            text = "it can join once the configuration is in force"
-            raise BridgeError(text, FailureReason.UNAVAILABLE)
-        return self.listener.registry(self._machines._changed)[0]  # noqa: SLF001 - one with it
-
-    def cut_bridges(self) -> frozenset[str]:
-        """Return the bridges that machines must take up anew."""
-        if not self.is_cut:
-            return frozenset()
-        return frozenset(name for names in self.bridges.values() for name in names)
-
-    def close(self) -> None:
-        """Listen no more for what only this configuration needed."""
-        self._machines.discard(self)
 
 
 class _Listener:

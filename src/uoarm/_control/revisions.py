@@ -428,7 +428,7 @@ class Revisions:
             text = f"other machines cannot join as `hosts` of the new configuration says: {error}"
             raise ConfigurationError(text) from error
         try:
-            cut = _cut(robot, bridges.machines.cut_bridges())
+            cut = _cut(robot, bridges.joining.cut_bridges)
             structures = before.structures.carried_over(
                 bridges.get, difference.superseded, _hold(guard)
             )
