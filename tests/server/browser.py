@@ -39,6 +39,8 @@ KEYS = {
     "Escape": (27, ""),
     "Tab": (9, ""),
     " ": (32, " "),
+    "[": (219, "["),
+    "]": (221, "]"),
     "ArrowLeft": (37, ""),
     "ArrowUp": (38, ""),
     "ArrowRight": (39, ""),
@@ -141,17 +143,22 @@ class Browser:
         scheme = {"name": "prefers-color-scheme", "value": "dark" if dark else "light"}
         self.command("Emulation.setEmulatedMedia", features=[scheme])
 
-    def click(self, selector: str, text: str = "") -> None:
+    def click(self, selector: str, text: str = "", *, shift: bool = False) -> None:
         """Press the middle of the first visible element that a selector and a text find."""
         place = self.until(f"({_FIND})({json.dumps(selector)}, {json.dumps(text)})")
         for kind in ("mousePressed", "mouseReleased"):
             self.command(
-                "Input.dispatchMouseEvent", type=kind, button="left", clickCount=1, **place
+                "Input.dispatchMouseEvent",
+                type=kind,
+                button="left",
+                clickCount=1,
+                modifiers=8 * shift,
+                **place,
             )
 
-    def press(self, key: str) -> None:
+    def press(self, key: str, *, shift: bool = False) -> None:
         code, text = KEYS.get(key, (ord(key[0].upper()), key))
-        given = {"key": key, "windowsVirtualKeyCode": code}
+        given = {"key": key, "windowsVirtualKeyCode": code, "modifiers": 8 * shift}
         self.command("Input.dispatchKeyEvent", type="keyDown", text=text, **given)
         self.command("Input.dispatchKeyEvent", type="keyUp", **given)
 
@@ -223,3 +230,51 @@ _FIND = """(selector, text) => {
   }
   return null;
 }"""
+
+
+def text(selector: str) -> str:
+    return f"(document.querySelector({selector!r})?.innerText ?? '')"
+
+
+def says(selector: str, words: str) -> str:
+    return f"{text(selector)}.includes({words!r})"
+
+
+# What has less contrast than WCAG's level AA asks for: 4.5, or 3 for large text.
+CONTRAST = """
+(() => {
+  const canvas = document.createElement("canvas").getContext("2d", { willReadFrequently: true });
+  const rgba = (colour) => {
+    canvas.clearRect(0, 0, 1, 1);
+    canvas.fillStyle = colour;
+    canvas.fillRect(0, 0, 1, 1);
+    return [...canvas.getImageData(0, 0, 1, 1).data];
+  };
+  const light = (colour) => {
+    const part = (one) => (one /= 255) <= 0.04045 ? one / 12.92 : ((one + 0.055) / 1.055) ** 2.4;
+    const [red, green, blue] = colour.map(part);
+    return 0.2126 * red + 0.7152 * green + 0.0722 * blue;
+  };
+  const ground = (one) => {
+    for (let at = one; at; at = at.parentElement) {
+      const colour = rgba(getComputedStyle(at).backgroundColor);
+      if (colour[3] === 255) return colour;
+    }
+    return [255, 255, 255];
+  };
+  const found = [];
+  const walker = document.createTreeWalker(document.body, NodeFilter.SHOW_TEXT);
+  while (walker.nextNode()) {
+    const one = walker.currentNode.parentElement;
+    const unseen = one.closest(".hidden, .skip, svg, noscript, :disabled");
+    if (!walker.currentNode.data.trim() || unseen) continue;
+    const style = getComputedStyle(one);
+    const [a, b] = [light(rgba(style.color)), light(ground(one))];
+    const ratio = (Math.max(a, b) + 0.05) / (Math.min(a, b) + 0.05);
+    if (ratio < (parseFloat(style.fontSize) >= 24 ? 3 : 4.5)) {
+      found.push(`${walker.currentNode.data.trim()}: ${ratio.toFixed(2)} (${one.className})`);
+    }
+  }
+  return found;
+})()
+"""

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from tests.server.browser import Browser, find_chromium
 from tests.server.proxy import Proxy
 from tests.server.robot import CONFIGURATION, script
 from tests.server.talk import Talk
@@ -21,6 +22,7 @@ from uoarm.server.front_end import FrontEnd
 Serve = Callable[..., Server]
 Connect = Callable[..., Talk]
 Between = Callable[[Server], Proxy]
+Visit = Callable[..., None]
 Hurry = Callable[[float], AbstractContextManager[None]]
 
 
@@ -93,3 +95,37 @@ def between() -> Iterator[Between]:
     """Put a proxy before a server."""
     with ExitStack() as stack:
         yield lambda server: stack.enter_context(Proxy(server.ports[0]))
+
+
+@pytest.fixture(scope="module")
+def chromium() -> Iterator[Browser]:
+    program = find_chromium()
+    assert program is not None
+    with Browser(program) as browser:
+        yield browser
+
+
+@pytest.fixture
+def browser(chromium: Browser, serve: Serve) -> Iterator[Browser]:
+    """A page that must not complain and must not ask any other server for anything.
+
+    It is left before servers end: `serve` comes first, so it goes last.
+    """
+    del serve
+    chromium.requests.clear()
+    chromium.complaints.clear()
+    chromium.show(1280, 800)
+    yield chromium
+    chromium.go("about:blank")
+    assert chromium.complaints == []
+    strange = [url for url in chromium.requests if "//127.0.0.1:" not in url]
+    assert [url for url in strange if not url.startswith(("data:", "about:"))] == []
+
+
+@pytest.fixture
+def visit(browser: Browser, server: Server) -> Visit:
+    def visit(place: str = "") -> None:
+        browser.go(f"http://127.0.0.1:{server.ports[0]}/{place}")
+        browser.until("document.querySelector('.link-state.open')")
+
+    return visit

@@ -1,6 +1,8 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
-import { readAddress, writeAddress } from "../../../src/uoarm/server/static/app/address.js";
+import {
+  readAddress, withMove, withOptions, withoutPanel, withPanel, writeAddress,
+} from "../../../src/uoarm/server/static/app/address.js";
 import { pretty, rate, short, span, stamp } from "../../../src/uoarm/server/static/app/format.js";
 import { numbersOf, Series, traced } from "../../../src/uoarm/server/static/app/numbers.js";
 import { findPicture, pixelsOf } from "../../../src/uoarm/server/static/app/picture.js";
@@ -66,11 +68,31 @@ test("a long message is cut where it is long", () => {
   assert.equal(pretty(undefined), "nothing");
 });
 
+const panel = (name, tab = "", options = {}) => ({ kind: "function", name, tab, options });
+
 test("an address says what is shown, whatever the names", () => {
-  const place = { view: "graph", kind: "function", name: "a/b c#d", tab: "use" };
+  const place = { view: "graph", dock: 45, panels: [panel("a/b c#d&e=f", "use", { keep: "1", fields: "x/y,z" }), panel("g")] };
   assert.deepEqual(readAddress(writeAddress(place)), place);
-  assert.deepEqual(readAddress("", "list"), { view: "list", kind: "", name: "", tab: "" });
-  assert.deepEqual(readAddress("#/nonsense/%"), { view: "graph", kind: "", name: "", tab: "" });
+  assert.deepEqual(readAddress("", "list"), { view: "list", dock: 0, panels: [] });
+  assert.deepEqual(readAddress("#/nonsense/%"), { view: "graph", dock: 0, panels: [] });
+  assert.deepEqual(readAddress("#/list/function/a/use").panels, [panel("a", "use")]);
+  assert.deepEqual(readAddress("#/graph/script/a&function/a&function/a&dock=99999"),
+    { view: "graph", dock: 80, panels: [panel("a")] });
+});
+
+test("what is opened takes the place of the panel that is not kept, or stands beside it", () => {
+  const names = (panels) => panels.map(({ name }) => name).join(" ");
+  const kept = panel("a", "", { keep: "1" });
+  assert.equal(names(withPanel([kept, panel("b")], panel("c"))), "a c");
+  assert.equal(names(withPanel([kept], panel("c"))), "a c");
+  assert.equal(names(withPanel([panel("a"), kept], panel("a"))), "a a");
+  const beside = withPanel([panel("a")], panel("b"), true);
+  assert.equal(names(beside), "a b");
+  assert.equal(names(withPanel(beside, panel("c"))), "a c");
+  assert.equal(names(withMove([panel("a"), panel("b"), panel("c")], "function/a", 1)), "b a c");
+  assert.equal(names(withMove([panel("a"), panel("b")], "function/a", -1)), "a b");
+  assert.equal(names(withoutPanel([panel("a"), panel("b")], "function/a")), "b");
+  assert.deepEqual(withOptions(kept, { keep: "", window: 30 }).options, { window: 30 });
 });
 
 test("a line goes from corner to corner, a level one through the middle, one point is none", () => {

@@ -79,7 +79,7 @@ test("frameworks are cards where they are wanted", () => {
   const system = join(FUNCTIONS, STATUS);
   const cards = makeCards(system, system.functions, { ...all, frameworks: true });
   const found = cards.filter((card) => card.kind === "bridge");
-  assert.deepEqual(found.map((item_) => [item_.title, item_.data.open, item_.data.all]), [["ros", 1, 2], ["python", 1, 1]]);
+  assert.deepEqual(found.map((item_) => [item_.title, item_.data.open, item_.data.all]), [["python", 1, 1], ["ros", 1, 2]]);
 });
 
 test("machines are cards beside frameworks that run there", () => {

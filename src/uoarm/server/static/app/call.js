@@ -6,7 +6,7 @@ import { providerOf, usePlan } from "./plans.js";
 import { MessageForm } from "./message-form.js";
 import { html, Notice } from "./ui.js";
 
-export function Call({ store, name }) {
+export function Call({ store, name, keep }) {
   const { plan, refusal } = usePlan(store, name);
   const [answer, setAnswer] = useState(null);
   const [busy, setBusy] = useState(false);
@@ -15,6 +15,7 @@ export function Call({ store, name }) {
   const { component, structures } = providerOf(plan);
   const call = async (message) => {
     setBusy(true);
+    keep();
     const begun = performance.now();
     const took = () => (performance.now() - begun) / 1000;
     try {

@@ -2,7 +2,7 @@
 
 import { rowHeight } from "./cards.js";
 import { plural, rate, short, span } from "./format.js";
-import { Framework, Health, html, Icon } from "./ui.js";
+import { Framework, Health, hueOf, html, Icon, isBeside } from "./ui.js";
 
 const sayMachine = ({ present }) => (present ? "here" : "not here");
 
@@ -16,12 +16,12 @@ export function sayCard({ kind, title, health, data }) {
   return `Function ${title}, ${plural(data.rows.length, "component")}, ${running || "not running"}`;
 }
 
-export function Card({ card, place, selected, stop, select, fold }) {
+export function Card({ card, place, selected, dim, stop, select, fold }) {
   const { x, y } = place;
   const style = { left: `${x}px`, top: `${y}px`, width: `${card.width}px`, height: `${card.height}px` };
   return html`
-    <div class="card ${card.kind} is-${card.health} ${selected ? "selected" : ""}" style=${style}
-      data-card=${card.id} onClick=${() => select(card)}>
+    <div class="card ${card.kind} is-${card.health} ${selected ? "selected" : ""} ${dim ? "dim" : ""}" style=${style}
+      data-card=${card.id} onClick=${(event) => select(card, isBeside(event))}>
       <div class="card-head">
         <button type="button" class="card-title" tabindex=${stop ? 0 : -1} data-title=${card.id}
           aria-label=${sayCard(card)} aria-pressed=${selected}
@@ -32,7 +32,7 @@ export function Card({ card, place, selected, stop, select, fold }) {
       </div>
       ${card.kind === "function" && card.rows.map((row) => html`<${Row} key=${row.name} row=${row} />`)}
       ${card.kind === "connection" && html`<${Application} data=${card.data} />`}
-      ${card.kind === "bridge" && html`<p class="card-note">${card.data.open} of ${card.data.all} running</p>`}
+      ${card.kind === "bridge" && html`<p class="card-note framework hue${hueOf(card.title)}">${card.data.open} of ${card.data.all} running</p>`}
       ${card.kind === "machine" && html`<p class="card-note">machine · ${sayMachine(card.data)}</p>`}
     </div>`;
 }

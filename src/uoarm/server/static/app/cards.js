@@ -6,7 +6,6 @@ export const WIDTH = 250;
 export const HEAD = 40;
 export const ROW = 28;
 export const OPEN_ROW = 46;
-const FEW = 40; // with more cards, only what runs is joined to its framework
 const FOOT = 6;
 const LETTER = 11; // the width of one, as it is seen from far
 
@@ -45,7 +44,9 @@ function connectionCard(connection) {
 function bridgeCards(system, shown) {
   const rows = groupBy(shown.flatMap((func) => func.rows), (row) => row.bridge);
   const live = new Map(system.bridges.map((bridge) => [bridge.name, bridge]));
-  return [...rows].map(([name, its]) => {
+  const machine = new Map(system.machines.flatMap(({ name, bridges }) => bridges.map((bridge) => [bridge, name])));
+  const place = ([name]) => machine.get(name) ?? ""; // those of a machine beside each other: its lines cross none
+  return [...rows].sort((a, b) => place(a).localeCompare(place(b))).map(([name, its]) => {
     const data = live.get(name) ?? { name, health: "idle", cause: "", open_channels: 0 };
     const open = its.filter((row) => row.open).length;
     return { id: `bridge/${name}`, kind: "bridge", title: name, data: { ...data, open, all: its.length },
@@ -59,7 +60,18 @@ function machineCards(system, bridges) {
       folded: false, rows: [], width: 160, height: 56 }));
 }
 
-/** Edges between cards: messages that flow, dependencies of what is not running, and what runs where. */
+/** The bridges that a card of a framework or machine stands for; null: it is of another kind. */
+export function bridgesOf({ kind, data }) {
+  if (kind === "bridge") return [data.name];
+  return kind === "machine" ? data.bridges : null;
+}
+
+/** Whether a card has something to do with some bridges: what runs there, or where it is. */
+export const concerns = (card, bridges) =>
+  (bridgesOf(card) ?? (card.kind === "function" ? card.data.rows.map((row) => row.bridge) : []))
+    .some((name) => bridges.includes(name));
+
+/** Edges between cards: messages that flow, dependencies of what is not running, and which machine has which bridge. */
 export function makeEdges(system, cards) {
   const byId = new Map(cards.map((card) => [card.id, card]));
   const home = new Map();
@@ -75,13 +87,10 @@ export function makeEdges(system, cards) {
       edges.set(id, merge(edges.get(id), flowing(id, from, to, route)));
     }
   }
-  const few = cards.length <= FEW;
   const live = new Set([...edges.values()].map((edge) => `${edge.from}>${edge.to}`));
   for (const card of cards.filter((card) => card.kind === "function")) {
     for (const row of card.data.rows) {
       for (const used of row.uses ?? []) wish(byId.get(`function/${used}`), card, live, edges);
-      const bridge = byId.get(`bridge/${row.bridge}`);
-      if (bridge && (few || row.open)) run(bridge, card, edges);
     }
   }
   for (const card of cards.filter((card) => card.kind === "machine")) {

@@ -3,27 +3,29 @@
 import { useLayoutEffect, useMemo, useRef, useState } from "../vendor/htm-preact.js";
 import { neighbour } from "./camera.js";
 import { Card } from "./card.js";
-import { makeCards, makeEdges } from "./cards.js";
+import { bridgesOf, concerns, makeCards, makeEdges } from "./cards.js";
 import { Edges } from "./edges.js";
 import { layOut } from "./layout.js";
 import { Stage, useCamera } from "./stage.js";
 import { MANY } from "./system.js";
 import { html, Icon } from "./ui.js";
 
-/** Args: the joined system, the functions that the search found, and what is selected. */
-export function Graph({ system, shown, selected, select }) {
+/** Args: the joined system, the functions that the search found, and which cards have a panel. */
+export function Graph({ system, shown, panels, select }) {
   const [folds, setFolds] = useState(new Map());
   const [frameworks, setFrameworks] = useState(false);
   const [focused, setFocused] = useState("");
+  const [pointed, setPointed] = useState(""); // the card of a framework or machine whose functions stand out
   const many = shown.reduce((total, func) => total + func.rows.length, 0) > MANY;
   const folded = (name) => folds.get(name) ?? many;
   const cards = makeCards(system, shown, { folded, frameworks });
   const edges = makeEdges(system, cards);
   const shape = shapeOf(cards, edges);
   const stage = useRef(null);
-  const wide = stage.current ? stage.current.clientWidth / stage.current.clientHeight : 1.6;
-  const layout = useMemo(() => layOut(cards, edges, { aspect: wide }), [shape]);
-  const camera = useCamera(stage, layout, cards.find((card) => card.id === selected));
+  const layout = useMemo(() => layOut(cards, edges, { aspect: aspectOf(window) }), [shape]);
+  const camera = useCamera(stage, layout, cards.findLast((card) => card.id === panels.at(-1)));
+
+  const lit = [pointed, focused, ...panels].map((id) => cards.find((card) => card.id === id && bridgesOf(card))).find(Boolean);
 
   const fold = (card) => setFolds(new Map(folds).set(card.title, !card.folded));
   const foldAll = (all) => setFolds(new Map(shown.map((func) => [func.name, all])));
@@ -49,9 +51,11 @@ export function Graph({ system, shown, selected, select }) {
   const plane = html`
     <${Edges} cards=${cards} edges=${edges} layout=${layout} />
     ${cards.map((card) => html`<${Card} key=${card.id} card=${card} place=${layout.places.get(card.id)}
-      selected=${card.id === selected} stop=${card.id === stop} select=${select} fold=${fold} />`)}`;
+      selected=${panels.includes(card.id)}
+      dim=${lit && !concerns(card, bridgesOf(lit))} stop=${card.id === stop} select=${select} fold=${fold} />`)}`;
   return html`
     <section class="graph" aria-label="Graph of the system" onKeyDown=${keys}
+      onPointerOver=${(event) => frameworks && setPointed(event.target.closest("[data-card]")?.dataset.card ?? "")}
       onFocusIn=${(event) => setFocused(event.target.dataset.title ?? focused)}>
       <${Stage} stage=${stage}>${plane}</${Stage}>
       ${cards.length === 0 && html`<p class="empty">Nothing is found.</p>`}
@@ -82,6 +86,9 @@ function keyAction(event, { card, cards, edges, layout, camera, fold, focus }) {
   const next = neighbour(card.id, event.key, cards, layout.places, edges);
   return () => next && focus(next);
 }
+
+/** How wide a layout is to be for its height: the same whether panels are open or not, so that cards stay. */
+const aspectOf = ({ innerWidth, innerHeight }) => innerWidth / Math.max(200, innerHeight - 120);
 
 /** What makes a new layout needed: which cards there are, how high, and what joins them. */
 function shapeOf(cards, edges) {

@@ -1,22 +1,22 @@
 // The same system as a list: for phones, for screen readers, and for those who prefer one.
 
 import { plural, rate, short, span } from "./format.js";
-import { Framework, Health, html } from "./ui.js";
+import { Framework, Health, html, isBeside } from "./ui.js";
 
-export function List({ system, shown, selected, select }) {
+export function List({ system, shown, panels, select }) {
   const using = new Map();
   for (const connection of system.connections) using.set(connection.function, (using.get(connection.function) ?? 0) + 1);
   return html`
     <section class="list" aria-label="Functions">
       ${shown.length === 0 && html`<p class="empty">Nothing is found.</p>`}
       <ul>${shown.map((func) => html`<${Item} key=${func.name} of=${func} users=${using.get(func.name) ?? 0}
-        selected=${selected === `function/${func.name}`} select=${select} />`)}</ul>
+        selected=${panels.includes(`function/${func.name}`)} select=${select} />`)}</ul>
       ${system.connections.length > 0 && html`<h2>Applications</h2>
         <ul>${system.connections.map((connection) => html`<${Connection} key=${connection.id} of=${connection}
-          selected=${selected === `connection/${connection.id}`} select=${select} />`)}</ul>`}
+          selected=${panels.includes(`connection/${connection.id}`)} select=${select} />`)}</ul>`}
       ${system.bridges.length > 0 && html`<h2>Frameworks</h2>
         <ul>${system.bridges.map((bridge) => html`<${Bridge} key=${bridge.name} of=${bridge}
-          selected=${selected === `bridge/${bridge.name}`} select=${select} />`)}</ul>`}
+          selected=${panels.includes(`bridge/${bridge.name}`)} select=${select} />`)}</ul>`}
     </section>`;
 }
 
@@ -26,7 +26,7 @@ function Item({ of, users, selected, select }) {
   const bridges = [...new Set(of.rows.map((row) => row.bridge))];
   return html`
     <li><button type="button" class="item" aria-pressed=${selected} data-item=${of.name}
-      onClick=${() => select({ kind: "function", title: of.name })}>
+      onClick=${(event) => select({ kind: "function", title: of.name }, isBeside(event))}>
       <span class="item-name"><${Health} of=${of.health} /><b>${of.name}</b>
         <span class="kind">${of.service ? "service" : "stream"}</span></span>
       <span class="item-note">${of.description}</span>
@@ -41,14 +41,14 @@ function Item({ of, users, selected, select }) {
 
 const Connection = ({ of, selected, select }) => html`
   <li><button type="button" class="item" aria-pressed=${selected}
-    onClick=${() => select({ kind: "connection", data: of })}>
+    onClick=${(event) => select({ kind: "connection", data: of }, isBeside(event))}>
     <span class="item-name"><b>Application ${of.id}</b></span>
     <span class="item-note">uses ${of.function}, ${of.state}</span>
     <span class="item-figures"><b>${rate(of.rate)}</b></span></button></li>`;
 
 const Bridge = ({ of, selected, select }) => html`
   <li><button type="button" class="item" aria-pressed=${selected}
-    onClick=${() => select({ kind: "bridge", data: of })}>
+    onClick=${(event) => select({ kind: "bridge", data: of }, isBeside(event))}>
     <span class="item-name"><${Health} of=${of.health} /><b>${of.name}</b></span>
     <span class="item-note">${of.cause || `plugin ${of.plugin}`}</span>
     <span class="item-figures">${plural(of.open_channels, "channel")}</span></button></li>`;

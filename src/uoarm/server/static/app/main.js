@@ -1,13 +1,13 @@
 // The page: one store, one address, the views.
 
 import { render, useEffect, useMemo, useState } from "../vendor/htm-preact.js";
-import { readAddress, writeAddress } from "./address.js";
+import { keyOf, KINDS, readAddress, withChange, withMove, withoutPanel, withPanel, writeAddress } from "./address.js";
 import { Approvals } from "./approvals.js";
 import { Configuration } from "./configuration.js";
+import { Dock } from "./dock.js";
 import { Stopped } from "./emergency.js";
 import { Graph } from "./graph.js";
 import { List } from "./list.js";
-import { Panel } from "./panel.js";
 import { Header, Lock, Summary } from "./shell.js";
 import { Store } from "./store.js";
 import { search } from "./system.js";
@@ -20,27 +20,31 @@ const KEPT = "uoarm.token";
 
 function App({ store }) {
   useVersion(store);
-  const [address, go] = useAddress();
+  const [address, read, go] = useAddress();
   const [query, setQuery] = useState("");
   const [filter, setFilter] = useState({ running: false, bridge: "" });
   const shown = useMemo(() => search(store.system.functions, query, filter), [store.system, query, filter]);
-  const selected = address.name ? `${address.kind}/${address.name}` : "";
-  const open = (kind, name) => go({ ...address, kind, name, tab: "" });
-  const select = ({ kind, title, data }) => open(kind, { connection: data?.id, bridge: data?.name }[kind] ?? title);
+  const [focus, setFocus] = useState("");
+  const act = panelActs(read, go, setFocus);
+  const selected = address.panels.map(keyOf).join("&");
+  const open = act.open;
+  const select = ({ kind, title, data }, beside) =>
+    open(kind, { connection: data?.id, bridge: data?.name }[kind] ?? title, beside);
   const follow = (kind, name) => {
     const owner = kind === "component" && store.functions.find((func) => func.components.some((part) => part.name === name));
-    return owner ? open("function", owner.name) : open(kind, name);
+    if (owner) open("function", owner.name);
+    else if (KINDS.includes(kind)) open(kind, name);
   };
-  const given = { system: store.system, shown, selected, select };
+  const given = { system: store.system, shown, panels: address.panels.map(keyOf), select };
   const view = useMemo(() => {
     if (!NARROWED.has(address.view) || !store.loaded) return null;
     return address.view === "list" ? html`<${List} ...${given} />` : html`<${Graph} ...${given} />`;
-  }, [store.system, store.loaded, shown, selected, address.view, address.tab]);
+  }, [store.system, store.loaded, shown, selected, address.view]);
 
   return html`
     <${Header} store=${store} address=${address} query=${query} setQuery=${setQuery} />
     ${store.link !== "locked" && html`<${Stopped} store=${store} /><${Approvals} store=${store} />`}
-    <main id="main" tabindex="-1" class=${selected ? "with-panel" : ""}>
+    <main id="main" tabindex="-1" class=${selected ? "with-panels" : ""}>
       ${store.link === "locked"
         ? html`<${Lock} tried=${store.wire.token !== ""} unlock=${(token) => unlock(store, token)} />`
         : html`
@@ -51,7 +55,7 @@ function App({ store }) {
               owners=${store.owners} session=${store.hello?.session} open=${follow} />`}
             ${view}
           </div>
-          ${selected && html`<${Panel} store=${store} address=${address} close=${() => close(address, go)} />`}`}
+          ${address.panels.length > 0 && html`<${Dock} store=${store} address=${address} focus=${focus} act=${act} />`}`}
     </main>`;
 }
 
@@ -68,14 +72,44 @@ function useAddress() {
     window.addEventListener("hashchange", changed);
     return () => window.removeEventListener("hashchange", changed);
   }, []);
-  return [address, (next) => (location.hash = writeAddress(next))];
+  const go = (next, { replace = false } = {}) => {
+    if (!replace) location.hash = writeAddress(next); // a step that one can go back
+    else {
+      history.replaceState(null, "", writeAddress(next));
+      setAddress(next);
+    }
+  };
+  return [address, read, go];
 }
 
-/** Closes the panel; the keyboard goes back to where it was opened. */
-function close(address, go) {
-  const { kind, name } = address;
-  go({ view: address.view });
-  const opener = `[data-title="${CSS.escape(`${kind}/${name}`)}"], [data-item="${CSS.escape(name)}"]`;
+/** What changes the panels, as the address has them then; `setFocus` says which of them gets the keyboard. */
+function panelActs(read, go, setFocus) {
+  const put = (change, how) => go({ ...read(), panels: change(read().panels) }, how);
+  return {
+    open: (kind, name, beside = false) => {
+      put((panels) => withPanel(panels, { kind, name }, beside));
+      setFocus("");
+      requestAnimationFrame(() => setFocus(keyOf({ kind, name })));
+    },
+    close: (key) => {
+      put((panels) => withoutPanel(panels, key));
+      giveBack(key);
+    },
+    closeAll: () => {
+      const [first] = read().panels;
+      put(() => []);
+      giveBack(keyOf(first));
+    },
+    move: (key, by) => put((panels) => withMove(panels, key, by), { replace: true }),
+    change: (key, change) => put((panels) => withChange(panels, key, change), { replace: true }),
+    widen: (dock) => go({ ...read(), dock }, { replace: true }),
+  };
+}
+
+/** Gives the keyboard back to where a panel was opened. */
+function giveBack(key) {
+  const name = key.slice(key.indexOf("/") + 1);
+  const opener = `[data-title="${CSS.escape(key)}"], [data-item="${CSS.escape(name)}"]`;
   document.querySelector(opener)?.focus({ preventScroll: true });
 }
 

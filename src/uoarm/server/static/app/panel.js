@@ -1,55 +1,37 @@
-// What is selected, in full: a function, an application's connection, a framework, or a machine.
+// What a panel shows, in full: a function, an application's connection, a framework, or a machine.
 
-import { useEffect, useRef } from "../vendor/htm-preact.js";
-import { writeAddress } from "./address.js";
+import { keyOf, withChange, writeAddress } from "./address.js";
 import { Call } from "./call.js";
 import { Explain } from "./explain.js";
 import { rate, short, span } from "./format.js";
 import { Kill } from "./kill.js";
 import { Send } from "./send.js";
-import { Facts, Framework, Health, html, Icon, Notice } from "./ui.js";
+import { Facts, Framework, Health, html, Notice } from "./ui.js";
 import { Watch } from "./watch.js";
 
-export function Panel({ store, address, close }) {
-  const title = useRef(null);
-  const { kind, name } = address;
-  useEffect(() => title.current?.focus({ preventScroll: true }), [kind, name]);
-  const keys = (event) => event.key === "Escape" && close();
-  const Body = BODIES[kind];
-  return html`
-    <aside class="panel" aria-labelledby="panel-title" onKeyDown=${keys}>
-      <header class="panel-head">
-        <div><p class="kind">${{ connection: "application", bridge: "framework" }[kind] ?? kind}</p>
-          <h2 id="panel-title" tabindex="-1" ref=${title}>${name}</h2></div>
-        <button type="button" class="tool" aria-label="Close (Escape)" title="Close (Escape)" onClick=${close}>
-          <${Icon} name="close" /></button>
-      </header>
-      ${Body && html`<${Body} key=${`${kind}/${name}`} store=${store} address=${address} />`}
-    </aside>`;
-}
-
-function FunctionPanel({ store, address }) {
-  const func = store.system.functions.find((other) => other.name === address.name);
-  if (!func) return html`<${Gone} what="function" />`;
+function FunctionPanel({ store, address, panel, act, keep }) {
+  const func = store.system.functions.find((other) => other.name === panel.name);
+  if (!func) return html`<${Gone} store=${store} what="function" />`;
   const use = func.service ? "Call" : func.outputs.length ? "Watch" : "Send";
   const tabs = [["", "Overview"], ["use", use], ["explain", "Explain"]];
+  const place = (tab) => writeAddress({ ...address, panels: withChange(address.panels, keyOf(panel), (of) => ({ ...of, tab })) });
   return html`
     ${func.description && html`<p class="lead">${func.description}</p>`}
     <nav class="tabs" aria-label=${`About ${func.name}`}>${tabs.map(([tab, label]) => html`
-      <a key=${tab} href=${writeAddress({ ...address, tab })}
-        aria-current=${address.tab === tab ? "page" : null}>${label}</a>`)}</nav>
+      <a key=${tab} href=${place(tab)}
+        aria-current=${panel.tab === tab ? "page" : null}>${label}</a>`)}</nav>
     <div class="panel-body">
-      ${address.tab === "" && html`<${Overview} store=${store} func=${func} />`}
-      ${address.tab === "use" && html`<${Use} store=${store} func=${func} />`}
-      ${address.tab === "explain" && html`<${Explain} store=${store} func=${func} />`}
+      ${panel.tab === "" && html`<${Overview} store=${store} func=${func} />`}
+      ${panel.tab === "use" && html`<${Use} store=${store} func=${func} panel=${panel} act=${act} keep=${keep} />`}
+      ${panel.tab === "explain" && html`<${Explain} store=${store} func=${func} />`}
     </div>`;
 }
 
-function Use({ store, func }) {
-  if (func.service) return html`<${Call} store=${store} name=${func.name} />`;
+function Use({ store, func, panel, act, keep }) {
+  if (func.service) return html`<${Call} store=${store} name=${func.name} keep=${keep} />`;
   return html`
-    ${func.outputs.length > 0 && html`<${Watch} store=${store} func=${func} />`}
-    ${func.inputs.length > 0 && html`<${Send} store=${store} func=${func} />`}`;
+    ${func.outputs.length > 0 && html`<${Watch} store=${store} func=${func} panel=${panel} act=${act} keep=${keep} />`}
+    ${func.inputs.length > 0 && html`<${Send} store=${store} func=${func} keep=${keep} />`}`;
 }
 
 function Overview({ store, func }) {
@@ -89,9 +71,9 @@ function command({ phase, left, lease }) {
   return `${lives}; lease: ${lease === "free" ? lease : `${lease.id}${lease.role && ` (${lease.role})`}`}`;
 }
 
-function ConnectionPanel({ store, address }) {
-  const connection = store.system.connections.find((other) => other.id === address.name);
-  if (!connection) return html`<${Gone} what="connection" />`;
+function ConnectionPanel({ store, panel }) {
+  const connection = store.system.connections.find((other) => other.id === panel.name);
+  if (!connection) return html`<${Gone} store=${store} what="connection" />`;
   const routes = store.system.routes.filter((route) => route.to === connection.id || connection.components.includes(route.to));
   return html`<div class="panel-body">
     <${Facts} of=${[["function", connection.function], ["state", connection.state],
@@ -110,10 +92,10 @@ function ConnectionPanel({ store, address }) {
     </li>`)}</ul></div>`;
 }
 
-function BridgePanel({ store, address }) {
-  const live = store.system.bridges.find((other) => other.name === address.name);
-  const machine = store.system.machines.find((other) => other.bridges.includes(address.name));
-  const rows = store.system.functions.flatMap((func) => func.rows).filter((row) => row.bridge === address.name);
+function BridgePanel({ store, panel }) {
+  const live = store.system.bridges.find((other) => other.name === panel.name);
+  const machine = store.system.machines.find((other) => other.bridges.includes(panel.name));
+  const rows = store.system.functions.flatMap((func) => func.rows).filter((row) => row.bridge === panel.name);
   return html`<div class="panel-body">
     <p><${Health} of=${live?.health ?? "idle"} word=${true} /></p>
     ${live && html`<${Facts} of=${[["plugin", live.plugin], ["open channels", short(live.open_channels)],
@@ -122,9 +104,9 @@ function BridgePanel({ store, address }) {
     <h3>Components</h3><ul class="parts">${rows.map((row) => html`<${Part} key=${row.name} row=${row} />`)}</ul></div>`;
 }
 
-function MachinePanel({ store, address }) {
-  const machine = store.system.machines.find((other) => other.name === address.name);
-  if (!machine) return html`<${Gone} what="machine" />`;
+function MachinePanel({ store, panel }) {
+  const machine = store.system.machines.find((other) => other.name === panel.name);
+  if (!machine) return html`<${Gone} store=${store} what="machine" />`;
   const health = new Map(store.system.bridges.map((bridge) => [bridge.name, bridge.health]));
   return html`<div class="panel-body">
     <p><${Health} of=${machine.health} word=${true} /></p>
@@ -140,8 +122,11 @@ function offset({ clock_offset: seconds, clock_error: error }) {
   return `${span(Math.abs(seconds))} ${seconds < 0 ? "behind" : "ahead"}, give or take ${span(error)}`;
 }
 
-const BODIES = {
+export const wordOf = (kind) => ({ connection: "application", bridge: "framework" })[kind] ?? kind;
+
+export const BODIES = {
   function: FunctionPanel, connection: ConnectionPanel, bridge: BridgePanel, machine: MachinePanel,
 };
 
-const Gone = ({ what }) => html`<div class="panel-body"><${Notice}>This ${what} is there no more.</${Notice}></div>`;
+const Gone = ({ store, what }) => html`<div class="panel-body">${store.loaded
+  ? html`<${Notice}>This ${what} is there no more.</${Notice}>` : html`<p class="quiet" role="status">Asking …</p>`}</div>`;

@@ -5,7 +5,7 @@ import { MessageForm } from "./message-form.js";
 import { providerOf, usePlan } from "./plans.js";
 import { html, Notice } from "./ui.js";
 
-export function Send({ store, func }) {
+export function Send({ store, func, keep }) {
   const { plan, refusal } = usePlan(store, func.name);
   const [input, setInput] = useState(func.inputs[0]);
   const [answer, setAnswer] = useState(null);
@@ -14,6 +14,7 @@ export function Send({ store, func }) {
   const structure = providerOf(plan).structures[`input.${input}`];
   const send = async (message) => {
     setAnswer(null);
+    keep();
     try {
       const connection = await openFor(store, func);
       await store.wire.ask("Data", `${connection}.${input}`, message);

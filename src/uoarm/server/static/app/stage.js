@@ -11,12 +11,12 @@ const STILL = 4; // pixels that a finger may move and still press
 const legible = ({ width }) => (width < 700 ? { least: 0.6, margin: 14 } : {});
 
 /**
- * The camera of a stage. It shows everything until someone moves it; while a card is chosen it
- * keeps its scale, and that card in sight. It moves the plane itself: nothing is rendered again,
+ * The camera of a stage. It shows everything until someone moves it, however much room panels leave;
+ * after that it keeps its scale, and the card that was chosen last in sight. It moves the plane itself: nothing is rendered again,
  * however much there is.
  */
 export function useCamera(stage, layout, chosen) {
-  const state = useRef({ now: { x: 0, y: 0, scale: 1 }, moved: false, settled: false }).current;
+  const state = useRef({ now: { x: 0, y: 0, scale: 1 }, moved: false }).current;
   const size = () => ({ width: stage.current.clientWidth, height: stage.current.clientHeight });
   const put = (camera) => {
     state.now = camera;
@@ -26,11 +26,8 @@ export function useCamera(stage, layout, chosen) {
   };
   const keepSeen = (card) => put(reveal(state.now, layout.places.get(card.id), card, size()));
   const settle = () => {
-    if (chosen && state.settled) keepSeen(chosen);
-    else if (!state.moved) {
-      put(fit(layout, size(), legible(size())));
-      state.settled = layout.places.size > 0;
-    }
+    if (!state.moved) put(fit(layout, size(), legible(size())));
+    else if (chosen) keepSeen(chosen);
   };
   const change = (how) => {
     state.moved = true;
@@ -42,7 +39,7 @@ export function useCamera(stage, layout, chosen) {
     put(fit(layout, size()));
   };
   const follow = () => {
-    Object.assign(state, { moved: false, settled: false });
+    state.moved = false;
     settle();
   };
   useLayoutEffect(() => {

@@ -38,6 +38,9 @@ const PATHS = {
   fit: "M2 6V2h4M10 2h4v4M14 10v4h-4M6 14H2v-4",
   fold: "M4 6l4 4 4-4",
   unfold: "M6 4l4 4-4 4",
+  keep: "M8 10v4.5M4.5 10h7M5.5 2h5M6.5 2v4l-2 4M9.5 2v4l2 4",
+  earlier: "M10 3L5 8l5 5",
+  later: "M6 3l5 5-5 5",
   play: "M4.5 2.5v11l9-5.5z",
   stop: "M3.5 3.5h9v9h-9z",
 };
@@ -54,6 +57,9 @@ export const Notice = ({ kind = "info", title, children }) => html`
 export const Facts = ({ of }) => html`
   <dl class="facts">${of.filter(([, value]) => value !== "" && value !== null).map(([name, value]) => html`
     <div><dt>${name}</dt><dd>${value}</dd></div>`)}</dl>`;
+
+/** Whether what is pressed is to open beside what is open. */
+export const isBeside = (event) => event.ctrlKey || event.metaKey || event.shiftKey;
 
 /** A button that asks once more before it does what cannot be undone. */
 export function Sure({ children, question, act, label = "" }) {

@@ -9,7 +9,7 @@ import { Facts, html, Icon, Notice } from "./ui.js";
 
 const PACES = [[0, "every message"], [0.1, "10 a second"], [0.5, "2 a second"], [2, "1 in 2 s"]];
 
-export function Watch({ store, func }) {
+export function Watch({ store, func, keep }) {
   const [output, setOutput] = useState(func.outputs[0]);
   const [every, setEvery] = useState(0.1);
   const [state, setState] = useState({ busy: false, refusal: "" });
@@ -27,7 +27,10 @@ export function Watch({ store, func }) {
       setState({ busy: false, refusal: error.message });
     }
   };
-  const begin = () => during(() => store.watches.open(name, { every, queue: { length: every ? 4 : 200, policy: "drop-oldest" } }));
+  const begin = () => during(() => {
+    keep();
+    return store.watches.open(name, { every, queue: { length: every ? 4 : 200, policy: "drop-oldest" } });
+  });
   const end = () => during(() => store.watches.close(name));
 
   return html`
