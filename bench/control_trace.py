@@ -78,6 +78,17 @@ class Trace:
         """Return the changes of module of the last action, of those below a package."""
         return len(self.path(below))
 
+    def folder_changes(self, below: str) -> int:
+        """Return the changes of folder of the last action, below a package and beside it not."""
+        last: dict[int, str] = {}
+        changes = 0
+        for thread, module in list(self._calls):
+            folder = module.rpartition(".")[0]
+            if module.startswith(below):
+                changes += last.get(thread) != folder
+                last[thread] = folder
+        return changes
+
     def path(self, below: str) -> list[str]:
         """Return the modules below a package that the last action entered, each time it did."""
         last: dict[int, str] = {}
@@ -114,28 +125,28 @@ def main() -> None:
     with uoarm.RobotManager(loads(ROBOT), bridges={"one": one, "two": two}) as robot:
         robot.request("name").kill()
         time.sleep(_QUIET_SECONDS)
-        requested = trace.run(lambda: robot.request("name"))
+        requested = trace.run(lambda: robot.request("name")), trace.folder_changes(CONTROL)
         (connection,) = robot.connections()
         best.emit(1)  # which starts the queues' workers
         connection.get(10)
-        message = trace.run(lambda: best.emit(2))
+        message = trace.run(lambda: best.emit(2)), trace.folder_changes(CONTROL)
 
         def die() -> None:
             one.die("best")
             while not connection.gaps:
                 time.sleep(0.001)
 
-        died = trace.run(die)
+        died = trace.run(die), trace.folder_changes(CONTROL)
     trace.close()
     rows = [
-        (what, *map(str, counts))
-        for what, counts in (
+        (what, *map(str, (*counts, folders)))
+        for what, (counts, folders) in (
             ("request of three steps, warm", requested),
             ("one message over two edges, to the inbox", message),
             ("death of the source, to the next one", died),
         )
     ]
-    columns = ("way", "calls", "modules", "changes of module in control", "threads")
+    columns = ("way", "calls", "modules", "changes of module in control", "threads", "of folder")
     print_table("Ways through the manager", columns, rows)
     print(f"load {os.getloadavg()[0]:.1f}, which changes times and not these counts")
 

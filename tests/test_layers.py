@@ -68,8 +68,7 @@ RANK = {name: rank for rank, names in enumerate(LAYERS) for name in names}
 BY_MODULE = {"_control"}
 WITHIN = {
     "_control": [
-        {"engine", "machines", "discovery", "offered_function"},
-        {"bridges", "threads"},
+        {"engine", "discovery", "offered_function", "threads"},
         {"live"},
         {"revisions"},
         {"driver"},

@@ -11,8 +11,8 @@ from attrs import evolve
 from tests.control.test_transcripts import Player
 
 from uoarm._control.engine.move import MovePhase, MoveReason
-from uoarm._control.engine.ordered import OrderedMap
 from uoarm._control.engine.state import Move, Switchover
+from uoarm._support.ordered import OrderedMap
 from uoarm.model import FailoverPolicy
 
 OTHER = 99

@@ -11,11 +11,12 @@ import pytest
 from tests.control.world import FACE
 
 from uoarm import RobotManager
-from uoarm._control.engine.ordered import OrderedMap, forget_earlier
-from uoarm._control.engine.state import keep_newest, listed
+from uoarm._control.engine.move import forget_earlier
+from uoarm._control.engine.state import listed
 from uoarm._control.live import parts
 from uoarm._control.revisions import Revision
-from uoarm._control.threads import EventDispatcher
+from uoarm._control.threads import EventDispatcher, keep_newest
+from uoarm._support.ordered import OrderedMap
 from uoarm.config import loads
 from uoarm.model import ConnectionState, Health, StatusEvent
 from uoarm.testing import ManualClock, MemoryBridge, wait

@@ -20,8 +20,8 @@ from tests.control.world import FACE, NAME, OTHERS, PORTS, Plans, World, discove
 
 from uoarm._control.engine import actions as act
 from uoarm._control.engine import events as ev
-from uoarm._control.engine.ordered import OrderedMap
 from uoarm._control.engine.state import ConnectionRecord, Part, Parts, Placement, names
+from uoarm._support.ordered import OrderedMap
 from uoarm.model import FailoverPolicy, Health, Plan, PortRef, ValidationMode
 
 FOLDER = Path(__file__).with_name("transcripts")

@@ -21,18 +21,18 @@ from collections.abc import Callable, Iterable
 from contextlib import AbstractContextManager
 from functools import partial
 
-from uoarm._control.bridges import BridgeSet
 from uoarm._control.engine import actions as act
 from uoarm._control.engine import events as ev
 from uoarm._control.engine.events import write_event
-from uoarm._control.engine.state import Part, State, keep_newest, names
+from uoarm._control.engine.state import Part, State, names
 from uoarm._control.engine.step import step
+from uoarm._control.live.bridges import BridgeSet
 from uoarm._control.live.connection_runtime import ConnectionRuntime, LetThrough, record_takeover
 from uoarm._control.live.edge import LiveEdge
 from uoarm._control.live.parts import LiveParts
 from uoarm._control.live.safety import EmergencyStop
 from uoarm._control.revisions import Revisions, StagedRevision, check_preferred, seek_replacement
-from uoarm._control.threads import EventDispatcher, Job, Lanes, Timer
+from uoarm._control.threads import EventDispatcher, Job, Lanes, Timer, keep_newest
 from uoarm._dataplane import Clock
 from uoarm._interrupts import Uninterrupted
 from uoarm._raised import foreign

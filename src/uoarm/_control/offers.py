@@ -15,8 +15,8 @@ from enum import Enum
 from attrs import define
 
 from uoarm._backoff import Backoff
-from uoarm._control.bridges import BridgeSet
 from uoarm._control.driver import Driver
+from uoarm._control.live.bridges import BridgeSet
 from uoarm._control.offered_function import Functions, OfferedFunction
 from uoarm._control.revisions import Revisions
 from uoarm._control.threads import EventDispatcher

@@ -12,12 +12,11 @@ from uoarm._control.candidates import CandidateWatch
 from uoarm._control.connection import Connection
 from uoarm._control.driver import Driver
 from uoarm._control.engine.events import Requested
-from uoarm._control.engine.ordered import recently
-from uoarm._control.engine.state import keep_newest
+from uoarm._control.engine.move import recently
 from uoarm._control.live.connection_runtime import ConnectionRuntime
 from uoarm._control.live.health import FailureWatch
 from uoarm._control.revisions import Revision, Revisions
-from uoarm._control.threads import EventDispatcher
+from uoarm._control.threads import EventDispatcher, keep_newest
 from uoarm._dataplane import Clock, make_check
 from uoarm._hints.applications import MessageType, as_message
 from uoarm._raised import is_raised
@@ -142,8 +141,10 @@ class Requests:
 
     def _known(self, function: str, revision: Revision) -> Plan | None:
         """Return the plan that was found before, unless it may use what is avoided now."""
-        avoided = recently(self._driver.state.avoided, self._clock())
-        return None if avoided else revision.resolver.known(function)
+        avoided = self._driver.state.avoided
+        if avoided and recently(avoided, self._clock()):
+            return None
+        return revision.resolver.known(function)
 
 
 def _given(plan: Plan, output: str | None, name: str) -> MessageStructure:

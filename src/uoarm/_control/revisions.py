@@ -19,11 +19,11 @@ from attrs import evolve, field, frozen
 
 from uoarm import _lock
 from uoarm._adapt import check_edge
-from uoarm._control.bridges import BridgeSet, StagedBridges
 from uoarm._control.engine import actions as act
 from uoarm._control.engine import events as ev
-from uoarm._control.engine.ordered import recently
+from uoarm._control.engine.move import recently
 from uoarm._control.engine.state import ConnectionRecord, State, names
+from uoarm._control.live.bridges import BridgeSet, StagedBridges
 from uoarm._dataplane import Clock
 from uoarm._resolve import Hold, Resolver, StructureCache, Unavailable, without_candidates
 from uoarm.config import ConfigurationDifference, compare

@@ -17,13 +17,13 @@ from typing import Any, final, overload
 from uoarm import config
 from uoarm import record as recorder
 from uoarm._arguments import arguments
-from uoarm._control.bridges import BridgeSet
 from uoarm._control.candidates import CandidateWatch
 from uoarm._control.configuration_changes import ConfigurationChanges, KeptFile
 from uoarm._control.connection import Connection
 from uoarm._control.discovery import Discovery, check_availability, with_rates
 from uoarm._control.driver import Driver
 from uoarm._control.engine.state import State
+from uoarm._control.live.bridges import BridgeSet
 from uoarm._control.live.safety import EmergencyStop, StopFile
 from uoarm._control.live.staleness import StalenessWatch
 from uoarm._control.offered_function import offered_structures

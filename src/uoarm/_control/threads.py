@@ -7,18 +7,18 @@ import threading
 from collections.abc import Callable
 from functools import partial
 from queue import Empty, SimpleQueue
-from typing import TypeAlias
+from typing import TypeAlias, TypeVar
 
 from attrs import define, field, frozen
 
-from uoarm._control.engine.state import keep_newest
 from uoarm._dataplane import Clock
 from uoarm._raised import LimitedLog, foreign
 from uoarm.model import StatusEvent
 
-__all__ = ["EventDispatcher", "Job", "Lanes", "Timer"]
+__all__ = ["EventDispatcher", "Job", "Lanes", "Timer", "keep_newest"]
 
 Job: TypeAlias = Callable[[], None]
+T = TypeVar("T")
 
 
 @frozen
@@ -301,3 +301,15 @@ class EventDispatcher:
                 foreign(listener, event)
             except Exception:  # noqa: BLE001 - a listener may raise anything
                 _log.exception("listener %r failed at event %d", listener, event.number)
+
+
+# Names of discovered components come and go for ever: what is counted by name needs a bound.
+_NAMES = 1000
+
+
+def keep_newest(by_name: dict[str, T], name: str, value: T) -> None:
+    """Set a value, and forget those that were set longest ago: names come and go for ever."""
+    by_name.pop(name, None)
+    by_name[name] = value
+    while len(by_name) > _NAMES:
+        del by_name[next(iter(by_name))]

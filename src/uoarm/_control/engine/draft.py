@@ -16,7 +16,7 @@ from uoarm._control.engine.actions import (
     Resolve,
     SetCheck,
 )
-from uoarm._control.engine.ordered import OrderedMap, forget_earlier
+from uoarm._control.engine.move import forget_earlier
 from uoarm._control.engine.state import (
     PORTS,
     Batch,
@@ -32,6 +32,7 @@ from uoarm._control.engine.state import (
     names,
     oldest_first,
 )
+from uoarm._support.ordered import OrderedMap
 from uoarm.errors import ResolutionError
 from uoarm.model import Component, Edge, Plan, Step, ValidationMode
 

@@ -24,8 +24,7 @@ from uoarm._control.engine.actions import (
 )
 from uoarm._control.engine.draft import Draft, InputInUseError
 from uoarm._control.engine.events import HealthReported, ReplacementSought
-from uoarm._control.engine.move import MovePhase, MoveReason
-from uoarm._control.engine.ordered import OrderedMap, forget_earlier
+from uoarm._control.engine.move import MovePhase, MoveReason, forget_earlier
 from uoarm._control.engine.state import (
     ComponentRecord,
     ConnectionRecord,
@@ -36,6 +35,7 @@ from uoarm._control.engine.state import (
     names,
     oldest_first,
 )
+from uoarm._support.ordered import OrderedMap
 from uoarm.errors import BridgeError, FailureReason
 from uoarm.model import ConnectionState, Health, Plan
 

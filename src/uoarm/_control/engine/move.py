@@ -11,9 +11,21 @@ from enum import Enum
 
 from attrs import frozen
 
+from uoarm._support.ordered import OrderedMap
 from uoarm.model import FailoverPolicy
 
-__all__ = ["RULES", "Failing", "MovePhase", "MoveReason", "MoveRule"]
+__all__ = [
+    "RULES",
+    "Failing",
+    "MovePhase",
+    "MoveReason",
+    "MoveRule",
+    "forget_earlier",
+    "recently",
+]
+
+# For so long what failed is tried last, and what was avoided is done without.
+_REMEMBERED_SECONDS = 300.0
 
 
 class MoveReason(Enum):
@@ -148,3 +160,22 @@ RULES: Mapping[MoveReason, MoveRule] = {
         phases=(MovePhase.DRAINING,),
     ),
 }
+
+
+def forget_earlier(times: OrderedMap[str, float], now: float) -> OrderedMap[str, float]:
+    """Return times without those longer ago than is remembered: names come and go for ever.
+
+    Args:
+        times: in their own order, which is why a name that is set anew is the last.
+        now: the time.
+    """
+    while times and times[oldest := times.first()] < now - _REMEMBERED_SECONDS:
+        times = times.discard(oldest)
+    return times
+
+
+def recently(times: Mapping[str, float], now: float) -> frozenset[str]:
+    """Return what happened within the last five minutes."""
+    if not times:
+        return frozenset()
+    return frozenset(name for name, time in times.items() if time >= now - _REMEMBERED_SECONDS)

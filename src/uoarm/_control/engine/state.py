@@ -8,13 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Hashable, Iterable, Mapping, Sequence
 from enum import Enum
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple
 
 from attrs import define, evolve, field, frozen, setters
 from rpds import HashTrieMap, HashTrieSet
 
 from uoarm._control.engine.move import RULES, MovePhase, MoveReason, MoveRule
-from uoarm._control.engine.ordered import OrderedMap
+from uoarm._support.ordered import OrderedMap
 from uoarm.model import (
     ConnectionState,
     Edge,
@@ -42,7 +42,6 @@ __all__ = [
     "Preference",
     "State",
     "Switchover",
-    "keep_newest",
     "listed",
     "names",
     "oldest_first",
@@ -85,10 +84,7 @@ class ComponentHealth:
 
 # Of a cause that names components; thousands may die with one bridge.
 _LISTED = 8
-# Names of discovered components come and go for ever: what is counted by name needs a bound.
-_NAMES = 1000
 _WELL = ComponentHealth()
-T = TypeVar("T")
 _NOTHING: HashTrieMap[Any, Any] = HashTrieMap()
 _NONE: HashTrieSet[Any] = HashTrieSet()
 _STRICTNESS = tuple(ValidationMode)
@@ -580,14 +576,6 @@ def names(plan: Plan) -> tuple[str, ...]:
 def oldest_first(records: Iterable[ConnectionRecord]) -> list[ConnectionRecord]:
     """Return connections in the order of their requests."""
     return sorted(records, key=lambda record: record.number)
-
-
-def keep_newest(by_name: dict[str, T], name: str, value: T) -> None:
-    """Set a value, and forget those that were set longest ago: names come and go for ever."""
-    by_name.pop(name, None)
-    by_name[name] = value
-    while len(by_name) > _NAMES:
-        del by_name[next(iter(by_name))]
 
 
 def listed(names: Sequence[str]) -> str:

@@ -43,7 +43,6 @@ from uoarm._control.engine.failover import (
     seek_plan,
 )
 from uoarm._control.engine.move import RULES, MovePhase, MoveReason
-from uoarm._control.engine.ordered import OrderedMap
 from uoarm._control.engine.state import (
     ConnectionRecord,
     EdgeRecord,
@@ -53,6 +52,7 @@ from uoarm._control.engine.state import (
     names,
     oldest_first,
 )
+from uoarm._support.ordered import OrderedMap
 from uoarm.errors import ResolutionError
 from uoarm.model import ConnectionState, Plan
 

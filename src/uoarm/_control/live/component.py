@@ -7,7 +7,7 @@ import threading
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import Any
 
-from uoarm._control.bridges import facts_of
+from uoarm._control.live.bridges import facts_of
 from uoarm._control.live.health import FailureWatch, InputWatch, OutputWatch
 from uoarm._control.live.safety import EmergencyStop, InputLease
 from uoarm._dataplane import Outlet, make_check

@@ -10,7 +10,7 @@ from functools import partial
 from attrs import define, evolve, field
 
 from uoarm._adapt import transfer
-from uoarm._control.bridges import facts_of
+from uoarm._control.live.bridges import facts_of
 from uoarm._control.live.component import LiveComponent
 from uoarm._dataplane import Clock, Route
 from uoarm.bridge import Channel

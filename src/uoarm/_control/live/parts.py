@@ -12,7 +12,6 @@ from typing import TypeVar
 
 from attrs import define
 
-from uoarm._control.bridges import BridgeSet
 from uoarm._control.engine.actions import Finish, Open
 from uoarm._control.engine.draft import by_age, connection_of
 from uoarm._control.engine.state import (
@@ -27,6 +26,7 @@ from uoarm._control.engine.state import (
     oldest_first,
 )
 from uoarm._control.live.application_ports import ApplicationPorts
+from uoarm._control.live.bridges import BridgeSet
 from uoarm._control.live.component import LiveComponent
 from uoarm._control.live.connection_runtime import ConnectionRuntime, Counting
 from uoarm._control.live.edge import LiveEdge

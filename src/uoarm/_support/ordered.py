@@ -7,10 +7,7 @@ from typing import TypeVar
 
 from rpds import HashTrieMap
 
-__all__ = ["OrderedMap", "forget_earlier", "recently"]
-
-# For so long what failed is tried last, and what was avoided is done without.
-_REMEMBERED_SECONDS = 300.0
+__all__ = ["OrderedMap"]
 
 Key = TypeVar("Key")
 Value = TypeVar("Value")
@@ -100,22 +97,3 @@ class OrderedMap(Mapping[Key, Value]):
 
     def __repr__(self) -> str:
         return f"OrderedMap({list(self.items())})"
-
-
-def forget_earlier(times: OrderedMap[str, float], now: float) -> OrderedMap[str, float]:
-    """Return times without those longer ago than is remembered: names come and go for ever.
-
-    Args:
-        times: in their own order, which is why a name that is set anew is the last.
-        now: the time.
-    """
-    while times and times[oldest := times.first()] < now - _REMEMBERED_SECONDS:
-        times = times.discard(oldest)
-    return times
-
-
-def recently(times: Mapping[str, float], now: float) -> frozenset[str]:
-    """Return what happened within the last five minutes."""
-    if not times:
-        return frozenset()
-    return frozenset(name for name, time in times.items() if time >= now - _REMEMBERED_SECONDS)
