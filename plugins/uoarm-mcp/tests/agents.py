@@ -88,6 +88,10 @@ class Agents:
     def url(self) -> str:
         return f"http://127.0.0.1:{self._ports[1]}/mcp"
 
+    @property
+    def address(self) -> tuple[str, int]:
+        return "127.0.0.1", self._ports[1]
+
     def client(self, name: str = "agent", mode: str = "auto") -> Client:
         """Return a connected client of the SDK."""
         if (name, mode) not in self._clients:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import os
 import random
+import socket
 from collections.abc import Callable
 from typing import Any
 
@@ -14,6 +15,7 @@ from agents import TOKENS, Agents
 from components import script
 
 from uoarm.server import Limits
+from uoarm.testing import patience
 
 MISFITS = 10_000 if os.environ.get("HYPOTHESIS_PROFILE") == "long" else 1_000
 BATCH = 16
@@ -95,6 +97,33 @@ def test_a_body_is_bounded_before_it_is_parsed(agents: Agents, body: bytes, stat
         "MCP-Protocol-Version": "2026-07-28",
     }
     assert httpx2.post(agents.url, content=body, headers=headers).status_code == status
+
+
+def _send_on(connection: socket.socket, octets: bytes) -> None:
+    for _ in range(64):
+        connection.sendall(octets)
+        octets = octets.removeprefix(b"POST /mcp HTTP/1.1\r\n")
+
+
+@pytest.mark.parametrize(
+    "octets",
+    [
+        b"POST /mcp HTTP/1.1\r\nx: " + b"y" * 1_000_000,
+        b"POST /mcp HTTP/1.1\r\n" + b"x: y\r\n" * 200_000,
+        b"POST /" + b"p" * 1_000_000,
+        b"POST /mcp HTTP/1.1\r\nHost: x\r\nTransfer-Encoding: chunked\r\n\r\n"
+        b"1;extension=" + b"e" * 1_000_000,
+        b"GET /mcp HTTP/1.1\r\nHost: x\r\n\r\n" * 20_000,
+    ],
+    ids=["header", "headers", "path", "chunk", "ahead"],
+)
+def test_heads_and_requests_sent_ahead_are_bounded(agents: Agents, octets: bytes) -> None:
+    with (
+        socket.create_connection(agents.address, timeout=patience()) as connection,
+        pytest.raises(ConnectionError),
+    ):
+        _send_on(connection, octets)
+    assert agents.facts("add", {"a": 1, "b": 2})["result"] == {"value": 3}
 
 
 def test_who_has_no_token_or_is_a_strange_page_is_not_let_in(agents: Agents) -> None:

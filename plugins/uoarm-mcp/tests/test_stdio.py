@@ -6,18 +6,23 @@ import asyncio
 import json
 import os
 import re
+import signal
+import subprocess
 import sys
 import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import pytest
 from agents import TOKENS, text_of
 from components import CONFIGURATION
 from mcp.client.client import Client
 from mcp.client.stdio import StdioServerParameters, stdio_client
 
 from uoarm.client import connect
-from uoarm.testing import patience
+from uoarm.testing import patience, wait
 
 FOLDER = Path(__file__).parent
 
@@ -71,3 +76,102 @@ def test_the_revision_before_speaks_there_too(tmp_path: Path, access: Path) -> N
 
     result, _ = asyncio.run(_with(tmp_path, access, TOKENS["agent"], act, "legacy"))
     assert result == {"value": 3}
+
+
+META = {
+    "io.modelcontextprotocol/protocolVersion": "2026-07-28",
+    "io.modelcontextprotocol/clientInfo": {"name": "test", "version": "1"},
+    "io.modelcontextprotocol/clientCapabilities": {},
+}
+
+
+@contextmanager
+def started(folder: Path, access: Path) -> Iterator[tuple[subprocess.Popen[bytes], str]]:
+    """Start the command, and give its process and the address of its WebSocket server."""
+    configuration = folder / "robot.yaml"
+    configuration.write_text(CONFIGURATION, encoding="utf-8")
+    words = ["mcp", str(configuration), "--port", "0", "--access", str(access)]
+    environment = {**os.environ, "UOARM_TOKEN": TOKENS["agent"], "PYTHONPATH": str(FOLDER)}
+    errors = folder / "errors.txt"
+    with (
+        errors.open("wb") as written,
+        subprocess.Popen(
+            [sys.executable, "-m", "uoarm", *words],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=written,
+            env=environment,
+        ) as process,
+    ):
+        try:
+            wait(
+                lambda: process.poll() is not None or "serving ws" in errors.read_text("utf-8"),
+                "it serves",
+            )
+            found = re.search(r"serving (ws://\S+)", errors.read_text("utf-8"))
+            assert found is not None
+            yield process, found[1]
+        finally:
+            process.kill()
+
+
+def ask(process: subprocess.Popen[bytes], number: int, arguments: dict[str, Any]) -> None:
+    """Send the call of a tool."""
+    parameters = {"name": "add", "arguments": arguments, "_meta": META}
+    body = {"jsonrpc": "2.0", "id": number, "method": "tools/call", "params": parameters}
+    assert process.stdin is not None
+    process.stdin.write(json.dumps(body).encode() + b"\n")
+    process.stdin.flush()
+
+
+def answer(process: subprocess.Popen[bytes]) -> dict[str, Any]:
+    """Return what the next line says."""
+    assert process.stdout is not None
+    found: dict[str, Any] = json.loads(process.stdout.readline())
+    return found
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_a_signal_ends_it_though_its_input_stays_open(
+    tmp_path: Path, access: Path, number: signal.Signals
+) -> None:
+    with started(tmp_path, access) as (process, _):
+        ask(process, 1, {"a": 1, "b": 2})
+        assert answer(process)["result"]["structuredContent"]["result"] == {"value": 3}
+        process.send_signal(number)
+        assert process.wait(patience()) == 0
+        assert process.stdout is not None
+        assert process.stdout.read() == b""
+    errors = (tmp_path / "errors.txt").read_text("utf-8")
+    assert "Traceback" not in errors
+    assert "Fatal" not in errors
+
+
+def test_the_end_of_its_input_ends_it(tmp_path: Path, access: Path) -> None:
+    with started(tmp_path, access) as (process, _):
+        assert process.stdin is not None
+        process.stdin.close()
+        assert process.wait(patience()) == 0
+
+
+def test_what_is_too_long_or_no_message_is_left_out(tmp_path: Path, access: Path) -> None:
+    with started(tmp_path, access) as (process, _):
+        assert process.stdin is not None
+        process.stdin.write(b"x" * 3_000_000 + b"\nnothing\n\xff\xfe\n")
+        ask(process, 7, {"a": 1, "b": 2})
+        found = answer(process)
+        while found.get("id") != 7:
+            found = answer(process)
+        assert found["result"]["structuredContent"]["result"] == {"value": 3}
+
+
+def test_an_agent_that_reads_nothing_holds_up_no_person(tmp_path: Path, access: Path) -> None:
+    async def approvals(url: str) -> Any:
+        async with connect(url, token=TOKENS["nurse"]) as nurse:
+            return await nurse.approvals()
+
+    with started(tmp_path, access) as (process, url):
+        for number in range(200):  # more than a pipe holds
+            ask(process, number, {"a": 1, "b": 2})
+        assert asyncio.run(asyncio.wait_for(approvals(url), patience())) == []
+        assert sorted(answer(process)["id"] for _ in range(200)) == list(range(200))

@@ -310,22 +310,24 @@ class Backend(Protocol):
 
     async def call_planned(
         self,
-        plan: Plan,
-        revision: int,
+        wanted: Plan | str,
+        revision: int | None,
         message: Message,
         read: Read,
         timeout: float,
         began: Callable[[Callable[[], bool]], None],
-    ) -> Message:
-        """Call the service of this very plan, and of no other.
+        act: Callable[[Message], T],
+    ) -> T:
+        """Call a service, of this very plan where one is given, and of no other.
 
         Args:
-            plan: as `resolve` found it.
-            revision: of the configuration that it is of; of another one it is not called.
+            wanted: a plan, as `resolve` found it, or a function, whose plan is found in the worker.
+            revision: of the configuration; of another one it is not called. None: of any.
             message: the request as it came.
             read: makes its logical value by the service's structure, in a worker.
             timeout: seconds, which no limit of the server shortens.
             began: called in the worker with what cancels the call, which says whether it could be.
+            act: what the answer is for, in the worker, too.
 
         Raises:
             ApprovalError: the configuration is another one.

@@ -42,7 +42,7 @@ from uoarm.server.front_end import (
 )
 from uoarm_mcp._catalogue import STREAM, Catalogue, CatalogueMaker, FunctionTool, ToolKind
 from uoarm_mcp._goals import AgentGoal, AgentGoals
-from uoarm_mcp._schemas import APPROVAL, OWN_INPUTS, ToolArguments
+from uoarm_mcp._schemas import APPROVAL, OWN_INPUTS, tool_arguments
 from uoarm_mcp._streams import AgentStreams
 from uoarm_mcp._values import KeptValues, RenderedMessage, is_picture, picture_of
 
@@ -152,10 +152,12 @@ class Agent:
 
     async def _act(self, made: FunctionTool, arguments: Mapping[str, Any]) -> CallToolResult:
         """Call or send, where it fits and is approved."""
+        if made.kind is ToolKind.CALL and APPROVAL not in arguments and not self._reason(made):
+            return await self._call_at_once(made, arguments)
         plan, revision = await self._found(made.function)
         message, handle = _checked(plan, made, arguments)
         wish = self._wish(made, message, plan, revision)
-        if made.needs or self._reason(made):
+        if self._reason(made):
             if not handle:
                 return self._ask(made, plan, wish)
             approval = self._desk.use(handle, wish)
@@ -164,34 +166,70 @@ class Agent:
             raise UsageError(f"{APPROVAL}: it needs no approval; leave it out")
         else:
             goal_handle = secrets.token_hex(8)
-        self._goals.check_room()
         goal = AgentGoal(goal_handle, made.function)
         work = (
-            partial(self._call, plan, revision, message)
+            partial(self._call, plan, revision, message, _read)
             if made.kind is ToolKind.CALL
             else partial(self._send, made, wish, message)
         )
-        self._goals.start(goal, work, lambda text: self.view.text(text, made.function))
+        return await self._pursue(goal, work)
+
+    async def _call_at_once(
+        self, made: FunctionTool, arguments: Mapping[str, Any]
+    ) -> CallToolResult:
+        """Call what needs no approval: found, checked, called and shown by one worker."""
+        goal = AgentGoal(secrets.token_hex(8), made.function)
+        refusals: list[UoarmError] = []
+
+        def read(structure: MessageStructure, message: Message) -> Message:
+            try:
+                # Again: the plan may be of a configuration that is newer than the question above.
+                if reason := self._reason(made):
+                    raise UsageError(f"it needs an approval since just now: {reason}; try again")
+                message, _ = tool_arguments(structure).split(message)
+                return check_message(structure, message, _read, made.tool.name)
+            except UoarmError as error:
+                refusals.append(error)
+                raise
+
+        result = await self._pursue(goal, partial(self._call, made.function, None, arguments, read))
+        if refusals:
+            self._goals.forget(goal)
+            raise refusals[0]
+        return result
+
+    async def _pursue(
+        self, goal: AgentGoal, work: Callable[[AgentGoal], Awaitable[RenderedMessage]]
+    ) -> CallToolResult:
+        self._goals.check_room()
+        self._goals.start(goal, work, lambda text: self.view.text(text, goal.function))
         await _within(_AT_ONCE_SECONDS, goal.done)
         return self._goal_result(goal)
 
     async def _call(
-        self, plan: Plan, revision: int, message: Message, goal: AgentGoal
+        self,
+        wanted: Plan | str,
+        revision: int | None,
+        message: Message,
+        read: Callable[[MessageStructure, Message], Message],
+        goal: AgentGoal,
     ) -> RenderedMessage:
-        service = plan.provider.component.service
-        if service is None:
-            raise UsageError(f"{plan.function!r} is not a service any more")
-        command = service.endpoint.command
-        lifetime = None if command is None else command.lifetime
-        timeout = lifetime or self.guest.limits.call_seconds
+        timeout = self.guest.limits.call_seconds
+        if not isinstance(wanted, str):
+            service = wanted.provider.component.service
+            if service is None:
+                raise UsageError(f"{wanted.function!r} is not a service any more")
+            command = service.endpoint.command
+            timeout = (None if command is None else command.lifetime) or timeout
 
         def began(cancel: Callable[[], bool]) -> None:
             goal.cancel = cancel
             if goal.is_cancelled:
                 cancel()
 
-        reply = await self._backend.call_planned(plan, revision, message, _read, timeout, began)
-        return await self._backend.in_worker(lambda: self.kept.render(reply))
+        return await self._backend.call_planned(
+            wanted, revision, message, read, timeout, began, self.kept.render
+        )
 
     async def _send(
         self, made: FunctionTool, wish: ApprovalWish, message: Message, goal: AgentGoal
@@ -567,7 +605,7 @@ class Agent:
 
 def _checked(plan: Plan, made: FunctionTool, arguments: Mapping[str, Any]) -> tuple[Message, str]:
     """Return the message of a tool's arguments and the approval, where the message fits."""
-    message, handle = ToolArguments(_structure(plan, made)).split(arguments)
+    message, handle = tool_arguments(_structure(plan, made)).split(arguments)
     _check(plan, made, message)
     return message, handle
 
@@ -643,6 +681,8 @@ def _problem_text(problem: Any) -> str:
 
 
 async def _within(seconds: float, event: asyncio.Event) -> None:
+    if event.is_set():
+        return
     with contextlib.suppress(asyncio.TimeoutError):
         await asyncio.wait_for(event.wait(), seconds)
 

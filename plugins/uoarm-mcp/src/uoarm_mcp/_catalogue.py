@@ -14,10 +14,11 @@ from uoarm.model import Function, MessageStructure, Plan, Robot
 from uoarm.server.front_end import AccessRole, Backend, Operation
 from uoarm_mcp._schemas import (
     OWN_INPUTS,
-    ToolArguments,
+    has_headers,
     output_schema,
     read_input,
     read_output,
+    tool_arguments,
 )
 
 __all__ = ["STREAM", "Catalogue", "CatalogueMaker", "FunctionTool", "ToolKind", "uri_of"]
@@ -90,6 +91,7 @@ class Catalogue:
         tools: of functions, by name.
         own: tools that every robot has.
         resources: streams, by address.
+        headed: names of the tools of which a client repeats arguments in headers.
         left_out: what has no tool, and why.
     """
 
@@ -97,6 +99,7 @@ class Catalogue:
     own: tuple[Tool, ...] = ()
     resources: Mapping[str, Resource] = field(factory=dict)
     left_out: Mapping[str, str] = field(factory=dict)
+    headed: frozenset[str] = frozenset()
 
 
 def uri_of(function: str, output: str) -> str:
@@ -122,6 +125,10 @@ class CatalogueMaker:
     def forget(self) -> None:
         """Look again at what could not be had: something of the robot has changed."""
         self._made.clear()
+
+    def known(self, role: AccessRole) -> Catalogue | None:
+        """Return the catalogue of a role, where it is made; without waiting."""
+        return None if self._backend.robot.config is not self._robot else self._made.get(role)
 
     async def of(self, role: AccessRole) -> Catalogue:
         """Return the catalogue of a role."""
@@ -160,7 +167,10 @@ class CatalogueMaker:
                     tools[made.tool.name] = made
             if role.allows(Operation.REQUEST, name):
                 resources |= self._resources(function, self._plans[name])
-        catalogue = Catalogue(tools, _own_tools(role), resources, left_out)
+        headed = frozenset(
+            name for name, made in tools.items() if has_headers(made.tool.input_schema)
+        )
+        catalogue = Catalogue(tools, _own_tools(role), resources, left_out, headed)
         if self._robot is robot and not left_out.keys() & set(visible):
             self._made[role] = catalogue
         return catalogue
@@ -217,7 +227,7 @@ class CatalogueMaker:
         tool = Tool(
             name=name,
             description=_described(function, what, needs),
-            input_schema=ToolArguments(taken).schema,
+            input_schema=tool_arguments(taken).schema,
             output_schema=output_schema(given),
             annotations=hints,
         )

@@ -6,20 +6,15 @@ import argparse
 import asyncio
 import logging
 import os
-import signal
 import sys
-from contextlib import suppress
-from importlib.metadata import version
 from pathlib import Path
-
-from mcp.server.stdio import stdio_server
 
 from uoarm import RobotManager
 from uoarm.errors import ConfigurationError, UoarmError
 from uoarm.plugins import Command, hookimpl
 from uoarm.server import Server, ServerOptions, run
-from uoarm.server.front_end import Discoveries, RefusedError
-from uoarm_mcp._service import AgentService
+from uoarm.server.front_end import RefusedError
+from uoarm_mcp._stdio import serve_stdio
 
 __all__ = ["main", "uoarm_commands"]
 
@@ -47,7 +42,10 @@ def main(arguments: list[str] | None = None) -> int:
         with RobotManager.from_file(path) as robot:
             robot.offer(timeout=0)
             if given.http is None:
-                asyncio.run(_serve_stdio(robot, options, os.environ.get("UOARM_TOKEN", "")))
+                token = os.environ.get("UOARM_TOKEN", "")
+                asyncio.run(
+                    serve_stdio(robot, options, token, lambda server: _say(server, options))
+                )
             else:
                 run(robot, options, lambda server: _say(server, options))
     except ConfigurationError as error:
@@ -90,44 +88,6 @@ def _parser() -> argparse.ArgumentParser:
         "--client-authority", type=Path, help="PEM file that client certificates rest on"
     )
     return parser
-
-
-async def _serve_stdio(robot: RobotManager, options: ServerOptions, token: str) -> None:
-    """Serve one agent until its input ends, beside the WebSocket server."""
-    server = Server(robot, options)
-    await server.start()
-    loop = asyncio.get_running_loop()
-    stopped = asyncio.Event()
-    for number in (signal.SIGTERM, signal.SIGINT):
-        loop.add_signal_handler(number, stopped.set)
-    service = None
-    try:
-        guest = server.guests.local(token)
-        _say(server, options)
-        service = AgentService(
-            server.backend, Discoveries(server.backend), version("uoarm-mcp"), guest
-        )
-        protocol = service.protocol
-        async with stdio_server() as (incoming, outgoing):
-            serving = asyncio.ensure_future(
-                protocol.run(incoming, outgoing, protocol.create_initialization_options())
-            )
-            ending = asyncio.ensure_future(stopped.wait())
-            await asyncio.wait({serving, ending}, return_when=asyncio.FIRST_COMPLETED)
-            for task in (serving, ending):
-                task.cancel()
-                with suppress(asyncio.CancelledError):
-                    await task
-            if stopped.is_set():
-                # A thread waits for standard input, which cannot be taken back.
-                service.close()
-                await server.stop()
-                robot.close()
-                os._exit(0)
-    finally:
-        if service is not None:
-            service.close()
-        await server.stop()
 
 
 def _say(server: Server, options: ServerOptions) -> None:

@@ -91,9 +91,8 @@ class AgentGoals:
 
     def check_room(self) -> None:
         """Refuse more than an agent may have under way; raises LimitError."""
-        running = sum(not goal.done.is_set() for goal in self._goals.values())
-        if running >= _MOST_RUNNING:
-            raise LimitError(f"{running} goals are under way; wait for one of them first")
+        if len(self._tasks) >= _MOST_RUNNING:
+            raise LimitError(f"{len(self._tasks)} goals are under way; wait for one of them first")
 
     def start(
         self,
@@ -109,6 +108,10 @@ class AgentGoals:
         task = asyncio.ensure_future(self._run(goal, work, text))
         self._tasks.add(task)
         task.add_done_callback(self._tasks.discard)
+
+    def forget(self, goal: AgentGoal) -> None:
+        """Know one no more that was not begun with."""
+        self._goals.pop(goal.handle, None)
 
     def cancel(self, goal: AgentGoal) -> bool:
         """Ask for a goal's end; returns whether the framework could be asked."""

@@ -12,10 +12,11 @@ import uvicorn
 from mcp.server.auth.middleware.bearer_auth import AuthenticatedUser
 from mcp.server.auth.provider import AccessToken
 from mcp.server.streamable_http_manager import StreamableHTTPSessionManager
-from uvicorn.protocols.http.h11_impl import H11Protocol
+from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol
 
 from uoarm.errors import ControlMessageError
 from uoarm.model import Budget, Spending, scan_json
+from uoarm.server import Limits
 from uoarm.server.front_end import Discoveries, Guest, HttpPlace, RefusedError
 from uoarm_mcp._service import GUEST, AgentService
 
@@ -26,6 +27,9 @@ _BODY_OCTETS = 1_048_576
 _CERTIFICATE = "uoarm.certificate"
 _MOST_SESSIONS = 256
 _IDLE_SECONDS = 600.0
+_KEPT_SECONDS = 60
+_HEAD_OCTETS = 65_536
+_MOST_AHEAD = 16
 
 _Scope = MutableMapping[str, Any]
 _Receive = Callable[[], Awaitable[MutableMapping[str, Any]]]
@@ -40,16 +44,19 @@ async def serve_http(place: HttpPlace, version: str) -> None:
         session_idle_timeout=_IDLE_SECONDS,
         max_request_body_size=_BODY_OCTETS,
         max_sessions=_MOST_SESSIONS,
+        json_response=True,  # a call answers at once or with a handle: nothing is streamed to it
     )
     config = uvicorn.Config(
-        AdmittingApp(place, sessions),
-        http=functools.partial(_BoundedProtocol, place.backend.limits.handshake_seconds),  # type: ignore[arg-type]
+        AdmittingApp(place, service, sessions),
+        http=functools.partial(_BoundedProtocol, place.backend.limits),  # type: ignore[arg-type]
         ws="none",
         lifespan="off",
         log_config=None,
         access_log=False,
         server_header=False,
+        proxy_headers=False,
         date_header=False,
+        timeout_keep_alive=_KEPT_SECONDS,
         timeout_graceful_shutdown=1,
     )
     config.load()
@@ -72,11 +79,15 @@ class AdmittingApp:
 
     Args:
         place: whom to let in.
+        service: what agents have.
         sessions: what answers.
     """
 
-    def __init__(self, place: HttpPlace, sessions: StreamableHTTPSessionManager) -> None:
+    def __init__(
+        self, place: HttpPlace, service: AgentService, sessions: StreamableHTTPSessionManager
+    ) -> None:
         self._place = place
+        self._service = service
         self._sessions = sessions
         self._under_way: dict[Guest, set[asyncio.Task[Any]]] = {}
 
@@ -121,6 +132,8 @@ class AdmittingApp:
         if body is None:
             return
         await guest.pace(len(body), spending.elements)
+        if (b"mcp-method", b"tools/call") in scope["headers"]:
+            await self._service.prepare(guest)
         token = AccessToken(token="-", client_id=guest.identity, scopes=[])  # noqa: S106
         admitted = {**scope, GUEST: guest, "user": AuthenticatedUser(token)}
         # What lasts, as a stream of notices, ends with the guest's rights.
@@ -189,16 +202,24 @@ async def _answer(send: _Send, status: int, text: str) -> None:
     await send({"type": "http.response.body", "body": body})
 
 
-class _BoundedProtocol(H11Protocol):
-    """HTTP/1.1 whose first request must come in time, and which knows the client's certificate."""
+class _BoundedProtocol(HttpToolsProtocol):
+    """HTTP/1.1 whose first request must come in time, and which knows the client's certificate.
 
-    def __init__(self, seconds: float, *arguments: Any, **options: Any) -> None:
+    The parser keeps heads of any length and requests sent ahead of any number; both are bounded
+    here, where a connection that goes beyond is cut.
+    """
+
+    def __init__(self, limits: Limits, *arguments: Any, **options: Any) -> None:
         super().__init__(*arguments, **options)
-        self._seconds = seconds
+        self._limits = limits
+        self._head_octets = 0  # came since the last request was whole, and were no body
         self._late: asyncio.TimerHandle | None = None
 
     def connection_made(self, transport: Any) -> None:
         super().connection_made(transport)
+        if len(self.connections) > self._limits.connections:
+            transport.abort()
+            return
         certificate = transport.get_extra_info("peercert")
         app = self.app
 
@@ -209,7 +230,23 @@ class _BoundedProtocol(H11Protocol):
             await app({**scope, _CERTIFICATE: certificate}, receive, send)
 
         self.app = certified
-        self._late = asyncio.get_running_loop().call_later(self._seconds, transport.abort)
+        self._late = asyncio.get_running_loop().call_later(
+            self._limits.handshake_seconds, transport.abort
+        )
+
+    def data_received(self, data: bytes) -> None:
+        self._head_octets += len(data)
+        super().data_received(data)
+        if self._head_octets > _HEAD_OCTETS or len(self.pipeline) > _MOST_AHEAD:
+            self.transport.abort()
+
+    def on_body(self, body: bytes) -> None:
+        self._head_octets -= len(body)
+        super().on_body(body)
+
+    def on_message_complete(self) -> None:
+        self._head_octets = 0
+        super().on_message_complete()
 
     def connection_lost(self, exc: Exception | None) -> None:
         if self._late is not None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import lru_cache
 from typing import Any
 
 import orjson
@@ -17,15 +18,18 @@ __all__ = [
     "OWN_INPUTS",
     "SECONDS",
     "ToolArguments",
+    "has_headers",
     "output_schema",
     "read_input",
     "read_output",
+    "tool_arguments",
 ]
 
 APPROVAL = "x-approval"
 COUNT = 100
 SECONDS = 30.0
 _WHOLE = "message"
+_HEADER = "x-mcp-header"
 _COMBINED = frozenset({"$ref", "$dynamicRef", "allOf", "anyOf", "oneOf", "not", "if"})
 _HANDLE = {"type": "string", "minLength": 1, "maxLength": 64}
 _NAME = {"type": "string", "minLength": 1, "maxLength": 256}
@@ -140,6 +144,19 @@ class ToolArguments:
         """Return the arguments that carry a message, as they are given with an approval."""
         whole = {_WHOLE: message} if self._is_whole else dict(message)
         return {**whole, APPROVAL: approval}
+
+
+@lru_cache(256)
+def tool_arguments(structure: MessageStructure) -> ToolArguments:
+    """Return how arguments carry messages of a structure; made once for each."""
+    return ToolArguments(structure)
+
+
+def has_headers(schema: Any) -> bool:
+    """Say whether a schema has fields that a client repeats in the headers of its request."""
+    if isinstance(schema, Mapping):
+        return _HEADER in schema or any(map(has_headers, schema.values()))
+    return isinstance(schema, list) and any(map(has_headers, schema))
 
 
 def plain_schema(structure: MessageStructure) -> dict[str, Any]:

@@ -5,7 +5,8 @@ from __future__ import annotations
 import asyncio
 import base64
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from contextvars import ContextVar
 from typing import Any
 
 from mcp.server.context import ServerRequestContext
@@ -63,6 +64,7 @@ _NOTICE_SECONDS = 0.2
 _MOST_LISTENING = 16
 _MOST_SUBSCRIBED = 64
 _Context = ServerRequestContext[Any, Any]
+_guest: ContextVar[Guest | None] = ContextVar("uoarm_mcp_guest", default=None)
 
 
 class AgentService:
@@ -98,6 +100,7 @@ class AgentService:
             on_subscribe_resource=self._subscribe,
             on_unsubscribe_resource=self._unsubscribe,
             on_subscriptions_listen=self._listen,
+            get_tool_input_schema=self._headed_schema,
         )
         backend.watch(self._changed)
 
@@ -110,6 +113,22 @@ class AgentService:
         for agent in self._agents.values():
             agent.close()
         self._agents.clear()
+
+    async def prepare(self, guest: Guest) -> None:
+        """Have ready what a request of a guest needs at once; call it in the request's task."""
+        _guest.set(guest)
+        await self._catalogues.of(guest.role)
+
+    def _headed_schema(self, name: str) -> Mapping[str, Any] | None:
+        """Return the schema of a tool whose arguments are repeated in headers; None: they are not.
+
+        Without this the SDK lists all tools before each call to look for such fields.
+        """
+        guest = _guest.get()
+        catalogue = None if guest is None else self._catalogues.known(guest.role)
+        if catalogue is None or name not in catalogue.headed:
+            return None
+        return catalogue.tools[name].tool.input_schema
 
     def _agent(self, context: _Context) -> Agent:
         guest = self._local

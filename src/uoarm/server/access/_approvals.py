@@ -395,10 +395,12 @@ class Supervision:
 
     def reason(self, operation: Operation, function: str) -> str:
         """Return why an operation needs an approval; empty: it needs none."""
-        robot = self._robot()
-        if self._known[0] is not robot:
-            self._known = robot, {}
-        reasons = self._known[1]
+        # From any thread: what is found out about a robot is kept with that robot, whichever one
+        # another thread looks at meanwhile.
+        robot, known = self._robot(), self._known
+        if known[0] is not robot:
+            known = self._known = robot, {}
+        reasons = known[1]
         key = operation, function
         if key not in reasons:
             found = robot.functions.get(function)

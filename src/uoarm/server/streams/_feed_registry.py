@@ -318,22 +318,24 @@ class FeedRegistry:
 
     async def call_planned(
         self,
-        plan: Plan,
-        revision: int,
+        wanted: Plan | str,
+        revision: int | None,
         message: Message,
         read: Read,
         timeout: float,
         began: Callable[[Callable[[], bool]], None],
-    ) -> Message:
-        """Call the service of this very plan in a worker, and of no other.
+        act: Callable[[Message], T],
+    ) -> T:
+        """Call a service in a worker, of this very plan where one is given, and of no other.
 
         Args:
-            plan: found before.
-            revision: of the configuration that it is of; of another one it is not called.
+            wanted: a plan that was found before, or a function.
+            revision: of the configuration; of another one it is not called. None: of any.
             message: the request as it came.
             read: makes its logical value, by the service's structure.
             timeout: seconds, which no limit of the server shortens.
             began: called in the worker with what cancels the call.
+            act: what the answer is for; may take long.
 
         Raises:
             ApprovalError: the configuration is another one.
@@ -341,15 +343,17 @@ class FeedRegistry:
             UoarmError: as `RobotManager.call`, and BusyError.
         """
 
-        def work() -> Message:
+        def work() -> T:
+            plan = self.robot.resolve(wanted) if isinstance(wanted, str) else wanted
             structure = plan.provider.structures.get("request")
             if structure is None:
                 raise UsageError(f"function {plan.function!r} is a stream, not a service")
-            if self.robot.revision != revision:
+            if revision is not None and self.robot.revision != revision:
                 raise ApprovalError(f"the configuration is not revision {revision} any more")
-            return self.robot._call_planned(  # noqa: SLF001 - of the house
+            reply = self.robot._call_planned(  # noqa: SLF001 - of the house
                 plan, read(structure, message), timeout, began
             )
+            return act(reply)
 
         return await self.workers.start(work)
 
