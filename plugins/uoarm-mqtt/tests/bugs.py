@@ -9,7 +9,7 @@ from typing import Any
 from attrs import evolve, frozen
 from uoarm_mqtt import _bridge, _channels, _codec, _discovery, _link, _subscriptions
 
-from uoarm.bridge import Disconnection
+from uoarm.bridge import Disconnection, ReceiveQueue
 from uoarm.errors import BridgeError, MessageError
 from uoarm.model import Health
 from uoarm.testing.conformance._describing import Describing
@@ -229,7 +229,7 @@ BUGS: tuple[Bug, ...] = (
     ),
     Bug(
         "delivers in the thread of the network",
-        _channels.ReceiveQueue,
+        ReceiveQueue,
         "put",
         on_one_thread,
         DisturbanceRules.test_another_channel_opens_while_a_consumer_is_stuck,
@@ -361,7 +361,7 @@ BUGS: tuple[Bug, ...] = (
     ),
     Bug(
         "leaves the thread of each source behind",
-        _channels.ReceiveQueue,
+        ReceiveQueue,
         "close",
         nothing,
         EndingRules.test_no_thread_and_no_descriptor_stays_behind,

@@ -18,8 +18,9 @@ from tests.harness._kit import kit_skips  # type: ignore[import-not-found]
 from tests.testing.bad_bridges import Bug as GeneralBug  # type: ignore[import-not-found]
 from tests.testing.kit_bugs import GENERAL as EVERY  # type: ignore[import-not-found]
 from tests.testing.kit_bugs import hold_found_out, rules_without_a_bug
-from uoarm_mqtt import _channels, _link
+from uoarm_mqtt import _link
 
+from uoarm.bridge import ReceiveQueue
 from uoarm.errors import BridgeError
 from uoarm.testing._time import default_limits
 from uoarm.testing.conformance._world import PAGE, rule_of
@@ -62,7 +63,7 @@ def made(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 
         return noted
 
-    for owner in (_link.BrokerConnection, _channels.ReceiveQueue):
+    for owner in (_link.BrokerConnection, ReceiveQueue):
         monkeypatch.setattr(owner, "__init__", noting(owner.__init__))
     yield
     for item in opened:

@@ -33,6 +33,7 @@ from uoarm.bridge._options import (
     options_table,
 )
 from uoarm.bridge._plugin import BridgeType
+from uoarm.bridge._receiving import ReceiveQueue
 from uoarm.bridge._registry import Registry
 from uoarm.bridge._watchdog import boot_seconds
 
@@ -59,6 +60,7 @@ __all__ = [
     "HealthReason",
     "Outcomes",
     "PluginProblem",
+    "ReceiveQueue",
     "Registry",
     "ServiceStructures",
     "Sink",

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import threading
 import time
-from collections import deque
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -17,6 +16,7 @@ from uoarm.bridge import (
     ChannelMonitor,
     Delivery,
     Handler,
+    ReceiveQueue,
     ServiceStructures,
     Sink,
     Source,
@@ -28,68 +28,23 @@ from uoarm_mqtt._link import BrokerConnection, PacketOutcome
 from uoarm_mqtt._options import TopicOptions
 from uoarm_mqtt._subscriptions import ReceivedMessage, Receiver
 
-__all__ = ["MqttSink", "MqttSource", "ReceiveQueue", "ServedTopic", "ServiceCalls", "content_type"]
+__all__ = ["MqttSink", "MqttSource", "ServedTopic", "ServiceCalls", "content_type"]
 
 Report = Callable[[Channel, Health, str], None]
 
 
-class ReceiveQueue:
-    """What came and was not taken yet, and the one thread that takes it.
-
-    The thread of the network only appends, so that a receiver that is stuck holds up no other one.
-    When it is full, the oldest are dropped and counted. The thread ends when it is closed, or with
-    the `take` under way.
-    """
-
-    def __init__(
-        self, name: str, take: Callable[[ReceivedMessage], None], most: int, octets: int
-    ) -> None:
-        self._take = take
-        self._most, self._most_octets = most, octets
-        self._waiting: deque[ReceivedMessage] = deque()
-        self._octets = 0
-        # Guards what waits, its octets and `_closed`: the thread of the network appends, the
-        # queue's own takes, and any thread may close. It is not held during `take`.
-        self._changed = threading.Condition()
-        self._closed = False
-        self.dropped = 0
-        self._thread = threading.Thread(target=self._run, name=name, daemon=True)
-        self._thread.start()
-
-    def __len__(self) -> int:
-        return len(self._waiting)
-
-    def put(self, message: ReceivedMessage) -> None:
-        """Append a message; returns at once."""
-        with self._changed:
-            if self._closed:
-                return
-            self._waiting.append(message)
-            self._octets += len(message.payload)
-            # The newest is always kept, however large: no payload is larger than the budget.
-            while len(self._waiting) > 1 and (
-                len(self._waiting) > self._most or self._octets > self._most_octets
-            ):
-                self._octets -= len(self._waiting.popleft().payload)
-                self.dropped += 1
-            self._changed.notify()
-
-    def close(self) -> None:
-        """Take nothing more; does not wait for what is being taken."""
-        with self._changed:
-            self._closed = True
-            self._waiting.clear()
-            self._changed.notify()
-
-    def _run(self) -> None:
-        while True:
-            with self._changed:
-                self._changed.wait_for(lambda: self._closed or self._waiting)
-                if self._closed:
-                    return
-                message = self._waiting.popleft()
-                self._octets -= len(message.payload)
-            self._take(message)
+def receive_queue(
+    topic: str, take: Callable[[ReceivedMessage], None], link: BrokerConnection
+) -> ReceiveQueue[ReceivedMessage]:
+    """Return what keeps messages of a topic until they are taken, as many as options say."""
+    options = link.options
+    return ReceiveQueue(
+        f"uoarm-mqtt-{topic}",
+        take,
+        options.backlog,
+        most_size=8 * options.budget.octets,
+        size=lambda message: len(message.payload),
+    )
 
 
 class MqttSource(Source):
@@ -126,11 +81,9 @@ class MqttSource(Source):
         self._deliver = deliver
         self._breaks = link.breaks
         self._received = self._cleared = 0
-        budget = codec.budget
-        most, octets = link.options.backlog, 8 * budget.octets
         health = ChannelHealth(topic, time.monotonic())
         self._health = ChannelMonitor(health, lambda health, cause: report(self, health, cause))
-        self._queue = ReceiveQueue(f"uoarm-mqtt-{topic}", self._take, most, octets)
+        self._queue = receive_queue(topic, self._take, link)
         self._receiver = Receiver(
             f"$share/{options.share}/{topic}" if options.share else topic,
             self._queue.put,
@@ -377,10 +330,8 @@ class ServedTopic(Channel):
         self._options, self._handler, self._link = options, handler, link
         self._codec = PayloadCodec.of(options.content, structures.request, link.options.budget)
         self._answered = self._failed = self._unanswerable = 0
-        topic, budget = endpoint.address[0], link.options.budget
-        self._queue = ReceiveQueue(
-            f"uoarm-mqtt-{topic}", self._take, link.options.backlog, 8 * budget.octets
-        )
+        topic = endpoint.address[0]
+        self._queue = receive_queue(topic, self._take, link)
         shared = f"$share/{options.share}/{topic}" if options.share else topic
         self._receiver = Receiver(shared, self._queue.put, max(1, options.qos))
         try:

@@ -2,9 +2,10 @@
 
 `connection_options` reads the options of a bridge whose class is below `BrokerOptions`. A
 `BrokerConnection` of these connects at the first use and again after each break.
-Receivers are called in the thread of the network and must return at once: a `ReceiveQueue` hands
-what came to a thread of its own. `MqttSource` and `MqttSink` are the channels of one topic, with a
-`PayloadCodec` that reads payloads within a budget; a subclass of it may read more than JSON. ::
+Receivers are called in the thread of the network and must return at once: a `ReceiveQueue` of
+`uoarm.bridge` hands what came to a thread of its own. `MqttSource` and `MqttSink` are the channels
+of one topic, with a `PayloadCodec` that reads payloads within a budget; a subclass of it may read
+more than JSON. ::
 
     options = connection_options("plant", BrokerOptions.of({"url": "mqtt://127.0.0.1"}))
     broker = BrokerConnection("plant", options, report)
@@ -17,7 +18,7 @@ what came to a thread of its own. `MqttSource` and `MqttSink` are the channels o
 
 from __future__ import annotations
 
-from uoarm_mqtt._channels import MqttSink, MqttSource, ReceiveQueue, Report
+from uoarm_mqtt._channels import MqttSink, MqttSource, Report
 from uoarm_mqtt._codec import PayloadCodec, limits_of
 from uoarm_mqtt._link import BrokerConnection, Done, PacketOutcome
 from uoarm_mqtt._options import (
@@ -39,7 +40,6 @@ __all__ = [
     "PacketOutcome",
     "PayloadCodec",
     "PresenceAnnouncement",
-    "ReceiveQueue",
     "ReceivedMessage",
     "Receiver",
     "Report",

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import threading
-from collections import deque
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from uoarm.bridge import Channel, ChannelMonitor, Delivery, Sink, Source
+from uoarm.bridge import Channel, ChannelMonitor, Delivery, ReceiveQueue, Sink, Source
 from uoarm.model import Endpoint, Health, Message
 from uoarm_rocos._catalogue import Api, Direction
 from uoarm_rocos._device import DeviceFlow, InputFlow
@@ -15,12 +13,13 @@ from uoarm_rocos._framing import WireError
 from uoarm_rocos._structure import fit
 
 __all__ = [
-    "DeliveryThread",
     "ProfileFlow",
     "ProfileInput",
     "ProfileOutput",
+    "QueuedReceiver",
     "SinkChannel",
     "SourceChannel",
+    "delivery_queue",
 ]
 
 Report = Callable[[Channel, Health, str], None]
@@ -88,47 +87,14 @@ class SinkChannel(Sink):
 _MOST = 1024
 
 
-class DeliveryThread:
-    """A bounded queue and one thread; where it is full the oldest message is dropped.
-
-    Args:
-        name: for the thread's name.
-        most: length of the queue.
-    """
-
-    def __init__(self, name: str, most: int = _MOST) -> None:
-        self._waiting: deque[tuple[QueuedReceiver, Any]] = deque()
-        self._most = most
-        # Guards the queue and `_closed` between the line's thread, this one and `close`.
-        self._awake = threading.Condition()
-        self._closed = False
-        self._thread = threading.Thread(target=self._run, name=f"uoarm-{name}", daemon=True)
-        self._thread.start()
-
-    def put(self, receiver: QueuedReceiver, message: Any) -> None:
-        """Take a message for a receiver; never blocks, any thread."""
-        with self._awake:
-            if len(self._waiting) >= self._most:
-                self._waiting.popleft()[0].dropped += 1
-            self._waiting.append((receiver, message))
-            self._awake.notify()
-
-    def close(self) -> None:
-        """End; a delivery under way ends alone, no other begins."""
-        with self._awake:
-            self._closed = True
-            self._waiting.clear()
-            self._awake.notify()
-
-    def _run(self) -> None:
-        while True:
-            with self._awake:
-                while not self._waiting and not self._closed:
-                    self._awake.wait()
-                if self._closed:
-                    return
-                receiver, message = self._waiting.popleft()
-            receiver.hand_over(message)
+def delivery_queue(name: str) -> ReceiveQueue[tuple[QueuedReceiver, Any]]:
+    """Return what hands the messages of one device to its receivers, in a thread of its own."""
+    return ReceiveQueue(
+        f"uoarm-{name}-deliver",
+        lambda delivery: delivery[0].hand_over(delivery[1]),
+        _MOST,
+        dropped=lambda delivery: delivery[0].count_dropped(),
+    )
 
 
 class QueuedReceiver:
@@ -143,6 +109,10 @@ class QueuedReceiver:
         """Deliver a message unless the receiver is closed."""
         if not self._closed:
             self._deliver(message)
+
+    def count_dropped(self) -> None:
+        """Count a message that was dropped before its turn."""
+        self.dropped += 1
 
     def close(self) -> None:
         """Begin no other delivery."""
@@ -192,12 +162,12 @@ class ProfileOutput(ProfileFlow):
         monitor: ChannelMonitor,
         end: Callable[[ProfileFlow], None],
         deliver: Delivery,
-        delivery_thread: DeliveryThread,
+        queue: ReceiveQueue[tuple[QueuedReceiver, Any]],
     ) -> None:
         super().__init__(api, monitor, end)
         self._receiver = QueuedReceiver(deliver)
         self._unreadable = QueuedReceiver(deliver.unreadable)
-        self._delivery_thread = delivery_thread
+        self._queue = queue
         self._received = 0
 
     def take(self, message: Mapping[str, Any]) -> None:
@@ -206,10 +176,10 @@ class ProfileOutput(ProfileFlow):
             values = fit(self.api.output, message, f"data of {self.api.name}")
         except WireError as error:
             why = f"the device breaks its catalogue: {error}"
-            self._delivery_thread.put(self._unreadable, why)
+            self._queue.put((self._unreadable, why))
             return
         self._received += 1
-        self._delivery_thread.put(self._receiver, values)
+        self._queue.put((self._receiver, values))
         self.monitor.passed()
 
     def facts(self) -> Mapping[str, object]:

@@ -23,7 +23,7 @@ from uoarm_rocos._catalogue import (
     WireMessage,
     differences,
 )
-from uoarm_rocos._channels import DeliveryThread, ProfileFlow, ProfileInput, ProfileOutput
+from uoarm_rocos._channels import ProfileFlow, ProfileInput, ProfileOutput, delivery_queue
 from uoarm_rocos._conversation import Conversation, Wire
 from uoarm_rocos._device import Answer, Device, PendingAnswers, ReportHealth, refusal
 from uoarm_rocos._framing import LineError
@@ -79,7 +79,7 @@ class ProfileDevice(Device):
         self._flows: set[ProfileFlow] = set()
         self._by_id: dict[int, ProfileFlow] = {}
         self._unsent_closes: deque[int] = deque(maxlen=_MOST_UNSAID)
-        self._delivery_thread = DeliveryThread(f"{name}-deliver")
+        self._deliveries = delivery_queue(name)
         self._conversation = Conversation(wire, catalogue, self)
         self._line = DeviceLine(
             name, wire.transport, self._conversation, timing.backoff, is_shared=wire.prompt
@@ -126,7 +126,7 @@ class ProfileDevice(Device):
     ) -> ProfileOutput:
         """Open a flow from the device."""
         monitor = flow_monitor(self._named(api), api.period, self._timing.grace, report)
-        flow = ProfileOutput(api, monitor, self._end, deliver, self._delivery_thread)
+        flow = ProfileOutput(api, monitor, self._end, deliver, self._deliveries)
         self._open(flow, timeout)
         return flow
 
@@ -147,7 +147,7 @@ class ProfileDevice(Device):
             self._closed = True
             self._state.notify_all()
         self._line.close()
-        self._delivery_thread.close()
+        self._deliveries.close()
         self._answers.fail(BridgeError(f"{self.name} was closed", FailureReason.CLOSED))
 
     def on_ready(self, catalogue: DeviceCatalogue) -> None:

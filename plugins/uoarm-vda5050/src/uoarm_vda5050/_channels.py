@@ -5,14 +5,13 @@ from __future__ import annotations
 import logging
 import threading
 import time
-from collections import deque
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Generic, TypeVar
+from typing import Any
 
 from attrs import asdict, frozen
 from uoarm_mqtt.connection import BrokerConnection, PacketOutcome, ReceivedMessage, Receiver
 
-from uoarm.bridge import Delivery, Sink, Source
+from uoarm.bridge import Delivery, ReceiveQueue, Sink, Source
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, MessageError
 from uoarm.model import Endpoint, Health, Message
 from uoarm_vda5050._health import VehicleHealth
@@ -21,78 +20,6 @@ from uoarm_vda5050._orders import words_of
 from uoarm_vda5050._transport_state import Action, Feedback, GoalEnded, Send, Status, TransportState
 
 __all__ = ["Follower", "TransportSink", "TransportSource", "call"]
-
-T = TypeVar("T")
-
-
-class EventQueue(Generic[T]):
-    """Hands what is put into it to `take`, in a thread of its own; putting returns at once.
-
-    When it is full, the oldest is dropped and counted. The thread ends when it is closed, or with
-    the `take` under way.
-
-    Args:
-        name: of the thread.
-        take: takes one thing.
-        most: how many may wait.
-        wake: is called after each thing, and when the time has come that it returned; returns
-            when it is to be called again, in seconds of `time.monotonic`, or None for never.
-    """
-
-    def __init__(
-        self,
-        name: str,
-        take: Callable[[T], object],
-        most: int,
-        wake: Callable[[], float | None] = lambda: None,
-    ) -> None:
-        self._take, self._most, self._wake = take, most, wake
-        self._waiting: deque[T] = deque()
-        # Guards what waits and the two marks; not held during `take` and `wake`.
-        self._changed = threading.Condition()
-        self._closed = self._poked = False
-        self.dropped = 0
-        self._thread = threading.Thread(target=self._run, name=name, daemon=True)
-        self._thread.start()
-
-    def __len__(self) -> int:
-        return len(self._waiting)
-
-    def put(self, thing: T) -> None:
-        """Append a thing; returns at once."""
-        with self._changed:
-            if self._closed:
-                return
-            self._waiting.append(thing)
-            if len(self._waiting) > self._most:
-                self._waiting.popleft()
-                self.dropped += 1
-            self._changed.notify()
-
-    def poke(self) -> None:
-        """Have `wake` called: what it returned does not hold any more."""
-        with self._changed:
-            self._poked = True
-            self._changed.notify()
-
-    def close(self) -> None:
-        """Take nothing more; does not wait for what is being taken."""
-        with self._changed:
-            self._closed = True
-            self._waiting.clear()
-            self._changed.notify()
-
-    def _run(self) -> None:
-        while not self._closed:
-            due = self._wake()
-            with self._changed:
-                left = None if due is None else max(0.0, due - time.monotonic())
-                self._changed.wait_for(lambda: self._closed or self._waiting or self._poked, left)
-                self._poked = False
-                things = [self._waiting.popleft()] if self._waiting else []
-            for thing in things:
-                self._take(thing)
-
 
 _MOST_STATES = 1000
 
@@ -140,8 +67,8 @@ class Follower:
         self._unreadable = self._missed = 0
         self._last_id: int | None = None
         health.connected(time.monotonic())
-        self._inbox: EventQueue[_Event] = EventQueue(
-            f"uoarm-vda5050-{topic}", self._take, _MOST_STATES, self._wake
+        self._inbox: ReceiveQueue[_Event] = ReceiveQueue(
+            f"uoarm-vda5050-{topic}", self._take, _MOST_STATES, wake=self._wake
         )
         self._receiver = Receiver(f"{topic}/state", self._inbox.put, qos=0)
 
@@ -298,7 +225,9 @@ class TransportSource(Source):
     ) -> None:
         super().__init__(endpoint)
         self._kind, self._follower, self._deliver = _PARTS[part], follower, deliver
-        self._inbox: EventQueue[News] = EventQueue(f"uoarm-vda5050-{part}", self._hand_over, most)
+        self._inbox: ReceiveQueue[News] = ReceiveQueue(
+            f"uoarm-vda5050-{part}", self._hand_over, most
+        )
         follower.join(self._take)
 
     def facts(self) -> Mapping[str, object]:

@@ -27,7 +27,7 @@ from uoarm_rocos._catalogue import (
     NumberField,
     StringField,
 )
-from uoarm_rocos._channels import DeliveryThread, QueuedReceiver
+from uoarm_rocos._channels import QueuedReceiver, delivery_queue
 from uoarm_rocos._device import Device, ReportHealth
 from uoarm_rocos._framing import LineError
 from uoarm_rocos._health import flow_monitor
@@ -370,7 +370,7 @@ class StreamDevice(Device):
         self._last = time.monotonic()
         self._closed = False
         self._flows: tuple[_StreamFlow, ...] = ()
-        self._delivery_thread = DeliveryThread(f"{name}-deliver")
+        self._deliveries = delivery_queue(name)
         self._line = DeviceLine(name, transport, self, timing.backoff)
         self._line.start()
 
@@ -417,7 +417,7 @@ class StreamDevice(Device):
             self._closed = True
             self._state.notify_all()
         self._line.close()
-        self._delivery_thread.close()
+        self._deliveries.close()
 
     def connected(self) -> None:
         """Begin with a new decoder."""
@@ -440,7 +440,7 @@ class StreamDevice(Device):
         for message in messages:
             for flow in self._flows:
                 flow.monitor.passed()
-                self._delivery_thread.put(flow.receiver, message)
+                self._deliveries.put((flow.receiver, message))
 
     def tick(self, now: float) -> None:
         """Notice silence."""

@@ -5,14 +5,21 @@ from __future__ import annotations
 import json
 import threading
 import time
-from collections import deque
 from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
 
 from uoarm import cdr
-from uoarm.bridge import Channel, ChannelHealth, ChannelMonitor, Delivery, Sink, Source
+from uoarm.bridge import (
+    Channel,
+    ChannelHealth,
+    ChannelMonitor,
+    Delivery,
+    ReceiveQueue,
+    Sink,
+    Source,
+)
 from uoarm.errors import BridgeError, FailureReason, MessageError
 from uoarm.model import Budget, Endpoint, Health, Message
 from uoarm_rosbridge._wire import write_publish
@@ -60,18 +67,15 @@ class TopicSource(Source):
         super().__init__(endpoint)
         self.latched = port.latch
         self._connection, self._topic, self._deliver = connection, topic, deliver
-        self._port, self.made = port, made
-        # Guards what waits, between the connection's thread and that which delivers.
-        self._changed = threading.Condition()
-        self._waiting: deque[Any] = deque()
-        self._received = self._dropped = 0
+        self.made = made
+        self._received = 0
         self._breaks = self._seen_breaks = connection.breaks
         self._newest: Any = None
         self.health = monitored(self, topic, port, report)
-        self._is_ended = False
         self._identity = connection.new_id("subscribe")
-        self._thread = threading.Thread(
-            target=self._run, name=f"uoarm-rosbridge-{topic}", daemon=True
+        self._is_readable = threading.Event()  # set once it is known how messages come
+        self._queue: ReceiveQueue[Any] = ReceiveQueue(
+            f"uoarm-rosbridge-{topic}", self._hand_over, port.queue
         )
         connection.on_status(self._identity, lambda text: self.health.refused(text, final=True))
         options = connection.options
@@ -85,7 +89,7 @@ class TopicSource(Source):
             fields = connection.subscribe(fields, self._take)
             is_raw = fields["compression"] == "cbor-raw"
             self._read = raw_reader(made, options.budget) if is_raw else reader(made)
-            self._thread.start()
+            self._is_readable.set()
             connection.rosapi("get_time")  # operations are worked through in order
         except BaseException:
             self._close()
@@ -100,50 +104,41 @@ class TopicSource(Source):
         """Return counters."""
         return {
             "received": self._received,
-            "under_way": len(self._waiting),
-            "lost_on_link": self._dropped,
+            "under_way": len(self._queue),
+            "lost_on_link": self._queue.dropped,
             "interruptions": self._connection.breaks - self._breaks,
             **self.health.facts(),
         }
 
     def _take(self, message: Any) -> None:
-        with self._changed:
-            if self._is_ended:
-                return
-            self.health.passed()
-            if self.latched:
-                before, self._newest = self._newest, message
-                is_first = self._seen_breaks != self._connection.breaks
-                self._seen_breaks = self._connection.breaks
-                if is_first and is_same(before, message):
-                    return  # what stands is sent again with each subscription
-            self._received += 1
-            self._waiting.append(message)
-            if len(self._waiting) > self._port.queue:
-                self._waiting.popleft()
-                self._dropped += 1
-            self._changed.notify()
+        """Take a message, in the thread of the connection."""
+        if self.closed:
+            return
+        self.health.passed()
+        if self.latched:
+            before, self._newest = self._newest, message
+            is_first = self._seen_breaks != self._connection.breaks
+            self._seen_breaks = self._connection.breaks
+            if is_first and is_same(before, message):
+                return  # what stands is sent again with each subscription
+        self._received += 1
+        self._queue.put(message)
 
-    def _run(self) -> None:
-        while True:
-            with self._changed:
-                self._changed.wait_for(lambda: self._waiting or self._is_ended)
-                if self._is_ended:
-                    return
-                came = self._waiting.popleft()
-            try:
-                message = self._read(came)
-            except MessageError as error:
-                self._deliver.unreadable(f"{self._topic}: {error}")
-            else:
-                self._deliver(message)
+    def _hand_over(self, came: Any) -> None:
+        self._is_readable.wait()
+        if self.closed:
+            return
+        try:
+            message = self._read(came)
+        except MessageError as error:
+            self._deliver.unreadable(f"{self._topic}: {error}")
+        else:
+            self._deliver(message)
 
     def _close(self) -> None:
         self.health.close()
-        with self._changed:
-            self._is_ended = True
-            self._waiting.clear()
-            self._changed.notify_all()
+        self._queue.close()
+        self._is_readable.set()
         connection = self._connection
         connection.forget_status(self._identity)
         connection.unsubscribe(self._topic, self._take)

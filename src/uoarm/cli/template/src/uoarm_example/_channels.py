@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import json
-import threading
-from collections import deque
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from uoarm.bridge import Channel, Delivery, Handler, Sink, Source, foreign
+from uoarm.bridge import Channel, Delivery, Handler, ReceiveQueue, Sink, Source, foreign
 from uoarm.errors import BridgeError, ControlMessageError, FailureReason, MessageError
 from uoarm.model import Budget, Endpoint, Health, Message, Spending, scan_json
 from uoarm_example._connection import ExampleConnection
@@ -48,48 +46,6 @@ def decode(payload: str) -> Message:
     return message
 
 
-class ExampleQueue:
-    """What came and was not taken yet, and the one thread that takes it.
-
-    The thread of the connection only appends, so that a consumer that is stuck holds up no other
-    channel. When it is full, the oldest are dropped and counted.
-    """
-
-    def __init__(self, name: str, take: Callable[[dict[str, Any]], None], most: int) -> None:
-        self._take, self._most = take, most
-        self._waiting: deque[dict[str, Any]] = deque()
-        # Guards what waits and whether it is closed: the connection appends, the thread of this
-        # queue takes, any thread closes. It is not held while something is taken.
-        self._changed = threading.Condition()
-        self._closed = False
-        self.dropped = 0
-        threading.Thread(target=self._run, name=f"example {name}", daemon=True).start()
-
-    def put(self, event: dict[str, Any]) -> None:
-        """Append what came; returns at once."""
-        with self._changed:
-            if len(self._waiting) == self._most:
-                self._waiting.popleft()
-                self.dropped += 1
-            self._waiting.append(event)
-            self._changed.notify()
-
-    def close(self) -> None:
-        """Take nothing more; does not wait for what is being taken."""
-        with self._changed:
-            self._closed = True
-            self._changed.notify()
-
-    def _run(self) -> None:
-        while True:
-            with self._changed:
-                self._changed.wait_for(lambda: self._closed or self._waiting)
-                if self._closed:
-                    return
-                event = self._waiting.popleft()
-            self._take(event)
-
-
 class _Joined:
     """What the channels have in common: they are members of the connection, and have a health."""
 
@@ -105,12 +61,12 @@ class _Joined:
         self.lost = 0
         self.health = monitored(channel, options, report)
         self._connection = connection
-        self._queue: ExampleQueue | None = None
+        self._queue: ReceiveQueue[dict[str, Any]] | None = None
         self._number = 0
 
     def open(self, take: Callable[[dict[str, Any]], None] | None, name: str, most: int) -> None:
         """Join the connection; where something comes, `take` gets it in a thread of its own."""
-        self._queue = None if take is None else ExampleQueue(name, take, most)
+        self._queue = None if take is None else ReceiveQueue(f"example {name}", take, most)
         try:
             self._number = self._connection.join(self)
         except BaseException:
