@@ -25,7 +25,18 @@ from tests.harness._needs import NEEDS, missing
 ROOT = Path(__file__).parents[1]
 REPORTS = ROOT / "build" / "tests"
 NO_TESTS = 5
-PLUGINS = ("ros2", "rtm", "rocos", "mqtt", "vda5050", "rosbridge", "foxglove", "ros1", "mcp")
+PLUGINS = (
+    "ros2",
+    "rtm",
+    "rocos",
+    "mqtt",
+    "vda5050",
+    "rosbridge",
+    "foxglove",
+    "remote",
+    "ros1",
+    "mcp",
+)
 
 
 @frozen

@@ -102,6 +102,7 @@ NEEDS = {
         "pip install -e 'plugins/uoarm-rosbridge[dev]'", packages=("uoarm_rosbridge", "roslibpy")
     ),
     "foxglove": Need("pip install -e 'plugins/uoarm-foxglove[dev]'", packages=("uoarm_foxglove",)),
+    "remote": Need("pip install -e 'plugins/uoarm-remote[dev]'", packages=("uoarm_remote",)),
     "mcp": Need("pip install -e 'plugins/uoarm-mcp[dev]'", packages=("uoarm_mcp", "mcp")),
     "chromium": Need(
         "apt install chromium, or Chrome on the PATH",
@@ -143,6 +144,7 @@ MODULES = {
     "plugins/uoarm-ros1/tests/*": ("ros1", "rospy"),
     "plugins/uoarm-rosbridge/tests/*": ("rosbridge",),
     "plugins/uoarm-foxglove/tests/*": ("foxglove",),
+    "plugins/uoarm-remote/tests/*": ("remote",),
     "plugins/uoarm-mcp/tests/*": ("mcp",),
 }
 """What a whole module needs, also for being imported."""

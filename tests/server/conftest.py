@@ -9,7 +9,6 @@ from typing import Any
 
 import pytest
 from tests.server.browser import Browser, find_chromium
-from tests.server.proxy import Proxy
 from tests.server.robot import CONFIGURATION, script
 from tests.server.talk import Talk
 from websockets.asyncio.server import ServerConnection
@@ -18,6 +17,7 @@ from uoarm import RobotManager
 from uoarm.config import loads
 from uoarm.server import Limits, Server, ServerOptions, serve_in_thread
 from uoarm.server.front_end import FrontEnd
+from uoarm.testing import Proxy
 
 Serve = Callable[..., Server]
 Connect = Callable[..., Talk]

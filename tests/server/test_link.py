@@ -130,11 +130,10 @@ def test_changes_that_are_not_taken_are_the_newest() -> None:
             return cast("ClientConnection", socket)
 
         client = RemoteRobot(opening, TEXT_FORM)
-        await client.start(resume=False)
         watching = client.watch()
-        first = asyncio.ensure_future(anext(watching))
-        await asyncio.sleep(0)
-        await client.read()
+        async with client.running(resume=False):
+            first = asyncio.ensure_future(anext(watching))
+            await client.ended()
         numbers = [(await first).number, *[status_event.number async for status_event in watching]]
         assert len(numbers) < 2000
         assert numbers == list(range(numbers[0], 3000))

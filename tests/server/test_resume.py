@@ -14,7 +14,6 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from tests.server.conftest import Between, Serve
-from tests.server.proxy import Proxy
 from tests.server.robot import END, script
 from tests.server.talk import BESIDE, SECONDS, eventually
 from tests.server.test_serving import figures, page
@@ -23,7 +22,7 @@ from uoarm import ConnectionClosedError, QueuePolicy, RobotManager
 from uoarm.client import RemoteRobot, connect
 from uoarm.model import Message
 from uoarm.server import Limits, Server
-from uoarm.testing import slowness
+from uoarm.testing import Proxy, slowness
 
 CLIENTS = Path(__file__).parent / "clients"
 FORMS = pytest.mark.parametrize("binary", [False, True], ids=["json", "cbor"])

@@ -265,6 +265,10 @@ class Connection(Generic[T]):
         """Return what stands at a latched output, for who joins this connection; as it came."""
         return self._runtime.receiver.standing()
 
+    def _is_latched(self) -> bool:
+        """Say whether who joins this connection gets first what its output gave last."""
+        return self._runtime.receiver.is_latched
+
     def kill(self) -> None:
         """End the connection and close what only it used. Once is enough; bounded in time.
 

@@ -173,6 +173,11 @@ class Outlet:
         """The routes attached now."""
         return self._routes
 
+    @property
+    def retains(self) -> bool:
+        """Whether the last messages are for those who join later."""
+        return self._retains is True
+
     def retain(self, retains: bool, depth: int = 1) -> None:  # noqa: FBT001 - the source's answer
         """Say, once the source is open, whether the last messages are for those who join later.
 

@@ -36,6 +36,7 @@ _KNOWN = {
     "rocos": ("uoarm-rocos", ""),
     "mqtt": ("uoarm-mqtt", ""),
     "vda5050": ("uoarm-vda5050", ""),
+    "remote": ("uoarm-remote", ""),
 }
 
 

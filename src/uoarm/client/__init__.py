@@ -3,8 +3,15 @@
 Needs the packages of the extra `server`.
 """
 
-from uoarm.client._client import RemoteRobot, ServerError, connect
+from uoarm.client._client import RemoteRobot, ServerAddress, ServerError, connect
 from uoarm.client._link import trust_fingerprint
 from uoarm.client._stream import RemoteStream
 
-__all__ = ["RemoteRobot", "RemoteStream", "ServerError", "connect", "trust_fingerprint"]
+__all__ = [
+    "RemoteRobot",
+    "RemoteStream",
+    "ServerAddress",
+    "ServerError",
+    "connect",
+    "trust_fingerprint",
+]

@@ -8,9 +8,11 @@ import ssl
 from collections.abc import AsyncIterator, Callable, Mapping
 from contextlib import asynccontextmanager, suppress
 from functools import partial
+from types import MappingProxyType
 from typing import Any, TypeAlias, final, overload
 
-from attrs import frozen
+from attrs import field, frozen
+from typing_extensions import Self
 from websockets.asyncio.client import ClientConnection
 from websockets.asyncio.client import connect as open_socket
 from websockets.typing import Subprotocol
@@ -24,7 +26,7 @@ from uoarm.client._link import LARGEST, Link, Open
 from uoarm.client._stream import RemoteStream
 from uoarm.model import Message, QueuePolicy, StatusEvent, ValidationMode, format_trouble
 
-__all__ = ["RemoteRobot", "ServerError", "connect"]
+__all__ = ["RemoteRobot", "ServerAddress", "ServerError", "connect"]
 
 _HELD = 1024
 _DIAGNOSIS_SECONDS = 1.0
@@ -66,6 +68,61 @@ class _Asked:
     renewed: RemoteStream[Any] | None = None
 
 
+@frozen
+class ServerAddress:
+    """Where a server is, and how it is greeted.
+
+    Attributes:
+        url: `ws://` or `wss://`.
+        token: shown in the handshake; None: none is.
+        tls: for `wss://`, where the system's authorities do not do.
+        timeout: seconds for connecting.
+        silence: seconds without a sign of life after which the connection counts as dropped.
+        headers: further ones of the handshake.
+    """
+
+    url: str
+    token: str | None = field(default=None, repr=False)
+    tls: ssl.SSLContext | None = None
+    timeout: float = 10.0
+    silence: float = 20.0
+    headers: Mapping[str, str] = MappingProxyType({})
+
+    def robot(
+        self,
+        *,
+        binary: bool = True,
+        reconnect: float = 0.0,
+        on_link: Callable[[str], object] = str,
+    ) -> RemoteRobot:
+        """Return what connects there for the length of `async with robot.running(resume=True)`.
+
+        Args:
+            binary: CBOR; False: JSON.
+            reconnect: as of `connect`.
+            on_link: called in the loop with why the connection dropped, at once, and with "" when
+                messages pass again.
+        """
+        form = BINARY_FORM if binary else TEXT_FORM
+        return RemoteRobot(partial(self._open, form), form, reconnect, on_link)
+
+    async def _open(self, form: Form) -> ClientConnection:
+        shown = {} if self.token is None else {"Authorization": f"Bearer {self.token}"}
+        # None would mean that there is to be no TLS.
+        secured: Any = {} if self.tls is None else {"ssl": self.tls}
+        return await open_socket(
+            self.url,
+            subprotocols=[Subprotocol(form.subprotocol)],
+            additional_headers={**self.headers, **shown},
+            max_size=LARGEST.octets,
+            compression="deflate" if form.text else None,
+            open_timeout=self.timeout,
+            ping_interval=self.silence / 3,
+            ping_timeout=self.silence,
+            **secured,
+        )
+
+
 @arguments()
 @asynccontextmanager
 async def connect(
@@ -99,41 +156,28 @@ async def connect(
         TimeoutError: it took too long.
         websockets.exceptions.InvalidHandshake: the server refused, for example without a token.
     """
-    form = BINARY_FORM if binary else TEXT_FORM
-    headers = {} if token is None else {"Authorization": f"Bearer {token}"}
-    secured: Any = {} if tls is None else {"ssl": tls}  # None would mean that there is to be no TLS
-
-    async def opening() -> ClientConnection:
-        return await open_socket(
-            url,
-            subprotocols=[Subprotocol(form.subprotocol)],
-            additional_headers=headers,
-            max_size=LARGEST.octets,
-            compression=None if binary else "deflate",
-            open_timeout=timeout,
-            **secured,
-        )
-
-    client = RemoteRobot(opening, form, reconnect)
-    await client.start(resume=resume)
-    reading = asyncio.ensure_future(client.read())
-    try:
-        yield client
-    finally:
-        reading.cancel()
-        with suppress(asyncio.CancelledError):
-            await reading
-        await client.close()
+    server = ServerAddress(url, token, tls, timeout)
+    async with server.robot(binary=binary, reconnect=reconnect).running(resume=resume) as robot:
+        yield robot
 
 
 @final
 class RemoteRobot:
     """A robot elsewhere. Made by `connect`; all methods in the loop in which it was made."""
 
-    def __init__(self, opening: Open, form: Form, reconnect: float = 0.0) -> None:
+    def __init__(
+        self,
+        opening: Open,
+        form: Form,
+        reconnect: float = 0.0,
+        on_link: Callable[[str], object] = str,
+    ) -> None:
         self.hello: Mapping[str, Any] = {}
         self._form = form
-        self._link = Link(opening, form, self._take, reconnect, self._lose, self._open_again)
+        self._link = Link(
+            opening, form, self._take, reconnect, self._lose, self._open_again, on_link
+        )
+        self._ended = asyncio.Event()
         self._ids = itertools.count(1)
         self._asked: dict[str, _Asked] = {}
         self._streams: dict[str, RemoteStream[Any]] = {}
@@ -219,7 +263,7 @@ class RemoteRobot:
         if wait:
             options["wait"] = wait
         wanted = await self._typed(as_type, name, f"function {name!r}", "output.")
-        stream: RemoteStream[Any] = await self._ask("Request", name, jsonMessage=options)
+        stream: RemoteStream[Any] = await self.ask("Request", name, jsonMessage=options)
         stream.give_as(wanted)
         return stream
 
@@ -241,18 +285,18 @@ class RemoteRobot:
         wanted = await self._typed(as_type, name, f"the reply of {name!r}", "reply")
         sent = as_message(message, f"request to {name!r}")
         limit: dict[str, Any] = {"x-timeout": timeout}
-        reply = await self._ask("Call", name, jsonMessage=sent, **limit)
+        reply = await self.ask("Call", name, jsonMessage=sent, **limit)
         return reply if wanted is None else wanted.read(reply)
 
     async def functions(self) -> list[Mapping[str, Any]]:
         """Return the functions that one may see."""
-        listed: list[Mapping[str, Any]] = (await self._ask("List"))["functions"]
+        listed: list[Mapping[str, Any]] = (await self.ask("List"))["functions"]
         return listed
 
     @arguments()
     async def resolve(self, name: str) -> Mapping[str, Any]:
         """Return the plan of a function as data, and as text; raises ResolutionError."""
-        plan: Mapping[str, Any] = await self._ask("Resolve", name)
+        plan: Mapping[str, Any] = await self.ask("Resolve", name)
         return plan
 
     @arguments()
@@ -312,12 +356,12 @@ class RemoteRobot:
         wanted: dict[str, Any] = {**what, "dry_run": dry_run, "force": force}
         if revision is not None:
             wanted["revision"] = revision
-        change: Mapping[str, Any] = await self._ask("Configure", jsonMessage=wanted)
+        change: Mapping[str, Any] = await self.ask("Configure", jsonMessage=wanted)
         return change
 
     async def revisions(self) -> list[Mapping[str, Any]]:
         """Return the revisions of the configuration, the one in force last; needs `configure`."""
-        report: Mapping[str, Any] = await self._ask("Configure")
+        report: Mapping[str, Any] = await self.ask("Configure")
         return list(report["revisions"])
 
     async def discover(self) -> list[Mapping[str, Any]]:
@@ -327,7 +371,7 @@ class RemoteRobot:
             `bridge`, `plugin`, `configured`, `cause` where it sees nothing, `facts` of the plugin,
             `components` with their `ports`, `more` and `left_out`; also plugins without a bridge.
         """
-        report: Mapping[str, Any] = await self._ask("Discover")
+        report: Mapping[str, Any] = await self.ask("Discover")
         return list(report["bridges"])
 
     async def stop_all(self) -> Mapping[str, Any]:
@@ -340,7 +384,7 @@ class RemoteRobot:
         Raises:
             ServerError: the role may not.
         """
-        report: Mapping[str, Any] = await self._ask("Stop")
+        report: Mapping[str, Any] = await self.ask("Stop")
         return report
 
     async def release(self) -> None:
@@ -350,7 +394,7 @@ class RemoteRobot:
             BridgeError: some inputs could not be reached, and go on refusing commands.
             ServerError: the role may not.
         """
-        await self._ask("Stop", jsonMessage={"release": True})
+        await self.ask("Stop", jsonMessage={"release": True})
 
     async def approvals(self) -> list[Mapping[str, Any]]:
         """Return what others ask for that one may approve, oldest first; needs `approve`.
@@ -359,7 +403,7 @@ class RemoteRobot:
             `approval`, `phase`, `requester`, `operation`, `function`, `arguments`, `digest`,
             `envelope`, `seconds`, `left`, `components`, `preview`, `approver`, `uses` and `cause`.
         """
-        report: Mapping[str, Any] = await self._ask("Approve")
+        report: Mapping[str, Any] = await self.ask("Approve")
         return list(report["approvals"])
 
     @arguments()
@@ -380,7 +424,7 @@ class RemoteRobot:
         wanted: dict[str, Any] = {"approve": approve, "cause": cause}
         if digest:
             wanted["digest"] = digest
-        decided: Mapping[str, Any] = await self._ask("Approve", approval, jsonMessage=wanted)
+        decided: Mapping[str, Any] = await self.ask("Approve", approval, jsonMessage=wanted)
         return decided
 
     @arguments()
@@ -413,31 +457,31 @@ class RemoteRobot:
             "ring": ring,
         }
         options = {name: value for name, value in given.items() if value is not None}
-        begun: Mapping[str, Any] = await self._ask(
+        begun: Mapping[str, Any] = await self.ask(
             "Record", jsonMessage={"functions": list(functions), **options}
         )
         return begun
 
     async def recordings(self) -> Mapping[str, Any]:
         """Return the `recordings`, and for whom may record all also the `files` in their folder."""
-        found: Mapping[str, Any] = await self._ask("Record")
+        found: Mapping[str, Any] = await self.ask("Record")
         return found
 
     @arguments()
     async def stop_recording(self, recording: str) -> Mapping[str, Any]:
         """End a recording and return what is in it; that of another needs the right `kill`, too."""
-        ended: Mapping[str, Any] = await self._ask("Record", recording, jsonMessage={"stop": True})
+        ended: Mapping[str, Any] = await self.ask("Record", recording, jsonMessage={"stop": True})
         return ended
 
     @arguments()
     async def dump_recording(self, recording: str) -> Mapping[str, Any]:
         """Write what a recording with a `ring` keeps in memory; `written` is the file."""
-        done: Mapping[str, Any] = await self._ask("Record", recording, jsonMessage={"dump": True})
+        done: Mapping[str, Any] = await self.ask("Record", recording, jsonMessage={"dump": True})
         return done
 
     async def players(self) -> list[Mapping[str, Any]]:
         """Return where the recordings are that bridges play."""
-        report: Mapping[str, Any] = await self._ask("Play")
+        report: Mapping[str, Any] = await self.ask("Play")
         return list(report["players"])
 
     @arguments()
@@ -454,7 +498,7 @@ class RemoteRobot:
         given = {"pause": pause, "rate": rate, "seek": seek, "step": step or None}
         wanted = {name: value for name, value in given.items() if value is not None}
         message: dict[str, Any] = {"jsonMessage": wanted} if wanted else {}
-        moved: Mapping[str, Any] = await self._ask("Play", bridge, **message)
+        moved: Mapping[str, Any] = await self.ask("Play", bridge, **message)
         return moved
 
     async def status(self) -> Mapping[str, Any]:
@@ -465,7 +509,7 @@ class RemoteRobot:
         known = self._status
         version = known.get("version")
         since: dict[str, Any] = {} if version is None else {"jsonMessage": {"since": version}}
-        self._status = _merged_status(known, await self._ask("Status", **since))
+        self._status = _merged_status(known, await self.ask("Status", **since))
         return self._status
 
     async def _diagnose(self, connection: str) -> str:
@@ -484,22 +528,27 @@ class RemoteRobot:
         events: _Changes = asyncio.Queue(_HELD)
         self._watchers.add(events)
         try:
-            await self._ask("Status", "watch")
+            await self.ask("Status", "watch")
             while (event := await events.get()) is not None:
                 yield event
         finally:
             self._watchers.discard(events)
 
-    async def start(self, *, resume: bool) -> None:
-        """Connect; `connect` does it."""
+    @asynccontextmanager
+    async def running(self, *, resume: bool) -> AsyncIterator[Self]:
+        """Connect for the length of a block; `connect` does it."""
         await self._link.start(resume=resume)
+        reading = asyncio.ensure_future(self._read())
+        try:
+            yield self
+        finally:
+            reading.cancel()
+            with suppress(asyncio.CancelledError):
+                await reading
+            await self._link.close()
 
-    async def close(self) -> None:
-        """Close the connection; `connect` does it."""
-        await self._link.close()
-
-    async def read(self) -> None:
-        """Read until the connection ends for good; what waits then fails. `connect` does it."""
+    async def _read(self) -> None:
+        """Read until the connection ends for good; what waits then fails."""
         try:
             await self._link.run()
         finally:
@@ -509,6 +558,7 @@ class RemoteRobot:
             for stream in {*self._streams.values(), *self._away}:
                 stream.finish("failed", self._link.closed)
             self._notify_watchers(None)
+            self._ended.set()
 
     def _fail(self, cause: str) -> None:
         """Fail everything that waits for an answer, which will not come."""
@@ -538,10 +588,10 @@ class RemoteRobot:
     async def _renew(self, stream: RemoteStream[Any]) -> None:
         session = self._link.session
         try:
-            name, options = stream.request["type"], stream.request["jsonMessage"]
-            await self._ask("Request", name, renewed=stream, jsonMessage=options)
+            asked = {name: value for name, value in stream.request.items() if name != "op"}
+            await self.ask("Request", asked.pop("type"), renewed=stream, **asked)
             if stream.ended:  # it was given back meanwhile
-                await self._ask("Kill", stream.connection)
+                await self.ask("Kill", stream.connection)
         except errors.UoarmError as error:
             if session == self._link.session:  # otherwise it is tried again already
                 self._away.discard(stream)
@@ -549,7 +599,7 @@ class RemoteRobot:
 
     async def _watch_again(self) -> None:
         with suppress(errors.UoarmError):
-            await self._ask("Status", "watch")
+            await self.ask("Status", "watch")
 
     async def _typed(self, hint: Any, name: str, place: str, port: str) -> MessageType[Any] | None:
         """Return the type that is wanted, proven to be what the server's plan gives."""
@@ -565,9 +615,33 @@ class RemoteRobot:
         wanted.require(structures[only]["schema"])
         return wanted
 
-    async def _ask(
+    async def ended(self) -> str:
+        """Wait until the connection has ended for good; returns why."""
+        await self._ended.wait()
+        return self._link.closed
+
+    def drop(self) -> None:
+        """Break the connection and go on over another: what was not sent yet is never sent.
+
+        What waits for an answer gets that of the server, or fails where it did not arrive.
+        """
+        self._link.drop()
+
+    async def ask(
         self, op: str, kind: str = "", *, renewed: RemoteStream[Any] | None = None, **more: Any
     ) -> Any:
+        """Ask what this class has no method for, as the protocol says; returns `jsonMessage`.
+
+        Args:
+            op: of the control message.
+            kind: its `type`.
+            renewed: the stream that a `Request` opens again; for this class.
+            more: further fields, such as `jsonMessage` and `x-managers`.
+
+        Raises:
+            UoarmError: the server refused, as the other methods raise it.
+            ConnectionClosedError: the connection has ended for good.
+        """
         if self._link.closed:
             raise errors.ConnectionClosedError(self._link.closed)
         identity = str(next(self._ids))
@@ -623,7 +697,7 @@ class RemoteRobot:
             # Made here, since the first message may follow before the caller has woken.
             stream = asked.renewed
             if stream is None:
-                stream = RemoteStream(message, asked.fields, self._ask, self._diagnose, _HELD)
+                stream = RemoteStream(message, asked.fields, self.ask, self._diagnose, _HELD)
             else:
                 stream.renew(message)
             self._away.discard(stream)

@@ -55,6 +55,8 @@ class Link:
         again_seconds: how long to try to begin a new session where this one is gone; 0: not at all.
         lost: called with why the session is gone, before a new one is begun.
         begun: called when a new one was.
+        changed: called with why the connection dropped, at once, and with "" when messages pass
+            again, in the same session or another.
 
     Attributes:
         session: how many sessions were begun after the first.
@@ -68,6 +70,7 @@ class Link:
         again_seconds: float = 0.0,
         lost: Callable[[str], object] = str,
         begun: Callable[[], None] = lambda: None,
+        changed: Callable[[str], object] = str,
     ) -> None:
         self._open = opening
         self._form = form
@@ -80,6 +83,7 @@ class Link:
         self._again_seconds = again_seconds
         self._lost = lost
         self._begun = begun
+        self._changed = changed
         # Clients that lost the same server come back at different moments.
         seed = random.getrandbits(32)
         self._backoff = Backoff(first=0.05, most=5.0, jitter=0.5, seed=seed)
@@ -132,6 +136,11 @@ class Link:
             self.closed = self.closed or "the client was closed"
             self._ready.set()
 
+    def drop(self) -> None:
+        """Break the connection, so that what it has not sent yet is never sent; then go on."""
+        if self._socket is not None:
+            self._socket.transport.abort()
+
     async def close(self) -> None:
         """Say goodbye, so that the server keeps nothing."""
         if self._socket is not None:
@@ -147,7 +156,9 @@ class Link:
             self._is_final = error.rcvd is not None and error.rcvd.code in _FINAL
             if error.rcvd is not None or not self._key:
                 return f"the connection to the server ended: {error}"
-            return await self._renew(f"the connection to the server dropped: {error}")
+            cause = f"the connection to the server dropped: {error}"
+            self._changed(cause)
+            return await self._renew(cause)
         except _STRANGE as error:
             self._is_final = True
             await self._socket.close(CloseCode.PROTOCOL_ERROR)
@@ -161,6 +172,7 @@ class Link:
         self._key = ""
         self._unanswered.clear()
         self.session += 1
+        self._changed(cause)
         self._lost(cause)
         loop = asyncio.get_running_loop()
         deadline, failed = loop.time() + self._again_seconds, 0
@@ -180,6 +192,7 @@ class Link:
                 return f"{cause}; {_strange(error)}"
             else:
                 self._ready.set()
+                self._changed("")
                 self._begun()
                 return ""
         return why
@@ -217,6 +230,7 @@ class Link:
                     return f"{cause}; {refused}"
                 self.resumed += 1
                 self._ready.set()
+                self._changed("")
                 return ""
         return why
 

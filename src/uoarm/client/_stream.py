@@ -32,6 +32,7 @@ class RemoteStream(Generic[T]):
         connection: its name at the server, shared with other clients of the same function.
         inputs: inputs that `send` can feed.
         lifetimes: seconds for which a command lives, by input; of those that have one.
+        latched: whether who comes gets first what its output gave last.
         lost: messages that did not get here, as gaps in their numbers.
         gaps: how often the server began anew meanwhile, so that it is not known what was lost.
         state: `open`; or how it ended: `closed`, `finished` or `failed`.
@@ -68,11 +69,17 @@ class RemoteStream(Generic[T]):
         self.inputs: tuple[str, ...] = tuple(opened["inputs"])
         self.warnings: tuple[str, ...] = tuple(opened["warnings"])
         self.lifetimes: Mapping[str, float] = opened.get("lifetimes", {})
+        self.latched: bool = opened.get("latched", False)
 
     @property
     def ended(self) -> bool:
         """Whether no more messages come."""
         return self.state != "open"
+
+    @property
+    def is_away(self) -> bool:
+        """Whether its server has begun anew and has not opened it again yet."""
+        return self._is_away
 
     def renew(self, opened: Mapping[str, Any]) -> None:
         """Go on as another connection, of a server that has begun anew; `RemoteRobot` does it."""

@@ -9,6 +9,7 @@ from uoarm.testing._components import Emitter, Loop, MemoryService, Script, Take
 from uoarm.testing._faults import Hang, hanging, lying, raising
 from uoarm.testing._instances import find_instance, instances
 from uoarm.testing._memory import MemoryBridge
+from uoarm.testing._proxy import Proxy
 from uoarm.testing._resources import Census, free_port, hold_idle
 from uoarm.testing._time import ManualClock, patience, slowness, wait
 
@@ -22,6 +23,7 @@ __all__ = [
     "ManualClock",
     "MemoryBridge",
     "MemoryService",
+    "Proxy",
     "Script",
     "Taker",
     "copies",

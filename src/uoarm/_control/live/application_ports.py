@@ -114,6 +114,11 @@ class OutputReceiver:
             self._delivering.route = route
             self.began = self.arrived
 
+    @property
+    def is_latched(self) -> bool:
+        """Whether the output that delivers retains its last messages."""
+        return self._outlet is not None and self._outlet.retains
+
     def standing(self) -> tuple[Message, ...]:
         """Return what stands at the output that delivers, the very objects that it delivers."""
         outlet = self._outlet

@@ -6,12 +6,13 @@ import asyncio
 import socket
 import struct
 import threading
+from functools import partial
 from types import TracebackType
 from typing import Any
 
 from typing_extensions import Self
 
-from uoarm.testing import patience
+from uoarm.testing._time import patience
 
 __all__ = ["Proxy"]
 
@@ -42,7 +43,7 @@ class Proxy:
 
     def cut(self, *, admit: bool = True, server: bool = True) -> None:
         """Reset every connection, with `server=False` towards the client only."""
-        self._do(self._cut, admit, server)
+        self._do(partial(self._cut, admit=admit, server=server))
 
     def admit(self) -> None:
         """Let clients connect again."""
@@ -65,7 +66,7 @@ class Proxy:
 
         asyncio.run_coroutine_threadsafe(act(), self._loop).result(patience())
 
-    def _cut(self, admit: bool, server: bool) -> None:
+    def _cut(self, *, admit: bool, server: bool) -> None:
         self._admits = admit
         for client, backend in self._pairs:
             client.reset()
@@ -134,6 +135,7 @@ class _End(asyncio.Protocol):
             self._peer.write(data)
 
     def connection_lost(self, exc: Exception | None) -> None:
+        del exc
         if self._peer is not None and not self.held:
             self._peer.close()
 

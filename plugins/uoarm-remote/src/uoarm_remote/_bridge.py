@@ -1,0 +1,97 @@
+"""The bridge: functions of another manager as components of this one."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from uoarm.bridge import (
+    Bridge,
+    Capabilities,
+    Channel,
+    Delivery,
+    Description,
+    Discovered,
+    ServiceStructures,
+    Sink,
+    Source,
+    reading_endpoint,
+)
+from uoarm.errors import BridgeError, FailureReason
+from uoarm.model import Endpoint, Health, Message, MessageStructure, Role
+from uoarm_remote._channels import FunctionSink, FunctionSource, FunctionStreams
+from uoarm_remote._discovery import described, discovered
+from uoarm_remote._link import ManagerLink
+from uoarm_remote._options import FunctionOptions, ManagerOptions, mistake
+
+__all__ = ["RemoteManagerBridge"]
+
+
+class RemoteManagerBridge(Bridge):
+    """One other manager. An endpoint's address is one of its functions, and a port of it."""
+
+    capabilities = Capabilities(discover=True, call=True)
+
+    def __init__(self, name: str, options: ManagerOptions) -> None:
+        super().__init__(name, options)
+        self._given = options
+        self._other = ManagerLink(name, options, lambda: self.manager)
+        self._streams = FunctionStreams(self._other)
+
+    def facts(self) -> Mapping[str, object]:
+        """Return what the status shows of the link."""
+        return {
+            "manager": self._other.peer,
+            "breaks": self._other.breaks,
+            "clock_ahead": self._other.ahead,
+        }
+
+    def _describe(self, endpoint: Endpoint) -> Description:
+        _options(endpoint)
+        return described(self._other, endpoint, self._given.timeout)
+
+    def _open_source(
+        self, endpoint: Endpoint, structure: MessageStructure, deliver: Delivery
+    ) -> Source:
+        del structure
+        source = FunctionSource(endpoint, _options(endpoint), self._other, deliver, self._report)
+        source.open(self._streams, self._given.timeout)
+        return source
+
+    def _open_sink(self, endpoint: Endpoint, structure: MessageStructure) -> Sink:
+        del structure
+        sink = FunctionSink(endpoint, _options(endpoint), self._other, self._report)
+        sink.open(self._streams, self._given.timeout)
+        return sink
+
+    def _call(
+        self, endpoint: Endpoint, structures: ServiceStructures, message: Message, timeout: float
+    ) -> Message:
+        del structures
+        _options(endpoint)
+        more: dict[str, Any] = {"jsonMessage": message, "x-timeout": timeout}
+        reply: Message = self._other.ask("Call", endpoint.address[0], timeout, **more)
+        return reply
+
+    def _discover(self) -> tuple[Discovered, ...]:
+        if not self._given.discover:
+            return ()
+        return discovered(self._other, self.name, self._given.timeout)
+
+    def _close(self) -> None:
+        self._other.close()
+
+    def _report(self, channel: Channel, health: Health, cause: str) -> None:
+        self.report(health, cause, channel=channel)
+
+
+def _options(endpoint: Endpoint) -> FunctionOptions:
+    with reading_endpoint(endpoint):
+        if wrong := mistake(endpoint.address, endpoint.options):
+            raise ValueError(wrong)
+    if endpoint.is_offered:
+        text = f"{endpoint}: a function is offered by `export:` of this configuration, not here"
+        raise BridgeError(text, FailureReason.UNSUPPORTED)
+    if endpoint.role is Role.SERVICE and len(endpoint.address) > 1:
+        raise BridgeError(f"{endpoint}: a service has no ports", FailureReason.BAD_ENDPOINT)
+    return FunctionOptions.of_endpoint(endpoint)

@@ -1,0 +1,324 @@
+"""The link to the other manager: a loop in a thread of its own, which other threads ask.
+
+It is made with the first question, and made again when it breaks. Within some seconds the session
+goes on as it was; after that another one opens what was open. What is open sees both as events.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import concurrent.futures
+import ssl
+import threading
+import time
+from collections.abc import Callable, Coroutine
+from pathlib import Path
+from typing import Any, Protocol, TypeVar
+
+from websockets.exceptions import InvalidHandshake, InvalidStatus
+
+from uoarm.bridge import Backoff, asking_managers, refuse_loop
+from uoarm.client import RemoteRobot, ServerAddress, trust_fingerprint
+from uoarm.errors import (
+    BridgeError,
+    BridgeTimeoutError,
+    ConfigurationError,
+    FailureReason,
+    UoarmError,
+)
+from uoarm_remote._failures import translated
+from uoarm_remote._options import ManagerOptions
+
+__all__ = ["LinkMember", "ManagerLink"]
+
+T = TypeVar("T")
+_BACKOFF = Backoff(first=0.1, most=5.0, jitter=0.5)
+_FOREVER = 1e9
+_TICK_SECONDS = 0.25
+_JOIN_SECONDS = 2.0
+_MOST_TOKEN = 4096
+
+
+class LinkMember(Protocol):
+    """What is open, and learns of the link. Its methods return at once, in the link's thread."""
+
+    def link_broke(self, cause: str) -> None: ...
+
+    def link_is_up(self) -> None: ...
+
+    def tick(self) -> None: ...
+
+
+class ManagerLink:
+    """One connection to another manager.
+
+    Args:
+        name: of the bridge.
+        options: of the bridge.
+        identity: returns the identity of the manager that asks.
+    """
+
+    def __init__(self, name: str, options: ManagerOptions, identity: Callable[[], str]) -> None:
+        self._name, self._options, self._identity = name, options, identity
+        # Guards the beginning of the thread, the members and why the link is down: between steps,
+        # in any thread, and the link's own.
+        self._lock = threading.Lock()
+        self._members: dict[LinkMember, None] = {}
+        self._why_down = "it has not been reached yet"
+        self._tried, self._is_closing = threading.Event(), False
+        self._thread: threading.Thread | None = None
+        self._loop = asyncio.new_event_loop()
+        self._closing: asyncio.Event | None = None
+        self._robot: RemoteRobot | None = None  # in the loop only
+        self._is_up = False
+        self.breaks = 0
+        self.ahead: float | None = None
+
+    @property
+    def grace(self) -> float:
+        """Seconds that it may be broken before what is open is lost."""
+        return self._options.grace
+
+    @property
+    def timeout(self) -> float:
+        """Seconds that an answer may take."""
+        return self._options.timeout
+
+    @property
+    def url(self) -> str:
+        """Where the other manager is."""
+        return self._options.url
+
+    @property
+    def peer(self) -> str:
+        """The identity of the other manager; empty before the first greeting."""
+        robot = self._robot
+        return "" if robot is None else str(robot.hello.get("manager", ""))
+
+    def way(self) -> dict[str, Any]:
+        """Return the field that says through which managers a question of this thread comes."""
+        identity = self._identity()
+        return {"x-managers": [*asking_managers(), identity]} if identity else {}
+
+    def ask(self, op: str, kind: str, timeout: float, **fields: Any) -> Any:
+        """Ask the other manager, in any thread but the link's; returns the answer.
+
+        Raises:
+            BridgeError: it cannot be reached, or refused; the text says which manager did.
+            BridgeTimeoutError: no answer within `timeout` seconds.
+        """
+        asked: dict[str, Any] = {**fields, **self.way()}
+
+        async def asking(robot: RemoteRobot) -> Any:
+            return await robot.ask(op, kind, **asked)
+
+        return self.run(asking, timeout, f"{op} {kind}".strip())
+
+    def run(
+        self, work: Callable[[RemoteRobot], Coroutine[Any, Any, T]], timeout: float, what: str
+    ) -> T:
+        """Run a coroutine in the loop; otherwise as `ask`."""
+        self._begin()
+        deadline = time.monotonic() + timeout
+        # The first attempt is given the time that an answer may take.
+        self._tried.wait(timeout)
+        future = asyncio.run_coroutine_threadsafe(self._within(work), self._loop)
+        try:
+            return future.result(max(0.0, deadline - time.monotonic()))
+        except concurrent.futures.TimeoutError:
+            future.cancel()
+            text = f"{self.place}: no answer to {what} within {timeout:g} s"
+            raise BridgeTimeoutError(text) from None
+        except concurrent.futures.CancelledError:
+            raise self._closed(what) from None
+        except UoarmError as error:
+            raise translated(self.place, error) from error
+
+    @property
+    def place(self) -> str:
+        """The other manager, as errors name it."""
+        return f"the manager at {self._options.url}"
+
+    def start(self, work: Callable[[RemoteRobot], Coroutine[Any, Any, object]]) -> None:
+        """Run a coroutine in the loop and wait for nothing; what it raises is lost."""
+
+        async def running() -> None:
+            robot = self._robot
+            if robot is not None and self._is_up:
+                await work(robot)
+
+        if not self._loop.is_closed():
+            asyncio.run_coroutine_threadsafe(running(), self._loop)
+
+    def join(self, member: LinkMember) -> None:
+        """Have a member learn of the link from now on."""
+        with self._lock:
+            self._members[member] = None
+
+    def leave(self, member: LinkMember) -> None:
+        """Have a member learn nothing more."""
+        with self._lock:
+            self._members.pop(member, None)
+
+    def drop(self) -> None:
+        """Break the connection, so that a command which has not gone out never does."""
+        robot = self._robot
+        if robot is not None and not self._loop.is_closed():
+            self._loop.call_soon_threadsafe(robot.drop)
+
+    def close(self) -> None:
+        """End the link and its thread; waits two seconds at most."""
+        with self._lock:
+            self._is_closing = True
+            thread, closing = self._thread, self._closing
+        if thread is None:
+            self._loop.close()
+            return
+        if closing is not None:
+            self._loop.call_soon_threadsafe(closing.set)
+        thread.join(_JOIN_SECONDS)
+
+    def _begin(self) -> None:
+        with self._lock:
+            if self._is_closing:
+                raise self._closed("a question")
+            if self._thread is None:
+                self._thread = threading.Thread(
+                    target=self._main, name=f"uoarm-remote {self._name}", daemon=True
+                )
+                self._closing = asyncio.Event()
+                self._thread.start()
+
+    def _closed(self, what: str) -> BridgeError:
+        return BridgeError(f"{self.place}: closed before {what}", FailureReason.CLOSED)
+
+    def _main(self) -> None:
+        asyncio.set_event_loop(self._loop)
+        try:
+            self._loop.run_until_complete(self._run())
+        finally:
+            self._tried.set()
+            for task in asyncio.all_tasks(self._loop):
+                task.cancel()
+            self._loop.run_until_complete(asyncio.sleep(0))
+            self._loop.close()
+
+    async def _run(self) -> None:
+        assert self._closing is not None, "made before the thread"
+        ticking = asyncio.ensure_future(self._tick())
+        closing, failed = asyncio.ensure_future(self._closing.wait()), 0
+        try:
+            while not closing.done():
+                cause = await self._session(closing)
+                failed = 1 if self._is_up else failed + 1
+                self._down(cause)
+                await asyncio.wait((closing,), timeout=_BACKOFF.pause(failed))
+        finally:
+            ticking.cancel()
+            closing.cancel()
+
+    async def _session(self, closing: asyncio.Future[Any]) -> str:
+        """Connect and stay until the connection ends for good; returns why."""
+        try:
+            server = await self._server()
+            began = time.time()
+            robot = server.robot(reconnect=_FOREVER, on_link=self._changed)
+            async with robot.running(resume=True):
+                self._robot = robot
+                await robot.ask("List")  # the greeting has come before its answer
+                self._greeted(robot, began)
+                ended = asyncio.ensure_future(robot.ended())
+                await asyncio.wait((closing, ended), return_when=asyncio.FIRST_COMPLETED)
+                if not ended.done():
+                    ended.cancel()
+                    return "the bridge is closed"
+                return ended.result()
+        except InvalidStatus as error:
+            return _refusal(error)
+        except (OSError, InvalidHandshake, TimeoutError, asyncio.TimeoutError, UoarmError) as error:
+            return f"{type(error).__name__}: {error}"
+
+    async def _server(self) -> ServerAddress:
+        options = self._options
+        token = None if options.token_file is None else _token(Path(options.token_file))
+        tls: ssl.SSLContext | None = None
+        if options.tls is not None:
+            tls = options.tls.context()
+        elif options.fingerprint is not None:
+            tls = await asyncio.to_thread(
+                trust_fingerprint, options.url, options.fingerprint, timeout=options.timeout
+            )
+        identity = self._identity()
+        return ServerAddress(
+            options.url,
+            token,
+            tls,
+            options.timeout,
+            options.silence,
+            {"Uoarm-Manager": identity} if identity else {},
+        )
+
+    def _greeted(self, robot: RemoteRobot, began: float) -> None:
+        came = time.time()
+        told = robot.hello.get("time")
+        # Right to half of the time that connecting took.
+        self.ahead = None if told is None else told - (began + came) / 2
+        refuse_loop(self.place, (self._identity(), str(robot.hello.get("manager", ""))))
+        self._changed("")
+
+    def _changed(self, cause: str) -> None:
+        if cause:
+            self._down(cause)
+            return
+        with self._lock:
+            self._is_up, self._why_down = True, ""
+            members = tuple(self._members)
+        self._tried.set()
+        for member in members:
+            member.link_is_up()
+
+    def _down(self, cause: str) -> None:
+        with self._lock:
+            self.breaks += self._is_up
+            self._is_up, self._why_down = False, cause
+            members = tuple(self._members)
+        self._tried.set()
+        for member in members:
+            member.link_broke(cause)
+
+    async def _within(self, work: Callable[[RemoteRobot], Coroutine[Any, Any, T]]) -> T:
+        robot = self._robot
+        if robot is None or not self._is_up:
+            text = f"it is not reached: {self._why_down}"
+            raise BridgeError(text, FailureReason.UNAVAILABLE)
+        return await work(robot)
+
+    async def _tick(self) -> None:
+        while True:
+            await asyncio.sleep(_TICK_SECONDS)
+            with self._lock:
+                members = tuple(self._members)
+            for member in members:
+                member.tick()
+
+
+def _token(path: Path) -> str:
+    """Read a token, as it is shown: the file may have been renewed since the last time."""
+    try:
+        with path.open(encoding="ascii") as stream:
+            token = stream.read(_MOST_TOKEN).strip()
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigurationError(f"the token file {path} cannot be read: {error}") from error
+    if not token or len(token.split()) != 1:
+        raise ConfigurationError(f"the token file {path}: expected one token and nothing else")
+    return token
+
+
+def _refusal(error: InvalidStatus) -> str:
+    status = error.response.status_code
+    why = {
+        400: "it speaks another version of the protocol, or is no uoarm server",
+        401: "it does not take the token, or wants one: `token_file`",
+        403: "it does not let this manager in",
+    }.get(status, "it refused")
+    return f"{why} (HTTP {status})"

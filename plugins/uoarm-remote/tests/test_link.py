@@ -1,0 +1,336 @@
+"""The link to another manager: what breaks it, what it lets through, and what it refuses."""
+
+from __future__ import annotations
+
+import json
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from pathlib import Path
+
+import pytest
+from parts import stage
+from robots import ROBOT, ServedRobot, here
+
+from uoarm import RobotManager
+from uoarm.config import loads
+from uoarm.errors import ConfigurationError, ResolutionError
+from uoarm.server import hash_token, make_token
+from uoarm.testing import Proxy, patience, wait
+
+Desk = Callable[..., RobotManager]
+TOKEN, OTHER = make_token(), make_token()
+ACCESS = f"""
+version: 1
+roles:
+  fleet: {{see: all, request: all, send: all, call: all, kill: all, stop: all, release: all}}
+  other: {{see: [double], call: [double]}}
+tokens:
+  - {{name: desk, role: fleet, sha256: {hash_token(TOKEN)}}}
+  - {{name: screen, role: other, sha256: {hash_token(OTHER)}}}
+"""
+DESK = """
+version: 1
+bridges: {{robot3: {{plugin: remote, options: {{url: "{url}", grace: {grace}{options}}}}}}}
+functions:
+  counter: {{components: [{{name: far_counter, bridge: robot3, output: {{endpoint: [counter]}}}}]}}
+  drive: {{components: [{{name: far_base, bridge: robot3, input: {{endpoint: [drive]}}}}]}}
+  double: {{components: [{{name: far_double, bridge: robot3, service: {{endpoint: [double]}}}}]}}
+  hidden: {{components: [{{name: far_hidden, bridge: robot3, service: {{endpoint: [silent]}}}}]}}
+"""
+
+
+@pytest.fixture
+def desk() -> Iterator[Desk]:
+    with ExitStack() as stack:
+
+        def make(url: str, options: str = "", grace: float | None = None) -> RobotManager:
+            text = DESK.format(url=url, options=options, grace=grace or patience())
+            return stack.enter_context(RobotManager(loads(text, origin=here("desk.yaml"))))
+
+        yield make
+
+
+@pytest.fixture
+def proxy(robot: ServedRobot) -> Iterator[Proxy]:
+    with Proxy(robot.port) as made:
+        yield made
+
+
+def facts_of(manager: RobotManager) -> dict[str, object]:
+    return dict(manager.status().bridges[0].facts)
+
+
+def through(proxy: Proxy) -> str:
+    return f"ws://127.0.0.1:{proxy.port}/"
+
+
+def test_streams_commands_and_services_pass(robot: ServedRobot, desk: Desk) -> None:
+    manager = desk(robot.url)
+    with manager.request("counter") as counter:
+        first = counter.get(patience())["value"]
+        assert counter.get(patience())["value"] > first
+    with manager.request("drive") as drive:
+        drive.send({"speed": 0.5})
+        wait(lambda: 0.5 in stage.taken, "the command did not arrive")
+    assert manager.call("double", {"value": 21}, timeout=patience()) == {"value": 42}
+
+
+def test_a_kill_here_ends_there_what_only_this_used(robot: ServedRobot, desk: Desk) -> None:
+    manager = desk(robot.url)
+    with manager.request("counter") as counter:
+        counter.get(patience())
+        assert [entry.function for entry in robot.manager.status().connections] == ["counter"]
+    wait(lambda: not robot.manager.status().connections, "the connection there is still open")
+
+
+def test_what_moves_stops_there_when_the_link_is_cut(
+    robot: ServedRobot, proxy: Proxy, desk: Desk
+) -> None:
+    manager = desk(through(proxy))
+    with manager.request("drive") as drive:
+        drive.send({"speed": 0.5})
+        wait(lambda: stage.taken == [0.5], "the command did not arrive")
+        proxy.cut(admit=False)
+        wait(lambda: stage.taken[-1] == 0.0, "it was not stopped within its lifetime")
+
+
+def test_a_command_that_was_not_answered_never_arrives(
+    robot: ServedRobot, proxy: Proxy, desk: Desk
+) -> None:
+    manager = desk(through(proxy))
+    with manager.request("drive") as drive:
+        drive.send({"speed": 0.5})
+        wait(lambda: stage.taken == [0.5], "the command did not arrive")
+        proxy.hold(to_server=True)
+        drive.send({"speed": 1.0})  # is taken by the queue here, and waits for its answer
+        wait(
+            lambda: facts_of(manager)["breaks"] == 1,
+            "the link was not broken for the command that is too old",
+        )
+        with pytest.raises(AssertionError):  # never: it died with its connection
+            wait(lambda: 1.0 in stage.taken, "", timeout=1.0)
+
+        def drives_again() -> bool:
+            drive.send({"speed": 0.25})
+            return 0.25 in stage.taken
+
+        wait(drives_again, "commands do not pass again")
+        assert 1.0 not in stage.taken
+
+
+def test_what_is_lost_in_a_cut_is_counted(robot: ServedRobot, proxy: Proxy, desk: Desk) -> None:
+    manager = desk(through(proxy))
+    with manager.request("counter") as counter:
+        numbers = [counter.get(patience())["value"]]
+        proxy.cut()
+        while len(numbers) < 2 or numbers[-1] == numbers[-2] + 1:
+            numbers.append(counter.get(patience())["value"])
+            if len(numbers) > 50:
+                break
+        [component] = manager.status().components
+        facts = dict(component.channels[0].facts)
+        missing = numbers[-1] - numbers[0] + 1 - len(numbers)
+        assert int(str(facts["lost_on_link"])) >= missing
+        assert facts["gaps"] == 0  # the same session, so that it is known what was lost
+
+
+def test_a_dead_link_is_reported_with_the_manager_and_the_cause(
+    robot: ServedRobot, proxy: Proxy, desk: Desk
+) -> None:
+    manager = desk(through(proxy), grace=0.2)
+    with manager.request("counter") as counter:
+        counter.get(patience())
+        proxy.cut(admit=False)
+        wait(lambda: counter.state.value in {"failed", "closed"}, "the loss was not noticed")
+        assert "disconnected: counter of the manager at" in counter.cause
+
+
+def test_where_something_died_is_said_in_one_sentence(robot: ServedRobot, desk: Desk) -> None:
+    text = DESK.replace("[counter]", "[first]").format(url=robot.url, options="", grace=60)
+    with (
+        RobotManager(loads(text, origin=here("desk.yaml"))) as manager,
+        manager.request("counter") as connection,
+    ):
+        assert connection.get(patience()) == {"value": 1}
+        stage.ends["first"].set()
+        wait(lambda: connection.state.value == "failed", "the death there was not noticed")
+        assert "peer: first of the manager at" in connection.cause
+        assert "first was unplugged" in connection.cause
+
+
+def test_a_token_is_read_from_a_file_and_shown(tmp_path: Path, desk: Desk) -> None:
+    access, token = tmp_path / "access.yaml", tmp_path / "token"
+    access.write_text(ACCESS, encoding="utf-8")
+    token.write_text(f"{TOKEN}\n", encoding="utf-8")
+    exported = ROBOT.replace('{local: ["*"]}', "{fleet: [counter, double], other: [double]}")
+    robot = ServedRobot(exported, access)
+    try:
+        manager = desk(robot.url, f', token_file: "{token}"')
+        assert manager.call("double", {"value": 2}, timeout=patience()) == {"value": 4}
+        with pytest.raises(ResolutionError, match="export") as caught:
+            manager.call("hidden", {"value": 2}, timeout=patience())
+        assert TOKEN not in str(caught.value)
+        wrong = tmp_path / "wrong"
+        wrong.write_text(make_token(), encoding="utf-8")
+        refused = desk(robot.url, f', token_file: "{wrong}"')
+        with pytest.raises(ResolutionError, match="does not take the token"):
+            refused.call("double", {"value": 2}, timeout=patience())
+        absent = desk(robot.url, f', token_file: "{tmp_path / "none"}"')
+        with pytest.raises(ResolutionError, match=r"token file .* cannot be read"):
+            absent.call("double", {"value": 2}, timeout=patience())
+    finally:
+        robot.close()
+
+
+def test_what_is_not_exported_and_what_is_not_there_look_alike(tmp_path: Path) -> None:
+    access, token = tmp_path / "access.yaml", tmp_path / "token"
+    access.write_text(ACCESS, encoding="utf-8")
+    token.write_text(OTHER, encoding="utf-8")
+    robot = ServedRobot(ROBOT.replace('{local: ["*"]}', "{other: [double]}"), access)
+    texts = set()
+    try:
+        for name in ("counter", "counte", "nowhere"):
+            text = DESK.replace("[counter]", f"[{name}]").format(
+                url=robot.url, grace=5, options=f', token_file: "{token}", discover: true'
+            )
+            with RobotManager(loads(text, origin=here("desk.yaml"))) as manager:
+                with pytest.raises(ResolutionError) as caught:
+                    manager.request("counter", timeout=patience())
+                texts.add(str(caught.value).split("export")[1].replace(name, "X"))
+                [found] = [item for item in manager.discover() if item.bridge == "robot3"]
+                assert [component.name for component in found.components] == ["double"]
+    finally:
+        robot.close()
+    (said,) = texts
+    assert "did you mean" not in said
+
+
+def test_a_manager_that_imports_itself_is_refused(desk: Desk) -> None:
+    robot = ServedRobot(ROBOT)
+    text = ROBOT.replace(
+        "bridges: {python: {}}",
+        f'bridges: {{python: {{}}, self: {{plugin: remote, options: {{url: "{robot.url}"}}}}}}',
+    )
+    text += "  again: {components: [{name: again, bridge: self, service: {endpoint: [double]}}]}\n"
+    try:
+        robot.manager.apply(loads(text, origin=here()))
+        with pytest.raises(ResolutionError, match="a loop through managers"):
+            robot.manager.call("again", {"value": 1}, timeout=patience())
+    finally:
+        robot.close()
+
+
+def test_a_way_round_is_refused_and_shown() -> None:
+    """A asks B, which asks A: by their identities, whatever their addresses."""
+    first = ServedRobot(ROBOT)
+    imports = """
+version: 1
+bridges: {{far: {{plugin: remote, options: {{url: "{url}"}}}}}}
+export: {{local: ["*"]}}
+functions:
+  {own}:
+    components: [{{name: {own}_far, bridge: far, service: {{endpoint: [{other}]}}}}]
+"""
+    second = ServedRobot(imports.format(url=first.url, own="there", other="back"))
+    try:
+        text = imports.format(url=second.url, own="back", other="there")
+        first.manager.apply(loads(text, origin=here()), force=True)
+        with pytest.raises(ResolutionError, match="a loop through managers"):
+            first.manager.call("back", {"value": 1}, timeout=patience())
+    finally:
+        second.close()
+        first.close()
+
+
+def test_a_chain_of_three_managers(robot: ServedRobot) -> None:
+    between = """
+version: 1
+bridges: {{far: {{plugin: remote, options: {{url: "{url}"}}}}}}
+export: {{local: ["*"]}}
+failover: {{enabled: false}}
+functions:
+  first: {{components: [{{name: first_{name}, bridge: far, output: {{endpoint: [first]}}}}]}}
+  drive: {{components: [{{name: drive_{name}, bridge: far, input: {{endpoint: [drive]}}}}]}}
+  double: {{components: [{{name: double_{name}, bridge: far, service: {{endpoint: [double]}}}}]}}
+"""
+    middle = ServedRobot(between.format(url=robot.url, name="middle"))
+    last = ServedRobot(between.format(url=middle.url, name="last"))
+    try:
+        assert last.manager.call("double", {"value": 8}, timeout=patience()) == {"value": 16}
+        plan = str(last.manager.resolve("first"))
+        assert f"{middle.manager.identity}, then {robot.manager.identity}" in plan
+        with last.manager.request("drive") as drive:
+            drive.send({"speed": 0.75})
+            wait(lambda: 0.75 in stage.taken, "the command did not come through")
+            wait(lambda: stage.taken[-1] == 0.0, "it was not stopped at the end of its lifetime")
+        with last.manager.request("first") as connection:
+            assert connection.get(patience()) == {"value": 1}
+            stage.ends["first"].set()
+            wait(lambda: connection.state.value == "failed", "the death was not noticed")
+            for url in (middle.url, robot.url):
+                assert url in connection.cause
+            assert "first was unplugged" in connection.cause
+    finally:
+        last.close()
+        middle.close()
+
+
+def test_an_emergency_stop_there_is_a_refusal_here(robot: ServedRobot, desk: Desk) -> None:
+    manager = desk(robot.url)
+    with manager.request("drive") as drive:
+        drive.send({"speed": 0.5})
+        wait(lambda: stage.taken == [0.5], "the command did not arrive")
+        robot.manager.stop_all()
+        drive.send({"speed": 0.75})
+        drive.flush(patience())
+        status = manager.status()
+        assert dict(status.routes[0].dropped) == {"held": 1}
+        assert status.components[0].health.value == "ok"
+        assert 0.75 not in stage.taken
+        robot.manager.release()
+
+
+def test_the_status_shows_the_other_manager_and_its_clock(robot: ServedRobot, desk: Desk) -> None:
+    manager = desk(robot.url)
+    assert manager.call("double", {"value": 1}, timeout=patience()) == {"value": 2}
+    facts = facts_of(manager)
+    assert facts["manager"] == robot.manager.identity
+    assert abs(float(str(facts["clock_ahead"]))) < patience()
+    json.dumps(dict(facts))
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ('url: "http://robot3/"', "wss"),
+        ('url: "ws://robot3/", fingerprint: "00"', "fingerprint"),
+        ('url: "ws://robot3:9080/", tls: {ca: x.pem}', "wss://"),
+        ('ulr: "ws://robot3/"', "did you mean"),
+    ],
+)
+def test_options_are_checked_without_a_connection(options: str, said: str) -> None:
+    from uoarm.bridge import Registry
+
+    bridge = f"{{plugin: remote, options: {{{options}}}}}"
+    text = f"version: 1\nbridges: {{far: {bridge}}}\nfunctions: {{}}\n"
+    with pytest.raises(ConfigurationError, match=said):
+        loads(text, types=Registry().types)
+
+
+def test_closing_leaves_no_thread(robot: ServedRobot, desk: Desk) -> None:
+    with desk(robot.url) as manager, manager.request("counter") as counter:
+        counter.get(patience())
+    wait(
+        lambda: not [item for item in threading.enumerate() if "uoarm-remote" in item.name],
+        "a thread is left over",
+    )
+
+
+def test_a_peer_that_is_not_there_is_named(desk: Desk) -> None:
+    with ExitStack() as stack:
+        robot = ServedRobot()
+        stack.callback(robot.close)
+        robot.stop()
+        with pytest.raises(ResolutionError, match=r"the manager at ws://127.0.0.1:\d+/: it is not"):
+            desk(robot.url).request("counter", timeout=patience())
