@@ -31,6 +31,8 @@ class Socket:
         self.sent: list[dict[str, Any]] = []
         self._messages = deque(json.dumps(mapping) for mapping in messages)
 
+    async def close(self) -> None: ...
+
     async def send(self, frame: bytes, text: bool) -> None:
         assert text
         self.sent.append(json.loads(frame))
@@ -131,8 +133,8 @@ def test_changes_that_are_not_taken_are_the_newest() -> None:
 
         client = RemoteRobot(opening, TEXT_FORM)
         watching = client.watch()
+        first = asyncio.ensure_future(anext(watching))
         async with client.running(resume=False):
-            first = asyncio.ensure_future(anext(watching))
             await client.ended()
         numbers = [(await first).number, *[status_event.number async for status_event in watching]]
         assert len(numbers) < 2000

@@ -243,7 +243,7 @@ class ManagerLink:
         token = None if options.token_file is None else _token(Path(options.token_file))
         tls: ssl.SSLContext | None = None
         if options.tls is not None:
-            tls = options.tls.context()
+            tls = options.tls.context(self._name)
         elif options.fingerprint is not None:
             tls = await asyncio.to_thread(
                 trust_fingerprint, options.url, options.fingerprint, timeout=options.timeout
@@ -260,9 +260,9 @@ class ManagerLink:
 
     def _greeted(self, robot: RemoteRobot, began: float) -> None:
         came = time.time()
-        told = robot.hello.get("time")
+        there = robot.hello.get("time")
         # Right to half of the time that connecting took.
-        self.ahead = None if told is None else told - (began + came) / 2
+        self.ahead = None if there is None else there - (began + came) / 2
         refuse_loop(self.place, (self._identity(), str(robot.hello.get("manager", ""))))
         self._changed("")
 

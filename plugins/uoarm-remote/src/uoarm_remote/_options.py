@@ -27,9 +27,7 @@ class ManagerOptions(BridgeOptions):
     token_file: str | None = option(
         None, _FILE, "file that holds the token which is shown, and nothing else"
     )
-    tls: TlsOptions | None = option(  # noqa: RUF009 - no default is shared
-        None, TlsOptions, "what is trusted and shown, with `wss`"
-    )
+    tls: TlsOptions | None = option(None, TlsOptions, "what is trusted and shown, with `wss`")
     fingerprint: str | None = option(
         None, _FINGERPRINT, "SHA-256 of its certificate, as `uoarm serve --tls auto` prints it"
     )
