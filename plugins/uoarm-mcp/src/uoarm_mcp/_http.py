@@ -95,6 +95,8 @@ class AdmittingApp:
         """Answer one request."""
         if scope["type"] != "http":
             return
+        # The parser leaves the blanks at the end of a value, which are no part of it.
+        scope["headers"] = [(name, value.strip(b" \t")) for name, value in scope["headers"]]
         headers = [
             (name.decode("latin-1"), value.decode("latin-1")) for name, value in scope["headers"]
         ]

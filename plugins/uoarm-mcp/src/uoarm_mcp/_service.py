@@ -26,11 +26,13 @@ from mcp_types import (
     CallToolResult,
     EmptyResult,
     ListResourcesResult,
+    ListResourceTemplatesResult,
     ListToolsResult,
     PaginatedRequestParams,
     ReadResourceRequestParams,
     ReadResourceResult,
     Resource,
+    ResourceTemplate,
     SubscribeRequestParams,
     SubscriptionsListenRequestParams,
     SubscriptionsListenResult,
@@ -96,6 +98,7 @@ class AgentService:
             on_list_tools=self._list_tools,
             on_call_tool=self._call_tool,
             on_list_resources=self._list_resources,
+            on_list_resource_templates=self._list_templates,
             on_read_resource=self._read_resource,
             on_subscribe_resource=self._subscribe,
             on_unsubscribe_resource=self._unsubscribe,
@@ -175,6 +178,24 @@ class AgentService:
             for uri, kind, size in agent.kept.uris()
         ]
         return ListResourcesResult(resources=[*catalogue.resources.values(), *kept])
+
+    async def _list_templates(
+        self, context: _Context, params: PaginatedRequestParams | None
+    ) -> ListResourceTemplatesResult:
+        del params
+        self._agent(context)
+        several = " with several outputs"
+        return ListResourceTemplatesResult(
+            resource_templates=[
+                ResourceTemplate(
+                    uri_template=f"{STREAM}{{function}}{more}",
+                    name="output" if more else "stream",
+                    description=f"The latest message of a function{several if more else ''}.",
+                    mime_type="application/json",
+                )
+                for more in ("", "/{output}")
+            ]
+        )
 
     async def _read_resource(
         self, context: _Context, params: ReadResourceRequestParams
