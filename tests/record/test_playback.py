@@ -62,8 +62,9 @@ def never() -> bool:
 def test_readers_that_wait_are_moved() -> None:
     clock = ManualClock()
     playback = Playback(Timeline(1.0, is_paused=True), 0, 10 * SECOND, clock)
-    begin, generation = playback.begin("a")
-    assert (begin, generation) == (0, 0)
+    begin, lap, generation = playback.join("a")
+    assert (begin, lap, generation) == (0, 0, 0)
+    playback.begin()
     first = Background(lambda: playback.wait("a", 2 * SECOND, generation, never))
     second = Background(lambda: playback.wait("b", 3 * SECOND, generation, never))
     wait(lambda: len(playback._next) == 2)
@@ -71,17 +72,53 @@ def test_readers_that_wait_are_moved() -> None:
     assert first.result(patience()) is PlaybackTurn.PLAY
     playback.seek(7.0)
     assert second.result(patience()) is PlaybackTurn.ELSEWHERE
-    assert playback.begin("a") == (7 * SECOND, 1)
+    assert playback.join("a") == (7 * SECOND, 0, 1)
     status = playback.status()
     assert (status.position, status.duration, status.is_paused) == (7.0, 10.0, True)
 
 
 def test_a_reader_that_is_over_stops() -> None:
     playback = Playback(Timeline(1.0, is_paused=True), 0, 10 * SECOND)
-    _, generation = playback.begin("a")
+    *_, generation = playback.join("a")
     over = threading.Event()
     waiting = Background(lambda: playback.wait("a", SECOND, generation, over.is_set))
     wait(lambda: playback._next)
     over.set()
     playback.end("a")
     assert waiting.result(patience()) is PlaybackTurn.STOP
+
+
+def test_a_reader_that_comes_later_joins_where_the_others_are() -> None:
+    clock = ManualClock()
+    playback = Playback(Timeline(1.0), 0, 10 * SECOND, clock)
+    assert playback.join("a") == (0, 0, 0)
+    clock.advance(5.0)  # as long as the first message takes to read
+    playback.begin()
+    clock.advance(0.5)
+    assert playback.join("together with it") == (0, 0, 0)
+    clock.advance(2.5)
+    assert playback.join("later") == (3 * SECOND, 0, 0)
+    clock.advance(20.0)
+    assert playback.join("in the third turn", loops=True) == (3 * SECOND, 2, 0)
+
+
+def test_without_readers_it_begins_anew() -> None:
+    clock = ManualClock()
+    playback = Playback(Timeline(1.0, 2 * SECOND), 0, 10 * SECOND, clock)
+    playback.join("a")
+    playback.begin()
+    clock.advance(8.0)
+    playback.end("a")
+    clock.advance(100.0)
+    assert playback.join("b") == (2 * SECOND, 0, 0)
+    playback.begin()
+    clock.advance(1.0)
+    assert playback.status().position == 3.0
+
+
+def test_as_fast_as_messages_are_taken_a_later_reader_misses_none() -> None:
+    playback = Playback(Timeline(None), 0, 10 * SECOND, ManualClock())
+    *_, generation = playback.join("a")
+    playback.begin()
+    assert playback.wait("a", 9 * SECOND, generation, never) is PlaybackTurn.PLAY
+    assert playback.join("b") == (0, 0, 0)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import threading
 from collections.abc import Mapping
 from datetime import datetime, timezone
@@ -239,11 +240,15 @@ class _RecordedSource(Source):
 
     def _play(self, topic: str) -> None:
         bridge, playback = self._bridge, self._playback
-        file, lap = bridge._file, 0  # noqa: SLF001 - its own module
-        begin, generation = playback.begin(self)
+        file = bridge._file  # noqa: SLF001 - its own module
+        loops = bridge._loops and playback.length > 0  # noqa: SLF001 - its own module
+        begin, lap, generation = playback.join(self, loops=loops)
         while not self._over.is_set():
             turn = PlaybackTurn.PLAY
-            for message in file.messages(topic, file.start + begin, self._deliver.unreadable):
+            messages = file.messages(topic, file.start + begin, self._deliver.unreadable)
+            first = next(messages, None)
+            playback.begin()
+            for message in itertools.chain(() if first is None else (first,), messages):
                 place = message.time - file.start + lap * playback.length
                 turn = playback.wait(self, place, generation, self._over.is_set)
                 if turn is not PlaybackTurn.PLAY:
@@ -252,8 +257,8 @@ class _RecordedSource(Source):
             if turn is PlaybackTurn.STOP:
                 return
             if turn is PlaybackTurn.ELSEWHERE:
-                (begin, generation), lap = playback.begin(self), 0
-            elif bridge._loops and playback.length:  # noqa: SLF001 - its own module
+                begin, lap, generation = playback.join(self, loops=loops)
+            elif loops:
                 begin, lap = 0, lap + 1
             else:
                 return

@@ -57,6 +57,7 @@ CONTROL_REPLY: Any = {
 }
 
 _NANO = 1_000_000_000
+_TOGETHER = _NANO
 _STEP_SECONDS = 1.0
 
 
@@ -78,6 +79,10 @@ class Timeline:
         """It is played from now on, unless it stands; nothing where it began before."""
         if self._anchor_time is None:
             self._anchor_time = now
+
+    def rewind(self, begin: int) -> None:
+        """Begin anew, from somewhere, at the next `start`."""
+        self._anchor, self._anchor_time = begin, None
 
     def position(self, now: float) -> int:
         """Return where it is. As fast as messages are taken, that is where the last one was."""
@@ -183,12 +188,25 @@ class Playback:
         self._is_stepping = False
         self.generation = 0
 
-    def begin(self, reader: object) -> tuple[int, int]:
-        """Have it begin, where it has not; returns where a reader begins, and the generation."""
+    def join(self, reader: object, *, loops: bool = False) -> tuple[int, int, int]:
+        """Return where a reader begins, in which turn of a loop, and the generation.
+
+        Without other readers it begins anew. With them a reader joins where they are; what is
+        opened together with them, within a second, begins where they did.
+        """
+        with self._moved:
+            if not self._readers:
+                self._timeline.rewind(self._begin)
+            self._readers.add(reader)
+            place, begin, lap = self._timeline.position(self._clock()), self._begin, 0
+            if self._timeline.rate is not None and place - begin > _TOGETHER:
+                lap, begin = divmod(place, self.length) if loops and self.length else (0, place)
+            return begin, lap, self.generation
+
+    def begin(self) -> None:
+        """Have it begin, where it has not, once the first message of a reader is at hand."""
         with self._moved:
             self._timeline.start(self._clock())
-            self._readers.add(reader)
-            return self._begin, self.generation
 
     def end(self, reader: object) -> None:
         """A reader has nothing more, or is closed."""

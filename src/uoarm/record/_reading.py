@@ -9,10 +9,14 @@ from __future__ import annotations
 import heapq
 import struct
 import threading
+import time
 import zlib
-from collections.abc import Callable, Iterator, Mapping
+from bisect import bisect_left
+from collections import OrderedDict
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from operator import itemgetter
 from pathlib import Path
-from typing import BinaryIO, Protocol
+from typing import BinaryIO, Protocol, TypeAlias
 
 from attrs import define, field, frozen
 
@@ -96,6 +100,12 @@ class _Part:
     end: int
 
 
+_Timed: TypeAlias = "tuple[int, bytes | memoryview]"
+_Found: TypeAlias = "tuple[Mapping[int, list[_Timed]], str]"
+"""The messages of a part by the number of their channel, each list in order; what is damaged."""
+_time_of: Callable[[_Timed], int] = itemgetter(0)
+
+
 class _DamageError(Exception):
     """Something that cannot be read; the text says what."""
 
@@ -121,6 +131,7 @@ class McapReader:
         self._parts: list[_Part] = []
         self._has_schemas = True  # of all channels that say that they have one
         self._size, self._size_read = 0, len(_MAGIC)
+        self._cache = _PartCache(self._found_in)
         # Guards the place up to which a growing file was read, between sources that open.
         self._growing = threading.Lock()
         try:
@@ -153,27 +164,35 @@ class McapReader:
         """
         wanted = self.channels[topic]
         ids = {number for number, channel in self._ids.items() if channel == wanted}
-        waiting: list[tuple[int, int, int, bytes | memoryview]] = []
+        # Of each part that was begun: its next message's time, its place, the message's, and all.
+        begun: list[tuple[int, int, int, list[_Timed]]] = []
         parts = [part for part in self._parts if part.end >= since]
         place = held = 0
-        with self.path.open("rb") as file:
-            while place < len(parts) or waiting:
-                while place < len(parts) and (
-                    not waiting or (parts[place].start <= waiting[0][0] and held < _MOST_HELD)
-                ):
-                    part = parts[place]
-                    try:
-                        for number, (time, data) in enumerate(self._messages_of(file, part, ids)):
-                            if time >= since:
-                                heapq.heappush(waiting, (time, place, number, data))
-                                held += len(data)
-                    except _DamageError as error:
-                        on_damage(str(error))
-                    place += 1
-                if waiting:
-                    time, _, _, octets = heapq.heappop(waiting)
-                    held -= len(octets)
-                    yield StoredMessage(time, octets)
+        while place < len(parts) or begun:
+            while place < len(parts) and (
+                not begun or (parts[place].start <= begun[0][0] and held < _MOST_HELD)
+            ):
+                found, damage = self._cache.get(parts[place])
+                if place + 1 < len(parts):
+                    self._cache.prepare(parts[place + 1])
+                if damage:
+                    on_damage(damage)
+                messages = list(
+                    heapq.merge(*(found.get(number, ()) for number in ids), key=_time_of)
+                )
+                first = bisect_left(messages, since, key=_time_of)
+                if first < len(messages):
+                    heapq.heappush(begun, (messages[first][0], place, first, messages))
+                    held += _octets_of(messages)
+                place += 1
+            if begun:
+                _, part, number, messages = begun[0]
+                if number + 1 < len(messages):
+                    heapq.heapreplace(begun, (messages[number + 1][0], part, number + 1, messages))
+                else:
+                    heapq.heappop(begun)
+                    held -= _octets_of(messages)
+                yield StoredMessage(*messages[number])
 
     def end_of_records(self) -> int:
         """Return where the last record that is whole now ends, and take in its definitions.
@@ -392,15 +411,35 @@ class McapReader:
     def _messages_of(
         self, file: BinaryIO, part: _Part, ids: set[int]
     ) -> Iterator[tuple[int, memoryview]]:
-        if part.is_chunk:
-            data = self._chunk(file, part)
-        else:
-            data = memoryview(_content(file, part.at, part.octets))
-        for opcode, content in _inner_records(data, part.at):
+        for opcode, content in _inner_records(self._records_in(file, part), part.at):
             if opcode == _MESSAGE_RECORD:
                 number, _, time, _ = _MESSAGE.unpack_from(content)
                 if number in ids:
                     yield time, content[_MESSAGE.size :]
+
+    def _found_in(self, part: _Part, *, is_ahead: bool) -> _Found:
+        """Read a whole part; ahead of its time it lets others go first, again and again."""
+        found: dict[int, list[_Timed]] = {}
+        damage, count = "", 0
+        with self.path.open("rb") as file:
+            try:
+                for opcode, content in _inner_records(self._records_in(file, part), part.at):
+                    if opcode == _MESSAGE_RECORD:
+                        number, _, at, _ = _MESSAGE.unpack_from(content)
+                        found.setdefault(number, []).append((at, content[_MESSAGE.size :]))
+                    count += 1
+                    if is_ahead and not count % _TURN_RECORDS:
+                        time.sleep(0)
+            except _DamageError as error:
+                damage = str(error)
+        for messages in found.values():
+            messages.sort(key=_time_of)
+        return found, damage
+
+    def _records_in(self, file: BinaryIO, part: _Part) -> memoryview:
+        if part.is_chunk:
+            return self._chunk(file, part)
+        return memoryview(_content(file, part.at, part.octets))
 
     def _chunk(self, file: BinaryIO, part: _Part) -> memoryview:
         """Return the records of a chunk, unpacked."""
@@ -425,6 +464,89 @@ class McapReader:
 
 
 _POLL_SECONDS = 0.05
+_TURN_RECORDS = 256
+_KEPT_OCTETS = 33_554_432
+_KEPT_PARTS = 4
+_AHEAD_OCTETS = 4_194_304
+
+
+class _Loaded:
+    """A part that is read, or is being read by another thread."""
+
+    def __init__(self) -> None:
+        self.is_read = threading.Event()
+        self.found: _Found | None = None
+        self.error: OSError | None = None
+        self.octets = 0
+
+
+class _PartCache:
+    """The parts that the channels of a file are at, read once for all of them, and ahead.
+
+    Reading a part takes longer than some messages are apart: what is read ahead keeps their times.
+
+    Args:
+        read: reads a part.
+    """
+
+    def __init__(self, read: Callable[..., _Found]) -> None:
+        self._read = read
+        self._kept: OrderedDict[int, _Loaded] = OrderedDict()
+        # Guards what is kept, between the channels' threads.
+        self._lock = threading.Lock()
+
+    def get(self, part: _Part) -> _Found:
+        """Return what is in a part; raises OSError."""
+        loaded, is_new = self._find(part)
+        if is_new:
+            self._load(part, loaded, is_ahead=False)
+        loaded.is_read.wait()
+        if loaded.error is not None:
+            raise loaded.error
+        assert loaded.found is not None, "it is read"
+        return loaded.found
+
+    def prepare(self, part: _Part) -> None:
+        """Have a part read that is wanted next, where it is not large."""
+        if part.octets > _AHEAD_OCTETS:
+            return
+        loaded, is_new = self._find(part)
+        if is_new:
+            threading.Thread(
+                target=self._load,
+                args=(part, loaded),
+                kwargs={"is_ahead": True},
+                name="uoarm-recording-ahead",
+                daemon=True,
+            ).start()
+
+    def _find(self, part: _Part) -> tuple[_Loaded, bool]:
+        with self._lock:
+            loaded = self._kept.get(part.at)
+            if loaded is not None:
+                self._kept.move_to_end(part.at)
+                return loaded, False
+            loaded = self._kept[part.at] = _Loaded()
+            return loaded, True
+
+    def _load(self, part: _Part, loaded: _Loaded, *, is_ahead: bool) -> None:
+        try:
+            loaded.found = self._read(part, is_ahead=is_ahead)
+            loaded.octets = sum(map(_octets_of, loaded.found[0].values()))
+        except OSError as error:
+            loaded.error = error
+        finally:
+            loaded.is_read.set()
+        with self._lock:
+            if loaded.error is not None:
+                self._kept.pop(part.at, None)
+            octets = sum(other.octets for other in self._kept.values())
+            while octets > _KEPT_OCTETS or len(self._kept) > _KEPT_PARTS:
+                octets -= self._kept.popitem(last=False)[1].octets
+
+
+def _octets_of(messages: Iterable[_Timed]) -> int:
+    return sum(len(data) for _, data in messages)
 
 
 def _unpacked(compression: str, packed: bytes, size: int) -> bytes:
