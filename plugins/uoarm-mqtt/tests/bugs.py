@@ -7,7 +7,7 @@ from collections.abc import Callable
 from typing import Any
 
 from attrs import evolve, frozen
-from uoarm_mqtt import _bridge, _channels, _codec, _discovery, _link, _subscriptions
+from uoarm_mqtt import _bridge, _channels, _codec, _health, _link, _subscriptions
 
 from uoarm.bridge import Disconnection, ReceiveQueue
 from uoarm.errors import BridgeError, MessageError
@@ -273,7 +273,7 @@ BUGS: tuple[Bug, ...] = (
     ),
     Bug(
         "takes no notice of a last will",
-        _discovery.RetainedTopic,
+        _health.RetainedTopic,
         "_take",
         keeping_only,
         DisturbanceRules.test_a_death_is_reported_with_its_cause,
@@ -281,7 +281,7 @@ BUGS: tuple[Bug, ...] = (
     ),
     Bug(
         "reports deaths of a component of another name",
-        _discovery.Components,
+        _health.Components,
         "__init__",
         of_no_component,
         DisturbanceRules.test_each_death_is_reported_of_its_own_component,

@@ -12,9 +12,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from ros import Ros, eventually, url
-from uoarm_rosbridge._arguments import read_arguments
 from uoarm_rosbridge._hub import Hub
 from uoarm_rosbridge._publication import SharedPublication
+from uoarm_rosbridge._types import read_arguments
 
 from uoarm import RobotManager
 from uoarm.bridge import BridgeType, Registry

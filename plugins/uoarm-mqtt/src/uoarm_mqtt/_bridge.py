@@ -25,12 +25,12 @@ from uoarm_mqtt._channels import MqttSink, MqttSource, ServedTopic, ServiceCalls
 from uoarm_mqtt._codec import PayloadCodec, limits_of, with_topic, without_topic
 from uoarm_mqtt._discovery import (
     STRUCTURE_HINTS,
-    Components,
     configured,
     described,
     read_schema,
     topics_on,
 )
+from uoarm_mqtt._health import Components
 from uoarm_mqtt._link import BrokerConnection
 from uoarm_mqtt._options import MqttOptions, TopicOptions, announcement, connection_options, mistake
 

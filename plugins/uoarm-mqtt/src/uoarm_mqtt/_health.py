@@ -1,18 +1,22 @@
-"""Health of components, as their topics say it: no clock, no socket."""
+"""Health of components, as their retained topics say it."""
 
 from __future__ import annotations
 
 import json
+import threading
+from collections.abc import Callable
 from typing import Any
 
 from attrs import frozen
 
-from uoarm.errors import ControlMessageError, MessageError
+from uoarm.errors import BridgeError, ControlMessageError, FailureReason, MessageError
 from uoarm.model import Budget, Health
 from uoarm_mqtt._codec import PayloadCodec
+from uoarm_mqtt._link import BrokerConnection
 from uoarm_mqtt._options import PresenceOptions
+from uoarm_mqtt._subscriptions import ReceivedMessage, Receiver
 
-__all__ = ["ComponentPresence", "PresenceStatus"]
+__all__ = ["ComponentPresence", "Components", "PresenceStatus", "RetainedTopic"]
 
 _SMALL = Budget(octets=16_384, elements=1000, depth=16)
 
@@ -60,3 +64,81 @@ class ComponentPresence:
         before, self._health = self._health, status.health
         is_news = status.health is not before and Health.OK in {status.health, before}
         return status if is_news else None
+
+
+class RetainedTopic:
+    """The last message of one topic, kept up to date until the connection is closed."""
+
+    def __init__(
+        self, link: BrokerConnection, topic: str, changed: Callable[[bytes], None]
+    ) -> None:
+        self.payload = b""
+        self._changed = changed
+        self._came = threading.Event()
+        self._link, self._receiver = link, Receiver(topic, self._take, retained=True)
+
+    def open(self, wait: float) -> None:
+        """Subscribe; returns when what is retained has come, or nothing is."""
+        self._link.subscribe(self._receiver)
+        try:
+            self._link.barrier()
+        except BridgeError:
+            self._link.unsubscribe(self._receiver)
+            raise
+        # Mosquitto sends what is retained before it answers; others may be later.
+        self._came.wait(wait)
+
+    def _take(self, incoming: ReceivedMessage) -> None:
+        self.payload = incoming.payload
+        self._changed(incoming.payload)
+        self._came.set()
+
+
+class Components:
+    """Which components are there, by their own word: retained topics, watched once asked for.
+
+    Args:
+        link: to the broker.
+        wait: seconds that a retained message may take beyond the broker's own answer.
+        report: is called with a component's name, health and cause when it comes or goes.
+    """
+
+    def __init__(
+        self, link: BrokerConnection, wait: float, report: Callable[[str, Health, str], object]
+    ) -> None:
+        self._link, self._wait, self._report = link, wait, report
+        # Callers in several threads watch a topic once; held until what is retained has come, so
+        # that none reads a topic that is only being opened.
+        self._lock = threading.Lock()
+        self._watched: dict[object, RetainedTopic] = {}
+
+    def require(self, component: str, presence: PresenceOptions) -> None:
+        """Return when a component says that it is there.
+
+        Raises:
+            BridgeError: with UNAVAILABLE: it says something else, or nothing.
+        """
+        known = ComponentPresence(presence)
+
+        def changed(payload: bytes) -> None:
+            if (status := known.changed(payload)) is not None:
+                self._report(component, status.health, status.cause)
+
+        payload = self._read((component, presence), presence.topic, changed)
+        status = PresenceStatus.read(presence, payload)
+        if status.health is not Health.OK:
+            text = f"{component} is not there: {status.cause}"
+            raise BridgeError(text, FailureReason.UNAVAILABLE)
+
+    def retained(self, topic: str) -> bytes:
+        """Return what is retained on a topic now, nothing where nothing is."""
+        return self._read(topic, topic, lambda _: None)
+
+    def _read(self, key: object, topic: str, changed: Callable[[bytes], None]) -> bytes:
+        with self._lock:
+            watched = self._watched.get(key)
+            if watched is None:
+                watched = RetainedTopic(self._link, topic, changed)
+                watched.open(self._wait)
+                self._watched[key] = watched
+        return watched.payload

@@ -11,12 +11,14 @@ from uoarm.bridge import Delivery
 from uoarm.errors import BridgeError, FailureReason
 from uoarm.model import Health
 from uoarm_rocos._catalogue import Api, ApiKind, DeviceCatalogue, Direction, ErrorCode, ErrorMessage
+from uoarm_rocos._line import DeviceLine
 
 __all__ = [
     "Answer",
     "Device",
     "DeviceFlow",
     "InputFlow",
+    "LineDevice",
     "PendingAnswers",
     "ReportHealth",
     "find",
@@ -100,6 +102,36 @@ class Device(ABC):
     @abstractmethod
     def close(self) -> None:
         """Let go of the device; bounded, once."""
+
+
+class LineDevice(Device):
+    """A device on a line of its own, which its constructor opens as the last thing.
+
+    Must implement: `catalogue`. May implement `_ended`.
+    """
+
+    _line: DeviceLine
+
+    def __init__(self) -> None:
+        # Guards `_closed`, and what a subclass has on its line, between callers and the line's
+        # thread; wakes callers that wait for the device.
+        self._state = threading.Condition()
+        self._closed = False
+
+    def stop(self) -> None:
+        """Have the line end."""
+        self._line.stop()
+
+    def close(self) -> None:
+        """Let go of the line; what waits fails."""
+        with self._state:
+            self._closed = True
+            self._state.notify_all()
+        self._line.close()
+        self._ended()
+
+    def _ended(self) -> None:
+        """Have what waits for the device fail: its line has ended."""
 
 
 def find(catalogue: DeviceCatalogue, name: str, direction: Direction | None) -> Api:

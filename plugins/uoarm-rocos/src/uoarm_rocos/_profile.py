@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 import time
 from collections import deque
 from collections.abc import Callable
@@ -25,7 +24,7 @@ from uoarm_rocos._catalogue import (
 )
 from uoarm_rocos._channels import ProfileFlow, ProfileInput, ProfileOutput, delivery_queue
 from uoarm_rocos._conversation import Conversation, Wire
-from uoarm_rocos._device import Answer, Device, PendingAnswers, ReportHealth, refusal
+from uoarm_rocos._device import Answer, LineDevice, PendingAnswers, ReportHealth, refusal
 from uoarm_rocos._framing import LineError
 from uoarm_rocos._health import flow_monitor
 from uoarm_rocos._line import DeviceLine
@@ -38,7 +37,7 @@ _MOST_UNSAID = 1000
 Changed = Callable[[Health, str, "dict[str, str]"], None]
 
 
-class ProfileDevice(Device):
+class ProfileDevice(LineDevice):
     """One device on one line.
 
     The line's thread reads, checks and answers heartbeats; a second one delivers, so that a
@@ -63,18 +62,15 @@ class ProfileDevice(Device):
         catalogue: DeviceCatalogue | None,
         changed: Changed,
     ) -> None:
+        super().__init__()
         self.name = name
         self.is_prompt = wire.prompt
         self._timing = timing
         self._changed = changed
         self._known = catalogue
-        # Guards readiness, catalogue and flows between callers and the line's thread, and wakes
-        # callers that wait for the device.
-        self._state = threading.Condition()
         self._ready = False
         self._cause = "not connected yet"
         self._disconnection = Disconnection(timing.grace)
-        self._closed = False
         self._answers = PendingAnswers(name)
         self._flows: set[ProfileFlow] = set()
         self._by_id: dict[int, ProfileFlow] = {}
@@ -137,16 +133,7 @@ class ProfileDevice(Device):
         self._open(feed, timeout)
         return feed
 
-    def stop(self) -> None:
-        """Have the line end."""
-        self._line.stop()
-
-    def close(self) -> None:
-        """End the line; what waits fails."""
-        with self._state:
-            self._closed = True
-            self._state.notify_all()
-        self._line.close()
+    def _ended(self) -> None:
         self._deliveries.close()
         self._answers.fail(BridgeError(f"{self.name} was closed", FailureReason.CLOSED))
 

@@ -86,7 +86,13 @@ class Node:
         at = f"[{host}]" if ":" in host else host
         self.uri = f"http://{at}:{server.api_port}/"
         self.service_uri = f"rosrpc://{at}:{server.port}"
-        self.master = Master(identity.master, self.name, self.uri)
+        self.master = master = Master(identity.master, self.name, self.uri)
+        self._take_back: Mapping[str, Callable[[str], object]] = {
+            "publisher": partial(master.unregister, "Publisher"),
+            "subscriber": partial(master.unregister, "Subscriber"),
+            "service": lambda service: master.unregister_service(service, self.service_uri),
+            "parameter": partial(master.call, "unsubscribeParam", self.uri),
+        }
 
     def resolve(self, name: str) -> str:
         """Return a full name."""
@@ -136,7 +142,7 @@ class Node:
                 return
             del self._publications[topic]
             self._api.publications.pop(topic, None)
-        self._unregister(partial(self.master.unregister, "Publisher", topic))
+        self._unregister("publisher", topic)
         publication.close()
 
     def subscribe(self, subscription: TopicSubscription) -> None:
@@ -171,7 +177,7 @@ class Node:
             if self._subscriptions.pop(topic, None) is None:
                 return
             self._api.subscriptions.pop(topic, None)
-        self._unregister(partial(self.master.unregister, "Subscriber", topic))
+        self._unregister("subscriber", topic)
 
     def another_name(self) -> str:
         """Return a name for one more connection to a topic.
@@ -215,7 +221,7 @@ class Node:
         with self._lock:
             if self._services.pop(service, None) is None:
                 return
-        self._unregister(partial(self.master.unregister_service, service, self.service_uri))
+        self._unregister("service", service)
 
     def watch_parameter(self, key: str, changed: ParameterListener) -> Any:
         """Have changes of a parameter reported; returns its value, an empty object: none.
@@ -240,7 +246,7 @@ class Node:
                 return
             if self._parameters.pop(key, None) is None:
                 return
-        self._unregister(partial(self.master.call, "unsubscribeParam", self.uri, key))
+        self._unregister("parameter", key)
 
     def parameter_changed(self, key: str, value: Any) -> None:
         """Report a change here; of those that the node itself makes, the master says nothing."""
@@ -297,22 +303,22 @@ class Node:
             topic = publication.topic
             self.master.register_publisher(topic, publication.record.name)
             if topic not in self._publications:
-                self._unregister(partial(self.master.unregister, "Publisher", topic))
+                self._unregister("publisher", topic)
         for service in services:
             self.master.register_service(service, self.service_uri)
             if service not in self._services:
-                self._unregister(partial(self.master.unregister_service, service, self.service_uri))
+                self._unregister("service", service)
         for topic, made in subscriptions.items():
             uris = self.master.register_subscriber(topic, made[0].wanted.kind)
             if topic not in self._subscriptions:
-                self._unregister(partial(self.master.unregister, "Subscriber", topic))
+                self._unregister("subscriber", topic)
             for subscription in made:
                 # What is connected stays so, whether its publisher has come back to the master.
                 subscription.update((*uris, *subscription.listed))
         for key, listeners in parameters.items():
             value = self.master.watch_parameter(key)
             if key not in self._parameters:
-                self._unregister(partial(self.master.call, "unsubscribeParam", self.uri, key))
+                self._unregister("parameter", key)
             for changed in listeners:
                 changed(key, value, is_set=False)
 
@@ -336,11 +342,11 @@ class Node:
                 self.unwatch_parameter(key, changed)
         self.loop.close()
 
-    def _unregister(self, call: Callable[[], object]) -> None:
+    def _unregister(self, kind: str, name: str) -> None:
         if self._is_alone:
             return
         try:
-            call()
+            self._take_back[kind](name)
         except BridgeError as error:
             # A master that is gone knows of nothing; one that stalls is waited for once.
             self._is_alone = self._is_closing and error.reason is FailureReason.UNAVAILABLE

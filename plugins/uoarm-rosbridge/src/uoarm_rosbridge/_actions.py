@@ -27,7 +27,7 @@ from uoarm.server.front_end import (
     UnknownError,
     error_text,
 )
-from uoarm_rosbridge._action_hub import ActionHub
+from uoarm_rosbridge._hub import ActionHub
 from uoarm_rosbridge._names import NamedPort, find_place
 from uoarm_rosbridge._runners import CallRunner, Goal, GoalStatus, Runner, is_action
 from uoarm_rosbridge._wire import fragment_size, split, write_ros

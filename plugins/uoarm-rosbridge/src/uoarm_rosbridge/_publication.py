@@ -23,10 +23,9 @@ from uoarm.server.front_end import (
     MemoryUse,
     check_message,
 )
-from uoarm_rosbridge._arguments import read_arguments
 from uoarm_rosbridge._hub import Hub
 from uoarm_rosbridge._names import NamedPort
-from uoarm_rosbridge._typedefs import check_type
+from uoarm_rosbridge._types import check_type, read_arguments
 
 __all__ = ["ClientPublication", "SharedPublication"]
 

@@ -16,7 +16,7 @@ from uoarm.server.front_end import AccessRole, Operation, UnknownError
 from uoarm_rosbridge._hub import Hub
 from uoarm_rosbridge._names import topic_of
 from uoarm_rosbridge._runners import is_action
-from uoarm_rosbridge._typedefs import (
+from uoarm_rosbridge._types import (
     full_text,
     in_full,
     is_same_type,

@@ -30,9 +30,8 @@ from uoarm.server.front_end import (
     FeedKey,
     InputSender,
 )
-from uoarm_rosbridge._arguments import read_arguments, reader_of
 from uoarm_rosbridge._names import NamedPort, topic_of
-from uoarm_rosbridge._typedefs import check_type, service_type
+from uoarm_rosbridge._types import check_type, read_arguments, reader_of, service_type
 
 __all__ = ["CallRunner", "Goal", "GoalStatus", "Runner", "StreamRunner", "is_action"]
 

@@ -8,10 +8,10 @@ from typing import Any
 from uoarm.errors import BridgeError, UsageError
 from uoarm.model import Message, Role, show_value
 from uoarm.server.front_end import Backend, Client, LimitError, Operation, UnknownError
-from uoarm_rosbridge._arguments import reader_of
 from uoarm_rosbridge._hub import Hub
 from uoarm_rosbridge._names import Addresses, NamedPort, find_place
 from uoarm_rosbridge._rosapi import PREFIX, Rosapi, RosapiCatalogue
+from uoarm_rosbridge._types import reader_of
 from uoarm_rosbridge._wire import fragment_size
 
 __all__ = ["ClientServices"]

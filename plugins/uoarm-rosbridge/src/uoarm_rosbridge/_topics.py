@@ -16,7 +16,7 @@ from uoarm_rosbridge._hub import Hub
 from uoarm_rosbridge._names import Addresses, NamedPort, find_place
 from uoarm_rosbridge._publication import ClientPublication, SharedPublication
 from uoarm_rosbridge._subscription import SubscribeOptions, Subscription, read_options
-from uoarm_rosbridge._typedefs import check_type
+from uoarm_rosbridge._types import check_type
 
 __all__ = ["Topics"]
 

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import re
 import struct
-import threading
 import time
 from collections.abc import Callable
 from typing import Any
@@ -28,7 +27,7 @@ from uoarm_rocos._catalogue import (
     NamedField,
     StringField,
 )
-from uoarm_rocos._device import Answer, Device
+from uoarm_rocos._device import Answer, LineDevice
 from uoarm_rocos._framing import LineError, WireError
 from uoarm_rocos._line import DeviceLine
 from uoarm_rocos._options import Timing
@@ -154,7 +153,7 @@ def ua767_frame(reading: Measurement, *, serial: bytes = b"", battery: int = 0) 
 _MOST_CALLS = 100
 
 
-class Monitor(Device):
+class Monitor(LineDevice):
     """Acknowledges a measurement only when a call takes it, so that the monitor keeps the others.
 
     The monitor is silent between measurements: it counts as there when its port is open.
@@ -163,15 +162,13 @@ class Monitor(Device):
     def __init__(
         self, name: str, transport: Callable[[], LineTransport], timing: Timing, changed: Changed
     ) -> None:
+        super().__init__()
         self._name = name
         self._timing = timing
         self._changed = changed
         self._decoder = Ua767Decoder()
-        # Guards `_open`, `_closed` and the calls that wait, between callers and the
-        # line's thread: a reading is acknowledged only while a call waits for it.
-        self._state = threading.Condition()
+        # Changed in `_state`: a reading is acknowledged only while a call waits for it.
         self._open = False
-        self._closed = False
         self._cause = "not connected yet"
         self._disconnection = Disconnection(timing.grace)
         self._waiting: list[Answer] = []
@@ -206,16 +203,7 @@ class Monitor(Device):
             raise BridgeTimeoutError(text)
         return fit(api.output, answer.value(), f"reading of {self._name}")
 
-    def stop(self) -> None:
-        """Have the line end."""
-        self._line.stop()
-
-    def close(self) -> None:
-        """Let go of the line; calls that wait fail."""
-        with self._state:
-            self._closed = True
-            self._state.notify_all()
-        self._line.close()
+    def _ended(self) -> None:
         self._fail(BridgeError(f"{self._name} was closed", FailureReason.CLOSED))
 
     def connected(self) -> None:

@@ -10,7 +10,6 @@ A frame has one size, and its first octet alone has the highest bit set.
 
 from __future__ import annotations
 
-import threading
 import time
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any, Protocol
@@ -28,7 +27,7 @@ from uoarm_rocos._catalogue import (
     StringField,
 )
 from uoarm_rocos._channels import QueuedReceiver, delivery_queue
-from uoarm_rocos._device import Device, ReportHealth
+from uoarm_rocos._device import LineDevice, ReportHealth
 from uoarm_rocos._framing import LineError
 from uoarm_rocos._health import flow_monitor
 from uoarm_rocos._line import DeviceLine
@@ -337,7 +336,7 @@ _LEAST_SILENCE = 1.0
 _ADVICE = "is the device on, and this its port?"
 
 
-class StreamDevice(Device):
+class StreamDevice(LineDevice):
     """Counts as there once a whole frame has come, and as silent when none comes any more.
 
     Args:
@@ -356,6 +355,7 @@ class StreamDevice(Device):
         transport: Callable[[], LineTransport],
         timing: Timing,
     ) -> None:
+        super().__init__()
         self._name = name
         self._catalogue = catalogue
         self._make_decoder = decoder
@@ -363,12 +363,9 @@ class StreamDevice(Device):
         self._timing = timing
         (self._api,) = catalogue.apis.values()
         self._patience = max(_PERIODS * (self._api.period or 0.0), _LEAST_SILENCE)
-        # Guards `_there`, `_closed` and the tuple of flows between callers and the line's thread.
-        self._state = threading.Condition()
         self._there = False
         self._cause = "not connected yet"
         self._last = time.monotonic()
-        self._closed = False
         self._flows: tuple[_StreamFlow, ...] = ()
         self._deliveries = delivery_queue(name)
         self._line = DeviceLine(name, transport, self, timing.backoff)
@@ -407,16 +404,7 @@ class StreamDevice(Device):
         """Return how many octets belonged to no frame."""
         return {"discarded": self._decoder.discarded}
 
-    def stop(self) -> None:
-        """Have the line end."""
-        self._line.stop()
-
-    def close(self) -> None:
-        """Let go of the line."""
-        with self._state:
-            self._closed = True
-            self._state.notify_all()
-        self._line.close()
+    def _ended(self) -> None:
         self._deliveries.close()
 
     def connected(self) -> None:
