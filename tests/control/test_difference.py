@@ -6,10 +6,12 @@ import pytest
 from tests.control.world import FACE, Plans, World
 
 from uoarm._control.engine import actions as act
+from uoarm._control.engine import events as ev
 from uoarm._control.engine.difference import desired, difference
 from uoarm._control.engine.move import MovePhase
-from uoarm._control.engine.state import Kind
-from uoarm.model import ConnectionState, FailoverPolicy
+from uoarm._control.engine.state import Kind, State
+from uoarm._control.engine.step import step
+from uoarm.model import ConnectionState, FailoverPolicy, PortRef, ValidationMode
 
 SEEKING, OPENING, SWITCHING = MovePhase.SEEKING, MovePhase.OPENING, MovePhase.SWITCHING
 TAKING_OVER, DRAINING = MovePhase.TAKING_OVER, MovePhase.DRAINING
@@ -116,3 +118,55 @@ def test_an_end_wants_nothing_more_at_once_and_has_only_to_drain(world: World) -
     assert world.open, "what is open closes"
     world.settle()
     assert world.open == frozenset()
+
+
+class Known:
+    """A state in which candidates changed, and requests with a plan that was found before."""
+
+    def __init__(self) -> None:
+        self.plans = Plans(FACE)
+        self.bridges = {item.name: item.bridge for item in self.plans.robot.components()}
+        self.state = State(FailoverPolicy(), self.bridges)
+
+    def post(self, event: ev.Event) -> tuple[act.Action, ...]:
+        self.state, actions = step(self.state, event, 0.0)
+        return actions
+
+    def change_candidates(self, *superseded: str) -> None:
+        number = self.state.candidates + 1
+        self.post(ev.CandidatesChanged(self.bridges, "another", number, frozenset(superseded)))
+
+    def is_opened(self, candidates: int) -> bool:
+        """Say whether a plan that was found with so many changes is opened, not sought anew."""
+        identity = f"c{self.state.requests + 1}"
+        plan = self.plans("camera", frozenset())
+        actions = self.post(
+            ev.Requested(
+                identity,
+                PortRef("camera", None),
+                ValidationMode.OFF,
+                f"request {identity}",
+                plan,
+                revision=self.state.revision,
+                candidates=candidates,
+            )
+        )
+        kinds = {type(action) for action in actions}
+        assert len(kinds & {act.Open, act.Resolve}) == 1
+        return act.Open in kinds
+
+
+def test_a_plan_found_too_many_changes_of_candidates_ago_is_sought_anew() -> None:
+    known = Known()
+    for _ in range(17):
+        known.change_candidates("another")
+    assert not known.is_opened(candidates=0), "what the first change superseded is not known"
+    assert known.is_opened(candidates=1), "none of those since then has a component of the plan"
+
+
+def test_candidates_are_counted_anew_in_another_configuration() -> None:
+    known = Known()
+    known.change_candidates("best")
+    assert not known.is_opened(candidates=0)
+    known.post(ev.Configured(1, "w", known.state.policy, known.bridges, frozenset(), frozenset()))
+    assert known.is_opened(candidates=0), "or its plan would be sought for ever"

@@ -339,6 +339,13 @@ class World:
         for name, number in state.serving.items():
             assert state.components[number].name == name
             assert not state.components[number].is_lost
+        # What is wanted again while it drains, or is being stopped, is that instance and no other.
+        usable = [
+            record.name
+            for record in state.components.values()
+            if not record.is_lost and not record.is_superseded
+        ]
+        assert len(usable) == len(set(usable)), usable
         for connection in state.connections.values():
             self._check_move(connection)
             # Whatever may be done now was taken by the step: what stands first is under way.

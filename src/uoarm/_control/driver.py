@@ -96,6 +96,8 @@ class Driver:
         self._events: deque[ev.Event] = deque()
         # Guards the state and the order of events: two owners would give `step` the same state.
         self._owning = threading.Lock()
+        # One for each wait, not for each connection: two threads that kill one at once both get a
+        # reply.
         self._numbers = itertools.count()  # of those who wait
         # Thousands of lanes begin with the death of a bridge. A thread for each would fight for the
         # interpreter; but those that a bridge holds up must hold up no others.
@@ -105,6 +107,8 @@ class Driver:
         # Read by the threads that open, which take a look before each part: one look too early
         # opens one part more, which comes back with the others and is closed.
         self._cancelled: set[int] = set()
+        # Replaced as a whole by the owner, read by a thread that waits for a change of
+        # configuration.
         self._undelivered: tuple[LetThrough, ...] = ()
 
     def post(self, event: ev.Event) -> None:
@@ -267,6 +271,8 @@ class Driver:
     def _ask(self, event: ev.Killed | ev.Stopped) -> None:
         """Post an event and do what follows from it in this thread, until it is done."""
         with Uninterrupted():
+            # Reserved before the event, or a worker would serve the lane and this thread wait for a
+            # reply that went there.
             self._lanes.reserve(event.waiter)
             self.post(event)
             self._lanes.drive(event.waiter)
@@ -338,6 +344,8 @@ class Driver:
         )
 
     def _handle(self, event: ev.Event) -> None:
+        # Before the step: an event at which it fails is the one that a test must play again
+        # (`tests/control/test_trace.py`).
         now = self._clock()
         if _log_of_events.isEnabledFor(logging.DEBUG):
             _log_of_events.debug("%s", write_event(event, now))
@@ -351,6 +359,8 @@ class Driver:
         # A thread that hangs in a batch still asks whether it was cancelled.
         if isinstance(event, ev.Opened) and not isinstance(event.error, BridgeTimeoutError):
             self._cancelled.discard(event.batch)
+        # In the order in which the step gave them, by this thread alone: a reply wakes its caller
+        # after all that was published before it.
         for action in actions:
             try:
                 self._perform(action)
@@ -369,6 +379,8 @@ class Driver:
                 self._announce(action)
             case act.Reply():
                 self._lanes.reply(action.waiter, action.error)
+            # With the state of this moment: by the time of the call another event may have taken
+            # the records out, and the parts come back as `Opened` all the same.
             case act.Open():
                 call = partial(self._open, action, self.state)
                 self._call(action, call, is_quick=partial(self.live.is_quick, action))
@@ -394,6 +406,8 @@ class Driver:
             case act.SwitchInputs():
                 self._call(action, partial(self._switch_inputs, action))
             case act.Drain():
+                # Found now: a move of the same connection may close them before the lane is
+                # reached.
                 edges = self.live.edges_of(action.placement)
                 self._call(action, partial(self._drain, action, edges))
             case act.Release():
@@ -411,6 +425,8 @@ class Driver:
             case act.RetireBridge():
                 self._bridges.retire(action.bridge)
             case act.Adopt():
+                # In this order: bridges are retired that the adopted configuration has replaced.
+                # Both before the next event, which may be a request that finds its plan in it.
                 self._revisions.adopt(action.revision)
                 self._bridges.retire_replaced(self.live.uses)
             case act.WakeAt():
@@ -434,6 +450,8 @@ class Driver:
         except Exception:  # noqa: BLE001 - the lane must go on
             _log.exception("the control plane failed to do %r", action)
             return
+        # In the lane's thread, which owns the state then if no other does: no event needs one of
+        # its own.
         if event is not None:
             self.post(event)
 
@@ -444,11 +462,14 @@ class Driver:
         runtime = self.live.runtimes.get(record.id)
         if runtime is None:
             return
+        # Ports first: who reads the new record at the handle sends into the plan that it shows.
         is_over = record.is_over
         if record.has_plan and not is_over:
             runtime.ports = self.live.ports.get(record.placement.ports, runtime.ports)
         runtime.publish(record, is_over=is_over)
         if is_over:
+            # After it was published: a handle keeps its runtime and reads the end there. What comes
+            # for it later, as a gap, finds none.
             del self.live.runtimes[record.id]
 
     def _announce(self, action: act.Announce) -> None:
@@ -462,6 +483,8 @@ class Driver:
         keep_newest(self.takeovers, function, self.takeovers.get(function, 0) + 1)
         ports = self.live.ports[action.after.ports]
         runtime = self.live.runtimes[action.connection]
+        # At once where the application receives from the plan already; else it may be called with a
+        # retained message, which is foreign code and needs a lane.
         if action.is_receiving:
             runtime.hand_over(action, ports)
         else:

@@ -61,6 +61,8 @@ def difference(state: State, record: ConnectionRecord) -> tuple[Remaining, ...]:
         return (begun, *map(Remaining, phases[1:]))
     parts, awaits = _missing(state, move.next.parts)
     opening = (Remaining(MovePhase.OPENING, parts, awaits),) if parts else ()
+    # Of one that moves alone nothing is switched: after a death its inputs feed nothing, and a
+    # request has none yet.
     if not move.group:
         return (*opening, Remaining(MovePhase.TAKING_OVER))
     group = state.switchovers[move.group]

@@ -91,6 +91,8 @@ class Draft(State):
 
     def new_id(self) -> int:
         """Return an id that nothing has had before."""
+        # Never given again: a late result names what it is about by it, and finds nothing where
+        # that is gone.
         self.number += 1
         return self.number
 
@@ -109,11 +111,14 @@ class Draft(State):
 
     def remove(self, record: ConnectionRecord) -> None:
         """Know a connection no more."""
+        # One that was refused as it was requested was never there.
         self.connections = self.connections.discard(record.id)
         self.timed = self.timed.discard(record.id)
 
     def using(self, components: Iterable[int]) -> list[str]:
         """Return the connections of which a plan uses one of these, oldest first."""
+        # Over the users of these alone: a death looks at no connection that it does not concern
+        # (`test_growth.py`).
         users = {user for number in components for user in self.components[number].users}
         found = {connection_of(user) for user in users}
         there = (self.connections.get(identity) for identity in found)
@@ -139,6 +144,8 @@ class Draft(State):
 
         Of changes that are too long ago to be known, any plan may be.
         """
+        # The search names the number with which it began: what was superseded since then is in the
+        # last so many entries.
         missed = self.candidates - candidates
         if missed > len(self.replaced):
             return True
@@ -211,6 +218,8 @@ class Draft(State):
         # One batch at most is a plan's own; another's may be opening some of its parts, too.
         for number in sorted({self.parts.get(part, 0) for part in placement.parts}):
             batch = self.batches.get(number)
+            # Another connection's batch goes on for that one, and what of it is unused by then is
+            # closed (`returns_lost.txt`).
             if batch is not None and batch.user == placement.user:
                 self.actions.append(CancelBatch(number))
 
@@ -260,9 +269,13 @@ class Draft(State):
             # Its users stay: what they lost with it is counted as each of them ends or moves.
             record = self.components[component]._replace(is_lost=True)
             self.components = self.components.insert(component, record)
+            # By its number: of a name that was superseded another instance may serve, and lives
+            # (`configured_abandoned.txt`).
             if self.serving.get(record.name) == component:
                 self.serving = self.serving.remove(record.name)
             ended.update(joined.id for joined in self._edges_at(record))
+        # Both ends at once, before any plan is sought: the next one that is placed would join an
+        # edge from the dead (`both.txt`). Sorted, as a set has no order in which a log replays.
         for number in sorted(ended):
             self._unlist(self.edges[number])
         return tuple(sorted(ended))
@@ -327,6 +340,8 @@ class Draft(State):
         assert placement is not None, "there is a plan to open"
         # Of a request in its caller's lane, under its time limit; of members one after another.
         lane = f"switchover {move.group}" if move.group else record.waiter or placement.user
+        # One action for all of them, however long the chain: it is one hop, one limit and one
+        # event.
         batch = self.new_id()
         self.parts = self.parts.update(dict.fromkeys(parts, batch))
         self.batches = self.batches.insert(batch, Batch(placement.user, parts))
@@ -375,6 +390,7 @@ class Draft(State):
 
     def waiting_for(self, batch: Batch) -> list[str]:
         """Return the connections that use a part of a batch and so waited for it, oldest first."""
+        # Its own first: it waits also where all its parts are ports.
         users = {batch.user}
         records = {
             part.id: self.edges.get(part.id)
@@ -496,6 +512,7 @@ class Draft(State):
         """Have an edge checked as its users wish, one of whom wishes this, or leaves."""
         changed = joined.used_by(user, mode)
         self.edges = self.edges.insert(joined.id, changed)
+        # Only for a change: thousands may join an edge that is checked already (`changing.txt`).
         if changed.strictest is not joined.strictest:
             self.actions.append(SetCheck(joined.id))
 
@@ -521,6 +538,8 @@ class Draft(State):
         if len(joined.users) > 1:
             self._check_for(joined, user, None)
             return False
+        # The input is free in this very step, for a plan that is placed next
+        # (`configured_away.txt`).
         self._unlist(joined)
         self.edges = self.edges.remove(edge)
         return True
@@ -568,6 +587,7 @@ def _is_commanded(component: Component) -> bool:
 
 def by_age(connections: Iterable[str]) -> list[str]:
     """Return ids of connections, the oldest first: c9 before c10."""
+    # By the record's number it would cost a look-up of each, and some have ended.
     return sorted(set(connections), key=lambda identity: (len(identity), identity))
 
 

@@ -454,6 +454,7 @@ def found(draft: Draft, record: ConnectionRecord, event: ReplacementSought) -> N
         draft.put(record, move=move)
         return
     until = move.since + move.rule.patience(draft.policy)
+    # At the time itself, too: the timer may be exact, and would otherwise be asked for now.
     if draft.now >= until:
         text = f"{move.cause}; nothing takes over: {event.error}"
         end(draft, record, ConnectionState.FAILED, text)
@@ -463,6 +464,7 @@ def found(draft: Draft, record: ConnectionRecord, event: ReplacementSought) -> N
     retry_at = min(draft.now + pause, until)
     # Nothing stays excluded: the dead are asked again, and what failed to open may do better.
     move = move._replace(phase=MovePhase.WAITING, excluded=frozenset(), retry_at=retry_at)
+    # Before it is put as one that waits: listeners get that once (`waits.txt`).
     runs = record.state is ConnectionState.RUNNING
     record = draft.put(record, move=move, state=ConnectionState.WAITING, cause=move.cause)
     if runs:  # once, and not after each search

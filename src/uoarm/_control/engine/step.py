@@ -60,6 +60,7 @@ def step(state: State, event: Event, now: float) -> tuple[State, tuple[Action, .
     """
     draft = Draft.of(state, now)
     _HANDLERS[type(event)](draft, event)
+    # After the whole event: what it placed for one connection may be what another waits for.
     _proceed(draft)
     # Whatever happened may have been the last thing that a change of configuration waited for.
     if draft.configurers:
@@ -199,6 +200,7 @@ def _run(draft: Draft, record: ConnectionRecord) -> None:
 def _opened(draft: Draft, event: Opened) -> None:
     # Who waits is read first: a failure, below, changes who uses what.
     batch = draft.batches[event.batch]
+    # From here on its parts count as open; those that were not done are taken out by `settle`.
     draft.batches = draft.batches.remove(event.batch)
     waiting = draft.waiting_for(batch)
     late = draft.settle(batch, event.done)
@@ -217,6 +219,7 @@ def _failed_to_open(
 ) -> None:
     """Do without the plan that could not be opened, unless the connection has left it already."""
     move, users = record.move, {placement.user for placement in record.plans}
+    # By the user of the parts: a batch of an attempt that was given up says nothing of the next.
     if move is None or user not in users:
         return
     match move.rule.failing:
@@ -245,6 +248,8 @@ def _killed(draft: Draft, event: Killed) -> None:
     if record.state is ConnectionState.CLOSING:
         draft.actions.append(Reply(event.waiter))
         return
+    # A request that is given up while parts open for it: what opens late comes back as `Opened` and
+    # is closed.
     outcome = ConnectionState.FAILED if event.is_failure else ConnectionState.CLOSED
     if event.is_failure:
         draft.actions.append(Forget(names(record.placement.plan)))

@@ -76,6 +76,8 @@ _KNOWN_CHANGES = 16
 
 def begin(draft: Draft, records: Sequence[ConnectionRecord], reason: MoveReason) -> None:
     """Have connections change to better plans together, which are sought one after another."""
+    # Its own lane for all that it has done: searches, openings and the switching come one after
+    # another, whatever other lanes do.
     number = draft.new_id()
     unsought = OrderedMap((record.id, None) for record in records)
     group = Switchover(
@@ -108,6 +110,7 @@ def found(draft: Draft, record: ConnectionRecord, event: ReplacementSought) -> N
     if group.rule.may_stay:
         if event.plan is None or _serves(draft, record, event.plan):
             members = members.discard(record.id)  # what must go is replaced after the switchover
+            # An edge that it uses has a user now that is no member: none counts as known any more.
             joined = HashTrieMap()
             draft.put(record, move=None)
         if event.plan is None and not _is_superseded(draft, record):
@@ -212,6 +215,7 @@ def inputs_switched(draft: Draft, event: InputsSwitched) -> None:
             seek(draft, draft.put(record, move=move.as_death()._replace(cause=cause)))
             continue
         # What died meanwhile has set a later time; the plan before was counted up to this one.
+        # One member after another in one step: no event sees some of them on the new plans only.
         hand_over(draft, draft.put(record, move=move._replace(since=group.began)))
         record = draft.connections[identity]
         # Deaths that came while the inputs changed hands were left for this moment.
@@ -307,6 +311,7 @@ def preferred_checked(draft: Draft, event: PreferredChecked) -> None:
     if record is None or record.preferred is None:
         return
     # A look that was under way as the connection moved says nothing of the time since.
+    # Taken back in any case, or no look would ever follow.
     preferred = record.preferred._replace(is_looking=False)
     if not event.is_available or not may_move(record):
         preferred = preferred._replace(available_since=None)
@@ -362,9 +367,12 @@ def _outdate(draft: Draft, record: ConnectionRecord) -> None:
     if move is not None and move.group and move.phase is not MovePhase.SWITCHING:
         cancel_switchover(draft, move.group)
         record = draft.connections[record.id]
+    # It was preferred in a configuration that is none any more (`configured_at_the_end.txt`).
     record = draft.put(record, preferred=None)
     # One that needs a replacement anyway seeks it in the new configuration, and needs no move.
     if move is not None and move.reason is MoveReason.DEATH:
+        # What could not be opened as it was configured before may be another now
+        # (`configured_searches.txt`).
         move = move._replace(excluded=frozenset(), next=None)
         seek(draft, draft.put(drop_next(draft, record), move=move))
     else:
