@@ -15,7 +15,7 @@ from uoarm._control.engine.move import forget_earlier
 from uoarm._control.engine.state import listed
 from uoarm._control.live import parts
 from uoarm._control.revisions import Revision
-from uoarm._control.threads import EventDispatcher, keep_newest
+from uoarm._control.threads import EventDispatcher, Job, Lanes, keep_newest
 from uoarm._support.ordered import OrderedMap
 from uoarm.config import loads
 from uoarm.model import ConnectionState, Health, StatusEvent
@@ -127,3 +127,20 @@ def test_records_of_names_that_come_and_go_are_forgotten() -> None:
     dispatcher.close()
     wait(lambda: dispatcher._thread is not None and not dispatcher._thread.is_alive())
     assert len(dispatcher._records) == 1000
+
+
+def test_a_lane_for_which_there_was_no_thread_is_served_with_its_next_job() -> None:
+    done: list[str] = []
+    is_full = [True]
+
+    def start(job: Job) -> None:
+        if is_full[0]:
+            raise RuntimeError("can't start new thread")
+        job()
+
+    lanes = Lanes(start)
+    with pytest.raises(RuntimeError):
+        lanes.put("offer", lambda: done.append("first"))
+    is_full[0] = False
+    lanes.put("offer", lambda: done.append("second"))
+    assert done == ["first", "second"]

@@ -21,11 +21,12 @@ from uoarm import _lock
 from uoarm._adapt import check_edge
 from uoarm._control.engine import actions as act
 from uoarm._control.engine import events as ev
-from uoarm._control.engine.move import recently
+from uoarm._control.engine.move import forget_earlier, recently
 from uoarm._control.engine.state import ConnectionRecord, State, names
 from uoarm._control.live.bridges import BridgeSet, StagedBridges
 from uoarm._dataplane import Clock
 from uoarm._resolve import Hold, Resolver, StructureCache, Unavailable, without_candidates
+from uoarm._support.ordered import OrderedMap
 from uoarm.config import ConfigurationDifference, compare
 from uoarm.errors import (
     BridgeError,
@@ -93,7 +94,7 @@ def seek_replacement(action: act.FindReplacement, revision: Resolving) -> ev.Rep
             action.plan,
             action.output,
             revision.within(function, action.excluded),
-            tuple(sorted(revision.within(function, failed), key=failed.place)),
+            _in_order(failed, revision.within(function, failed)),
             lambda name, excluded: revision.resolve(name, excluded, action.avoided),
         )
     except Exception as error:  # noqa: BLE001 - the state learns of it whatever it is
@@ -103,6 +104,11 @@ def seek_replacement(action: act.FindReplacement, revision: Resolving) -> ev.Rep
     return ev.ReplacementSought(
         *asked, plan, switchover=action.switchover, candidates=revision.candidates
     )
+
+
+def _in_order(times: OrderedMap[str, float], names: Collection[str]) -> tuple[str, ...]:
+    """Return some of the names, longest ago first."""
+    return tuple(sorted(names, key=times.place))
 
 
 def check_preferred(action: act.CheckPreferred, revision: Resolving) -> ev.PreferredChecked:
@@ -486,10 +492,9 @@ class Revisions:
         cut: frozenset[str],
     ) -> list[ConnectionEffect]:
         avoided = recently(state.avoided, self._clock()) - difference.superseded
-        failed = recently(state.failed, self._clock()) - difference.superseded
-        last = tuple(name for name in state.failed if name in failed)
+        failed = forget_earlier(state.failed, self._clock())
         effects = (
-            self._effect(revision, difference, record, last, avoided, cut)
+            self._effect(revision, difference, record, failed, avoided, cut)
             for record in state.connections.values()
             if record.is_active and record.current is not None
         )
@@ -500,7 +505,7 @@ class Revisions:
         revision: Revision,
         difference: ConfigurationDifference,
         record: ConnectionRecord,
-        failed: tuple[str, ...],
+        failed: OrderedMap[str, float],
         avoided: frozenset[str],
         cut: frozenset[str],
     ) -> ConnectionEffect | None:
@@ -512,12 +517,15 @@ class Revisions:
         if is_cut and revision.base.failover.wait > 0:  # which is how long the machine may take
             function = record.wanted.function
             return ConnectionEffect(record.id, function, Effect.MOVES, before, before)
+        # As in `seek_replacement`: of thousands that died with a bridge only a few matter to each.
+        function = record.placement.plan.function
+        failed_here = revision.within(function, failed) - difference.superseded
         try:
             plan = find_replacement(
                 record.placement.plan,
                 record.output,
-                cut,
-                failed,
+                revision.within(function, cut),
+                _in_order(failed, failed_here),
                 lambda name, excluded: revision.resolve(name, excluded, avoided),
             )
         except ResolutionError as error:
