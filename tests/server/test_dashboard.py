@@ -137,26 +137,6 @@ def test_a_picture_is_watched(browser: Browser, visit: Visit, robot: RobotManage
     eventually(lambda: robot.status().connections == (), "the connection is given back")
 
 
-def test_numbers_become_lines(browser: Browser, visit: Visit) -> None:
-    visit("#/graph/function/faces/use")
-    browser.until("document.querySelector('.bar select')")
-    browser.js(
-        "(s => { s.value = '0'; s.dispatchEvent(new Event('change', { bubbles: true })); })"
-        "([...document.querySelectorAll('.bar select')].at(-1))"
-    )
-    browser.click(".button.main", "Watch")
-    browser.until(says(".panel", "No message yet"))
-    for shade in (10, 20, 30):
-        front.take((shade, 0, 0))
-    browser.until(says(".sparks", "10 … 30"))
-    browser.until("document.querySelectorAll('.spark path').length === 1")
-    line = "document.querySelector('.spark path')"
-    assert browser.js(f"{line}.getTotalLength()") > 100  # from corner to corner of its square
-    drawn = browser.js(f"(b => [b.width, b.height])({line}.getBoundingClientRect())")
-    assert drawn[0] > 200  # as wide as its place, whatever its square
-    assert 30 < drawn[1] <= 44
-
-
 def test_a_service_is_called_with_a_form_of_its_schema(browser: Browser, visit: Visit) -> None:
     visit("#/graph/function/drive/use")
     browser.click('[id="field-x"]')

@@ -11,9 +11,16 @@ from tests.server.shown import END, SHOWN, front
 from tests.server.test_dashboard import manage
 
 from uoarm import RobotManager
+from uoarm.bridge import Registry
+from uoarm.config import loads
+from uoarm.testing import MemoryBridge, wait
 
 pytestmark = pytest.mark.needs("chromium")
 
+PLACE = """
+((box) => [box.x, box.y, box.width, box.height])(
+  document.querySelector("?").getBoundingClientRect())
+"""
 PANELS = "[...document.querySelectorAll('.panel')].map((panel) => panel.dataset.panel).join(' ')"
 # Cards that a panel, a button or the edge of the graph covers in part.
 COVERED = """
@@ -39,6 +46,152 @@ def robot() -> Iterator[RobotManager]:
     yield manager
     front.put(END)
     manager.close()
+
+
+SENSES = """
+version: 1
+bridges: {memory: {plugin: python}}
+functions:
+  speed: {components: [{name: speed, bridge: memory, output: {endpoint: [speed]}}]}
+  camera: {components: [{name: camera, bridge: memory, output: {endpoint: [camera]}}]}
+  faces: {components: [{name: faces, bridge: memory, output: {endpoint: [faces]}}]}
+  laser: {components: [{name: laser, bridge: memory, output: {endpoint: [laser]}}]}
+  map: {components: [{name: map, bridge: memory, output: {endpoint: [map]}}]}
+"""
+NUMBER = {"type": "number"}
+
+
+def record_of(**properties: object) -> dict[str, object]:
+    return {"type": "object", "required": [*properties], "properties": properties}
+
+
+class Senses(MemoryBridge):
+    """Numbers, pictures, boxes in them, a scan and a map, as a test sends them."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        whole, numbers = {"type": "integer"}, {"type": "array", "items": NUMBER}
+        box = record_of(x=whole, y=whole, width=whole, height=whole, name={"type": "string"})
+        kinds = {
+            "speed": record_of(forward={**NUMBER, "x-unit": "m/s"}, turn=NUMBER, still=NUMBER),
+            "camera": record_of(
+                width=whole,
+                height=whole,
+                encoding={"const": "rgb8"},
+                data={
+                    "type": "array",
+                    "items": {"type": "integer", "minimum": 0, "maximum": 255},
+                    "x-octets": True,
+                },
+            ),
+            "faces": record_of(faces={"type": "array", "items": box}),
+            "laser": record_of(
+                angle_min=NUMBER, angle_max=NUMBER, angle_increment=NUMBER, ranges=numbers
+            ),
+            "map": record_of(
+                info=record_of(width=whole, height=whole, resolution=NUMBER),
+                data={"type": "array", "items": whole},
+            ),
+        }
+        self.of = {name: self.emitter(name, schema) for name, schema in kinds.items()}
+
+
+class TestSenses:
+    """What is drawn of a message."""
+
+    @pytest.fixture
+    def senses(self) -> Senses:
+        return Senses()
+
+    @pytest.fixture
+    def robot(self, senses: Senses) -> Iterator[RobotManager]:
+        given = {"memory": senses}
+        with RobotManager(loads(SENSES), registry=Registry(()), bridges=given) as robot:
+            yield robot
+
+    def watch(self, browser: Browser, name: str) -> None:
+        panel = f'[data-panel="function/{name}"]'
+        browser.until(f"document.querySelector('{panel} .bar select')")
+        browser.js(
+            "(s => { s.value = '0'; s.dispatchEvent(new Event('change', { bubbles: true })); })"
+            f"([...document.querySelectorAll('{panel} .bar select')].at(-1))"
+        )
+        browser.click(f"{panel} .button.main", "Watch")
+        browser.until(says(panel, "No message yet"))
+
+    def test_numbers_are_plotted_by_unit_with_values_under_the_cursor(
+        self, browser: Browser, visit: Visit, senses: Senses
+    ) -> None:
+        visit("#/graph/function/speed/use")
+        self.watch(browser, "speed")
+        for number in range(5):
+            senses.of["speed"].emit({"forward": number / 2, "turn": -number, "still": 1})
+        plots = (
+            "[...document.querySelectorAll('.plot')].map((plot) => plot.ariaLabel.split(';')[0])"
+        )
+        browser.until(f"{plots}.join() === 'Plot of forward in m/s,Plot of turn'")
+        browser.until("document.querySelector('.plot .u-over')")
+        browser.js("document.querySelector('.plot').focus()")
+        browser.press("ArrowRight")
+        browser.until(says(".plot .u-legend", "2 m/s"))
+        browser.click(".fields summary")
+        browser.click(".fields-list label", "still")
+        browser.click(".fields-list label", "forward")
+        browser.until(f"{plots}.join() === 'Plot of turn, still'")
+        browser.click(".bar .button", "Hold")
+        browser.until(says(".bar .button[aria-pressed=true]", "Go on"))
+        browser.until("location.hash.includes('fields=turn%2Cstill')")
+        assert browser.js("document.querySelector('.plot canvas').clientWidth") > 300
+
+    def test_boxes_of_another_function_lie_over_a_picture(
+        self, browser: Browser, visit: Visit, senses: Senses, robot: RobotManager
+    ) -> None:
+        visit("#/graph/function/camera/use")
+        self.watch(browser, "camera")
+        picture = {"width": 40, "height": 30, "encoding": "rgb8", "data": bytes(3600)}
+        senses.of["camera"].emit(picture)
+        browser.until("document.querySelector('.picture canvas')")
+        browser.js(
+            "(s => { s.value = 'faces'; s.dispatchEvent(new Event('change', { bubbles: true })); })"
+            "([...document.querySelectorAll('.panel .bar label')]"
+            ".find((label) => label.textContent.startsWith('Overlay')).querySelector('select'))"
+        )
+        states = ["running", "running"]
+        wait(lambda: [link.state.value for link in robot.status().connections] == states)
+        senses.of["faces"].emit(
+            {"faces": [{"x": 10, "y": 6, "width": 20, "height": 15, "name": "Ada"}]}
+        )
+        browser.until("document.querySelector('.shapes text')?.textContent === 'Ada'")
+        left, top, wide, high = browser.js(PLACE.replace("?", ".picture canvas"))
+        x, y, width, height = browser.js(PLACE.replace("?", ".shapes rect"))
+        assert x == pytest.approx(left + wide / 4, abs=3)
+        assert y == pytest.approx(top + high / 5, abs=3)
+        assert width == pytest.approx(wide / 2, abs=6)
+        assert height == pytest.approx(high / 2, abs=6)
+        browser.click(".panel .button", "Stop")
+        wait(lambda: robot.status().connections == ())
+
+    def test_a_scan_and_a_map_are_drawn(
+        self, browser: Browser, visit: Visit, senses: Senses
+    ) -> None:
+        visit("#/graph/function/laser/use/keep=1&function/map/use/keep=1")
+        self.watch(browser, "laser")
+        self.watch(browser, "map")
+        scan = {"angle_min": 0.0, "angle_max": 1.5, "angle_increment": 0.5}
+        senses.of["laser"].emit({**scan, "ranges": [1.0, 2.0, 4.0, float("inf")]})
+        label = "document.querySelector('.scan svg')?.ariaLabel ?? ''"
+        browser.until(f"({label}) === 'Scan: 3 of 4 beams see something, at most 4 m away'")
+        assert (
+            browser.js("document.querySelector('.scan .dots').getAttribute('d').match(/M/g).length")
+            == 3
+        )
+        info = {"width": 2, "height": 1, "resolution": 0.05}
+        senses.of["map"].emit({"info": info, "data": [100, -1]})
+        browser.until(says(".grid figcaption", "0.05 m"))
+        pixel = (
+            "document.querySelector('.grid canvas').getContext('2d').getImageData(0, 0, 2, 1).data"
+        )
+        browser.until(f"[...{pixel}].join() === '24,32,44,255,178,190,205,255'")
 
 
 class TestPanels:

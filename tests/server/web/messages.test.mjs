@@ -1,10 +1,12 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
+import { findGrid, findScan, gridPixels, ringOf } from "../../../src/uoarm/server/static/app/plane.js";
+import { shapesOf } from "../../../src/uoarm/server/static/app/shapes.js";
 import {
   readAddress, withMove, withOptions, withoutPanel, withPanel, writeAddress,
 } from "../../../src/uoarm/server/static/app/address.js";
 import { pretty, rate, short, span, stamp } from "../../../src/uoarm/server/static/app/format.js";
-import { numbersOf, Series, traced } from "../../../src/uoarm/server/static/app/numbers.js";
+import { byUnit, numbersOf, Series } from "../../../src/uoarm/server/static/app/numbers.js";
 import { findPicture, pixelsOf } from "../../../src/uoarm/server/static/app/picture.js";
 
 const base64 = (...octets) => Buffer.from(octets).toString("base64");
@@ -95,11 +97,46 @@ test("what is opened takes the place of the panel that is not kept, or stands be
   assert.deepEqual(withOptions(kept, { keep: "", window: 30 }).options, { window: 30 });
 });
 
-test("a line goes from corner to corner, a level one through the middle, one point is none", () => {
-  assert.equal(traced({ times: [5, 6, 9], values: [-2, 2, 0] }), "M0.00 100.00L25.00 0.00L100.00 50.00");
-  assert.equal(traced({ times: [1, 2], values: [7, 7] }), "M0.00 50.00L100.00 50.00");
-  assert.equal(traced({ times: [1, 2, 4], values: [7, 7, 7], starts: [true, false, true] }),
-    "M0.00 50.00L33.33 50.00M100.00 50.00");
-  assert.equal(traced({ times: [1], values: [7] }), "");
-  assert.equal(traced({ times: [], values: [] }), "");
+test("a line's points since a time begin one before it, and end where it is interrupted", () => {
+  const line = new Series();
+  for (const [time, value] of [[1, 10], [2, 20], [3, 30]]) line.add(time, value);
+  assert.deepEqual(line.since(2.5), [[2, 3], [20, 30]]);
+  assert.deepEqual(line.since(9), [[3], [30]]);
+  line.interrupt();
+  line.add(4, 40);
+  assert.deepEqual(line.since(3), [[2, 3, 4 - 1e-6, 4], [20, 30, null, 40]]);
+});
+
+test("numbers of one unit are in one plot", () => {
+  const schema = { type: "object", properties: { v: { $ref: "#/$defs/v" }, n: { type: "integer" } },
+    $defs: { v: { type: "object", properties: { x: { type: "number", "x-unit": "m/s" } } } } };
+  assert.deepEqual(byUnit(["v.x", "n", "gone.x"], schema), [["m/s", ["v.x"]], ["", ["n", "gone.x"]]]);
+  assert.deepEqual(byUnit(["a", "b"], undefined), [["", ["a", "b"]]]);
+});
+
+test("boxes and points are found in what detectors send", () => {
+  const size = { width: 200, height: 100 };
+  const box = (x, y, width, height, label) => ({ kind: "box", x, y, width, height, label });
+  const of = (message) => shapesOf(message, size);
+  assert.deepEqual(of({ faces: [{ x: 1, y: 2, width: 3, height: 4, name: "Ada", score: 0.91 }] }), [box(1, 2, 3, 4, "Ada 91 %")]);
+  assert.deepEqual(of({ detections: [{ bbox: { center: { position: { x: 50, y: 40 }, theta: 0 }, size_x: 20, size_y: 10 },
+    results: [{ hypothesis: { class_id: "cup", score: 0.5 } }] }] }), [box(40, 35, 20, 10, "cup 50 %")]);
+  assert.deepEqual(of([{ x1: 10, y1: 20, x2: 30, y2: 60 }]), [box(10, 20, 20, 40, "")]);
+  assert.deepEqual(of({ label: "hand", box: [5, 6, 7, 8] }), [box(5, 6, 7, 8, "hand")]);
+  assert.deepEqual(of({ nose: { x: 0.5, y: 0.5 } }), [{ kind: "point", x: 100, y: 50, label: "" }]);
+  assert.deepEqual(of({ at: { x: 1, y: 2, z: 3 }, picture: { width: 9, height: 9, x: 1, y: 1, encoding: "rgb8", data: "AA" } }), []);
+});
+
+test("a scan is points in metres, without what sees nothing; a grid's first row is below", () => {
+  const scan = findScan({ scan: { angle_min: 0, angle_increment: Math.PI / 2, range_min: 0.1, range_max: 10, ranges: [2, "Infinity", 3, 11] } });
+  assert.deepEqual(scan.points.map((point) => point.map(Math.round)), [[2, 0], [-3, 0]]);
+  assert.deepEqual([scan.all, scan.reach], [4, 3]);
+  assert.equal(findScan({ ranges: [1, 2], config: { minAngle: -1, maxAngle: 1 } }).points.length, 2);
+  assert.equal(findScan({ ranges: [1, 2] }), null);
+  assert.deepEqual([0.9, 4, 12, 30].map(ringOf), [0.2, 2, 5, 10]);
+  const info = { width: 2, height: 2, resolution: 0.5, origin: { position: { x: -1, y: 0 } } };
+  const shades = (data) => [...gridPixels(findGrid({ info, data }))].filter((_, at) => at % 4 === 0);
+  assert.deepEqual(shades([100, 0, -1, 0]), [178, 246, 24, 246]);
+  assert.deepEqual(shades(btoa("\x64\x00\xff\x00")), [178, 246, 24, 246]);
+  assert.equal(findGrid({ info, data: [1] }), null);
 });

@@ -1,6 +1,7 @@
-// The numbers inside messages, to draw lines of. Pure.
+// The numbers inside messages, and their last values, to draw lines of. Pure.
 
 import { isTime } from "./format.js";
+import { nodeOf } from "./schema.js";
 
 const MOST_PATHS = 24;
 const DEEPEST = 4;
@@ -25,9 +26,9 @@ function walk(value, path, depth, found) {
   }
 }
 
-/** A line's last points, and which of them begin it anew; it never holds more than `most`. */
+/** A line's last points, and which of them begin it anew; it holds at most `most`, and a quarter more for a while. */
 export class Series {
-  constructor(most = 300) {
+  constructor(most = 6000) {
     this.most = most;
     this.times = [];
     this.values = [];
@@ -40,8 +41,8 @@ export class Series {
     this.values.push(value);
     this.starts.push(this.starting);
     this.starting = false;
-    if (this.times.length > this.most) {
-      for (const points of [this.times, this.values, this.starts]) points.shift();
+    if (this.times.length > this.most * 1.25) {
+      for (const points of [this.times, this.values, this.starts]) points.splice(0, points.length - this.most);
     }
   }
 
@@ -49,16 +50,47 @@ export class Series {
   interrupt() {
     this.starting = true;
   }
+
+  /** Whether it has had more than one value. */
+  get moves() {
+    return this.values.some((value) => value !== this.values[0]);
+  }
+
+  /** [times, values] since a time, with one point before it; null where a line is interrupted. */
+  since(begin) {
+    const first = this.times.findIndex((time) => time >= begin);
+    const [times, values] = [[], []];
+    for (let at = Math.max(0, first < 0 ? this.times.length - 1 : first - 1); at < this.times.length; at += 1) {
+      if (this.starts[at] && times.length > 0) {
+        times.push(this.times[at] - 1e-6);
+        values.push(null);
+      }
+      times.push(this.times[at]);
+      values.push(this.values[at]);
+    }
+    return [times, values];
+  }
 }
 
-/** A line as an SVG path in a square of 100: times to the right, values upwards, a level line in the middle. */
-export function traced({ times, values, starts = [] }) {
-  const scale = (all) => {
-    const [low, high] = [Math.min(...all), Math.max(...all)];
-    return (item) => (high > low ? (100 * (item - low)) / (high - low) : 50);
-  };
-  const [x, y] = [scale(times), scale(values)];
-  const points = times.map((time, at) =>
-    `${at === 0 || starts[at] ? "M" : "L"}${x(time).toFixed(2)} ${(100 - y(values[at])).toFixed(2)}`);
-  return points.length > 1 ? points.join("") : "";
+/** The unit of the number at a path of a structure, as its schema states it; "" where it states none. */
+export function unitAt(schema, path) {
+  let node = schema;
+  let unit = "";
+  for (const name of path.split(".")) {
+    const known = nodeOf(node, schema);
+    node = known.fields?.[name] ?? known.items;
+    if (node === undefined || node === true) return unit;
+    unit = node["x-unit"] ?? unit;
+  }
+  return unit;
+}
+
+/** What the lines of one plot have in common: [unit, paths], in the order of the paths. */
+export function byUnit(paths, schema) {
+  const groups = new Map();
+  for (const path of paths) {
+    const unit = schema ? unitAt(schema, path) : "";
+    groups.set(unit, [...(groups.get(unit) ?? []), path]);
+  }
+  return [...groups];
 }

@@ -8,7 +8,7 @@ const FAR = 0.5; // below this scale small print is left out
 const STILL = 4; // pixels that a finger may move and still press
 
 /** On a phone the graph begins large enough to be read, and in part. */
-const legible = ({ width }) => (width < 700 ? { least: 0.6, margin: 14 } : {});
+const legible = () => (window.innerWidth < 700 ? { least: 0.6, margin: 14 } : {});
 
 /**
  * The camera of a stage. It shows everything until someone moves it, however much room panels leave;
@@ -26,7 +26,7 @@ export function useCamera(stage, layout, chosen) {
   };
   const keepSeen = (card) => put(reveal(state.now, layout.places.get(card.id), card, size()));
   const settle = () => {
-    if (!state.moved) put(fit(layout, size(), legible(size())));
+    if (!state.moved) put(fit(layout, size(), legible()));
     else if (chosen) keepSeen(chosen);
   };
   const change = (how) => {

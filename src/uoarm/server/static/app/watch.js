@@ -1,16 +1,19 @@
-// Watching a function: its latest message, its picture, and lines of its numbers.
+// Watching a function: its latest message, its picture or scan, and plots of its numbers.
 
-import { useState } from "../vendor/htm-preact.js";
+import { useEffect, useState } from "../vendor/htm-preact.js";
+import { keyOf, withOptions } from "./address.js";
 import { plural, pretty, rate, short } from "./format.js";
 import { findPicture } from "./picture.js";
-import { Picture } from "./pixels.js";
-import { Spark } from "./spark.js";
+import { Grid, Picture, Scan } from "./pixels.js";
+import { findGrid, findScan } from "./plane.js";
+import { Plots } from "./plot.js";
 import { Facts, html, Icon, Notice } from "./ui.js";
 
 const PACES = [[0, "every message"], [0.1, "10 a second"], [0.5, "2 a second"], [2, "1 in 2 s"]];
 
-export function Watch({ store, func, keep }) {
-  const [output, setOutput] = useState(func.outputs[0]);
+export function Watch({ store, func, panel, act, keep }) {
+  const choose = (options) => act.change(keyOf(panel), (of) => withOptions(of, options));
+  const output = func.outputs.includes(panel.options.output) ? panel.options.output : func.outputs[0];
   const [every, setEvery] = useState(0.1);
   const [state, setState] = useState({ busy: false, refusal: "" });
   const name = output === "default" ? func.name : `${func.name}.${output}`;
@@ -31,7 +34,10 @@ export function Watch({ store, func, keep }) {
     keep();
     return store.watches.open(name, { every, queue: { length: every ? 4 : 200, policy: "drop-oldest" } });
   });
-  const end = () => during(() => store.watches.close(name));
+  const end = () => during(async () => {
+    await store.watches.close(name);
+    await store.watches.closeOverlay(name);
+  });
 
   return html`
     <div class="bar">
@@ -40,19 +46,21 @@ export function Watch({ store, func, keep }) {
         : html`<button type="button" class="button main" disabled=${state.busy} onClick=${begin}>
             <${Icon} name="play" /> ${state.busy ? "One moment …" : "Watch"}</button>`}
       ${func.outputs.length > 1 && html`<label>Output <select value=${output} disabled=${running}
-        onChange=${(event) => setOutput(event.target.value)}>${func.outputs.map((other) => html`
+        onChange=${(event) => choose({ output: event.target.value })}>${func.outputs.map((other) => html`
           <option value=${other}>${other}</option>`)}</select></label>`}
       <label>At most <select value=${String(every)} disabled=${running}
         onChange=${(event) => setEvery(Number(event.target.value))}>${PACES.map(([seconds, label]) => html`
           <option value=${String(seconds)}>${label}</option>`)}</select></label>
     </div>
     ${state.refusal && html`<${Notice} kind="bad" title="It was refused">${state.refusal}</${Notice}>`}
-    ${watch && html`<${Shown} store=${store} watch=${watch} />`}`;
+    ${watch && html`<${Shown} store=${store} func=${func} output=${output} watch=${watch} options=${panel.options} choose=${choose} />`}`;
 }
 
-function Shown({ store, watch }) {
+function Shown({ store, func, output, watch, options, choose }) {
   const own = store.status.own.find((other) => other.connection === watch.connection);
-  const picture = watch.latest === undefined ? null : findPicture(watch.latest);
+  const { latest } = watch;
+  const picture = latest === undefined ? null : findPicture(latest);
+  const [scan, grid] = latest === undefined ? [] : [findScan(latest), findGrid(latest)];
   return html`
     ${watch.end && html`<${Notice} kind=${watch.end.state === "failed" ? "bad" : "info"}
       title=${watch.end.state === "failed" ? "It failed" : "It ended"}>${watch.end.cause || "closed"}</${Notice}>`}
@@ -60,6 +68,11 @@ function Shown({ store, watch }) {
       What is watched is opened again when it is back.</${Notice}>`}
     ${watch.note && html`<${Notice} kind="warn" title="A message could not be shown">${watch.note}</${Notice}>`}
     ${watch.warnings.map((warning) => html`<${Notice} kind="warn">${warning}</${Notice}>`)}
+    ${picture && html`<${Overlaid} store=${store} watch=${watch} picture=${picture} chosen=${options.overlay ?? ""} choose=${choose} />`}
+    ${scan && html`<${Scan} scan=${scan} />`}
+    ${grid && html`<${Grid} grid=${grid} />`}
+    ${watch.latest === undefined && !watch.end && !watch.away && html`<p class="quiet" role="status">No message yet.</p>`}
+    <${Plots} store=${store} func=${func} output=${output} watch=${watch} options=${options} choose=${choose} />
     <${Facts} of=${[
       ["shown", `${short(watch.taken)} (${rate(store.watches.rate(watch))})`],
       ["left out", own?.left_out ? short(own.left_out) : ""],
@@ -67,20 +80,25 @@ function Shown({ store, watch }) {
       ["interrupted", watch.gaps ? `${plural(watch.gaps, "time")}; what was missed is not known` : ""],
       ["through", watch.components.join(" → ")],
     ]} />
-    ${picture && html`<${Picture} picture=${picture} />`}
-    ${watch.latest === undefined && !watch.end && !watch.away && html`<p class="quiet" role="status">No message yet.</p>`}
-    <${Lines} watch=${watch} />
     ${watch.latest !== undefined && html`<h3>Latest message</h3>
       <pre class="message" tabindex="0" aria-label="Latest message">${pretty(watch.latest)}</pre>`}`;
 }
 
-function Lines({ watch }) {
-  const moving = [...watch.series].filter(([, line]) => line.values.some((value) => value !== line.values[0]));
-  const [all, setAll] = useState(false);
-  if (moving.length === 0) return null;
-  const shown = all ? moving : moving.slice(0, 4);
-  return html`<h3>Numbers</h3>
-    <ul class="sparks">${shown.map(([path, line]) => html`<${Spark} key=${path} path=${path} line=${line} />`)}</ul>
-    ${moving.length > 4 && html`<button type="button" class="button small" aria-expanded=${all}
-      onClick=${() => setAll(!all)}>${all ? "Fewer" : `${plural(moving.length - 4, "more line")}`}</button>`}`;
+/** A picture, and over it the boxes and points of its own message and of a function that is chosen. */
+function Overlaid({ store, watch, picture, chosen, choose }) {
+  const [refusal, setRefusal] = useState("");
+  const names = store.functions.filter((func) => !func.service).flatMap((func) =>
+    func.outputs.map((output) => (output === "default" ? func.name : `${func.name}.${output}`)));
+  useEffect(() => {
+    if (watch.end) return;
+    setRefusal("");
+    store.watches.overlay(watch.name, names.includes(chosen) ? chosen : "").catch((error) => setRefusal(error.message));
+  }, [watch, chosen]);
+  const over = store.watches.byName.get(chosen);
+  return html`
+    <div class="bar"><label>Overlay <select value=${chosen} onChange=${(event) => choose({ overlay: event.target.value })}>
+      <option value="">none</option>
+      ${names.filter((name) => name !== watch.name).map((name) => html`<option value=${name}>${name}</option>`)}</select></label></div>
+    ${refusal && html`<${Notice} kind="bad" title=${`${chosen} cannot be drawn`}>${refusal}</${Notice}>`}
+    <${Picture} picture=${picture} over=${[watch.latest, ...(over?.latest === undefined ? [] : [over.latest])]} />`;
 }

@@ -8,12 +8,13 @@ const SILENT = 1; // seconds without a message, and
 const LATE = 3; // messages that are late: then a rate is 0
 
 export class Watches {
-  constructor(wire, changed, now = () => performance.now() / 1000) {
+  constructor(wire, changed, now = () => (performance.timeOrigin + performance.now()) / 1000) {
     this.wire = wire;
     this.changed = changed;
     this.now = now;
     this.byName = new Map();
     this.byConnection = new Map();
+    this.overlays = new Map(); // by the picture that they lie over: what was opened for that alone
   }
 
   /** Opens a function, or one output of it; rejects with a Refusal. */
@@ -41,6 +42,27 @@ export class Watches {
     this.#forget(name);
     this.changed();
     if (watch && !watch.end && !watch.away) await this.wire.ask("Kill", watch.connection);
+  }
+
+  /** Has one function's messages lie over the pictures of another; opens it where it is not watched. */
+  async overlay(picture, name) {
+    if (this.overlays.get(picture) === name) return;
+    await this.closeOverlay(picture);
+    if (!name || this.byName.has(name)) return;
+    this.overlays.set(picture, name);
+    try {
+      await this.open(name, { queue: { length: 4, policy: "drop-oldest" } });
+    } catch (error) {
+      this.overlays.delete(picture);
+      throw error;
+    }
+  }
+
+  /** Gives back what was opened to lie over a picture, unless it lies over another one, too. */
+  async closeOverlay(picture) {
+    const name = this.overlays.get(picture);
+    this.overlays.delete(picture);
+    if (name && ![...this.overlays.values()].includes(name)) await this.close(name);
   }
 
   take(connection, message) {
