@@ -217,7 +217,7 @@ def _number_writer(
             return count, value.view(np.uint8).data
         if kind is list or kind is tuple:
             count = fitting(len(value))
-            if set(map(type, value)) == {exact}:
+            if [*map(type, value)].count(exact) == count:  # a set of them costs half more
                 try:
                     return count, struct.pack(f"{order}{count}{code}", *value)
                 except (struct.error, OverflowError):

@@ -1,0 +1,213 @@
+"""Serialising one message: `uoarm.cdr` beside Fast CDR (rclpy), rosbags, omniORB and genpy.
+
+Each peer that is not installed is left out, and said. Times are of one call in one thread.
+"""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bench.tables import microseconds, print_table, row
+from uoarm.cdr import CORBA, ROS_1, Codec, RosDefinition, structure_of_definition
+
+ROS_PYTHON = "/usr/bin/python3"  # what Debian installs belongs to it alone
+PEER = str(Path(__file__).with_name("_genpy_peer.py"))
+COUNT, OCTETS = 720, 921_600
+ROUNDS = 300
+NUMBERS = [index / 7 for index in range(COUNT)]
+RULE = "=" * 80
+Actions = tuple[Callable[[], object], Callable[[], object]]
+TYPES = {
+    "Imu": "sensor_msgs/msg/Imu",
+    "LaserScan, lists": "sensor_msgs/msg/LaserScan",
+    "LaserScan, numpy": "sensor_msgs/msg/LaserScan",
+    "Path of 20": "nav_msgs/msg/Path",
+    "Image": "sensor_msgs/msg/Image",
+}
+
+
+def main() -> int:
+    """Print a table for each encoding; 0 also where no peer is installed."""
+    for title, rows in (
+        ("DDS (ROS 2), us a message", _of_dds()),
+        ("ROS 1, us a message", _of_ros_1()),
+        ("CORBA, us a message", _of_corba()),
+    ):
+        print_table(title, ("message, by", "median", "p99", "direction"), list(rows))
+    return 0
+
+
+def _rows(name: str, makers: Sequence[tuple[str, Actions]]) -> Iterator[tuple[str, ...]]:
+    for direction, place in (("write", 0), ("read", 1)):
+        for by, actions in makers:
+            actions[place]()  # what is generated is generated before
+            yield row(f"{name}: {by}", microseconds(actions[place], repeat=ROUNDS), direction)
+
+
+def _numbers(name: str) -> Any:
+    return np.array(NUMBERS, np.float32) if name.endswith("numpy") else list(NUMBERS)
+
+
+def _values(name: str) -> dict[str, Any]:
+    """Return what differs from zero in a message."""
+    if name.startswith("LaserScan"):
+        return {"ranges": _numbers(name), "intensities": _numbers(name)}
+    if name == "Image":
+        size = {"height": 480, "width": 640, "step": 1920, "encoding": "rgb8"}
+        return {**size, "is_bigendian": 0, "data": bytes(OCTETS)}
+    return {}
+
+
+def _message(schema: Any, given: Any) -> Any:
+    """Return a message that is zero where nothing is given."""
+    if schema.get("type") == "object":
+        members = schema["properties"].items()
+        return {key: _message(member, (given or {}).get(key)) for key, member in members}
+    if given is not None:
+        return given
+    if schema.get("type") == "array":
+        fixed = schema.get("minItems", 0)
+        return [_message(schema["items"], None) for _ in range(fixed)]
+    kinds: dict[object, object] = {"string": "", "boolean": False, "integer": 0}
+    return kinds.get(schema.get("type"), 0.0)
+
+
+def _ours(codec: Codec, message: Any) -> tuple[str, Actions]:
+    written = codec.encode(message, "<")
+    return "uoarm", (lambda: codec.encode(message, "<"), lambda: codec.decode(written, "<"))
+
+
+def _made(name: str, codec_of: Callable[[Any], Codec], structure: Any) -> tuple[str, Actions]:
+    given = _values(name)
+    if name.startswith("Path"):
+        element = structure.schema["properties"]["poses"]["items"]
+        given = {"poses": [_message(element, None) for _ in range(20)]}
+    return _ours(codec_of(structure), _message(structure.schema, given))
+
+
+def _of_dds() -> Iterator[tuple[str, ...]]:
+    try:
+        from rosbags.typesys import Stores, get_typestore  # noqa: PLC0415
+    except ImportError as error:
+        print(f"no table of DDS: {error}", file=sys.stderr)
+        return
+    store = get_typestore(Stores.ROS2_JAZZY)
+    for name, kind in TYPES.items():
+        text, _ = store.generate_msgdef(kind, ros_version=2)
+        structure = structure_of_definition(RosDefinition(kind, text))
+        ours = _made(name, Codec, structure)
+        written: Any = ours[1][0]()
+        made, read = [ours], store.deserialize_cdr(written, kind)
+        if not name.endswith("lists"):  # it takes arrays alone
+            made.append(("rosbags", _by_rosbags(store, read, written, kind)))
+        made += _by_rclpy(name, kind, written)
+        yield from _rows(name, made)
+
+
+def _by_rosbags(store: Any, read: Any, written: bytes, kind: str) -> Actions:
+    return (
+        lambda: store.serialize_cdr(read, kind),
+        lambda: store.deserialize_cdr(written, kind),
+    )
+
+
+def _by_rclpy(name: str, kind: str, written: bytes) -> list[tuple[str, Actions]]:
+    try:
+        from rclpy.serialization import (  # noqa: PLC0415
+            deserialize_message,
+            serialize_message,
+        )
+
+        package, _, type_name = kind.partition("/msg/")
+        native: Any = getattr(import_module(f"{package}.msg"), type_name)
+    except ImportError as error:
+        print(f"no rclpy for {name}: {error}", file=sys.stderr)
+        return []
+    message = deserialize_message(written, native)
+
+    def write() -> Any:
+        if name.endswith("lists"):  # what the others are given, too
+            message.ranges = message.intensities = NUMBERS
+        return serialize_message(message)
+
+    return [("rclpy", (write, lambda: deserialize_message(written, native)))]
+
+
+def _of_ros_1() -> Iterator[tuple[str, ...]]:
+    try:
+        from rosbags.typesys import Stores, get_typestore  # noqa: PLC0415
+    except ImportError as error:
+        print(f"no table of ROS 1: {error}", file=sys.stderr)
+        return
+    peers = _by_genpy()
+    store = get_typestore(Stores.ROS1_NOETIC)
+    for name, kind in TYPES.items():
+        text, _ = store.generate_msgdef(kind, ros_version=1)
+        definition = RosDefinition(kind.replace("/msg/", "/"), text)
+        structure = structure_of_definition(definition, is_ros_1=True)
+        by, actions = _made(name, lambda structure: Codec(structure, ROS_1), structure)
+        actions[0](), actions[1]()
+        for direction, place in (("write", 0), ("read", 1)):
+            found = microseconds(actions[place], repeat=ROUNDS)
+            yield row(f"{name}: {by}", found, direction)
+            if name in peers:
+                yield row(f"{name}: genpy", peers[name][direction], direction)
+
+
+def _by_genpy() -> dict[str, Any]:
+    words = [ROS_PYTHON, PEER, str(COUNT), str(OCTETS)]
+    try:
+        done = subprocess.run(words, stdout=subprocess.PIPE, text=True, check=True, timeout=120)
+    except (OSError, subprocess.SubprocessError) as error:
+        print(f"no genpy: {error}", file=sys.stderr)
+        return {}
+    return {found["name"]: found for found in map(json.loads, done.stdout.splitlines())}
+
+
+def _of_corba() -> Iterator[tuple[str, ...]]:
+    try:
+        import omniORB  # noqa: PLC0415
+        from uoarm_rtm.component import Types  # noqa: PLC0415
+    except ImportError as error:
+        print(f"no table of CORBA: {error}", file=sys.stderr)
+        return
+    orb = omniORB.CORBA.ORB_init([], omniORB.CORBA.ORB_ID)
+    types = Types((), "utf-8")
+    for name, kind, value in (
+        ("TimedPose3D", "RTC::TimedPose3D", None),
+        (f"TimedFloatSeq, {COUNT} in a list", "RTC::TimedFloatSeq", NUMBERS),
+        (f"TimedOctetSeq, {OCTETS:,}", "RTC::TimedOctetSeq", bytes(OCTETS)),
+    ):
+        structure = types.structure(kind)
+        message = _message(structure.schema, {} if value is None else {"data": value})
+        made = [_ours(Codec(structure, CORBA), message)]
+        code = omniORB.tcInternal.createTypeCode(types.descriptor(kind))
+        written = Codec(structure, CORBA).encode(message, "<")
+        native = omniORB.cdrUnmarshal(code, written, True)
+        made.append(
+            (
+                "omniORB",
+                (
+                    lambda code=code, native=native: omniORB.cdrMarshal(code, native, True),
+                    lambda code=code, written=written: omniORB.cdrUnmarshal(code, written, True),
+                ),
+            )
+        )
+        yield from _rows(name, made)
+    orb.destroy()
+
+
+if __name__ == "__main__":
+    begin = time.monotonic()
+    status = main()
+    print(f"\n{time.monotonic() - begin:.0f} s", file=sys.stderr)
+    sys.exit(status)
