@@ -173,6 +173,13 @@ def _by_genpy() -> dict[str, Any]:
     return {found["name"]: found for found in map(json.loads, done.stdout.splitlines())}
 
 
+def _by_omniorb(orb: Any, code: Any, native: Any, written: bytes) -> Actions:
+    return (
+        lambda: orb.cdrMarshal(code, native, True),
+        lambda: orb.cdrUnmarshal(code, written, True),
+    )
+
+
 def _of_corba() -> Iterator[tuple[str, ...]]:
     try:
         import omniORB  # noqa: PLC0415
@@ -193,15 +200,7 @@ def _of_corba() -> Iterator[tuple[str, ...]]:
         code = omniORB.tcInternal.createTypeCode(types.descriptor(kind))
         written = Codec(structure, CORBA).encode(message, "<")
         native = omniORB.cdrUnmarshal(code, written, True)
-        made.append(
-            (
-                "omniORB",
-                (
-                    lambda code=code, native=native: omniORB.cdrMarshal(code, native, True),
-                    lambda code=code, written=written: omniORB.cdrUnmarshal(code, written, True),
-                ),
-            )
-        )
+        made.append(("omniORB", _by_omniorb(omniORB, code, native, written)))
         yield from _rows(name, made)
     orb.destroy()
 
