@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import itertools
 import threading
+from collections.abc import Iterator
 from typing import Annotated, TypedDict
 
-from uoarm.local import Range
+from uoarm.local import Emit, Range
 from uoarm.testing import Script, patience
 
 CONFIGURATION = """
@@ -58,6 +60,33 @@ functions:
           stop: {message: {speed: 0.0}}
           limits: {speed: {minimum: -1.0, maximum: 1.0}}
         output: {endpoint: ["components:drive"]}
+  walk:
+    description: walks so many steps
+    components:
+      - name: walker
+        bridge: python
+        inputs:
+          goal: {endpoint: ["components:Walker"]}
+          cancel: {endpoint: ["components:Walker"]}
+        outputs:
+          status: {endpoint: ["components:Walker"], structure: {type: object}}
+          feedback: {endpoint: ["components:Walker"], structure: {type: object}}
+          result: {endpoint: ["components:Walker"], structure: {type: object}}
+  press:
+    description: an action that moves something
+    components:
+      - name: presser
+        bridge: python
+        inputs:
+          goal:
+            endpoint: ["components:Walker"]
+            lifetime: 30
+            stop: {message: {value: 0}}
+            limits: {value: {minimum: 0, maximum: 5}}
+          cancel: {endpoint: ["components:Walker"]}
+        outputs:
+          status: {endpoint: ["components:Walker"], structure: {type: object}}
+          result: {endpoint: ["components:Walker"], structure: {type: object}}
   missing:
     components:
       - {name: missing, bridge: python, output: {endpoint: ["components:nothing"]}}
@@ -157,3 +186,37 @@ def spare(request: Pressure) -> Number:
 def drive(request: Speed) -> Speed:
     script.came.append(dict(request))
     return request
+
+
+class GoalId(TypedDict):
+    goal_id: str
+
+
+class Walker:
+    """An action: walks as many steps as its goal says, at once; of 99 it waits to be cancelled."""
+
+    def __init__(self) -> None:
+        self._numbers = itertools.count(1)
+        self._waiting: set[str] = set()
+
+    def goal(self, message: Number) -> Iterator[Emit]:
+        script.came.append(dict(message))
+        goal = {"goal_id": str(next(self._numbers))}
+        steps = message["value"]
+        if steps < 0:
+            yield Emit("status", {**goal, "status": "rejected"})
+            return
+        yield Emit("status", {**goal, "status": "accepted"})
+        if steps == 99:
+            self._waiting.add(goal["goal_id"])
+            yield Emit("feedback", {**goal, "feedback": {"step": 1}})
+            return
+        state = "aborted" if steps == 13 else "succeeded"
+        yield Emit("result", {**goal, "status": state, "result": {"walked": steps}})
+
+    def cancel(self, message: GoalId) -> Iterator[Emit]:
+        script.came.append(dict(message))
+        if message["goal_id"] in self._waiting:
+            self._waiting.discard(message["goal_id"])
+            result = {"walked": 1}
+            yield Emit("result", {**message, "status": "canceled", "result": result})

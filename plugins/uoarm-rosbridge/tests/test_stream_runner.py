@@ -8,7 +8,6 @@ from typing import cast
 
 from attrs import define, field
 from components import CONFIGURATION
-from uoarm_rosbridge._runners import Goal, StreamRunner
 
 from uoarm import Connection
 from uoarm.config import loads
@@ -21,9 +20,11 @@ from uoarm.server.front_end import (
     Envelope,
     Feed,
     FeedKey,
+    Goal,
     InputSender,
     Listener,
     Read,
+    StreamRunner,
 )
 from uoarm.testing import patience
 

@@ -67,6 +67,7 @@ from uoarm.server.session import (
 )
 from uoarm.server.streams import (
     Account,
+    ActionRunners,
     ChangeNotice,
     Charge,
     Done,
@@ -74,6 +75,8 @@ from uoarm.server.streams import (
     Feed,
     FeedKey,
     FeedRegistry,
+    Goal,
+    GoalStatus,
     InputSender,
     Lane,
     Listener,
@@ -81,8 +84,10 @@ from uoarm.server.streams import (
     MemoryUse,
     Read,
     Shares,
+    StreamRunner,
     Watcher,
     check_message,
+    is_action,
     read_message,
 )
 
@@ -92,6 +97,7 @@ __all__ = [
     "TEXT_FORM",
     "AccessRole",
     "Account",
+    "ActionRunners",
     "Approval",
     "ApprovalDesk",
     "ApprovalEnvelope",
@@ -112,6 +118,8 @@ __all__ = [
     "FeedKey",
     "Form",
     "FrontEnd",
+    "Goal",
+    "GoalStatus",
     "Guest",
     "GuestBook",
     "HttpPlace",
@@ -130,6 +138,7 @@ __all__ = [
     "RoleViews",
     "Session",
     "Shares",
+    "StreamRunner",
     "Supervision",
     "UnknownError",
     "check_message",
@@ -138,6 +147,7 @@ __all__ = [
     "error_code_of",
     "error_text",
     "hookimpl",
+    "is_action",
     "read_binary",
     "read_message",
     "read_text",
@@ -303,6 +313,10 @@ class Backend(Protocol):
             BusyError: every worker is taken.
             UoarmError: as `RobotManager.call`.
         """
+
+    @property
+    def actions(self) -> ActionRunners:
+        """What works on the goals of functions that are actions, for all clients together."""
 
     @property
     def approvals(self) -> ApprovalDesk:

@@ -16,7 +16,7 @@ from jsonschema.exceptions import best_match
 from mcp_types import CallToolResult, ImageContent, ResourceLink, TextContent, Tool
 
 from uoarm.errors import MessageError, ResolutionError, UoarmError, UsageError
-from uoarm.model import FieldLimit, LeaseHolder, Message, MessageStructure, Plan
+from uoarm.model import FieldLimit, LeaseHolder, Message, MessageStructure, Plan, message_octets
 from uoarm.server.front_end import (
     TEXT_FORM,
     Approval,
@@ -27,6 +27,8 @@ from uoarm.server.front_end import (
     Backend,
     DeniedError,
     Discoveries,
+    Goal,
+    GoalStatus,
     Guest,
     Operation,
     RoleView,
@@ -34,6 +36,7 @@ from uoarm.server.front_end import (
     check_message,
     code_of,
     error_text,
+    is_action,
     read_message,
     show_approval,
     show_plan,
@@ -54,6 +57,11 @@ _READ_SECONDS = 5.0
 _MOST_EVENTS = 20
 _MOST_SHOWN = 60_000
 _WORDS = 200
+_KINDS = {
+    "call": (ToolKind.CALL,),
+    "send": (ToolKind.SEND, ToolKind.GOAL),
+    "request": (ToolKind.READ,),
+}
 _read = partial(read_message, TEXT_FORM)
 
 
@@ -167,11 +175,14 @@ class Agent:
         else:
             goal_handle = secrets.token_hex(8)
         goal = AgentGoal(goal_handle, made.function)
-        work = (
-            partial(self._call, plan, revision, message, _read)
-            if made.kind is ToolKind.CALL
-            else partial(self._send, made, wish, message)
-        )
+        work: Callable[[AgentGoal], Awaitable[RenderedMessage]]
+        if made.kind is ToolKind.CALL:
+            work = partial(self._call, plan, revision, message, _read)
+        elif made.kind is ToolKind.GOAL:
+            own = {port.name for port in plan.provider.component.inputs if port.source is None}
+            work = partial(self._give_goal, made, wish, message, can_cancel="cancel" in own)
+        else:
+            work = partial(self._send, made, wish, message)
         return await self._pursue(goal, work)
 
     async def _call_at_once(
@@ -235,16 +246,73 @@ class Agent:
         self, made: FunctionTool, wish: ApprovalWish, message: Message, goal: AgentGoal
     ) -> RenderedMessage:
         del goal
-
-        def check(plan: Plan) -> None:
-            found = ApprovalFoundation.of(plan, self._backend.robot.revision)
-            if self._reason(made) and found != wish.foundation:
-                raise DeniedError(
-                    f"{made.function} runs {', '.join(found.components)}, which was not approved"
-                )
-
+        check = partial(self._check_foundation, made, wish)
         await self.streams.send(made.function, made.port, message, check)
         return RenderedMessage(None)
+
+    async def _give_goal(
+        self,
+        made: FunctionTool,
+        wish: ApprovalWish,
+        message: Message,
+        goal: AgentGoal,
+        *,
+        can_cancel: bool,
+    ) -> RenderedMessage:
+        """Give a goal to an action, and wait for its end; its cancellation reaches the action."""
+        loop = asyncio.get_running_loop()
+        ended: asyncio.Future[tuple[Message, str]] = loop.create_future()
+
+        def feed(values: Message) -> None:
+            goal.feedback = values
+
+        def finish(values: Message, status: GoalStatus) -> None:
+            if not ended.done():
+                ended.set_result((values, status.name.lower()))
+
+        def fail(error: BaseException) -> None:
+            if not ended.done():
+                ended.set_exception(error)
+
+        sent = Goal(
+            message,
+            feed,
+            finish,
+            fail,
+            message_octets(message),
+            read=_read,
+            check=partial(self._check_foundation, made, wish),
+        )
+        actions = self._backend.actions
+        runner = actions.join(made.function, sent)
+
+        def ask_for_end() -> None:
+            with contextlib.suppress(UoarmError):  # its end is reported, whatever it is
+                runner.cancel(sent, lambda _: None)
+
+        def cancel() -> bool:
+            loop.call_soon_threadsafe(ask_for_end)
+            return True
+
+        try:
+            runner.start(sent)
+            if can_cancel:
+                goal.cancel = cancel
+            values, state = await ended
+        finally:
+            if not sent.ended:
+                runner.abandon(sent)
+            actions.leave(made.function, sent)
+        rendered = await self._backend.in_worker(lambda: self.kept.render(values))
+        goal.state = state
+        return rendered
+
+    def _check_foundation(self, made: FunctionTool, wish: ApprovalWish, plan: Plan) -> None:
+        found = ApprovalFoundation.of(plan, self._backend.robot.revision)
+        if self._reason(made) and found != wish.foundation:
+            raise DeniedError(
+                f"{made.function} runs {', '.join(found.components)}, which was not approved"
+            )
 
     def _goal_result(self, goal: AgentGoal) -> CallToolResult:
         facts = goal.facts()
@@ -265,7 +333,7 @@ class Agent:
     ) -> ApprovalWish:
         return ApprovalWish(
             self.guest.principal,
-            made.kind.value if made.kind is not ToolKind.READ else "request",
+            made.operation.value,
             made.function,
             made.port,
             message,
@@ -435,15 +503,17 @@ class Agent:
         wanted = arguments.get("operation")
         if wanted is None:
             is_service = plan.provider.component.service is not None
-            wanted = "call" if is_service else "send" if "arguments" in arguments else "request"
-        kind = ToolKind.READ if wanted == "request" else ToolKind(wanted)
+            own = [port for port in plan.provider.component.inputs if port.source is None]
+            is_sent = "arguments" in arguments or is_action(plan.provider.component)
+            wanted = "call" if is_service else "send" if own and is_sent else "request"
+        kinds = _KINDS[wanted]
         return next(
             (
                 made
                 for made in catalogue.tools.values()
                 if made.function == name
-                and made.kind is kind
-                and (kind is not ToolKind.SEND or made.port == arguments.get("port", made.port))
+                and made.kind in kinds
+                and (made.kind is ToolKind.GOAL or arguments.get("port", made.port) == made.port)
             ),
             None,
         )
@@ -560,7 +630,12 @@ class Agent:
     async def _goal_status(self, arguments: Mapping[str, Any]) -> dict[str, Any]:
         handle = arguments["handle"]
         if self._goals.knows(handle):
-            return self._goals.find(handle).facts()
+            goal = self._goals.find(handle)
+            if goal.done.is_set() or goal.feedback is None:
+                return goal.facts()
+            last = goal.feedback
+            shown = await self._backend.in_worker(lambda: self.kept.render(last))
+            return {**goal.facts(), "feedback": shown.value}
         approval = self._desk.find(handle, self.guest.principal)
         if approval is None:
             raise UnknownError(f"there is no goal and no approval {handle!r:.64} of this agent")
@@ -631,7 +706,7 @@ def _check(plan: Plan, made: FunctionTool, message: Message) -> None:
 
 def _limits(plan: Plan, made: FunctionTool) -> tuple[FieldLimit, ...]:
     """Return the limits of the input that a tool sends to, which hold at the last hop, too."""
-    if made.kind is not ToolKind.SEND:
+    if made.kind not in {ToolKind.SEND, ToolKind.GOAL}:
         return ()
     own = [port for port in plan.provider.component.inputs if port.source is None]
     found = next((port for port in own if port.name == made.port or not made.port), None)

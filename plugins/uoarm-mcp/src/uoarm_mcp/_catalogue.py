@@ -11,7 +11,7 @@ from mcp_types import Resource, Tool, ToolAnnotations
 
 from uoarm.errors import UoarmError
 from uoarm.model import Function, MessageStructure, Plan, Robot
-from uoarm.server.front_end import AccessRole, Backend, Operation
+from uoarm.server.front_end import AccessRole, Backend, Operation, is_action
 from uoarm_mcp._schemas import (
     OWN_INPUTS,
     has_headers,
@@ -46,14 +46,22 @@ class ToolKind(Enum):
     """What a tool does with a function."""
 
     CALL = "call"
+    GOAL = "goal"
     SEND = "send"
     READ = "read"
 
 
 _OPERATIONS = {
     ToolKind.CALL: Operation.CALL,
+    ToolKind.GOAL: Operation.SEND,
     ToolKind.SEND: Operation.SEND,
     ToolKind.READ: Operation.REQUEST,
+}
+
+_DOES = {
+    ToolKind.CALL: "Calls",
+    ToolKind.GOAL: "Gives a goal, which has a handle, to",
+    ToolKind.SEND: "Sends one message to",
 }
 
 
@@ -196,6 +204,16 @@ class CatalogueMaker:
                 function, ToolKind.CALL, "", structures["request"], structures["reply"]
             )
         own = [port.name for port in component.inputs if port.source is None]
+        if is_action(component):
+            # Goals and cancellations are sent by this tool and by `cancel`, and in no other way.
+            yield self._acting(
+                function,
+                ToolKind.GOAL,
+                "goal",
+                structures["input.goal"],
+                _result_of(structures["output.result"]),
+            )
+            own = [name for name in own if name not in {"goal", "cancel"}]
         for name in own:
             port = name if len(own) > 1 else ""
             yield self._acting(function, ToolKind.SEND, port, structures[f"input.{name}"], None)
@@ -211,13 +229,13 @@ class CatalogueMaker:
         taken: MessageStructure,
         given: MessageStructure | None,
     ) -> FunctionTool:
-        name = function.name if kind is ToolKind.CALL else f"send_{function.name}"
-        if port:
+        name = f"send_{function.name}" if kind is ToolKind.SEND else function.name
+        if port and kind is ToolKind.SEND:
             name += f".{port}"
         if name in _OWN:
             name = f"call_{name}"
         needs = self._needs(_OPERATIONS[kind], function.name)
-        what = "Calls" if kind is ToolKind.CALL else "Sends one message to"
+        what = _DOES[kind]
         hints = ToolAnnotations(
             read_only_hint=False,
             destructive_hint=bool(needs),
@@ -269,6 +287,17 @@ class CatalogueMaker:
 
     def _needs(self, operation: Operation, function: str) -> str:
         return self._backend.approvals.supervision.reason(operation, function)
+
+
+def _result_of(structure: MessageStructure) -> MessageStructure:
+    """Return what the result of a goal is like, of the message that brings it with how it ended."""
+    schema = structure.schema
+    properties = schema.get("properties") if isinstance(schema, Mapping) else None
+    found = properties.get("result") if isinstance(properties, Mapping) else None
+    if not isinstance(schema, Mapping) or not isinstance(found, Mapping):
+        return MessageStructure({})
+    defined = {"$defs": schema["$defs"]} if "$defs" in schema else {}
+    return MessageStructure({**found, **defined})
 
 
 def _described(function: Function, what: str, needs: str) -> str:

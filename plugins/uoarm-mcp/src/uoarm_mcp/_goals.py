@@ -11,6 +11,7 @@ from typing import Any
 from attrs import define, field
 
 from uoarm.errors import UoarmError
+from uoarm.model import Message
 from uoarm.server.front_end import LimitError, UnknownError, code_of, error_text
 from uoarm_mcp._values import RenderedMessage
 
@@ -30,6 +31,7 @@ class AgentGoal:
         state: `running`, or how it ended, in the framework's own word.
         result: what it came to.
         cause: why it failed.
+        feedback: what came last before the result.
         cancel: asks for its end; returns whether that could be asked.
         done: set at its end.
         is_reported: whether its end was reported.
@@ -40,6 +42,7 @@ class AgentGoal:
     state: str = "running"
     result: RenderedMessage | None = None
     cause: str = ""
+    feedback: Message = None
     cancel: Callable[[], bool] | None = None
     is_cancelled: bool = False
     is_reported: bool = False
@@ -132,7 +135,8 @@ class AgentGoals:
     ) -> None:
         try:
             goal.result = await work(goal)
-            goal.state = "succeeded"
+            if goal.state == "running":
+                goal.state = "succeeded"
         except UoarmError as error:
             goal.state = "canceled" if goal.is_cancelled else "failed"
             goal.cause = f"{code_of(error)}: {text(str(error))}"

@@ -15,21 +15,25 @@ from uoarm.errors import (
     MessageError,
     UsageError,
 )
-from uoarm.model import Message, QueuePolicy, show_value
+from uoarm.model import Message, Plan, QueuePolicy, show_value
 from uoarm.server.front_end import (
     Backend,
     Charge,
     Client,
+    Goal,
+    GoalStatus,
     Lane,
     LimitError,
     MemoryUse,
     Operation,
     UnknownError,
     error_text,
+    is_action,
 )
 from uoarm_rosbridge._hub import ActionHub
 from uoarm_rosbridge._names import NamedPort, find_place
-from uoarm_rosbridge._runners import CallRunner, Goal, GoalStatus, Runner, is_action
+from uoarm_rosbridge._runners import CallRunner, Runner
+from uoarm_rosbridge._types import check_type, read_arguments, service_type
 from uoarm_rosbridge._wire import fragment_size, split, write_ros
 
 __all__ = ["Actions"]
@@ -155,7 +159,7 @@ class Actions:
             sent.runner.abandon(sent.goal)
         self._sent.clear()
         for function in self._joined:
-            self._hub.leave(function, self)
+            self._backend.actions.leave(function, self)
         self._hub.forget(self)
 
     def _runner(self, place: NamedPort) -> Runner:
@@ -169,7 +173,7 @@ class Actions:
             raise UnknownError(f"there is no function {place.wanted!r:.200}")
         if any(is_action(component) for component in function.components):
             self._joined.add(place.function)
-            return self._hub.join(place.function, self._backend, self)
+            return self._backend.actions.join(place.function, self)
         return CallRunner(place, self._backend)
 
     def _goal(self, identity: Identity, fields: Fields) -> Goal:
@@ -205,9 +209,25 @@ class Actions:
             self._forget(identity)
             self._client.outbox.finish(lane, *self._split(frame, fields))
 
-        octets = self._client.in_hand
         stated = str(fields.get("action_type") or "")
-        return Goal(fields.get("args"), on_feedback, on_result, on_failure, octets, stated)
+
+        def check(plan: Plan) -> None:
+            structure = plan.provider.structures.get("input.goal")
+            known = "" if structure is None else service_type(structure, plan.function)
+            check_type(f"action {fields['action']!r}", stated, known)
+
+        goal = Goal(
+            fields.get("args"),
+            on_feedback,
+            on_result,
+            on_failure,
+            self._client.in_hand,
+            stated,
+            read_arguments,
+        )
+        if stated:
+            goal.check = check
+        return goal
 
     def _forget(self, identity: Identity) -> None:
         sent = self._sent.pop(identity, None)

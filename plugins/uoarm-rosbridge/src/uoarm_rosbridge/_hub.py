@@ -22,10 +22,10 @@ from uoarm.errors import (
 from uoarm.model import Message
 from uoarm.server.front_end import (
     Account,
-    Backend,
     Charge,
     Done,
     Envelope,
+    Goal,
     LimitError,
     Listener,
     MemoryUse,
@@ -33,7 +33,7 @@ from uoarm.server.front_end import (
     UnknownError,
 )
 from uoarm_rosbridge._names import find_place
-from uoarm_rosbridge._runners import Goal, Runner, StreamRunner
+from uoarm_rosbridge._runners import Runner
 from uoarm_rosbridge._types import is_same_type
 
 __all__ = ["ActionHub", "ActionProvider", "ClientTopic", "Hub", "Parameters", "Provider"]
@@ -103,7 +103,6 @@ class ActionHub:
         self._offers: dict[str, _Offer] = {}
         self._goals: dict[str, tuple[_Offer, Goal]] = {}
         self._numbers = itertools.count(1)
-        self._functions: dict[str, tuple[StreamRunner, set[object]]] = {}
 
     @property
     def actions(self) -> dict[str, str]:
@@ -113,22 +112,6 @@ class ActionHub:
     def runner(self, name: str) -> Runner | None:
         """Return what works on the goals of an action that a client offers."""
         return self._offers.get(name)
-
-    def join(self, function: str, backend: Backend, client: object) -> StreamRunner:
-        """Return what works on the goals of a function; give it back with `leave`."""
-        if function not in self._functions:
-            self._functions[function] = (StreamRunner(function, backend), set())
-        runner, clients = self._functions[function]
-        clients.add(client)
-        return runner
-
-    def leave(self, function: str, client: object) -> None:
-        """Give a function back; the last one closes it."""
-        runner, clients = self._functions[function]
-        clients.discard(client)
-        if not clients:
-            del self._functions[function]
-            runner.close()
 
     def offer(self, name: str, kind: str, provider: ActionProvider) -> None:
         """Let a client work on the goals of an action.

@@ -12,10 +12,9 @@ from attrs import frozen
 from uoarm.cdr import BASIC
 from uoarm.errors import UoarmError, UsageError
 from uoarm.model import Component, Function, Message, MessageStructure
-from uoarm.server.front_end import AccessRole, Operation, UnknownError
+from uoarm.server.front_end import AccessRole, Operation, UnknownError, is_action
 from uoarm_rosbridge._hub import Hub
 from uoarm_rosbridge._names import topic_of
-from uoarm_rosbridge._runners import is_action
 from uoarm_rosbridge._types import (
     full_text,
     in_full,

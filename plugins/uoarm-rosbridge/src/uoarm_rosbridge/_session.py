@@ -19,6 +19,7 @@ from uoarm.server.front_end import (
     BusyError,
     Charge,
     Client,
+    GoalStatus,
     LimitError,
     MemoryUse,
     code_of,
@@ -29,7 +30,6 @@ from uoarm_rosbridge._actions import Actions
 from uoarm_rosbridge._hub import Hub
 from uoarm_rosbridge._names import Addresses
 from uoarm_rosbridge._rosapi import RosapiCatalogue
-from uoarm_rosbridge._runners import GoalStatus
 from uoarm_rosbridge._services import ClientServices
 from uoarm_rosbridge._topics import Topics
 from uoarm_rosbridge._wire import (

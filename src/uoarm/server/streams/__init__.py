@@ -1,5 +1,12 @@
 """Messages between robot and clients: feeds, queues, senders, and the memory they hold."""
 
+from uoarm.server.streams._action_goals import (
+    ActionRunners,
+    Goal,
+    GoalStatus,
+    StreamRunner,
+    is_action,
+)
 from uoarm.server.streams._client_streams import ClientStreams, feed_key
 from uoarm.server.streams._feed import Envelope, Feed, FeedKey, Listener
 from uoarm.server.streams._feed_registry import (
@@ -16,6 +23,7 @@ from uoarm.server.streams._workers import Make
 
 __all__ = [
     "Account",
+    "ActionRunners",
     "ChangeNotice",
     "Charge",
     "ClientStreams",
@@ -24,6 +32,8 @@ __all__ = [
     "Feed",
     "FeedKey",
     "FeedRegistry",
+    "Goal",
+    "GoalStatus",
     "InputSender",
     "Lane",
     "Listener",
@@ -32,10 +42,12 @@ __all__ = [
     "Outbox",
     "Read",
     "Shares",
+    "StreamRunner",
     "Watcher",
     "acting",
     "check_message",
     "feed_key",
+    "is_action",
     "read_message",
     "shown_event",
 ]

@@ -42,6 +42,7 @@ from uoarm.server.access import (
     RoleViews,
     Supervision,
 )
+from uoarm.server.streams._action_goals import ActionRunners
 from uoarm.server.streams._encoder import Encoder
 from uoarm.server.streams._feed import Feed, FeedKey
 from uoarm.server.streams._input_sender import InputSender, Read, read_message
@@ -111,6 +112,7 @@ class FeedRegistry:
         views: answers what is asked of the whole robot.
         role_views: what each role sees of it.
         approvals: of what agents do.
+        actions: what works on the goals of functions.
     """
 
     def __init__(self, robot: RobotManager, limits: Limits) -> None:
@@ -122,6 +124,7 @@ class FeedRegistry:
         self.encoder = Encoder()
         self.views = SharedViews(self.mailbox)
         self.role_views = RoleViews(lambda: robot.config)
+        self.actions = ActionRunners(self)
         self.approvals = ApprovalDesk(Audit(), Supervision(lambda: robot.config))
         # Feeds that may still be joined; taken out as soon as one has ended or failed, so that the
         # next request opens anew.
