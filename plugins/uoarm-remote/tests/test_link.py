@@ -291,6 +291,52 @@ def test_an_emergency_stop_there_is_a_refusal_here(robot: ServedRobot, desk: Des
         robot.manager.release()
 
 
+def test_an_emergency_stop_here_stops_there_what_others_move(tmp_path: Path, desk: Desk) -> None:
+    access, token = tmp_path / "access.yaml", tmp_path / "token"
+    access.write_text(ACCESS, encoding="utf-8")
+    token.write_text(TOKEN, encoding="utf-8")
+    robot = ServedRobot(ROBOT.replace('{local: ["*"]}', "{fleet: [double, drive]}"), access)
+    try:
+        manager = desk(robot.url, f', token_file: "{token}"')
+        manager.call("double", {"value": 1}, timeout=patience())
+        with robot.manager.request("drive") as own:  # of another application, there
+            own.send({"speed": 0.5})
+            wait(lambda: stage.taken == [0.5], "the command did not arrive")
+            report = manager.stop_all(timeout=patience())
+            assert stage.taken[-1] == 0.0
+            assert [(item.component, item.stopped) for item in report.inputs] == [
+                ("robot3/base", True)
+            ]
+            assert robot.manager.status().held is not None
+            manager.release(timeout=patience())
+            assert robot.manager.status().held is None
+            robot.stop()
+            wait(lambda: int(str(facts_of(manager)["breaks"])) == 1, "the break was not noticed")
+            report = manager.stop_all(timeout=patience())
+            (missed,) = report.inputs
+            assert not report.stopped
+            assert missed.component == "robot3"
+            assert "it is not reached" in missed.cause
+    finally:
+        robot.close()
+
+
+def test_who_has_no_right_to_stop_there_stops_only_here(tmp_path: Path, desk: Desk) -> None:
+    access, token = tmp_path / "access.yaml", tmp_path / "token"
+    access.write_text(ACCESS, encoding="utf-8")
+    token.write_text(OTHER, encoding="utf-8")
+    robot = ServedRobot(ROBOT.replace('{local: ["*"]}', "{other: [double]}"), access)
+    try:
+        manager = desk(robot.url, f', token_file: "{token}"')
+        manager.call("double", {"value": 1}, timeout=patience())
+        report = manager.stop_all(timeout=patience())
+        assert report.stopped
+        assert not report.inputs
+        assert not robot.manager.is_stopped
+    finally:
+        robot.close()
+
+
 def test_the_status_shows_the_other_manager_and_its_clock(robot: ServedRobot, desk: Desk) -> None:
     manager = desk(robot.url)
     assert manager.call("double", {"value": 1}, timeout=patience()) == {"value": 2}

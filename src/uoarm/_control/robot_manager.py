@@ -130,7 +130,9 @@ class RobotManager:
             revisions=self._revisions,
             clock=clock,
             emergency_stop=EmergencyStop(
-                clock, None if stop_file is None else StopFile(Path(stop_file).absolute())
+                clock,
+                None if stop_file is None else StopFile(Path(stop_file).absolute()),
+                self._bridges.stopping,
             ),
         )
         self._discovery = Discovery(self._bridges.get)

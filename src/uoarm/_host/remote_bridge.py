@@ -9,6 +9,8 @@ from collections.abc import Callable, Mapping
 from functools import partial
 from typing import TYPE_CHECKING, Any, final
 
+from attrs import evolve
+
 from uoarm._host.process_connection import HostSettings, ProcessConnection
 from uoarm._host.transport import keys
 from uoarm._host.transport.flow import FlowEnding, FlowReceiver, FlowSender, Handled
@@ -264,7 +266,9 @@ class RemoteBridge(Bridge):
             on_death=self._on_death,
         )
         try:
-            self.capabilities = from_json(self._host.greeting["capabilities"], Capabilities)
+            known = from_json(self._host.greeting["capabilities"], Capabilities)
+            # What is behind a bridge in a host is not stopped through it: no such order is sent.
+            self.capabilities = evolve(known, stop=False)
             self._host.transport.answer(keys.HEALTH, self._on_health_event)
         except BaseException:
             self._host.close(None)

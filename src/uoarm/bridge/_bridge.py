@@ -30,7 +30,15 @@ from uoarm.bridge._description import (
 from uoarm.bridge._gate import Delivery, Gate
 from uoarm.bridge._options import DeclaredOptions
 from uoarm.errors import BridgeError, FailureReason
-from uoarm.model import Deliver, Endpoint, Health, Message, MessageStructure, Options
+from uoarm.model import (
+    Deliver,
+    Endpoint,
+    Health,
+    Message,
+    MessageStructure,
+    Options,
+    StopOutcome,
+)
 
 __all__ = ["CONTRACT_VERSION", "Bridge", "Handler"]
 
@@ -313,6 +321,25 @@ class Bridge(ABC):
         return None if channel is None else self._adopt(Channel, "_link", channel)
 
     @final
+    def stop_all(self, *, release: bool = False, timeout: float = 2.0) -> tuple[StopOutcome, ...]:
+        """Stop everything behind this bridge that moves, or let commands through again there.
+
+        Args:
+            release: whether to let through what was stopped.
+            timeout: in seconds.
+
+        Returns:
+            What came of it at each input there; empty where this bridge may not.
+
+        Raises:
+            BridgeError: it could not be reached, or failed.
+            BridgeTimeoutError: no answer within `timeout` seconds.
+        """
+        self._require(self.capabilities.stop, "stop what moves")
+        what = "releasing" if release else "stopping everything"
+        return tuple(self._step(what, timeout, lambda: self._stop_all(release, timeout)))
+
+    @final
     def watch(self, listener: Callable[[HealthEvent], None] | None) -> None:
         """Have health events told to one listener; None ends it. The listener must not block."""
         self._listener = listener
@@ -491,6 +518,14 @@ class Bridge(ABC):
 
         Must be overridden where the capability is there. May return None for a pair that cannot be
         linked: the manager then moves the messages itself.
+        """
+        raise NotImplementedError
+
+    def _stop_all(self, release: bool, timeout: float) -> tuple[StopOutcome, ...]:  # noqa: FBT001
+        """Stop everything that moves, or release it; with the capability `stop`.
+
+        Must be overridden where the capability is there. Must return what is true of each input,
+        with names as this bridge's side has them; nothing where it may not.
         """
         raise NotImplementedError
 

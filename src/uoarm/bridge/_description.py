@@ -83,12 +83,14 @@ class Capabilities:
         call: reaches services of components.
         serve: offers a function to the framework as a service.
         link: connects two of its own endpoints without the manager in between.
+        stop: an emergency stop here stops everything behind it that moves, whoever commands it.
     """
 
     discover: bool = False
     call: bool = False
     serve: bool = False
     link: bool = False
+    stop: bool = False
 
 
 @frozen(eq=False)

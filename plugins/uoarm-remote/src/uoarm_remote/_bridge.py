@@ -18,7 +18,7 @@ from uoarm.bridge import (
     reading_endpoint,
 )
 from uoarm.errors import BridgeError, FailureReason
-from uoarm.model import Endpoint, Health, Message, MessageStructure, Role
+from uoarm.model import Endpoint, Health, Message, MessageStructure, Role, StopOutcome
 from uoarm_remote._channels import FunctionSink, FunctionSource, FunctionStreams
 from uoarm_remote._discovery import described, discovered
 from uoarm_remote._link import ManagerLink
@@ -30,7 +30,7 @@ __all__ = ["RemoteManagerBridge"]
 class RemoteManagerBridge(Bridge):
     """One other manager. An endpoint's address is one of its functions, and a port of it."""
 
-    capabilities = Capabilities(discover=True, call=True)
+    capabilities = Capabilities(discover=True, call=True, stop=True)
 
     def __init__(self, name: str, options: ManagerOptions) -> None:
         super().__init__(name, options)
@@ -78,11 +78,32 @@ class RemoteManagerBridge(Bridge):
             return ()
         return discovered(self._other, self.name, self._given.timeout)
 
+    def _stop_all(self, release: bool, timeout: float) -> tuple[StopOutcome, ...]:  # noqa: FBT001
+        more: dict[str, Any] = {"jsonMessage": {"release": True}} if release else {}
+        try:
+            report = self._other.ask("Stop", "", timeout, **more)
+        except BridgeError as error:
+            if error.reason is FailureReason.NOT_FOUND:
+                return ()  # the role has no such right there, so that it is not this one's to stop
+            raise
+        return () if release else tuple(map(_outcome, report["inputs"]))
+
     def _close(self) -> None:
         self._other.close()
 
     def _report(self, channel: Channel, health: Health, cause: str) -> None:
         self.report(health, cause, channel=channel)
+
+
+def _outcome(report: Mapping[str, Any]) -> StopOutcome:
+    return StopOutcome(
+        str(report["function"]),
+        str(report["component"]),
+        str(report["port"]),
+        stopped=report["stopped"] is True,
+        since=report.get("since"),
+        cause=str(report.get("cause", "")),
+    )
 
 
 def _options(endpoint: Endpoint) -> FunctionOptions:

@@ -232,6 +232,10 @@ class BridgeSet:
         """Return the bridge of this name; None where it would have to be started."""
         return self._bridges.get(name)
 
+    def stopping(self) -> tuple[Bridge, ...]:
+        """Return the bridges that run and stop what moves behind them."""
+        return tuple(bridge for bridge in self._bridges.copy().values() if bridge.capabilities.stop)
+
     def is_in_use(self, bridge: Bridge) -> bool:
         """Say whether a bridge is the one that bears its name now."""
         return self._bridges.get(bridge.name) is bridge

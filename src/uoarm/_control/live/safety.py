@@ -12,11 +12,13 @@ import logging
 import os
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from datetime import datetime, timezone
 from pathlib import Path
-from typing import TypeVar
+from typing import TypeAlias, TypeVar
+
+from attrs import evolve
 
 from uoarm._dataplane import Clock
 from uoarm._raised import foreign, text_of
@@ -124,6 +126,10 @@ class _Call:
         return "a call of it is under way, which its framework cannot cancel"
 
 
+_Moving: TypeAlias = "Sink | _Call | Bridge"
+_Answer: TypeAlias = "CommandStatus | str | tuple[StopOutcome, ...]"
+
+
 class EmergencyStop:
     """Holds what moves something: open inputs, calls under way, what begins meanwhile. Thread safe.
 
@@ -132,10 +138,17 @@ class EmergencyStop:
     Args:
         clock: seconds.
         file: is there while all is held; where it is there already, all is held from the beginning.
+        elsewhere: returns the bridges behind which everything that moves is stopped, too.
     """
 
-    def __init__(self, clock: Clock, file: StopFile | None = None) -> None:
+    def __init__(
+        self,
+        clock: Clock,
+        file: StopFile | None = None,
+        elsewhere: Callable[[], Sequence[Bridge]] = tuple,
+    ) -> None:
         self._clock = clock
+        self._elsewhere = elsewhere
         self._file = file
         # Guards what is held and what is listed: what begins while it stops either is in the list
         # or sees that all is held.
@@ -217,27 +230,32 @@ class EmergencyStop:
         with self._lock:
             since = self._since = self._clock() if self._since is None else self._since
             self._asked += 1
-            listed: Iterable[tuple[Sink | _Call, str]] = (
+            listed: Iterable[tuple[_Moving, str]] = (
                 *self._sinks.items(),
                 *self._calls.items(),
+                *((bridge, "") for bridge in self._elsewhere()),
             )
             moving = dict(listed)
         keeping = self._keep()
         deadline = time.monotonic() + timeout
-        results: dict[Sink | _Call, CommandStatus | str] = {}
+        results: dict[_Moving, _Answer] = {}
 
-        def hold(item: Sink | _Call) -> None:
-            results[item] = (
-                item.hold(_SHARE * timeout) or "its bridge host is gone: it was not asked"
-            )
+        def hold(item: _Moving) -> None:
+            if isinstance(item, Bridge):
+                results[item] = item.stop_all(timeout=_SHARE * timeout)
+            else:
+                results[item] = (
+                    item.hold(_SHARE * timeout) or "its bridge host is gone: it was not asked"
+                )
 
         _each(hold, moving, results, timeout)
         late = f"no answer within {timeout:g} s"
         unkept = keeping(max(0.0, deadline - time.monotonic()))
         outcomes = [
-            _outcome(name, function, results.get(name, late))
-            for name, function in moving.items()
-            if not name.closed
+            outcome
+            for item, function in moving.items()
+            if not item.closed
+            for outcome in _outcomes(item, function, results.get(item, late))
         ]
         return StopReport(
             self._clock() - since,
@@ -292,17 +310,21 @@ class EmergencyStop:
         if overtaken:
             text = "nothing was released: everything was stopped again meanwhile"
             raise BridgeError(text, FailureReason.REFUSED)
-        results: dict[Sink, CommandStatus | str] = {}
+        results: dict[Sink | Bridge, _Answer] = {}
 
-        def release(sink: Sink) -> None:
-            sink.release()
-            results[sink] = ""
+        def release(item: Sink | Bridge) -> None:
+            if isinstance(item, Bridge):
+                item.stop_all(release=True, timeout=_SHARE * timeout)
+            else:
+                item.release()
+            results[item] = ""
 
-        _each(release, sinks, results, timeout)
+        held_items: tuple[Sink | Bridge, ...] = (*sinks, *self._elsewhere())
+        _each(release, held_items, results, timeout)
         held = [
-            f"{sink.endpoint.component}.{sink.endpoint.port}: {report}"
-            for sink in sinks
-            if not sink.closed and (report := results.get(sink, f"no answer within {timeout:g} s"))
+            f"{_place(item)}: {report}"
+            for item in held_items
+            if not item.closed and (report := results.get(item, f"no answer within {timeout:g} s"))
         ]
         if held:
             text = f"these inputs go on refusing commands: {'; '.join(held)}"
@@ -321,7 +343,7 @@ class EmergencyStop:
 def _each(
     act: Callable[[T], None],
     moving: Iterable[T],
-    results: dict[T, CommandStatus | str],
+    results: dict[T, _Answer],
     timeout: float,
 ) -> None:
     """Do something to everything that moves, in a thread for each; note what it raises."""
@@ -341,6 +363,25 @@ def _each(
     deadline = time.monotonic() + timeout
     for thread in threads:
         thread.join(max(0.0, deadline - time.monotonic()))
+
+
+def _place(item: Sink | Bridge) -> str:
+    if isinstance(item, Bridge):
+        return f"bridge {item.name}"
+    return f"{item.endpoint.component}.{item.endpoint.port}"
+
+
+def _outcomes(moved: _Moving, function: str, answer: _Answer) -> Iterator[StopOutcome]:
+    if not isinstance(moved, Bridge):
+        assert not isinstance(answer, tuple), "of a bridge only"
+        yield _outcome(moved, function, answer)
+    elif isinstance(answer, tuple):
+        for outcome in answer:
+            yield evolve(outcome, component=f"{moved.name}/{outcome.component}")
+    else:
+        assert isinstance(answer, str), "a bridge returns outcomes, or raises"
+        cause = f"what is behind the bridge could not be asked: {answer}"
+        yield StopOutcome("", moved.name, "*", stopped=False, cause=cause)
 
 
 def _outcome(moved: Sink | _Call, function: str, answer: CommandStatus | str) -> StopOutcome:
