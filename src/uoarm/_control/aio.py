@@ -307,6 +307,11 @@ class AsyncRobotManager(_Twin[RobotManager]):
         return cls(robot)
 
     @property
+    def identity(self) -> str:
+        """What other managers know this one by: random, and as long as the manager lives."""
+        return self.robot.identity
+
+    @property
     def config(self) -> Robot:
         """The configuration, with the options that uoarm chose filled in."""
         return self.robot.config
@@ -333,6 +338,7 @@ class AsyncRobotManager(_Twin[RobotManager]):
     record = _awaited(RobotManager.record)
     playback = _awaited(RobotManager.playback)
     history = _at_once(RobotManager.history)
+    recordings = _at_once(RobotManager.recordings)
     status = _at_once(RobotManager.status)
 
     @overload
