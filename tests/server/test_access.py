@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import logging
 import ssl
 import subprocess
@@ -283,6 +284,32 @@ def test_what_is_denied_is_in_the_audit_log(
     assert status_of(lambda: Talk(url(guarded))) == 401
     assert "refused" in caplog.text
     assert not any(token in caplog.text for token in TOKENS.values())
+
+
+def test_the_audit_log_is_appended_to_a_file_that_may_be_moved(
+    serve: Serve, access: Path, tmp_path: Path
+) -> None:
+    kept = tmp_path / "audit.jsonl"
+    kept.write_text("what was there\n", encoding="utf-8")
+    server = serve(access=access, audit=kept)
+    with enter(server, "nobody") as client:
+        client.refused("Call", "add")
+        kept.rename(tmp_path / "audit.jsonl.1")
+        client.refused("Call", "add")
+    before = (tmp_path / "audit.jsonl.1").read_text("utf-8").splitlines()
+    assert before[0] == "what was there"
+    denied = [json.loads(line) for line in before[1:] if '"allowed":false' in line]
+    assert [(line["operation"], line["function"]) for line in denied] == [("call", "add")]
+    assert denied[0]["time"] > 1e9
+    assert kept.stat().st_mode & 0o777 == 0o600
+    assert '"allowed":false' in kept.read_text("utf-8")
+
+
+def test_an_audit_log_that_cannot_be_written_keeps_the_server_from_starting(
+    serve: Serve, tmp_path: Path
+) -> None:
+    with pytest.raises(ConfigurationError, match=r"audit log cannot be written to .*absent"):
+        serve(audit=tmp_path / "absent" / "audit.jsonl")
 
 
 def test_tls_is_spoken_where_there_is_a_certificate(serve: Serve, tmp_path: Path) -> None:

@@ -113,6 +113,11 @@ def listening_options(command: Callable[..., Any]) -> Callable[..., Any]:
     help="Folder of what clients record; else one of this user's state.",
 )
 @click.option(
+    "--audit",
+    type=click.Path(dir_okay=False, path_type=Path),
+    help="File that the audit log is appended to; only this user may read it.",
+)
+@click.option(
     "--watch-config", is_flag=True, help="Read the configuration again whenever the file changes."
 )
 def serve(

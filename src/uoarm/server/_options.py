@@ -43,6 +43,7 @@ class ServerOptions:
         client_authority: PEM file of the authority whose client certificates are asked for.
         deflate: compress texts of 512 octets to 32 KiB for clients that ask for it (RFC 7692).
         recordings: folder of what clients record; None: one of this user's state.
+        audit: file that the audit log is appended to; None: it goes to the logger alone.
         limits: bounds of what clients may use.
     """
 
@@ -58,6 +59,7 @@ class ServerOptions:
     client_authority: Path | None = None
     deflate: bool = False
     recordings: Path | None = field(default=None, converter=_absolute)
+    audit: Path | None = field(default=None, converter=_absolute)
     limits: Limits = field(factory=Limits)
 
     @property

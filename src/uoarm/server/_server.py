@@ -22,7 +22,7 @@ from uoarm._wire import FORMS, TEXT_FORM
 from uoarm.errors import ConfigurationError
 from uoarm.model import StatusEvent
 from uoarm.server._options import ServerOptions
-from uoarm.server.access import Admission, Audit
+from uoarm.server.access import Admission, Audit, AuditFile
 from uoarm.server.front_end import FrontEnd, HttpPlace, MakeSession
 from uoarm.server.http import (
     BACKLOG,
@@ -98,6 +98,7 @@ class Server:
         )
         self._tls = settings.tls()
         self._audit = Audit()
+        self._audit_file: AuditFile | None = None
         self._decoder = FrameDecoder()
         self._totals = Totals()
         self._make_session: dict[str, MakeSession] = {}
@@ -154,7 +155,10 @@ class Server:
 
         Raises:
             OSError: a port is taken, or the address is none of this machine; the text names it.
+            ConfigurationError: the audit log cannot be written.
         """
+        if self._settings.audit is not None:
+            self._audit_file = AuditFile(self._settings.audit)
         registry = self._registry = FeedRegistry(self._robot, self._limits)
         self._shared = Shared(registry, self._settings.recordings_folder)
         self._guests = GuestBook(
@@ -215,6 +219,8 @@ class Server:
         self._decoder.close()
         if self._registry is not None:
             await self._registry.close()
+        if self._audit_file is not None:
+            self._audit_file.close()
 
     def _audit_lease(self, event: StatusEvent) -> None:
         """Record who commands what; in the thread of the robot's listeners."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import asyncio
-import logging
 import os
 import sys
 from pathlib import Path
@@ -19,7 +18,6 @@ from uoarm_mcp._stdio import serve_stdio
 __all__ = ["main", "uoarm_commands"]
 
 _REFUSED, _MISTAKES, _FAILED, _USED = 1, 3, 4, 5
-_AUDIT_MODE = 0o600
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -34,10 +32,9 @@ def main(arguments: list[str] | None = None) -> int:
             key=given.key,
             client_authority=given.client_authority,
             own_certificate=given.tls is not None,
+            audit=given.audit,
             front_end_ports={} if given.http is None else {"mcp": given.http},
         )
-        if given.audit is not None:
-            _keep_audit(given.audit)
         path = given.file or os.environ.get("UOARM_CONFIG") or "robot.yaml"
         with RobotManager.from_file(path) as robot:
             robot.offer(timeout=0)
@@ -99,16 +96,6 @@ def _say(server: Server, options: ServerOptions) -> None:
     if options.access is None:
         sys.stderr.write("without an access file nothing that moves can be approved\n")
     sys.stderr.flush()
-
-
-def _keep_audit(path: Path) -> None:
-    """Append the audit log to a file that only this user may read."""
-    os.close(os.open(path, os.O_WRONLY | os.O_APPEND | os.O_CREAT, _AUDIT_MODE))
-    handler = logging.FileHandler(path, mode="a", encoding="utf-8")
-    handler.setFormatter(logging.Formatter("%(message)s"))
-    logger = logging.getLogger("uoarm.audit")
-    logger.addHandler(handler)
-    logger.setLevel(logging.INFO)
 
 
 def _fail(error: BaseException, status: int) -> int:

@@ -22,6 +22,7 @@ from uoarm.server.access._approvals import (
 from uoarm.server.access._role import (
     AccessRole,
     Audit,
+    AuditFile,
     DeniedError,
     Grant,
     Operation,
@@ -41,6 +42,7 @@ __all__ = [
     "ApprovalPhase",
     "ApprovalWish",
     "Audit",
+    "AuditFile",
     "Credentials",
     "DeniedError",
     "Grant",

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import hmac
 import logging
+import os
 import re
 import secrets
 import time
@@ -12,11 +13,14 @@ from collections.abc import Callable, Mapping
 from datetime import datetime
 from enum import Enum
 from fnmatch import fnmatchcase
+from io import TextIOWrapper
+from logging.handlers import WatchedFileHandler
+from pathlib import Path
 
 import orjson
 from attrs import field, frozen
 
-from uoarm.errors import UoarmError
+from uoarm.errors import ConfigurationError, UoarmError
 from uoarm.model import Message, StopReport
 
 __all__ = [
@@ -26,6 +30,7 @@ __all__ = [
     "AccessPolicy",
     "AccessRole",
     "Audit",
+    "AuditFile",
     "DeniedError",
     "Grant",
     "Now",
@@ -235,6 +240,7 @@ _SECRET = re.compile(
     r"pass(word|phrase|wd)?$|token|secret|credential|api_?key|private_?key|(^|_)pin$", re.IGNORECASE
 )
 _MASK = "***"
+_AUDIT_MODE = 0o600
 _DEPTH = 16
 
 
@@ -305,7 +311,7 @@ class Audit:
 
     def approval(self, facts: Mapping[str, object], arguments: Message) -> None:
         """Record a step of an approval: who, what, when and with which arguments."""
-        self._write(logging.INFO, **facts, arguments=masked(arguments), time=time.time())
+        self._write(logging.INFO, **facts, arguments=masked(arguments))
 
     def approval_denied(self, approval: str, requester: str, function: str, cause: str) -> None:
         """Record that something was not done for want of an approval."""
@@ -315,7 +321,6 @@ class Audit:
             requester=requester,
             function=function[:200],
             refused=cause,
-            time=time.time(),
         )
 
     def arrival(self, address: str, session: str, role: str, cause: str = "") -> None:
@@ -336,4 +341,42 @@ class Audit:
         self._write(logging.INFO, session=session, gone=True)
 
     def _write(self, level: int, **facts: object) -> None:
-        _log.log(level, "%s", orjson.dumps(facts).decode())
+        _log.log(level, "%s", orjson.dumps({**facts, "time": time.time()}).decode())
+
+
+class AuditFile(WatchedFileHandler):
+    """Appends the audit log to a file that only this user may read, until it is closed.
+
+    What is there already stays. Where the file was moved away, as by the rotation of logs, the next
+    line begins a new one.
+
+    Args:
+        path: of the file.
+
+    Raises:
+        ConfigurationError: it cannot be written.
+    """
+
+    def __init__(self, path: Path) -> None:
+        try:
+            super().__init__(path, encoding="utf-8")
+        except OSError as error:
+            raise ConfigurationError(
+                f"the audit log cannot be written to {path}: {error.strerror or error}"
+            ) from error
+        self.setFormatter(logging.Formatter("%(message)s"))
+        self._former_level = _log.level
+        if _log.getEffectiveLevel() > logging.INFO:
+            _log.setLevel(logging.INFO)
+        _log.addHandler(self)
+
+    def close(self) -> None:
+        """Append no more. Idempotent."""
+        if self in _log.handlers:
+            _log.removeHandler(self)
+            _log.setLevel(self._former_level)
+        super().close()
+
+    def _open(self) -> TextIOWrapper:
+        descriptor = os.open(self.baseFilename, os.O_WRONLY | os.O_APPEND | os.O_CREAT, _AUDIT_MODE)
+        return os.fdopen(descriptor, "a", encoding="utf-8")
