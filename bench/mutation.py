@@ -62,9 +62,13 @@ SUBJECTS = {
     ),
     "control": Subject(
         "src/uoarm/_control/engine",
-        ("tests/control/test_transcripts.py", "tests/control/test_every_order.py"),
+        (
+            "tests/control/test_transcripts.py",
+            "tests/control/test_difference.py",
+            "tests/control/test_every_order.py",
+        ),
         "not greater_depth and not TestWalk",
-        ("step", "draft", "failover", "switchover", "state"),
+        ("step", "difference", "draft", "failover", "switchover", "state"),
     ),
 }
 _OUTCOMES = {

@@ -170,3 +170,15 @@ def test_candidates_are_counted_anew_in_another_configuration() -> None:
     assert not known.is_opened(candidates=0)
     known.post(ev.Configured(1, "w", known.state.policy, known.bridges, frozenset(), frozenset()))
     assert known.is_opened(candidates=0), "or its plan would be sought for ever"
+
+
+def test_who_waits_for_what_can_take_over_has_all_before_it(world: World) -> None:
+    world.request("c1", "camera")
+    world.settle()
+    for name in ("best", "spare"):
+        world.die(name)
+        while world.lanes:
+            world.do(next(iter(world.lanes)))
+    waiting, *later = difference(world.state, world.state.connections["c1"])
+    assert (waiting.phase, waiting.is_begun) == (MovePhase.WAITING, True)
+    assert [item.phase for item in later] == [OPENING, TAKING_OVER]

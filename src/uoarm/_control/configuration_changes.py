@@ -5,6 +5,7 @@ from __future__ import annotations
 import uuid
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, nullcontext
+from functools import partial
 from pathlib import Path
 
 from attrs import evolve
@@ -160,9 +161,7 @@ class ConfigurationChanges:
             staged = deadlines.run(
                 what,
                 timeout,
-                lambda: self._revisions.stage(
-                    robot, lambda: self._driver.state, is_new_code=reloads_code
-                ),
+                partial(self._revisions.stage, robot, self._driver, is_new_code=reloads_code),
                 on_late=lambda late: late.bridges.close(),
             )
             gone = self._offers.connections_without(robot)

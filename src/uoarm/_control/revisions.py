@@ -84,6 +84,12 @@ class Resolving(Protocol):
         """Ask for the structures of components again the next time."""
 
 
+class StateOwner(Protocol):
+    """Has the state of this moment."""
+
+    state: State
+
+
 def seek_replacement(action: act.FindReplacement, revision: Resolving) -> ev.ReplacementSought:
     """Look for a plan that gives the application what its own gave."""
     asked = action.connection, action.attempt
@@ -405,9 +411,7 @@ class Revisions:
         before.resolver.use(robot.functions)
         self.current = evolve(before, robot=robot, candidates=number)
 
-    def stage(
-        self, base: Robot, state: Callable[[], State], *, is_new_code: bool = False
-    ) -> StagedRevision:
+    def stage(self, base: Robot, owner: StateOwner, *, is_new_code: bool = False) -> StagedRevision:
         """Find what a configuration would change; start the bridges that it needs for that.
 
         Candidates of the configuration in force stay, where their functions still have needs and
@@ -415,7 +419,7 @@ class Revisions:
 
         Args:
             base: the configuration.
-            state: gives the state of this moment.
+            owner: of the state, which is read when what the change needs has been asked for.
             is_new_code: whether Python components must be there with their new code that are
                 there with the old one.
 
@@ -442,7 +446,7 @@ class Revisions:
             revision = Revision(before.number + 1, robot, structures, resolver, base, guard)
             if is_new_code:
                 self._require_code(revision, difference)
-            effects = tuple(self._effects(revision, difference, state(), cut))
+            effects = tuple(self._effects(revision, difference, owner.state, cut))
         except BaseException:
             bridges.close()
             raise
