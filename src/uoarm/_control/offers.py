@@ -237,6 +237,16 @@ class _KeptOffer:
         if self._worker is not threading.current_thread():
             self._ended.wait(timeout)
 
+    def reach_time(self) -> None:
+        """Have it tried again when it is time; until then, ask for that time anew."""
+        # The timer is shared with all that waits, and mostly reaches a time of something else.
+        with self._lock:
+            due = self._want.due
+        if due is not None and due > self._clock():
+            self._driver.timer.wake_at(due)
+        elif due is not None:
+            self.settle()
+
     def settle(self) -> None:
         """Have what is open made what it should be, in its lane. Waits for nothing."""
         try:
@@ -419,7 +429,7 @@ class Offers:
 
     def _time_reached(self) -> None:
         for kept in self._kept:
-            kept.settle()
+            kept.reach_time()
 
     def _note_event(self, event: StatusEvent) -> None:
         """Have offers look again after what may concern them: an end, or something that is well."""
