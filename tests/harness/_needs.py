@@ -129,6 +129,7 @@ MODULES = {
     "tests/examples/test_recording.py": ("record",),
     "tests/cli/test_record.py": ("record",),
     "tests/examples/test_healthbot.py": HEALTHBOT,
+    "tests/examples/test_fleet.py": ("remote",),
     "tests/examples/test_mixed.py": ("ros2", "ros1", "mqtt", "mosquitto"),
     "tests/examples/test_warehouse.py": ("ros2", "rtm", "vda5050", "mosquitto"),
     "tests/examples/test_warehouse_broker.py": ("rtm", "mosquitto"),

@@ -42,7 +42,7 @@ class Stage:
     """What the tests and the components share."""
 
     def __init__(self) -> None:
-        self.release = threading.Event()
+        self.release, self.silent = threading.Event(), threading.Event()
         self.ends = {name: threading.Event() for name in ("first", "second")}
         self.taken: list[Any] = []
         self.changed = threading.Condition()
@@ -113,6 +113,7 @@ def failing(request: Value) -> Value:
 
 def silent(request: Value) -> Value:
     """Answer when the test is over."""
+    stage.silent.set()
     stage.release.wait()
     return request
 

@@ -14,7 +14,7 @@ from robots import ROBOT, ServedRobot, here
 
 from uoarm import RobotManager
 from uoarm.config import loads
-from uoarm.errors import ConfigurationError, ResolutionError
+from uoarm.errors import BridgeError, ConfigurationError, ResolutionError
 from uoarm.server import hash_token, make_token
 from uoarm.testing import Proxy, patience, wait
 
@@ -144,6 +144,25 @@ def test_a_dead_link_is_reported_with_the_manager_and_the_cause(
         proxy.cut(admit=False)
         wait(lambda: counter.state.value in {"failed", "closed"}, "the loss was not noticed")
         assert "disconnected: counter of the manager at" in counter.cause
+
+
+def test_a_call_to_a_manager_that_is_gone_ends_with_its_grace(proxy: Proxy, desk: Desk) -> None:
+    manager = desk(through(proxy), grace=0.2)
+    answers: list[object] = []
+
+    def call() -> None:
+        try:
+            answers.append(manager.call("hidden", {"value": 1}, timeout=patience()))
+        except BridgeError as error:
+            answers.append(error)
+
+    thread = threading.Thread(target=call)
+    thread.start()
+    wait(stage.silent.is_set, "the call did not arrive")
+    proxy.cut(admit=False)
+    thread.join(patience())
+    (answer,) = answers
+    assert "the link broke before the answer" in str(answer)
 
 
 def test_where_something_died_is_said_in_one_sentence(robot: ServedRobot, desk: Desk) -> None:

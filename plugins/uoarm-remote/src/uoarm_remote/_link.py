@@ -71,6 +71,9 @@ class ManagerLink:
         self._closing: asyncio.Event | None = None
         self._robot: RemoteRobot | None = None  # in the loop only
         self._is_up = False
+        self._down_since: float | None = None
+        # Done once a break has lasted for the grace: what waits for an answer waits no longer.
+        self._given_up: asyncio.Event | None = None
         self.breaks = 0
         self.ahead: float | None = None
 
@@ -186,7 +189,7 @@ class ManagerLink:
                 self._thread = threading.Thread(
                     target=self._main, name=f"uoarm-remote {self._name}", daemon=True
                 )
-                self._closing = asyncio.Event()
+                self._closing, self._given_up = asyncio.Event(), asyncio.Event()
                 self._thread.start()
 
     def _closed(self, what: str) -> BridgeError:
@@ -273,6 +276,9 @@ class ManagerLink:
         with self._lock:
             self._is_up, self._why_down = True, ""
             members = tuple(self._members)
+        assert self._given_up is not None, "made before the thread"
+        self._given_up.clear()
+        self._down_since = None
         self._tried.set()
         for member in members:
             member.link_is_up()
@@ -282,6 +288,8 @@ class ManagerLink:
             self.breaks += self._is_up
             self._is_up, self._why_down = False, cause
             members = tuple(self._members)
+        if self._down_since is None:
+            self._down_since = time.monotonic()
         self._tried.set()
         for member in members:
             member.link_broke(cause)
@@ -291,11 +299,26 @@ class ManagerLink:
         if robot is None or not self._is_up:
             text = f"it is not reached: {self._why_down}"
             raise BridgeError(text, FailureReason.UNAVAILABLE)
-        return await work(robot)
+        assert self._given_up is not None, "made before the thread"
+        working = asyncio.ensure_future(work(robot))
+        giving_up = asyncio.ensure_future(self._given_up.wait())
+        try:
+            await asyncio.wait((working, giving_up), return_when=asyncio.FIRST_COMPLETED)
+            if working.done():
+                return working.result()
+        finally:
+            working.cancel()
+            giving_up.cancel()
+        text = f"the link broke before the answer: {self._why_down}; whether it was done is unknown"
+        raise BridgeError(text, FailureReason.UNAVAILABLE)
 
     async def _tick(self) -> None:
         while True:
             await asyncio.sleep(_TICK_SECONDS)
+            since = self._down_since
+            if since is not None and time.monotonic() - since > self._options.grace:
+                assert self._given_up is not None, "made before the thread"
+                self._given_up.set()
             with self._lock:
                 members = tuple(self._members)
             for member in members:

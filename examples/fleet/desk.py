@@ -1,0 +1,144 @@
+"""A desk gives boxes to whichever vehicle is free: three managers on loopback, one of them killed.
+
+Each vehicle is `uoarm serve` in a process of its own. The desk imports their functions, watches who
+is free, and gives a box that a dead vehicle had to another one.
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import threading
+import time
+from collections import deque
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from urllib.error import URLError
+from urllib.request import urlopen
+
+from uoarm import RobotManager
+from uoarm.config import loads
+from uoarm.errors import UoarmError
+
+HERE = Path(__file__).parent
+VEHICLES = ("ant", "bee", "cat")
+BOXES = 12
+METRES = 2.0
+_LIMIT_SECONDS = 60.0
+_PORTS = (9410, 9411, 9412)
+
+
+@contextmanager
+def vehicle(name: str, port: int) -> Iterator[subprocess.Popen[bytes]]:
+    """Serve a vehicle on a port until the end of a block."""
+    command = [sys.executable, "-m", "uoarm", "serve", "vehicle.yaml", "--port", str(port)]
+    process = subprocess.Popen(
+        command, cwd=HERE, env={**os.environ, "VEHICLE": name}, stdout=subprocess.DEVNULL
+    )
+    try:
+        _await_server(process, port)
+        yield process
+    finally:
+        process.terminate()
+        process.wait()
+
+
+def _await_server(process: subprocess.Popen[bytes], port: int) -> None:
+    end = time.monotonic() + _LIMIT_SECONDS
+    while time.monotonic() < end and process.poll() is None:
+        try:
+            with urlopen(f"http://127.0.0.1:{port}/healthz", timeout=1):
+                return
+        except (URLError, OSError):
+            time.sleep(0.1)
+    raise SystemExit(f"the vehicle at port {port} does not answer")
+
+
+def configuration(ports: dict[str, int]) -> str:
+    """Return the desk's: a bridge and two functions for each vehicle."""
+    bridges = "".join(
+        f"  {name}: {{plugin: remote, options: "
+        f"{{url: 'ws://127.0.0.1:{port}/', silence: 1, grace: 1}}}}\n"
+        for name, port in ports.items()
+    )
+    functions = "".join(
+        f"  {name}_{function}:\n    components:\n"
+        f"      - {{name: {name}_{function}, bridge: {name}, {kind}: {{endpoint: [{function}]}}}}\n"
+        for name in ports
+        for function, kind in (("transport", "service"), ("state", "output"))
+    )
+    return f"version: 1\nbridges:\n{bridges}functions:\n{functions}"
+
+
+class Desk:
+    """Gives boxes to free vehicles, until all have arrived."""
+
+    def __init__(self, robot: RobotManager) -> None:
+        self._robot = robot
+        self._boxes = deque(f"box {number}" for number in range(1, BOXES + 1))
+        self._changed = threading.Condition()
+        self.delivered: dict[str, str] = {}
+
+    def run(self) -> None:
+        """Have each vehicle work in a thread of its own; returns when all boxes have arrived."""
+        for name in VEHICLES:
+            threading.Thread(target=self._work, args=(name,), daemon=True).start()
+        with self._changed:
+            if not self._changed.wait_for(lambda: len(self.delivered) == BOXES, _LIMIT_SECONDS):
+                raise SystemExit(f"only {len(self.delivered)} of {BOXES} boxes arrived")
+
+    def wait_for(self, count: int) -> None:
+        """Wait until so many boxes have arrived."""
+        with self._changed:
+            self._changed.wait_for(lambda: len(self.delivered) >= count, _LIMIT_SECONDS)
+
+    def _work(self, name: str) -> None:
+        while True:
+            with self._changed:
+                # A box that another vehicle has may come back.
+                self._changed.wait_for(lambda: self._boxes or len(self.delivered) == BOXES)
+                if not self._boxes:
+                    return
+                box = self._boxes.popleft()
+            try:
+                done = self._robot.call(
+                    f"{name}_transport", {"box": box, "metres": METRES}, timeout=20
+                )
+            except UoarmError as error:
+                print(f"{name} is lost with {box}: {str(error).splitlines()[-1].strip()}")
+                with self._changed:
+                    self._boxes.appendleft(box)  # another one carries it
+                    self._changed.notify_all()
+                return
+            print(f"{done['vehicle']} has delivered {done['box']}", flush=True)
+            with self._changed:
+                self.delivered[box] = name
+                self._changed.notify_all()
+
+
+def main(*given: int) -> None:
+    """Start three vehicles and a desk, kill one vehicle on the way, and deliver everything.
+
+    Args:
+        given: ports of the vehicles.
+    """
+    with ExitStack() as stack:
+        ports = dict(zip(VEHICLES, given or _PORTS, strict=True))
+        processes = {name: stack.enter_context(vehicle(name, port)) for name, port in ports.items()}
+        robot = stack.enter_context(RobotManager(loads(configuration(ports))))
+        desk = Desk(robot)
+
+        def kill() -> None:
+            desk.wait_for(BOXES // 3)
+            print("cat is killed", flush=True)
+            processes["cat"].kill()
+
+        threading.Thread(target=kill, daemon=True).start()
+        desk.run()
+        print(f"all {BOXES} boxes have arrived")
+
+
+if __name__ == "__main__":
+    main(*map(int, sys.argv[1:]))

@@ -1,0 +1,28 @@
+"""The vehicles deliver every box, although one of them is killed on the way."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+from uoarm.testing import free_port, patience
+
+DESK = Path(__file__).parents[2] / "examples" / "fleet" / "desk.py"
+
+
+def test_every_box_arrives_although_a_vehicle_is_killed() -> None:
+    ports = [str(free_port()) for _ in range(3)]
+    done = subprocess.run(
+        [sys.executable, str(DESK), *ports],
+        capture_output=True,
+        text=True,
+        timeout=patience(),
+        check=False,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "all 12 boxes have arrived" in done.stdout
+    assert "cat is killed" in done.stdout
+    boxes = re.findall(r"has delivered (box \d+)", done.stdout)
+    assert {*boxes} == {f"box {number}" for number in range(1, 13)}
