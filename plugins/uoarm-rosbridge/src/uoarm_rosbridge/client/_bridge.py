@@ -6,7 +6,6 @@ import threading
 import time
 from contextlib import suppress
 from typing import Any, TypeVar
-from weakref import WeakSet
 
 from uoarm.bridge import (
     Bridge,
@@ -32,6 +31,7 @@ from uoarm_rosbridge.client._channels import (
 from uoarm_rosbridge.client._connection import Fields, ServerConnection
 from uoarm_rosbridge.client._discovery import discovered
 from uoarm_rosbridge.client._goals import ActionlibCaller, ActionlibTypes, call_action
+from uoarm_rosbridge.client._health import PeerWatch
 from uoarm_rosbridge.client._options import (
     Address,
     ClientOptions,
@@ -51,8 +51,6 @@ _NOTES = {
     Role.OUTPUT: "a rosbridge server does not say what it loses of a topic",
     Role.INPUT: "a rosbridge server does not say whether it publishes what it is sent",
 }
-_TICK_SECONDS = 0.25
-_JOIN_SECONDS = 1.0
 _DEEP = 16
 
 
@@ -72,19 +70,12 @@ class RosbridgeBridge(Bridge):
         self._calls = ServerConnection(name, options, access, lambda *_: None)
         self._types: dict[tuple[str, str], RosType] = {}
         self._kinds: dict[Endpoint, str] = {}
-        self._channels: WeakSet[Channel] = WeakSet()
         # Guards the clients of actions of ROS 1, each of which is made once.
         self._callers_lock = threading.Lock()
         self._callers: dict[str, ActionlibCaller] = {}
-        # Guards what is open and what was lost, between steps, the connection and the watch.
-        self._table_lock = threading.Lock()
-        self._lost: dict[str, tuple[Endpoint, frozenset[str]]] = {}
-        self._closing, self._poked = threading.Event(), threading.Event()
-        self._is_new = False
-        self._watch = threading.Thread(
-            target=self._look_around, name=f"uoarm-rosbridge-watch-{name}", daemon=True
+        self._watch = PeerWatch(
+            name, self._connection, options.check, self._peers, self._is_same, self.report
         )
-        self._watch.start()
 
     @property
     def process_id(self) -> int | None:
@@ -102,7 +93,7 @@ class RosbridgeBridge(Bridge):
         """Report a change; what is lost is looked for from then on."""
         if health is Health.LOST and channel is not None:
             is_silent = isinstance(channel, TopicSource) and channel.health.is_silent
-            self._remember(channel.endpoint, is_silent=is_silent)
+            self._watch.remember(channel.endpoint, is_silent=is_silent)
         super().report(health, cause, channel=channel, component=component)
 
     def _describe(self, endpoint: Endpoint) -> Description:
@@ -118,7 +109,7 @@ class RosbridgeBridge(Bridge):
             self._require_peer(endpoint, address, port)
         except BridgeError as error:
             if error.reason is FailureReason.NOT_FOUND:
-                self._remember(endpoint)
+                self._watch.remember(endpoint)
             raise
         limits = _FINITE if endpoint.role is Role.INPUT else {}
         return Description(structure_of(made), note=_NOTES[endpoint.role], limits=limits)
@@ -300,7 +291,7 @@ class RosbridgeBridge(Bridge):
         except BridgeError as error:
             self._kinds.pop(endpoint, None)
             if error.reason in {FailureReason.UNAVAILABLE, FailureReason.NOT_FOUND}:
-                self._remember(endpoint)
+                self._watch.remember(endpoint)
             raise
         del structures
         if answer.get("result") is False:
@@ -357,37 +348,20 @@ class RosbridgeBridge(Bridge):
         return discovered(self.name, self._ask, self._describe)
 
     def _close(self) -> None:
-        self._closing.set()
-        self._poked.set()
+        self._watch.stop()
         with self._callers_lock:
             for caller in self._callers.values():
                 caller.fail("the bridge was closed")
         self._calls.close()
         self._connection.close()
-        self._watch.join(_JOIN_SECONDS)
+        self._watch.close()
 
     def _keep(self, channel: C) -> C:
-        with self._table_lock:
-            self._lost.pop(channel.endpoint.component, None)
-            self._channels.add(channel)
+        self._watch.keep(channel)
         return channel
 
     def _report_channel(self, channel: Channel, health: Health, cause: str) -> None:
         self.report(health, cause, channel=channel)
-
-    def _remember(self, endpoint: Endpoint, *, is_silent: bool = False) -> None:
-        """Look from now on whether what stands behind an endpoint is back.
-
-        What was there and said nothing for too long is back when others are there.
-        """
-        if endpoint.is_offered:
-            return
-        before = frozenset[str]()
-        with suppress(BridgeError):
-            if is_silent:
-                before = self._peers(endpoint)
-        with self._table_lock:
-            self._lost[endpoint.component] = (endpoint, before)
 
     def _changed(self, cause: str) -> None:
         """Take note of a break, or of its end; in the connection's thread."""
@@ -397,69 +371,11 @@ class RosbridgeBridge(Bridge):
             return
         self._types.clear()
         self._kinds.clear()
-        self._is_new = True
-        self._poked.set()
-
-    def _look_around(self) -> None:
-        """Watch who publishes, what was lost, and the silence of sources, until the close."""
-        next_look = time.monotonic() + self._options.check
-        while not self._closing.is_set():
-            left = next_look - time.monotonic()
-            self._poked.wait(max(0.0, min(_TICK_SECONDS, left)))
-            if self._poked.is_set() or time.monotonic() >= next_look:
-                self._poked.clear()
-                next_look = time.monotonic() + self._options.check
-                if self._connection.is_up and not self._closing.is_set():
-                    with suppress(BridgeError):
-                        self._look()
-            self._tick()
-
-    def _tick(self) -> None:
-        # Apart from what waits: its frame would keep the last channel, closed or not.
-        with self._table_lock:
-            channels = tuple(self._channels)
-        for channel in channels:
-            if isinstance(channel, TopicSource) and not channel.closed:
-                channel.health.tick()
-
-    def _look(self) -> None:
-        """Look at all that is open, and for all that was lost; one that fails hinders no other."""
-        with self._table_lock:
-            channels, lost = tuple(self._channels), dict(self._lost)
-        is_new, self._is_new = self._is_new, False
-        for channel in channels:
-            if not channel.closed:
-                with suppress(BridgeError):
-                    self._look_at(channel, is_new=is_new)
-        for component, (endpoint, before) in lost.items():
-            now = frozenset[str]()
-            with suppress(BridgeError):
-                now = self._peers(endpoint)
-            if now and now != before:
-                with self._table_lock:
-                    self._lost.pop(component, None)
-                name = address_of(endpoint).name
-                self.report(Health.OK, f"{name} is there again", component=component)
-
-    def _look_at(self, channel: Channel, *, is_new: bool) -> None:
-        if isinstance(channel, ParameterSource):
-            channel.look()
-        elif isinstance(channel, TopicSource | TopicSink):
-            self._look_at_peers(channel)
-            if is_new and not self._is_same(channel.made):
-                channel.health.refused("it has another type since the break", final=True)
+        self._watch.look_anew()
 
     def _is_same(self, made: RosType) -> bool:
         """Say whether a type is the same in what may be another server than before."""
         return structure_of(self._type("message_details", made.name)) == structure_of(made)
-
-    def _look_at_peers(self, channel: TopicSource | TopicSink) -> None:
-        endpoint, role = channel.endpoint, channel.endpoint.role
-        if time.monotonic() < self._connection.patient_until:
-            return  # nodes come back one by one, as the connection did
-        if port_of(endpoint).peer_required and not self._peers(endpoint):
-            does = "publishes" if role is Role.OUTPUT else "subscribes to"
-            channel.health.connected(0, f"no node {does} it")
 
 
 def _full(name: str) -> str:

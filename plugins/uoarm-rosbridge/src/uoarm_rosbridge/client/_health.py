@@ -1,0 +1,150 @@
+"""Whether what stands behind a server is there: who publishes, what was lost, who is silent."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from typing import Any
+from weakref import WeakSet
+
+from uoarm.bridge import Channel
+from uoarm.errors import BridgeError
+from uoarm.model import Endpoint, Health, Role
+from uoarm_rosbridge.client._channels import ParameterSource, TopicSink, TopicSource
+from uoarm_rosbridge.client._connection import ServerConnection
+from uoarm_rosbridge.client._options import address_of, port_of
+from uoarm_rosbridge.client._types import RosType
+
+__all__ = ["PeerWatch"]
+
+_TICK_SECONDS = 0.25
+_JOIN_SECONDS = 1.0
+
+
+class PeerWatch:
+    """Looks at the peers of what is open, and for what was lost, now and then in its own thread.
+
+    Args:
+        name: of the bridge.
+        connection: to the server; while it is not up, nothing is looked at.
+        check: seconds from one look to the next.
+        peers: returns the nodes behind an endpoint.
+        is_same: says whether a type is the same in what may be another server than before.
+        report: has the health of a component reported.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        connection: ServerConnection,
+        check: float,
+        peers: Callable[[Endpoint], frozenset[str]],
+        is_same: Callable[[RosType], bool],
+        report: Callable[..., Any],
+    ) -> None:
+        self._connection, self._check = connection, check
+        self._peers, self._is_same, self._report = peers, is_same, report
+        # Guards what is open and what was lost, between steps, the connection and the watch.
+        self._lock = threading.Lock()
+        self._channels: WeakSet[Channel] = WeakSet()
+        self._lost: dict[str, tuple[Endpoint, frozenset[str]]] = {}
+        self._closing, self._poked = threading.Event(), threading.Event()
+        self._is_new = False
+        self._thread = threading.Thread(
+            target=self._run, name=f"uoarm-rosbridge-watch-{name}", daemon=True
+        )
+        self._thread.start()
+
+    def keep(self, channel: Channel) -> None:
+        """Watch a channel, as long as it is open and in use."""
+        with self._lock:
+            self._lost.pop(channel.endpoint.component, None)
+            self._channels.add(channel)
+
+    def remember(self, endpoint: Endpoint, *, is_silent: bool = False) -> None:
+        """Look from now on whether what stands behind an endpoint is back.
+
+        What was there and said nothing for too long is back when others are there.
+        """
+        if endpoint.is_offered:
+            return
+        before = frozenset[str]()
+        with suppress(BridgeError):
+            if is_silent:
+                before = self._peers(endpoint)
+        with self._lock:
+            self._lost[endpoint.component] = (endpoint, before)
+
+    def look_anew(self) -> None:
+        """Look now: the connection is another one, perhaps to another server."""
+        self._is_new = True
+        self._poked.set()
+
+    def stop(self) -> None:
+        """Begin to end; `close` comes next."""
+        self._closing.set()
+        self._poked.set()
+
+    def close(self) -> None:
+        """End; waits for a look that is under way, so long as it does not take long."""
+        self.stop()
+        self._thread.join(_JOIN_SECONDS)
+
+    def _run(self) -> None:
+        """Watch who publishes, what was lost, and the silence of sources, until the close."""
+        next_look = time.monotonic() + self._check
+        while not self._closing.is_set():
+            left = next_look - time.monotonic()
+            self._poked.wait(max(0.0, min(_TICK_SECONDS, left)))
+            if self._poked.is_set() or time.monotonic() >= next_look:
+                self._poked.clear()
+                next_look = time.monotonic() + self._check
+                if self._connection.is_up and not self._closing.is_set():
+                    with suppress(BridgeError):
+                        self._look()
+            self._tick()
+
+    def _tick(self) -> None:
+        # Apart from what waits: its frame would keep the last channel, closed or not.
+        with self._lock:
+            channels = tuple(self._channels)
+        for channel in channels:
+            if isinstance(channel, TopicSource) and not channel.closed:
+                channel.health.tick()
+
+    def _look(self) -> None:
+        """Look at all that is open, and for all that was lost; one that fails hinders no other."""
+        with self._lock:
+            channels, lost = tuple(self._channels), dict(self._lost)
+        is_new, self._is_new = self._is_new, False
+        for channel in channels:
+            if not channel.closed:
+                with suppress(BridgeError):
+                    self._look_at(channel, is_new=is_new)
+        for component, (endpoint, before) in lost.items():
+            now = frozenset[str]()
+            with suppress(BridgeError):
+                now = self._peers(endpoint)
+            if now and now != before:
+                with self._lock:
+                    self._lost.pop(component, None)
+                name = address_of(endpoint).name
+                self._report(Health.OK, f"{name} is there again", component=component)
+
+    def _look_at(self, channel: Channel, *, is_new: bool) -> None:
+        if isinstance(channel, ParameterSource):
+            channel.look()
+        elif isinstance(channel, TopicSource | TopicSink):
+            self._look_at_peers(channel)
+            if is_new and not self._is_same(channel.made):
+                channel.health.refused("it has another type since the break", final=True)
+
+    def _look_at_peers(self, channel: TopicSource | TopicSink) -> None:
+        endpoint, role = channel.endpoint, channel.endpoint.role
+        if time.monotonic() < self._connection.patient_until:
+            return  # nodes come back one by one, as the connection did
+        if port_of(endpoint).peer_required and not self._peers(endpoint):
+            does = "publishes" if role is Role.OUTPUT else "subscribes to"
+            channel.health.connected(0, f"no node {does} it")
