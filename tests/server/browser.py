@@ -38,6 +38,7 @@ KEYS = {
     "Enter": (13, "\r"),
     "Escape": (27, ""),
     "Tab": (9, ""),
+    "Backspace": (8, ""),
     " ": (32, " "),
     "[": (219, "["),
     "]": (221, "]"),
@@ -145,7 +146,10 @@ class Browser:
 
     def click(self, selector: str, text: str = "", *, shift: bool = False) -> None:
         """Press the middle of the first visible element that a selector and a text find."""
-        place = self.until(f"({_FIND})({json.dumps(selector)}, {json.dumps(text)})")
+        find = f"({_FIND})({json.dumps(selector)}, {json.dumps(text)})"
+        place = self.until(find)
+        while (now := self.js(f"{_DRAWN}.then(() => {find})")) != place:  # it was moved meanwhile
+            place = now or self.until(find)
         for kind in ("mousePressed", "mouseReleased"):
             self.command(
                 "Input.dispatchMouseEvent",
@@ -156,10 +160,12 @@ class Browser:
                 **place,
             )
 
-    def press(self, key: str, *, shift: bool = False) -> None:
+    def press(self, key: str, *, shift: bool = False, control: bool = False) -> None:
         code, text = KEYS.get(key, (ord(key[0].upper()), key))
-        given = {"key": key, "windowsVirtualKeyCode": code, "modifiers": 8 * shift}
-        self.command("Input.dispatchKeyEvent", type="keyDown", text=text, **given)
+        modifiers = 8 * shift + 2 * control
+        given = {"key": key, "windowsVirtualKeyCode": code, "modifiers": modifiers}
+        written = "" if control else text
+        self.command("Input.dispatchKeyEvent", type="keyDown", text=written, **given)
         self.command("Input.dispatchKeyEvent", type="keyUp", **given)
 
     def write(self, text: str) -> None:
@@ -221,6 +227,7 @@ class Browser:
             self._process.wait()
 
 
+_DRAWN = "new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))"
 _FIND = """(selector, text) => {
   for (const one of document.querySelectorAll(selector)) {
     if (!one.textContent.includes(text)) continue;

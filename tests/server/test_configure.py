@@ -199,3 +199,11 @@ def test_the_command_line(guarded: Server, tmp_path: Path) -> None:
     assert apply(guarded, tmp_path / "none.yaml").exit_code == 3
     gone = ["apply", str(path), "--url", "ws://127.0.0.1:1/"]
     assert CliRunner().invoke(main, gone).exit_code == 4
+
+
+def test_who_may_configure_gets_the_schema_of_the_text(guarded: Server) -> None:
+    with enter(guarded, "keeper") as keeper:
+        schema = keeper.ask("Configure", message={"schema": True})["schema"]
+        assert "options.python" in schema["$defs"]
+    with enter(guarded, "viewer") as viewer:
+        assert viewer.refused("Configure", message={"schema": True})["code"] == "denied"

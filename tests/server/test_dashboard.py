@@ -358,6 +358,13 @@ tokens: [{{name: person, role: keeper, sha256: {right}}}]
 """
 
 
+ROOT = "document.querySelector('.editor').shadowRoot"
+CONTENT = f"{ROOT}.querySelector('.cm-content')"
+EDITED = (
+    "(document.querySelector('.editor')?.shadowRoot?.querySelector('.cm-content')?.innerText ?? '')"
+)
+
+
 class TestConfiguration:
     """Somebody who may change it."""
 
@@ -389,7 +396,7 @@ class TestConfiguration:
         browser.click(".lock input")
         browser.write("right")
         browser.press("Enter")
-        browser.until("document.querySelector('textarea')?.value.includes('# the only one')")
+        browser.until(f"{EDITED}.includes('# the only one')")
         browser.complaints.clear()  # the refusal before the token: a browser tells it
         return browser
 
@@ -430,21 +437,54 @@ class TestConfiguration:
         browser.until(says(".found", "follower"))
         place = "document.querySelector('.configuration .notice.bad').getBoundingClientRect()"
         assert browser.js(f"{place}.bottom") < height
-        assert not browser.js("document.querySelector('textarea, .found-component .button')")
+        assert not browser.js("document.querySelector('.editor, .found-component .button')")
         assert browser.js("document.documentElement.scrollWidth") <= width
         assert browser.js(CONTRAST) == []
+
+    def put(self, editing: Browser, text: str) -> None:
+        """Write a text in the place of the one that is edited."""
+        editing.js(f"{CONTENT}.focus()")
+        editing.press("a", control=True)
+        editing.press("Backspace")
+        editing.write(text)
+
+    def test_mistakes_stand_at_their_line_while_one_writes(self, editing: Browser) -> None:
+        lines = f"[...{ROOT}.querySelectorAll('.cm-lineNumbers .cm-gutterElement')].length"
+        assert editing.js(lines) > 6
+        self.put(editing, LAB.replace("bridge: lab", "bridge: lob"))
+        editing.until(f"{ROOT}.querySelector('.cm-lint-marker-error') !== null")
+        marked = f"{ROOT}.querySelector('.cm-lintRange-error').closest('.cm-line').textContent"
+        assert "follower" in editing.js(marked)
+
+    def test_keys_and_names_are_completed_and_explained_by_the_schema(
+        self, editing: Browser
+    ) -> None:
+        self.put(editing, "version: 1\nbridges:\n  lab: {plugin: memory, option")
+        editing.until(f"{ROOT}.querySelector('.cm-tooltip-autocomplete li') !== null")
+        offered = f"{ROOT}.querySelector('.cm-tooltip-autocomplete').innerText"
+        assert "options" in editing.js(offered)
+        editing.until(f"{ROOT}.querySelector('.cm-completionInfo')?.innerText.length > 10")
+
+    def test_what_changes_stands_side_by_side_before_it_is_applied(
+        self, editing: Browser, robot: RobotManager
+    ) -> None:
+        editing.show(1440, 900)
+        self.put(editing, LAB.replace("# the only one", "# the first one"))
+        editing.click(".editor-tools .button", "Show what would happen")
+        side = "document.querySelector('.difference')?.shadowRoot?.querySelector('{}')?.innerText"
+        editing.until(f"{side.format('.cm-merge-a')}?.includes('# the only one')")
+        assert "# the first one" in editing.js(side.format(".cm-merge-b"))
+        assert robot.revision == 0
 
     def test_mistakes_are_reported_as_everywhere_and_nothing_changes(
         self, editing: Browser, robot: RobotManager
     ) -> None:
-        editing.click(".editor textarea")
-        editing.js("document.querySelector('.editor textarea').select()")
-        editing.write(LAB.replace("functions:", "funktions:"))
+        self.put(editing, LAB.replace("functions:", "funktions:"))
         editing.click(".editor-tools .button", "Show what would happen")
         editing.until(says(".configuration .notice.bad", 'unknown key "funktions"'))
         assert editing.js("document.querySelectorAll('.editor-tools .button')[1].disabled")
         editing.click(".editor-tools .button", "Read again")
-        editing.until("document.querySelector('.editor textarea').value.includes('functions:')")
+        editing.until(f"{EDITED}.includes('functions:')")
         assert robot.revision == 0
 
 

@@ -18,6 +18,7 @@ from uoarm._resolve import NoPlanError
 from uoarm._version import __version__
 from uoarm._wire import Form, check_asked, salvage_id, write_or_error
 from uoarm.bridge import asking, refuse_loop
+from uoarm.config import completed_schema
 from uoarm.errors import ConnectionClosedError, ControlMessageError, UoarmError, UsageError
 from uoarm.model import (
     ConfigurationChange,
@@ -306,6 +307,14 @@ class NativeSession:
                 return self._written(asked, {"revisions": revisions, "configuration": text})
 
             self._emit_frame(asked.id, await self._registry.in_worker(history))
+            return
+        if "schema" in wanted:
+            types = self._registry.robot.registry.types
+
+            def schema() -> bytes:
+                return self._written(asked, {"schema": completed_schema(types)})
+
+            self._emit_frame(asked.id, await self._registry.in_worker(schema))
             return
         if wanted.get("keep"):
             self._client.require_all(Operation.KEEP)

@@ -1,10 +1,13 @@
 // The configuration: what frameworks show, and the file's text, tried before it is applied.
 
-import { useEffect, useRef, useState } from "../vendor/htm-preact.js";
+import { useEffect, useMemo, useRef, useState } from "../vendor/htm-preact.js";
+import { Difference, TextEditor } from "./editor.js";
 import { noun } from "./format.js";
 import { Facts, Framework, html, Notice } from "./ui.js";
+import { problemsOf } from "./yaml.js";
 
 const EVERY = 2000;
+const PAUSE = 700; // milliseconds without a key after which a text is checked
 
 /** What a search leaves of the bridges: whole ones by their name, else their components. Pure. */
 export function narrowed(bridges, query) {
@@ -56,14 +59,18 @@ export function Configuration({ store, query }) {
       setUntaken({ bridge, component, cause: error.message });
     }
   };
+  const found = narrowed(bridges ?? [], query);
+  const spare = found.filter((bridge) => !bridge.configured);
   return html`
     <section class="configuration" aria-label="Configuration">
       ${refusal && html`<${Notice} kind="bad" title="The configuration is not shown"><pre>${refusal}</pre></${Notice}>`}
       <h2>What frameworks show</h2>
       ${trouble && html`<${Notice} kind="bad" title="Not shown">${trouble}</${Notice}>`}
-      ${bridges && html`<ul class="found">${narrowed(bridges, query).map((bridge) => html`
+      ${bridges && html`<ul class="found">${found.filter((bridge) => bridge.configured).map((bridge) => html`
         <${Bridge} key=${`${bridge.bridge} ${bridge.plugin}`} of=${bridge} take=${refusal ? null : take}
           untaken=${untaken?.bridge === bridge.bridge ? untaken : null} />`)}</ul>`}
+      ${spare.length > 0 && html`<details class="spare"><summary>Installed plugins that no bridge is of: ${spare.map(({ plugin }) => plugin).join(", ")}</summary>
+        <ul class="found">${spare.map((bridge) => html`<${Bridge} key=${bridge.plugin} of=${bridge} />`)}</ul></details>`}
       <div ref=${editor}><${Editor} store=${store} given=${edited} refused=${setRefusal} /></div>
     </section>`;
 }
@@ -93,64 +100,87 @@ function Bridge({ of, take, untaken }) {
 /** The text in force, or one with something taken into it: first tried, then applied. Nothing where it is refused. */
 function Editor({ store, given, refused }) {
   const [text, setText] = useState("");
-  const [revision, setRevision] = useState(null);
+  const [source, setSource] = useState({ text: "" }); // what the editor was given last; it goes on from there by itself
+  const [force, setForce] = useState(null); // the text in force, its revision, and the schema of such texts
   const [tried, setTried] = useState(null); // the text that was looked at, and what would happen
   const [keep, setKeep] = useState(false);
   const [trouble, setTrouble] = useState("");
+  const [checked, setChecked] = useState({ text: "", problems: [] }); // by line, as the robot found them
   const said = useRef(null);
   const ask = (message) => store.wire.ask("Configure", "", message);
+  const inForce = async () => {
+    const report = await store.wire.ask("Configure");
+    return { text: report.configuration, revision: report.revisions.at(-1).revision };
+  };
+  const put = (wanted) => {
+    setText(wanted);
+    setSource({ text: wanted });
+  };
   const load = async () => {
     try {
-      const report = await store.wire.ask("Configure");
-      setText(report.configuration);
-      setRevision(report.revisions.at(-1).revision);
+      const [{ schema }, current] = await Promise.all([ask({ schema: true }), inForce()]);
+      setForce({ ...current, schema });
+      put(current.text);
+      setTried(null);
       setTrouble("");
       refused("");
     } catch (error) {
-      if (revision === null) refused(error.message);
+      if (force === null) refused(error.message);
       else setTrouble(error.message);
     }
+  };
+  const failed = (error, wanted) => {
+    setTrouble(error.message);
+    setChecked({ text: wanted, problems: problemsOf(error.message) });
   };
   const look = async (wanted) => {
     setTried(null);
     try {
-      const report = await store.wire.ask("Configure");
-      setRevision(report.revisions.at(-1).revision);
-      setTried({ text: wanted, report: (await ask({ text: wanted, dry_run: true })).text });
+      const current = await inForce();
+      setForce({ ...force, ...current });
+      setTried({ text: wanted, before: current.text, report: (await ask({ text: wanted, dry_run: true })).text });
+      setChecked({ text: wanted, problems: [] });
       setTrouble("");
     } catch (error) {
-      setTrouble(error.message);
+      failed(error, wanted);
     }
   };
   const apply = async () => {
     try {
-      const change = await ask({ text, revision, ...(keep ? { keep } : {}) });
+      const change = await ask({ text, revision: force.revision, ...(keep ? { keep } : {}) });
       setTried({ text, report: change.text, done: true });
-      setRevision(change.revision);
+      setForce({ ...force, text, revision: change.revision });
       setTrouble("");
       await store.refresh();
     } catch (error) {
       setTried(null);
-      setTrouble(error.message);
+      failed(error, text);
     }
   };
   useEffect(() => { // what is being edited stays when the connection comes back
-    if (store.link === "open" && revision === null) load();
-  }, [store.link, revision]);
+    if (store.link === "open" && force === null) load();
+  }, [store.link, force]);
   useEffect(() => {
     if (given === null) return;
-    setText(given);
+    put(given);
     look(given);
   }, [given]);
+  useEffect(() => { // mistakes show while one writes, where they are
+    if (force === null || text === checked.text || text === force.text) return undefined;
+    const timer = setTimeout(() => ask({ text, dry_run: true }).then(() => setChecked({ text, problems: [] }),
+      (error) => setChecked({ text, problems: problemsOf(error.message) })), PAUSE);
+    return () => clearTimeout(timer);
+  }, [text, force, checked]);
   useEffect(() => { // below what was pressed
     if (tried || trouble) said.current.scrollIntoView({ block: "nearest" });
   }, [tried, trouble]);
-  if (revision === null) return null;
+  const problems = useMemo(() => (text === force?.text ? [] : checked.problems), [checked, text === force?.text]);
+  if (force === null) return null;
   const isTried = tried !== null && tried.text === text && !tried.done;
   return html`
-    <h2>The configuration <span class="quiet">revision ${revision}</span></h2>
-    <label class="editor"><span class="hidden">Configuration, YAML</span>
-      <textarea spellcheck=${false} rows="24" value=${text} onInput=${(event) => setText(event.target.value)}></textarea></label>
+    <h2>The configuration <span class="quiet">revision ${force.revision}</span></h2>
+    <${TextEditor} source=${source} change=${setText} problems=${problems} schema=${force.schema} label="Configuration, YAML" />
+    <p class="hint">Ctrl+Space completes, pointing at a word explains it, Ctrl+F searches. Tab leaves the text, Ctrl+] indents.</p>
     <p class="editor-tools">
       <button type="button" class="button main" onClick=${() => look(text)}>Show what would happen</button>
       <button type="button" class="button" disabled=${!isTried} onClick=${apply}>Apply</button>
@@ -159,5 +189,6 @@ function Editor({ store, given, refused }) {
       <button type="button" class="button" onClick=${load}>Read again</button>
     </p>
     <div ref=${said}>${tried && html`<${Notice} title=${tried.done ? "Done" : "What would happen"}><pre>${tried.report}</pre></${Notice}>`}
+    ${isTried && tried.text !== tried.before && html`<h3>What changes in the text</h3><${Difference} before=${tried.before} after=${tried.text} />`}
     ${trouble && html`<${Notice} kind="bad" title="Refused"><pre>${trouble}</pre></${Notice}>`}</div>`;
 }

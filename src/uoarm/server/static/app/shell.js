@@ -13,7 +13,8 @@ export function Header({ store, address, query, setQuery }) {
   const input = useRef(null);
   useEffect(() => {
     const press = (event) => {
-      const typing = /^(INPUT|TEXTAREA|SELECT)$/.test(event.target.tagName);
+      const [target] = event.composedPath(); // also inside the editor
+      const typing = target.isContentEditable || /^(INPUT|TEXTAREA|SELECT)$/.test(target.tagName);
       if (event.key === "/" && !typing) {
         event.preventDefault();
         input.current.focus();
