@@ -7,9 +7,9 @@ from typing import Any
 
 import pytest
 from brokers import Broker
-from fleet import bridge_to, driven, endpoint, goal, health_events, until
 from uoarm_vda5050.vehicle import Vehicle
 
+from fleet import bridge_to, driven, endpoint, goal, health_events, until
 from uoarm.errors import BridgeError
 from uoarm.model import Health, MessageStructure
 from uoarm.testing import Collector, patience

@@ -8,7 +8,6 @@ from typing import Any
 
 import pytest
 from brokers import Broker
-from fleet import MAKER, bridge_to, driven, endpoint, goal
 from uoarm_mqtt.connection import PayloadCodec
 from uoarm_vda5050._channels import Follower, call
 from uoarm_vda5050._health import Presence, VehicleHealth
@@ -18,6 +17,7 @@ from uoarm_vda5050._releases import RELEASES
 from uoarm_vda5050._transport_state import Action, GoalEnded, Phase, TransportState
 from uoarm_vda5050._vehicle_state import VehicleState
 
+from fleet import MAKER, bridge_to, driven, endpoint, goal
 from uoarm.errors import BridgeError, BridgeTimeoutError
 from uoarm.model import Budget, Health, MessageStructure
 from uoarm.testing import Collector, patience, wait

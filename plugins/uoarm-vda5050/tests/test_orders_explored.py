@@ -13,11 +13,11 @@ from collections.abc import Callable, Iterable, Iterator
 from typing import Any
 
 import pytest
-from fleet import goal
 from uoarm_vda5050._releases import RELEASES
 from uoarm_vda5050._transport_state import Action, GoalEnded, Send, Status, Times, TransportState
 from uoarm_vda5050._vehicle_state import Act, Drive, VehicleState
 
+from fleet import goal
 from uoarm.errors import UoarmError
 
 TIMES = Times(repeat=1.0, accept=5.0, settle=5.0)

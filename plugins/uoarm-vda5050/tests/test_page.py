@@ -10,9 +10,9 @@ import sys
 from pathlib import Path
 
 from brokers import Broker
-from fleet import driven, goal
 from uoarm_vda5050._options import FleetOptions, VehicleOptions
 
+from fleet import driven, goal
 from uoarm import RobotManager
 from uoarm.bridge import Registry, options_table
 from uoarm.config import inspect

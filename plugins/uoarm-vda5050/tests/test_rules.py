@@ -5,11 +5,11 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
-from fleet import goal
 from uoarm_vda5050._orders import Order
 from uoarm_vda5050._releases import RELEASES
 from uoarm_vda5050._vehicle_state import Act, Drive, VehicleState
 
+from fleet import goal
 from uoarm.errors import MessageError
 
 BOTH = pytest.mark.parametrize("release", ["2.1", "3.0"])

@@ -8,9 +8,9 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from brokers import Broker, Peer
-from fleet import MAKER, Driver, endpoint
 from uoarm_vda5050.vehicle import Vehicle
 
+from fleet import MAKER, Driver, endpoint
 from uoarm.model import BridgeSpec, Endpoint, Message, Role
 from uoarm.testing.conformance import Pair, Retained, Served, Victim, World
 
