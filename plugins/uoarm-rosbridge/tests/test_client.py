@@ -11,6 +11,7 @@ import pytest
 import trustme
 from played import LISTEN, TALK, Played, asked, bridge_to, seen
 from ros import Serve, eventually, url
+from uoarm_rosbridge.client import _connection
 from uoarm_rosbridge.client._options import ClientOptions, Port, mistake
 from uoarm_rosbridge.client._types import read_types, reader, structure_of, writer
 from websockets.sync.server import ServerConnection
@@ -21,7 +22,7 @@ from uoarm.config import loads
 from uoarm.errors import BridgeError, ConfigurationError, FailureReason, MessageError
 from uoarm.model import Endpoint, Health, Role
 from uoarm.server import hash_token, make_token
-from uoarm.testing import Collector
+from uoarm.testing import Collector, patience
 
 ACCESS = """
 version: 1
@@ -57,7 +58,11 @@ def test_a_secret_goes_nowhere_in_the_clear(tmp_path: Path, host: str) -> None:
         pass
 
 
-def test_tls_is_spoken_and_the_token_shown(serve: Serve, tmp_path: Path) -> None:
+def test_tls_is_spoken_and_the_token_shown(
+    serve: Serve, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for limit in ("_STEP_SECONDS", "_CONNECT_SECONDS"):  # a handshake on a busy machine
+        monkeypatch.setattr(_connection, limit, patience())
     authority, token = trustme.CA(), make_token()
     certificate, trusted, secret = (tmp_path / name for name in ("own.pem", "ca.pem", "token"))
     authority.cert_pem.write_to_path(trusted)
@@ -69,14 +74,14 @@ def test_tls_is_spoken_and_the_token_shown(serve: Serve, tmp_path: Path) -> None
     address = url(serve(certificate=certificate, access=access)).replace("ws://", "wss://")
     source = Endpoint("far", "numbers", Role.OUTPUT, ("/uoarm/numbers",))
     with bridge_to(address, tls={"ca": str(trusted)}, token_file=str(secret)) as bridge:
-        assert bridge.describe(source).message is not None
+        assert bridge.describe(source, timeout=patience()).message is not None
     refused = (
         ({"tls": {"ca": str(trusted)}}, "401: is the token right"),
         ({"token_file": str(secret)}, "certificate verify failed"),
     )
     for options, why in refused:
         with bridge_to(address, **options) as bridge, pytest.raises(BridgeError, match=why):
-            bridge.describe(source)
+            bridge.describe(source, timeout=patience())
 
 
 def test_a_message_of_a_topic_comes_once_to_each_source(played: Played) -> None:
