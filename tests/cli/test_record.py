@@ -88,6 +88,39 @@ def test_it_ends_after_its_time(tmp_path: Path) -> None:
     assert " messages as json" in done.stdout
 
 
+def test_it_splits_compresses_and_ends_after_its_size(tmp_path: Path) -> None:
+    words = ["record", "many", str(make(tmp_path)), "-o", str(tmp_path / "run.mcap"), "--json"]
+    more = ["--split", "8kB", "--max-size", "20kB", "--compress", "lz4"]
+    done = CliRunner().invoke(main, [*words, *more])
+    assert done.exit_code == 0, done.output
+    status = json.loads(done.stdout.splitlines()[-1])
+    assert status["cause"] == "its files have 20,000 octets"
+    assert len(status["files"]) > 1
+    found = [number for file in status["files"] for number in numbers(Path(file), "/many")]
+    assert found == list(range(len(found)))
+    assert b"lz4" in Path(status["files"][0]).read_bytes()
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGUSR1"), reason="this system has no such signal")
+def test_a_ring_is_written_at_a_signal(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    code = "from uoarm.cli import main; main()"
+    words = ["record", "-f", str(make(tmp_path)), "many", "-o", str(path), "--json", "--ring", "60"]
+    with subprocess.Popen(
+        [sys.executable, "-c", code, *words], stdout=subprocess.PIPE, text=True
+    ) as process:
+        assert process.stdout is not None
+        while json.loads(process.stdout.readline())["channels"][0]["recorded"] < 10:
+            assert not path.exists()
+        process.send_signal(signal.SIGUSR1)
+        while not json.loads(process.stdout.readline())["files"]:
+            pass
+        process.send_signal(signal.SIGTERM)
+        process.stdout.read()
+        assert process.wait(patience()) == 0
+    assert numbers(path, "/many")[:10] == list(range(10))
+
+
 def test_without_a_name_it_is_what_the_configuration_says(tmp_path: Path) -> None:
     more = "record: {functions: [few], path: kept.mcap, compression: none}\n"
     done = CliRunner().invoke(main, ["record", str(make(tmp_path, more))])

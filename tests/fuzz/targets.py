@@ -12,6 +12,8 @@ import struct
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from importlib.util import find_spec
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import msgpack
@@ -25,7 +27,7 @@ from uoarm._dataplane import make_check
 from uoarm._host.transport.codec import pack, unpack
 from uoarm._wire import BINARY_FORM, TEXT_FORM, Form, check_asked, write_binary
 from uoarm.config import loads
-from uoarm.errors import ConfigurationError, ControlMessageError, MessageError
+from uoarm.errors import BridgeError, ConfigurationError, ControlMessageError, MessageError
 from uoarm.model import (
     Budget,
     MessageStructure,
@@ -502,4 +504,52 @@ def _ros1() -> Mapping[str, Target]:
     }
 
 
-TARGETS: Mapping[str, Target] = {**_CORE, **_web(), **_devices(), **_openrtm(), **_ros1()}
+def _recordings() -> Mapping[str, Target]:
+    if find_spec("mcap") is None:
+        return {}
+    from uoarm.record._file import McapFile
+    from uoarm.record._forms import form_of
+    from uoarm.record._reading import McapReader
+    from uoarm.record._structures import reading_of
+
+    def read(data: bytes) -> None:
+        with TemporaryDirectory() as folder:
+            path = Path(folder) / "x.mcap"
+            path.write_bytes(data)
+            reader = McapReader(path)
+            octets = 0
+            for topic, channel in reader.channels.items():
+                with suppress(BridgeError):
+                    decode = reading_of(channel).decode
+                    for message in reader.messages(topic, 0, lambda _: None):
+                        octets += len(message.data)
+                        with suppress(MessageError):
+                            decode(message.data)
+            # No more than what the file has, unpacked.
+            assert octets <= 1000 * len(data) + 65_536
+
+    def written(compression: str) -> bytes:
+        with TemporaryDirectory() as folder:
+            file = McapFile(Path(folder) / "x.mcap", compression, 64)
+            file.begin("")
+            form = form_of("x", MessageStructure({"type": "object"}), {})
+            file.add_channel(form)
+            for n in range(3):
+                file.add_message(form, n, b'{"n":%d}' % n, n)
+            file.add_metadata("a", {"b": "c"})
+            file.attach("a", b"b", "text/plain", 1)
+            file.finish()
+            return file.path.read_bytes()
+
+    seeds = tuple(map(written, ("none", "lz4", "zstd")))
+    return {"recording": Target(read, (BridgeError,), seeds)}
+
+
+TARGETS: Mapping[str, Target] = {
+    **_CORE,
+    **_web(),
+    **_devices(),
+    **_openrtm(),
+    **_ros1(),
+    **_recordings(),
+}

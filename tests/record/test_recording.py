@@ -318,6 +318,41 @@ def test_a_ring_is_written_on_demand_and_on_a_failure(
         recording.dump()
 
 
+def test_a_ring_that_is_not_written_in_time_says_so_and_is_written_later(
+    bridge: MemoryBridge, make_robot: MakeRobot, tmp_path: Path
+) -> None:
+    clicks = bridge.emitter("clicks", COUNT)
+    recording = Recording(
+        make_robot(), ["counter"], tmp_path / "run.mcap", RecordOptions.of(ring=60.0, queue=BLOCK)
+    )
+    with recording:
+        form, go_on = recording._tracks[0].form, threading.Event()
+        assert form is not None
+        encode = form.encode
+
+        def slow(message: Message) -> bytes:
+            go_on.wait(patience())
+            return encode(message)
+
+        object.__setattr__(form, "encode", slow)
+        clicks.emit({"n": 1})
+        with pytest.raises(UsageError, match=r"not written after 0\.01 s"):
+            recording.dump(timeout=0.01)
+        go_on.set()
+        wait(lambda: recording.status().files, "it is written later")
+    assert read_json_of(recording.status().files[0], "/counter") == [{"n": 1}]
+
+
+def test_a_ring_ends_when_its_files_have_their_size(
+    bridge: MemoryBridge, make_robot: MakeRobot, tmp_path: Path
+) -> None:
+    bridge.emitter("clicks", COUNT)
+    with make_robot().record("counter", path=tmp_path / "a.mcap", ring=1, max_size=10) as recording:
+        recording.dump()
+        assert recording.wait(patience())
+    assert recording.status().cause == "its files have 10 octets"
+
+
 KILLED = """
 import sys
 from uoarm import RobotManager
