@@ -21,7 +21,7 @@ from uoarm.model import Message, OverflowPolicy, QueuePolicy, message_octets
 
 __all__ = ["Arrivals", "ArrivingTrack", "ReadOctets"]
 
-_GATHER_SECONDS = 0.02
+_GATHER_SECONDS = 0.05
 _LARGE_OCTETS = 65_536
 _LOOKS = 16
 """A source looks at the bounds at each message of this number."""
