@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 from tests.server.browser import Browser, says
-from tests.server.conftest import Visit
+from tests.server.conftest import Serve, Visit
 from tests.server.shown import END, SHOWN, front
 from tests.server.test_dashboard import manage
 
@@ -192,6 +193,23 @@ class TestSenses:
             "document.querySelector('.grid canvas').getContext('2d').getImageData(0, 0, 2, 1).data"
         )
         browser.until(f"[...{pixel}].join() === '24,32,44,255,178,190,205,255'")
+
+
+class TestRecordings:
+    """A button that records, and a scrubber for what is played."""
+
+    def test_a_function_is_recorded_by_a_button(
+        self, browser: Browser, serve: Serve, tmp_path: Path
+    ) -> None:
+        server = serve(recordings=tmp_path)
+        browser.go(f"http://127.0.0.1:{server.ports[0]}/#/graph/function/camera")
+        browser.click(".panel .button", "Record")
+        browser.until(says(".panel .parts:last-of-type", "Stop recording"))
+        front.take((1, 2, 3))
+        browser.until(says(".panel .parts:last-of-type .facts", ".mcap"))
+        browser.click(".panel .button", "Stop recording")
+        browser.until(says(".panel .parts:last-of-type", "ended"))
+        assert list(tmp_path.glob("*.mcap"))
 
 
 class TestPanels:

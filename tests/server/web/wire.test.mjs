@@ -89,7 +89,7 @@ test("a watch has the latest message, lines of numbers, and its end", async () =
   assert.ok(watch.series.size <= 48);
   watches.ended({ connection: "c1", state: "failed", cause: "unplugged" });
   watches.take("c1", { x: 9 });
-  assert.deepEqual([watch.end, watch.taken], [{ state: "failed", cause: "unplugged" }, 503]);
+  assert.deepEqual([watch.end, watch.taken], [{ state: "failed", cause: "unplugged", word: "failed" }, 503]);
   await watches.close("f");
   assert.deepEqual(asked_, [["Request", "f", { every: 0.1 }]]);
 });
@@ -125,7 +125,7 @@ test("a watch is opened again when the connection is back, with the gap marked",
   watches.broken();
   answers.push(new Refusal({ code: "resolution", text: "it is not in the configuration" }));
   await watches.again();
-  assert.deepEqual(watch.end, { state: "failed", cause: "it is not in the configuration" });
+  assert.deepEqual(watch.end, { state: "failed", cause: "it is not in the configuration", word: "failed" });
   assert.deepEqual(asked_.map(([op, name]) => `${op} ${name}`),
     ["Request f", "Request g", "Request f", "Request f", "Request f"]);
   assert.equal(stopped.gaps, 0);

@@ -43,9 +43,10 @@ function Fold({ card, fold }) {
     fold(card);
   };
   const open = card.data.rows.filter((row) => row.open).length;
+  const count = `${open ? `${open}/` : ""}${card.data.rows.length}`;
   return html`<button type="button" class="card-fold" tabindex="-1" onClick=${press}
-    aria-label=${`${card.folded ? "Unfold" : "Fold"} ${card.title}`}>
-    <span>${open ? `${open}/` : ""}${card.data.rows.length}</span>
+    aria-label=${`${count}: ${card.folded ? "unfold" : "fold"} ${card.title}`}>
+    <span>${count}</span>
     <${Icon} name=${card.folded ? "unfold" : "fold"} /></button>`;
 }
 

@@ -30,8 +30,8 @@ const COLOURS = cm.HighlightStyle.define([
   { tag: [cm.tags.string, cm.tags.content], color: "var(--ink)" },
 ]);
 const SHOWN = [cm.lineNumbers(), cm.yaml(), cm.syntaxHighlighting(COLOURS), LOOK];
-const named = (label) => cm.EditorView.contentAttributes.of({ "aria-label": label });
-const READ_ONLY = [...SHOWN, cm.EditorState.readOnly.of(true), cm.EditorView.contentAttributes.of({ tabindex: "0" })];
+const named = (label) => cm.EditorView.contentAttributes.of({ "aria-label": label, tabindex: "0" });
+const READ_ONLY = [...SHOWN, cm.EditorState.readOnly.of(true)];
 
 /** Args: a source, whose text takes the place of what is there, change(text), problems by line, the schema. Tab leaves it: Ctrl+] indents. */
 export function TextEditor({ source, change, problems, schema, label }) {

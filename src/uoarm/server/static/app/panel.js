@@ -5,6 +5,7 @@ import { Call } from "./call.js";
 import { Explain } from "./explain.js";
 import { rate, short, span } from "./format.js";
 import { Kill } from "./kill.js";
+import { Recordings } from "./recordings.js";
 import { Send } from "./send.js";
 import { Facts, Framework, Health, html, Notice } from "./ui.js";
 import { Watch } from "./watch.js";
@@ -20,7 +21,7 @@ function FunctionPanel({ store, address, panel, act, keep }) {
     <nav class="tabs" aria-label=${`About ${func.name}`}>${tabs.map(([tab, label]) => html`
       <a key=${tab} href=${place(tab)}
         aria-current=${panel.tab === tab ? "page" : null}>${label}</a>`)}</nav>
-    <div class="panel-body">
+    <div class="panel-body" tabindex="0">
       ${panel.tab === "" && html`<${Overview} store=${store} func=${func} />`}
       ${panel.tab === "use" && html`<${Use} store=${store} func=${func} panel=${panel} act=${act} keep=${keep} />`}
       ${panel.tab === "explain" && html`<${Explain} store=${store} func=${func} />`}
@@ -43,7 +44,8 @@ function Overview({ store, func }) {
     ${connections.length === 0 && html`<p class="quiet">None at this moment.</p>`}
     <ul class="parts">${connections.map((other) => html`
       <li key=${other.id}><div class="part-head"><b>${other.id}</b><span>${other.state}</span>
-        <span class="push">${rate(other.rate)}</span><${Kill} store=${store} connection=${other} /></div></li>`)}</ul>`;
+        <span class="push">${rate(other.rate)}</span><${Kill} store=${store} connection=${other} /></div></li>`)}</ul>
+    ${!func.service && html`<${Recordings} store=${store} name=${func.name} />`}`;
 }
 
 const Part = ({ row }) => html`
@@ -75,7 +77,7 @@ function ConnectionPanel({ store, panel }) {
   const connection = store.system.connections.find((other) => other.id === panel.name);
   if (!connection) return html`<${Gone} store=${store} what="connection" />`;
   const routes = store.system.routes.filter((route) => route.to === connection.id || connection.components.includes(route.to));
-  return html`<div class="panel-body">
+  return html`<div class="panel-body" tabindex="0">
     <${Facts} of=${[["function", connection.function], ["state", connection.state],
       ["components", connection.components.join(" → ")], ["cause", connection.cause]]} />
     ${connection.error && html`<${Notice} kind="bad" title="The application">${connection.error}</${Notice}>`}
@@ -96,7 +98,7 @@ function BridgePanel({ store, panel }) {
   const live = store.system.bridges.find((other) => other.name === panel.name);
   const machine = store.system.machines.find((other) => other.bridges.includes(panel.name));
   const rows = store.system.functions.flatMap((func) => func.rows).filter((row) => row.bridge === panel.name);
-  return html`<div class="panel-body">
+  return html`<div class="panel-body" tabindex="0">
     <p><${Health} of=${live?.health ?? "idle"} word=${true} /></p>
     ${live && html`<${Facts} of=${[["plugin", live.plugin], ["open channels", short(live.open_channels)],
       ["machine", machine?.name ?? ""], ["process", live.process ?? ""]]} />`}
@@ -108,7 +110,7 @@ function MachinePanel({ store, panel }) {
   const machine = store.system.machines.find((other) => other.name === panel.name);
   if (!machine) return html`<${Gone} store=${store} what="machine" />`;
   const health = new Map(store.system.bridges.map((bridge) => [bridge.name, bridge.health]));
-  return html`<div class="panel-body">
+  return html`<div class="panel-body" tabindex="0">
     <p><${Health} of=${machine.health} word=${true} /></p>
     <${Facts} of=${[["clock", machine.clock_offset === null ? "" : offset(machine)]]} />
     ${machine.cause && html`<${Notice} kind="warn" title="Cause">${machine.cause}</${Notice}>`}
@@ -128,5 +130,5 @@ export const BODIES = {
   function: FunctionPanel, connection: ConnectionPanel, bridge: BridgePanel, machine: MachinePanel,
 };
 
-const Gone = ({ store, what }) => html`<div class="panel-body">${store.loaded
+const Gone = ({ store, what }) => html`<div class="panel-body" tabindex="0">${store.loaded
   ? html`<${Notice}>This ${what} is there no more.</${Notice}>` : html`<p class="quiet" role="status">Asking …</p>`}</div>`;

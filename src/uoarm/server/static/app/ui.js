@@ -41,6 +41,7 @@ const PATHS = {
   keep: "M8 10v4.5M4.5 10h7M5.5 2h5M6.5 2v4l-2 4M9.5 2v4l2 4",
   earlier: "M10 3L5 8l5 5",
   later: "M6 3l5 5-5 5",
+  record: "M8 3.5a4.5 4.5 0 1 0 0 9a4.5 4.5 0 1 0 0-9z",
   play: "M4.5 2.5v11l9-5.5z",
   stop: "M3.5 3.5h9v9h-9z",
 };

@@ -63,7 +63,7 @@ function Shown({ store, func, output, watch, options, choose }) {
   const [scan, grid] = latest === undefined ? [] : [findScan(latest), findGrid(latest)];
   return html`
     ${watch.end && html`<${Notice} kind=${watch.end.state === "failed" ? "bad" : "info"}
-      title=${watch.end.state === "failed" ? "It failed" : "It ended"}>${watch.end.cause || "closed"}</${Notice}>`}
+      title=${{ failed: "It failed", killed: "It was killed" }[watch.end.word] ?? "It ended"}>${watch.end.cause || "It has no more messages."}</${Notice}>`}
     ${watch.away && html`<${Notice} kind="warn" title="Interrupted">The connection to the server broke.
       What is watched is opened again when it is back.</${Notice}>`}
     ${watch.note && html`<${Notice} kind="warn" title="A message could not be shown">${watch.note}</${Notice}>`}

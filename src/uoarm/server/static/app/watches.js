@@ -142,7 +142,8 @@ export class Watches {
 
   #end(watch, state, cause) {
     if (!watch || watch.end) return;
-    watch.end = { state, cause };
+    const killed = state === "closed" && cause?.startsWith("killed ");
+    watch.end = { state, cause: killed ? cause.slice("killed ".length) : cause, word: killed ? "killed" : state };
     this.byConnection.delete(watch.connection);
     this.changed();
   }
