@@ -86,6 +86,7 @@ def test_it_ends_after_its_time(tmp_path: Path) -> None:
     assert done.exit_code == 0, done.output
     assert "many: " in done.stdout
     assert " messages as json" in done.stdout
+    assert "lost" not in done.stdout
 
 
 def test_it_splits_compresses_and_ends_after_its_size(tmp_path: Path) -> None:

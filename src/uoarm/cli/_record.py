@@ -148,10 +148,12 @@ def _line(status: RecordingStatus, seconds: float) -> str:
 def summary(status: RecordingStatus) -> str:
     """Return what was recorded and lost, a line for each file and function."""
     lines = [*status.files] or ["no file was written"]
+    is_whole = not status.dropped.keys() - {"closed"}
+    why = "came as it ended" if is_whole else "lost before the writer"
     for channel in status.channels:
         more = f", {channel.unwritable:,} without a form" if channel.unwritable else ""
         missing = channel.received - channel.recorded - channel.unwritable
-        lost = f", {missing:,} lost before the writer" if missing else ""
+        lost = f", {missing:,} {why}" if missing else ""
         text = f"{channel.recorded:,} messages as {channel.encoding}"
         lines.append(f"  {channel.function}: {text}{more}{lost}")
     return "\n".join(lines)
