@@ -55,7 +55,6 @@ def main() -> None:
         "managers",
         "until all were called (s)",
         "status (ms)",
-        "a call to one that has gone (s)",
         "MB each",
     )
     print_table("A desk", head, [desk(count) for count in MANAGERS])
