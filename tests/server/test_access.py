@@ -445,3 +445,29 @@ def _replace(path: Path, text: str) -> None:
     fresh = path.with_suffix(".new")
     fresh.write_text(text, encoding="utf-8")
     fresh.replace(path)
+
+
+def test_names_and_addresses_of_others_are_for_whom_may_see_all(
+    serve: Serve, tmp_path: Path
+) -> None:
+    access = tmp_path / "clients.yaml"
+    access.write_text(
+        f"""
+version: 1
+roles: {{owner: {{see: all, request: ["*"]}}, guest: {{see: ["numbers"], request: ["numbers"]}}}}
+tokens:
+  - {{name: first, principal: ada, role: owner, sha256: {hash_token("one")}}}
+  - {{name: second, principal: bob, role: guest, sha256: {hash_token("two")}}}
+""",
+        encoding="utf-8",
+    )
+    url = f"ws://127.0.0.1:{serve(access=access).ports[0]}/"
+    with Talk(f"{url}?token=one") as owner, Talk(f"{url}?token=two") as guest:
+        connection = guest.open("numbers")
+        clients = owner.ask("Status", message={"clients": True})["clients"]
+        shown = {client["principal"]: client["connections"] for client in clients}
+        assert shown == {"ada": [], "bob": [connection]}
+        assert all(client["address"].startswith("127.0.0.1:") for client in clients)
+        clients = guest.ask("Status", message={"clients": True})["clients"]
+        assert [client["principal"] for client in clients] == ["bob"]
+        assert "clients" not in owner.ask("Status")

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 from tests.server.browser import Browser, says
-from tests.server.conftest import Serve, Visit
+from tests.server.conftest import Connect, Serve, Visit
 from tests.server.shown import END, SHOWN, front
 from tests.server.test_dashboard import manage
 
@@ -193,6 +193,15 @@ class TestSenses:
             "document.querySelector('.grid canvas').getContext('2d').getImageData(0, 0, 2, 1).data"
         )
         browser.until(f"[...{pixel}].join() === '24,32,44,255,178,190,205,255'")
+
+
+def test_who_an_application_is_stands_with_name_and_address(
+    browser: Browser, visit: Visit, talk: Connect
+) -> None:
+    connection = talk().open("camera")
+    visit("#/graph/function/camera")
+    browser.until(says(".panel .parts .hint", "local, 127.0.0.1:"))
+    browser.until(says(f'[data-card="connection/{connection}"]', f"local ({connection})"))
 
 
 class TestRecordings:

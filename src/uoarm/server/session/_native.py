@@ -76,6 +76,7 @@ class Shared:
         lists: of functions.
         status: the status map.
         recordings: that are written, and that are played.
+        sessions: that are open; only in the loop's thread.
     """
 
     def __init__(self, registry: FeedRegistry, folder: Path) -> None:
@@ -83,6 +84,7 @@ class Shared:
         self.lists = FunctionLists(lambda: robot.config, views)
         self.status = StatusViews(robot.status, registry.past, views)
         self.recordings = RecordingDesk(registry, folder)
+        self.sessions: dict[NativeSession, None] = {}
 
 
 class NativeSession:
@@ -140,12 +142,23 @@ class NativeSession:
             Op.RECORD: self._record,
             Op.PLAY: self._play,
         }
+        shared.sessions[self] = None
         self._emit({"op": "Status", "type": "hello", "jsonMessage": self._hello()})
 
     @property
     def is_in_use(self) -> bool:
         """Whether it has open functions, or something under way."""
         return bool(self._tasks or self._streams.counters())
+
+    def who(self) -> dict[str, Any]:
+        """Return whose session it is, and which connections it has."""
+        return {
+            "session": self._client.identity,
+            "principal": self._client.principal,
+            "role": self._client.role.name,
+            "address": self._client.address,
+            "connections": [counter["connection"] for counter in self._streams.counters()],
+        }
 
     def octets(self, frame: str | bytes) -> int:
         """Return how much there is to decode."""
@@ -206,6 +219,7 @@ class NativeSession:
 
     def close(self) -> None:
         """Give back everything that only this client used."""
+        self._shared.sessions.pop(self, None)
         self._registry.unwatch(self._changed)
         for task in self._tasks:
             task.cancel()
@@ -430,8 +444,13 @@ class NativeSession:
         since = (asked.jsonMessage or {}).get("since")
         question = StatusQuestion(self._client.role, self._form, since, past=watches)
         answer = await self._registry.views.get(self._shared.status.make, question)
-        own = self._form.write(self._streams.counters())
-        await self._emit_view(asked, self._form.map_of({**answer.fields, "own": own}))
+        parts = {**answer.fields, "own": self._form.write(self._streams.counters())}
+        if (asked.jsonMessage or {}).get("clients"):
+            # Names and addresses of others are for whom may see everything.
+            sees_all = self._client.role.allows_all(Operation.SEE)
+            sessions = tuple(self._shared.sessions) if sees_all else (self,)
+            parts["clients"] = self._form.write([session.who() for session in sessions])
+        await self._emit_view(asked, self._form.map_of(parts))
         if watches and not self._registry.is_watched_by(self._changed):
             self._registry.watch(self._changed)
             for event in self._registry.after(answer.number):

@@ -1,6 +1,6 @@
 // Cards and edges of the graph, with their sizes, from the joined system. Pure.
 
-import { groupBy, worst } from "./system.js";
+import { groupBy, nameOf, worst } from "./system.js";
 
 export const WIDTH = 250;
 export const HEAD = 40;
@@ -37,7 +37,7 @@ function functionCard(func, isFolded) {
 function connectionCard(connection) {
   const well = connection.failed ? "degraded" : "ok";
   const health = { failed: "lost", closed: "finished", closing: "degraded" }[connection.state] ?? well;
-  return { id: `connection/${connection.id}`, kind: "connection", title: `Application ${connection.id}`, health,
+  return { id: `connection/${connection.id}`, kind: "connection", title: nameOf(connection), health,
     data: connection, folded: false, rows: [], width: 190, height: 62 };
 }
 

@@ -1,6 +1,7 @@
 // The same system as a list: for phones, for screen readers, and for those who prefer one.
 
 import { plural, rate, short, span } from "./format.js";
+import { nameOf } from "./system.js";
 import { Framework, Health, html, isBeside } from "./ui.js";
 
 export function List({ system, shown, panels, select }) {
@@ -42,7 +43,7 @@ function Item({ of, users, selected, select }) {
 const Connection = ({ of, selected, select }) => html`
   <li><button type="button" class="item" aria-pressed=${selected}
     onClick=${(event) => select({ kind: "connection", data: of }, isBeside(event))}>
-    <span class="item-name"><b>Application ${of.id}</b></span>
+    <span class="item-name"><b>${nameOf(of)}</b></span>
     <span class="item-note">uses ${of.function}, ${of.state}</span>
     <span class="item-figures"><b>${rate(of.rate)}</b></span></button></li>`;
 

@@ -7,6 +7,7 @@ import { rate, short, span } from "./format.js";
 import { Kill } from "./kill.js";
 import { Recordings } from "./recordings.js";
 import { Send } from "./send.js";
+import { holdersOf, nameOf } from "./system.js";
 import { Facts, Framework, Health, html, Notice } from "./ui.js";
 import { Watch } from "./watch.js";
 
@@ -43,8 +44,9 @@ function Overview({ store, func }) {
     <h3>Applications that use it</h3>
     ${connections.length === 0 && html`<p class="quiet">None at this moment.</p>`}
     <ul class="parts">${connections.map((other) => html`
-      <li key=${other.id}><div class="part-head"><b>${other.id}</b><span>${other.state}</span>
-        <span class="push">${rate(other.rate)}</span><${Kill} store=${store} connection=${other} /></div></li>`)}</ul>
+      <li key=${other.id}><div class="part-head"><b>${nameOf(other)}</b><span>${other.state}</span>
+        <span class="push">${rate(other.rate)}</span><${Kill} store=${store} connection=${other} /></div>
+        ${holdersOf(other).map((holder) => html`<p class="hint">${holder}</p>`)}</li>`)}</ul>
     ${!func.service && html`<${Recordings} store=${store} name=${func.name} />`}`;
 }
 
@@ -78,7 +80,7 @@ function ConnectionPanel({ store, panel }) {
   if (!connection) return html`<${Gone} store=${store} what="connection" />`;
   const routes = store.system.routes.filter((route) => route.to === connection.id || connection.components.includes(route.to));
   return html`<div class="panel-body" tabindex="0">
-    <${Facts} of=${[["function", connection.function], ["state", connection.state],
+    <${Facts} of=${[...holdersOf(connection).map((holder) => ["held by", holder]), ["function", connection.function], ["state", connection.state],
       ["components", connection.components.join(" → ")], ["cause", connection.cause]]} />
     ${connection.error && html`<${Notice} kind="bad" title="The application">${connection.error}</${Notice}>`}
     <p><${Kill} store=${store} connection=${connection} /></p>

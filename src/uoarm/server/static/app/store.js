@@ -49,7 +49,7 @@ export class Store {
   /** Asks for the status again, now. */
   async refresh() {
     const known = this.status;
-    const report = await this.wire.ask("Status", "", sinceStatus(known).jsonMessage);
+    const report = await this.wire.ask("Status", "", { ...sinceStatus(known).jsonMessage, clients: true });
     this.#see(mergeStatus(known, report));
   }
 
@@ -106,7 +106,7 @@ export class Store {
 
   async #begin() {
     const ask = (...asked) => this.wire.ask(...asked);
-    const [list, status] = await Promise.all([ask("List"), ask("Status", "watch")]);
+    const [list, status] = await Promise.all([ask("List"), ask("Status", "watch", { clients: true })]);
     this.functions = list.functions;
     this.loaded = true;
     this.events = [];
@@ -127,7 +127,7 @@ export class Store {
     this.status = status;
     this.watches.see(status);
     for (const connection of status.connections) this.owners.set(connection.id, connection.function);
-    this.system = join(this.functions, status, this.events);
+    this.system = join(this.functions, status, this.events, this.hello?.session);
     this.changed();
   }
 
@@ -136,7 +136,7 @@ export class Store {
     const fresh = report.filter((event) => !this.events.some((other) => other.number === event.number));
     for (const event of fresh) this.events.push({ ...event, at: new Date(now - event.age * 1000) });
     this.events = this.events.slice(-MOST_EVENTS);
-    this.system = join(this.functions, this.status, this.events);
+    this.system = join(this.functions, this.status, this.events, this.hello?.session);
     this.changed();
   }
 }

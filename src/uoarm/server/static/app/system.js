@@ -20,7 +20,7 @@ export const endOf = (place, names) =>
   names.has(place) ? place : place.slice(0, Math.max(0, place.lastIndexOf(".")));
 
 /** Everything known about the system, joined: functions with rows, connections, frameworks, machines. */
-export function join(functions, status, events = []) {
+export function join(functions, status, events = [], session = "") {
   const deaths = lastDeaths(events);
   const open = new Map(status.components.map((component) => [component.name, component]));
   const names = new Set([...open.keys(), ...status.connections.map((connection) => connection.id)]);
@@ -34,7 +34,11 @@ export function join(functions, status, events = []) {
   const to = groupBy(routes, (route) => route.to);
   return {
     functions: functions.map((func) => withRows(func, open, { from, to }, deaths)),
-    connections: status.connections.map((connection) => withFlow(connection, to.get(connection.id) ?? from.get(connection.id) ?? [])),
+    connections: status.connections.map((connection) => ({
+      ...withFlow(connection, to.get(connection.id) ?? from.get(connection.id) ?? []),
+      clients: (status.clients ?? []).filter((client) => client.connections.includes(connection.id))
+        .map((client) => ({ ...client, own: client.session === session })),
+    })),
     bridges: status.bridges.map((bridge) => ({ ...bridge })),
     machines: status.machines.map((machine) => ({ ...machine, health: machine.present ? "ok" : "lost" })),
     routes,
@@ -53,6 +57,18 @@ function withRows(described, open, routes, deaths) {
   });
   return { ...described, rows, health: worst(rows.map((row) => row.health)) };
 }
+
+/** Who holds a connection, in a few words: "this page", "ada", "2 clients"; by its number where it is of another protocol or program. */
+export function nameOf({ id, clients = [] }) {
+  if (clients.length === 0) return `Application ${id}`;
+  if (clients.length > 1) return `${clients.length} clients (${id})`;
+  const [{ own, principal, role }] = clients;
+  return `${own ? "This page" : principal || role} (${id})`;
+}
+
+/** Who holds a connection, each with name, role and address. */
+export const holdersOf = ({ clients = [] }) =>
+  clients.map(({ own, principal, role, address }) => `${own ? "this page" : principal || "no name"}, ${role}, ${address}`);
 
 /** The inputs of an open component that move something: what each was told last, and who may tell it. */
 function commandsOf(live) {
