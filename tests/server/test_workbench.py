@@ -9,11 +9,13 @@ import pytest
 from tests.server.browser import Browser, says
 from tests.server.conftest import Connect, Serve, Visit
 from tests.server.shown import END, SHOWN, front
+from tests.server.talk import Talk
 from tests.server.test_dashboard import manage
 
 from uoarm import RobotManager
 from uoarm.bridge import Registry
 from uoarm.config import loads
+from uoarm.server import hash_token
 from uoarm.testing import MemoryBridge, wait
 
 pytestmark = pytest.mark.needs("chromium")
@@ -202,6 +204,30 @@ def test_who_an_application_is_stands_with_name_and_address(
     visit("#/graph/function/camera")
     browser.until(says(".panel .parts .hint", "local, 127.0.0.1:"))
     browser.until(says(f'[data-card="connection/{connection}"]', f"local ({connection})"))
+
+
+def test_who_may_not_kill_sees_what_gives_the_right(
+    browser: Browser, serve: Serve, tmp_path: Path
+) -> None:
+    access = tmp_path / "access.yaml"
+    access.write_text(
+        f"""
+version: 1
+roles: {{guest: {{see: all, request: ["*"]}}}}
+tokens: [{{name: person, role: guest, sha256: {hash_token("right")}}}]
+""",
+        encoding="utf-8",
+    )
+    port = serve(access=access).ports[0]
+    with Talk(f"ws://127.0.0.1:{port}/?token=right") as client:
+        client.open("camera")
+        browser.go(f"http://127.0.0.1:{port}/#/graph/function/camera")
+        browser.click(".lock input")
+        browser.write("right")
+        browser.press("Enter")
+        browser.until(says(".panel", "uoarm token NAME --role ROLE"))
+        assert not browser.js("document.querySelector('.panel .button.bad')")
+    browser.complaints.clear()  # the refusals before the token: a browser reports them all
 
 
 class TestRecordings:

@@ -33,7 +33,7 @@ from uoarm.model import (
     to_json,
 )
 from uoarm.server._failures import LimitError, UnknownError, code_of, error_code_of, without_frames
-from uoarm.server.access import Operation, RoleView
+from uoarm.server.access import AccessRole, Operation, RoleView
 from uoarm.server.session._client import ConnectedClient
 from uoarm.server.session._discoveries import Discoveries
 from uoarm.server.session._recordings import RecordingDesk
@@ -524,6 +524,7 @@ class NativeSession:
             "server": f"uoarm {__version__}",
             "session": self._client.identity,
             "role": self._client.role.name,
+            "rights": _rights_of(self._client.role),
             "message_bytes": self._client.limits.message_bytes,
             "elements": self._client.limits.elements,
             "depth": self._client.limits.depth,
@@ -603,3 +604,11 @@ def _reply_of(asked: ControlMessage, message: Message) -> dict[str, Any]:
     if message is not None:
         reply["jsonMessage"] = message
     return reply
+
+
+def _rights_of(role: AccessRole) -> Message:
+    """Return what a role may do, as an access file says it."""
+    rights: dict[str, Any] = {
+        operation.value: list(patterns) for operation, patterns in role.rules.items()
+    }
+    return rights | {operation.value: "all" for operation in role.everything}
