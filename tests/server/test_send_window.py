@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import random
 from collections import deque
 
 import pytest
@@ -271,3 +272,24 @@ def test_a_window_that_is_full_has_a_ping_under_way_or_asks_for_one() -> None:
     window.asked(3.0)
     assert window.is_full(3.0)
     assert not window.is_stuck(3.0)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_a_free_window_is_never_full_and_has_nothing_known_under_way(seed: int) -> None:
+    steps = random.Random(seed)
+    window, now, pings = SendWindow(), 0.0, 0
+    was_free_again = False
+    for _ in range(2000):
+        now += steps.choice((0.001, 0.05, 0.3, 2.0))
+        window.sent(steps.choice((100, 100_000)))
+        if window.wants_ping(now, is_behind=steps.random() < 0.05):
+            window.asked(now)
+            pings += 1
+        if pings and steps.random() < 0.6:
+            window.answered(now)
+            pings -= 1
+            was_free_again |= window.is_free
+        if window.is_free:
+            assert (pings, window.is_full(now), window.is_stuck(now)) == (0, False, False)
+            assert window.transit(now) == 0
+    assert was_free_again

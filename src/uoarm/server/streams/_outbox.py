@@ -261,7 +261,7 @@ class Outbox:
         for held, size in self._written.items():
             _grow(held, -size)
         self._written.clear()
-        while not (self._may_go() or self._window.is_stuck(self._clock())):
+        while not (self._may_go() or self._is_stuck()):
             # Cleared before the wait and after the look: what is added in between sets it, and
             # wakes.
             self._filled.clear()
@@ -286,7 +286,12 @@ class Outbox:
             await self._emptied.wait()
 
     def _may_go(self) -> bool:
-        return bool(self._replies) or not (self.empty or self._window.is_full(self._clock()))
+        if self._replies or self.empty:
+            return bool(self._replies)
+        return self._window.is_free or not self._window.is_full(self._clock())
+
+    def _is_stuck(self) -> bool:
+        return not self._window.is_free and self._window.is_stuck(self._clock())
 
     def _take_frame(self) -> tuple[bytes, bool]:
         held = self._data_held
@@ -335,6 +340,8 @@ class Outbox:
         self.miss(lane)
 
     def _drop_stale(self, lane: Lane) -> None:
+        if len(lane.waiting) <= _FRESH:  # as `Lane.is_stale`, without asking for the time
+            return
         now = self._clock()
         transit = self._window.transit(now)
         while lane.is_stale(now, transit):

@@ -33,9 +33,17 @@ class SendWindow:
     nothing shows how quick a round trip can be now.
 
     It knows no socket and no clock: all times are seconds of one clock, sizes are octets.
+
+    Attributes:
+        is_free: whether nothing bounds what goes: no ping is out and no rate is known. Then it is
+            never full and nothing is known to be under way, so that who writes need not ask; of
+            small messages that would take a good part of the time.
     """
 
     def __init__(self) -> None:
+        # True only while there are no pings, no answers and no draining. Each begins with a ping
+        # or its answer: `asked` clears it, and it is set again where the last of them goes.
+        self.is_free = True
         # Octets handed to the socket since the beginning; differences of it are what is under way.
         self._sent = 0
         # The bound. Infinite while the client keeps up, so that a fast one is never held back.
@@ -73,6 +81,7 @@ class SendWindow:
             self._answers.clear()
             self._octets = math.inf
             self._is_draining = False
+            self.is_free = not self._pings
             is_time = now - at >= _LOOK_SECONDS and self._sent - before >= _LEAST_OCTETS
             return is_time and not self._pings
         is_time = now - at >= _PING_SECONDS or self._sent - before >= self._octets / _PARTS
@@ -80,6 +89,7 @@ class SendWindow:
 
     def asked(self, now: float) -> None:
         """Note a ping that was sent."""
+        self.is_free = False
         self._asked = (now, self._sent)
         self._pings.append((now, self._sent))
 
@@ -103,6 +113,7 @@ class SendWindow:
         if is_first:
             self._behind_at = -math.inf  # it took a round trip, as it has to
         if self._keeps_up(at):
+            self.is_free = not (self._pings or self._answers or self._is_draining)
             return
         if was_behind_nothing and self._answers:
             # It goes on as before it was drained, and what is sent now is not there at once.
