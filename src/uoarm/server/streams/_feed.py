@@ -15,7 +15,7 @@ from attrs import define, field, frozen
 
 from uoarm._control import Connection
 from uoarm._dataplane import Clock
-from uoarm._raised import foreign
+from uoarm._raised import contained, foreign
 from uoarm.errors import MessageError
 from uoarm.model import Message, ValidationMode, message_octets
 from uoarm.server._limits import Limits
@@ -477,18 +477,21 @@ class Feed:
         for listener, place in self._takers(envelope):
             try:
                 if envelope.is_late and place.missed is not None:
-                    foreign(place.missed)
+                    place.missed()
                 else:
-                    foreign(_offer, listener, envelope)
-            except Exception:  # noqa: BLE001 - a listener of a front end may raise anything
+                    _offer(listener, envelope)
+            # As `foreign`, without its call for each message and listener.
+            except BaseException as error:  # noqa: BLE001 - a listener may raise anything
+                contained(error)
                 self._drop(listener)
 
     def _prepared(
         self, listener: Listener, prepare: Prepare, envelope: Envelope
     ) -> asyncio.Future[object] | None:
         try:
-            return foreign(prepare, envelope)
-        except Exception:  # noqa: BLE001 - a listener of a front end may raise anything
+            return prepare(envelope)
+        except BaseException as error:  # noqa: BLE001 - a listener may raise anything
+            contained(error)
             self._drop(listener)
             return None
 
