@@ -122,7 +122,9 @@ class ViewerPublication:
 
     def _leave(self) -> None:
         feed, self._feed = self._feed, None
-        self._sender = None
+        sender, self._sender = self._sender, None
+        if sender is not None:
+            sender.close()  # what waits is not sent, and its leases are given back
         if feed is not None:
             feed.remove(self)
             self._backend.leave(feed)

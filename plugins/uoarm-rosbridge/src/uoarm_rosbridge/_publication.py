@@ -86,7 +86,8 @@ class ClientPublication:
     def abandon(self) -> None:
         """Let go of the function now."""
         self._opening.cancel()
-        self._waiting.clear()
+        while self._waiting:
+            self._waiting.popleft()[2].release()
         self._leave()
 
     async def _open(self) -> None:
