@@ -235,7 +235,7 @@ def test_a_component_of_ours_that_is_made_while_its_bridge_closes_is_removed(
         assert made.wait(patience())
         assert is_bound(other, "Manager.rtc")
         # So long does closing wait, for what hangs here until it has closed.
-        bridge._options = evolve(bridge._options, call_seconds=0.01)
+        bridge._options = evolve(bridge._options, call_timeout=0.01)
         bridge.close(timeout=patience())
     finally:
         go.set()
@@ -280,11 +280,11 @@ def test_a_call_timeout_limits_operations_whose_endpoint_has_no_limit(
     make_bridge: Make, robot: Peer
 ) -> None:
     bridge: Any = make_bridge(idl=IDL, call_timeout=60)
-    assert bridge._options.operation_seconds == 60
-    # As option it would be that of connecting, too, which takes what it takes.
-    bridge._options = evolve(bridge._options, operation_seconds=0.2)
     name = "Robot.rtc", "served", "Arm::Mover::sleep"
     at = endpoint(Role.SERVICE, *name, timeout=patience())
+    assert bridge.call(at, {"seconds": 0.3}, timeout=patience()) == {}
+    # Only now: it is that of connecting, too, which takes what it takes.
+    bridge._options = evolve(bridge._options, call_timeout=0.2)
     assert bridge.call(at, {"seconds": 0.3}, timeout=patience()) == {}
     with pytest.raises(BridgeTimeoutError, match=r"within 0.2 s, `call_timeout` of the bridge"):
         bridge.call(endpoint(Role.SERVICE, *name), {"seconds": patience()}, timeout=patience())
