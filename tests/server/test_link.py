@@ -9,7 +9,8 @@ from collections.abc import AsyncIterator, Mapping
 from typing import Any, cast
 
 import pytest
-from websockets.asyncio.client import ClientConnection
+from websockets.asyncio.client import ClientConnection, connect
+from websockets.asyncio.server import ServerConnection, serve
 from websockets.exceptions import ConnectionClosedError
 
 from uoarm._wire import TEXT_FORM
@@ -145,3 +146,34 @@ def test_changes_that_are_not_taken_are_the_newest() -> None:
 
 def change(number: int) -> object:
     return to_json(StatusEvent(number, 0, "connection c", "running"))
+
+
+def test_what_the_network_has_not_taken_yet_dies_with_a_drop() -> None:
+    """An end in order still sends what the system holds, once the network is back."""
+
+    async def work() -> None:
+        endings: asyncio.Queue[Exception | None] = asyncio.Queue()
+
+        class Peer(ServerConnection):
+            def connection_lost(self, exc: Exception | None) -> None:
+                super().connection_lost(exc)
+                endings.put_nowait(exc)
+
+        async def greet(connection: ServerConnection) -> None:
+            await connection.send(json.dumps(HELLO))
+            await connection.wait_closed()
+
+        async with serve(greet, "127.0.0.1", 0, create_connection=Peer) as server:
+            port = next(iter(server.sockets)).getsockname()[1]
+
+            async def opening() -> ClientConnection:
+                return await connect(f"ws://127.0.0.1:{port}/", proxy=None)
+
+            link = Link(opening, TEXT_FORM, lambda _: None)
+            await link.start(resume=False)
+            running = asyncio.ensure_future(link.run())
+            link.drop()
+            assert isinstance(await endings.get(), ConnectionResetError)
+            await running
+
+    asyncio.run(asyncio.wait_for(work(), patience()))
