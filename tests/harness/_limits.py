@@ -64,7 +64,6 @@ _CONSTANTS = {
     "uoarm.server.session._discoveries": ("_ASK_SECONDS", "_GRACE_SECONDS"),
     "uoarm.server.streams._known": ("_WAIT_SECONDS",),
     "uoarm_mqtt._link": ("_STEP_SECONDS", "_CONNECT_SECONDS", "_GOODBYE_SECONDS"),
-    "uoarm_remote._channels": ("_KILL_SECONDS",),
     "uoarm_remote._link": ("_JOIN_SECONDS",),
     "uoarm_rocos._bridge": ("_OPEN_SECONDS",),
     "uoarm_rocos._line": ("_OPEN_SECONDS",),

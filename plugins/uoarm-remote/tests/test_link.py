@@ -84,6 +84,22 @@ def test_a_kill_here_ends_there_what_only_this_used(robot: ServedRobot, desk: De
     wait(lambda: not robot.manager.status().connections, "the connection there is still open")
 
 
+def test_what_is_closed_while_the_link_is_down_ends_there_once_it_is_up(
+    robot: ServedRobot, proxy: Proxy, desk: Desk
+) -> None:
+    manager = desk(through(proxy))
+    with manager.request("drive"), manager.request("counter") as counter:
+        counter.get(patience())
+        proxy.cut(admit=False)
+        wait(lambda: facts_of(manager)["breaks"] == 1, "the break was not noticed")
+        counter.kill()
+        proxy.admit()
+        wait(
+            lambda: [entry.function for entry in robot.manager.status().connections] == ["drive"],
+            "what was closed meanwhile is still open there",
+        )
+
+
 def test_what_moves_stops_there_when_the_link_is_cut(
     robot: ServedRobot, proxy: Proxy, desk: Desk
 ) -> None:

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import asyncio
-import threading
 import time
-import weakref
 from collections import deque
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from functools import partial
 from typing import Any, TypeAlias
 
-from uoarm.bridge import ChannelHealth, ChannelMonitor, Delivery, Sink, Source
+from uoarm.bridge import ChannelHealth, ChannelMonitor, Delivery, ReceiveQueue, Sink, Source
 from uoarm.client import RemoteRobot, RemoteStream
 from uoarm.errors import BridgeTimeoutError, ConnectionClosedError, UoarmError
 from uoarm.model import Endpoint, Health, Message
@@ -23,7 +21,7 @@ from uoarm_remote._options import FunctionOptions
 __all__ = ["FunctionSink", "FunctionSource", "FunctionStreams"]
 
 Report: TypeAlias = Callable[[Health, str], object]
-_KILL_SECONDS = 1.0
+_Arrival: TypeAlias = "tuple[Message] | tuple[str, str]"  # a message, or state and cause of an end
 _STANDING = 64
 
 
@@ -64,11 +62,7 @@ class FunctionStreams:
 
     def close(self, channel: FunctionSource | FunctionSink) -> None:
         """Let go of what a channel has open; waits for nothing."""
-
-        async def closing(_: RemoteRobot) -> None:
-            await self._leave(channel)
-
-        self._link.start(closing)
+        self._link.start(partial(self._leave, channel))
 
     async def _open(
         self,
@@ -122,8 +116,8 @@ class FunctionStreams:
         if reading is not None:
             reading.cancel()
         if stream is not None:
-            with suppress(UoarmError, asyncio.TimeoutError):
-                await asyncio.wait_for(stream.kill(), _KILL_SECONDS)
+            with suppress(UoarmError):  # where the link is down, it is asked once that is up
+                await stream.kill()
 
 
 class _Monitored:
@@ -172,8 +166,7 @@ class _Monitored:
 class FunctionSource(Source):
     """An output of a function of the other manager.
 
-    The link's thread only appends what comes, so that a consumer that is stuck holds up nothing
-    else. When the backlog is full, the oldest is dropped and counted.
+    What comes waits in a queue, so that a consumer that is stuck holds up nothing else.
     """
 
     def __init__(
@@ -187,23 +180,20 @@ class FunctionSource(Source):
         super().__init__(endpoint)
         self.key = (wanted_name(endpoint), True, options.every)
         self.health = _Monitored(endpoint, link, options, partial(report, self))
-        self._link, self._deliver, self._most = link, deliver, options.backlog
+        self._link, self._deliver = link, deliver
         self._streams: FunctionStreams | None = None
-        # Guards what waits and whether it is closed: the link appends, the thread of this source
-        # takes, any thread closes. It is not held while a message is delivered.
-        self._changed = threading.Condition()
-        self._waiting: deque[tuple[Message] | tuple[str, str]] = deque()
-        self._is_closed = False
-        self._dropped = 0
+        self._queue: ReceiveQueue[_Arrival] = ReceiveQueue(
+            f"uoarm-remote {self.key[0]}", self._hand_on, options.backlog
+        )
 
     def open(self, streams: FunctionStreams, timeout: float) -> None:
         """Open it; raises as `FunctionStreams.open`."""
         self._streams = streams
-        streams.open(self, timeout)
-        name = f"uoarm-remote {self.key[0]}"
-        threading.Thread(
-            target=_deliver_all, args=(weakref.ref(self),), name=name, daemon=True
-        ).start()
+        try:
+            streams.open(self, timeout)
+        except BaseException:
+            self._queue.close()
+            raise
         self._link.join(self.health)
 
     def opened(self, stream: RemoteStream[Message], standing: tuple[Message, ...]) -> None:
@@ -215,34 +205,20 @@ class FunctionSource(Source):
 
     def came(self, message: Message) -> None:
         """Take one message; returns at once."""
-        with self._changed:
-            if len(self._waiting) >= self._most:
-                self._waiting.popleft()
-                self._dropped += 1
-            self._waiting.append((message,))
-            self._changed.notify()
+        self._queue.put((message,))
 
     def ended(self, state: str, cause: str) -> None:
         """Take in the end, after what came before it."""
-        with self._changed:
-            self._waiting.append((state, cause))
-            self._changed.notify()
+        self._queue.put((state, cause))
 
     def facts(self) -> Mapping[str, object]:
         """Return what the status shows."""
         stream = self.health.stream
         lost, gaps = (0, 0) if stream is None else (stream.lost, stream.gaps)
         facts = self.health.monitor.facts()
-        return {**facts, "lost_on_link": lost + self._dropped, "gaps": gaps}
+        return {**facts, "lost_on_link": lost + self._queue.dropped, "gaps": gaps}
 
-    def next(self) -> tuple[Message] | tuple[str, str] | None:
-        """Wait for what is to be handed on; None: it is closed."""
-        with self._changed:
-            self._changed.wait_for(lambda: self._is_closed or self._waiting)
-            return None if self._is_closed else self._waiting.popleft()
-
-    def hand_on(self, arrived: tuple[Message] | tuple[str, str]) -> None:
-        """Deliver a message, or report the end."""
+    def _hand_on(self, arrived: _Arrival) -> None:
         if len(arrived) == 1:
             self.health.monitor.passed()
             self._deliver(arrived[0])
@@ -252,18 +228,9 @@ class FunctionSource(Source):
     def _close(self) -> None:
         self.health.monitor.close()
         self._link.leave(self.health)
-        with self._changed:
-            self._is_closed = True
-            self._changed.notify()
+        self._queue.close()
         if self._streams is not None:
             self._streams.close(self)
-
-
-def _deliver_all(source: weakref.ref[FunctionSource]) -> None:
-    """Hand on what comes, until the source is closed; the thread keeps no source alive."""
-    while (target := source()) is not None and (arrived := target.next()) is not None:
-        target.hand_on(arrived)
-        del target, arrived
 
 
 class FunctionSink(Sink):

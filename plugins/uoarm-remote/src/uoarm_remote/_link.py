@@ -64,18 +64,22 @@ class ManagerLink:
         # in any thread, and the link's own.
         self._lock = threading.Lock()
         self._members: dict[LinkMember, None] = {}
-        self._why_down = "it has not been reached yet"
+        self._why_down = "it has not been reached yet"  # empty while it is up
         self._tried, self._is_closing = threading.Event(), False
         self._thread: threading.Thread | None = None
         self._loop = asyncio.new_event_loop()
         self._closing: asyncio.Event | None = None
         self._robot: RemoteRobot | None = None  # in the loop only
-        self._is_up = False
         self._down_since: float | None = None
-        # Done once a break has lasted for the grace: what waits for an answer waits no longer.
-        self._given_up: asyncio.Event | None = None
+        # Questions under way, in the loop only. They are ended once a break has lasted for the
+        # grace: the answer would come only if the link did.
+        self._asking: set[asyncio.Task[Any]] = set()
         self.breaks = 0
         self.ahead: float | None = None
+
+    @property
+    def _is_up(self) -> bool:
+        return not self._why_down
 
     @property
     def grace(self) -> float:
@@ -142,16 +146,11 @@ class ManagerLink:
         """The other manager, as errors name it."""
         return f"the manager at {self._options.url}"
 
-    def start(self, work: Callable[[RemoteRobot], Coroutine[Any, Any, object]]) -> None:
-        """Run a coroutine in the loop and wait for nothing; what it raises is lost."""
-
-        async def running() -> None:
-            robot = self._robot
-            if robot is not None and self._is_up:
-                await work(robot)
-
-        if not self._loop.is_closed():
-            asyncio.run_coroutine_threadsafe(running(), self._loop)
+    def start(self, work: Callable[[], Coroutine[Any, Any, object]]) -> None:
+        """Run a coroutine in the loop, up or not, and wait for nothing; what it raises is lost."""
+        with self._lock:
+            if self._thread is not None and not self._is_closing:
+                asyncio.run_coroutine_threadsafe(work(), self._loop)
 
     def join(self, member: LinkMember) -> None:
         """Have a member learn of the link from now on."""
@@ -189,7 +188,7 @@ class ManagerLink:
                 self._thread = threading.Thread(
                     target=self._main, name=f"uoarm-remote {self._name}", daemon=True
                 )
-                self._closing, self._given_up = asyncio.Event(), asyncio.Event()
+                self._closing = asyncio.Event()
                 self._thread.start()
 
     def _closed(self, what: str) -> BridgeError:
@@ -274,10 +273,8 @@ class ManagerLink:
             self._down(cause)
             return
         with self._lock:
-            self._is_up, self._why_down = True, ""
+            self._why_down = ""
             members = tuple(self._members)
-        assert self._given_up is not None, "made before the thread"
-        self._given_up.clear()
         self._down_since = None
         self._tried.set()
         for member in members:
@@ -286,7 +283,7 @@ class ManagerLink:
     def _down(self, cause: str) -> None:
         with self._lock:
             self.breaks += self._is_up
-            self._is_up, self._why_down = False, cause
+            self._why_down = cause
             members = tuple(self._members)
         if self._down_since is None:
             self._down_since = time.monotonic()
@@ -299,26 +296,27 @@ class ManagerLink:
         if robot is None or not self._is_up:
             text = f"it is not reached: {self._why_down}"
             raise BridgeError(text, FailureReason.UNAVAILABLE)
-        assert self._given_up is not None, "made before the thread"
-        working = asyncio.ensure_future(work(robot))
-        giving_up = asyncio.ensure_future(self._given_up.wait())
+        task = asyncio.current_task()
+        assert task is not None, "it runs in the loop"
+        self._asking.add(task)
         try:
-            await asyncio.wait((working, giving_up), return_when=asyncio.FIRST_COMPLETED)
-            if working.done():
-                return working.result()
+            return await work(robot)
+        except asyncio.CancelledError:
+            if task in self._asking:
+                raise  # who asked waits no longer
+            why = f"the link broke before the answer: {self._why_down}"
+            text = f"{why}; whether it was done is unknown"
+            raise BridgeError(text, FailureReason.UNAVAILABLE) from None
         finally:
-            working.cancel()
-            giving_up.cancel()
-        text = f"the link broke before the answer: {self._why_down}; whether it was done is unknown"
-        raise BridgeError(text, FailureReason.UNAVAILABLE)
+            self._asking.discard(task)
 
     async def _tick(self) -> None:
         while True:
             await asyncio.sleep(_TICK_SECONDS)
             since = self._down_since
             if since is not None and time.monotonic() - since > self._options.grace:
-                assert self._given_up is not None, "made before the thread"
-                self._given_up.set()
+                while self._asking:
+                    self._asking.pop().cancel()
             with self._lock:
                 members = tuple(self._members)
             for member in members:
