@@ -8,6 +8,7 @@ import shlex
 import subprocess
 import sys
 import textwrap
+from collections import Counter
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -20,6 +21,7 @@ from uoarm.testing import patience
 
 ROOT = Path(__file__).parents[2]
 PAGES = sorted([ROOT / "README.md", *ROOT.glob("docs/*.md"), *ROOT.glob("examples/*/README.md")])
+LINKING = sorted({*PAGES, *ROOT.glob("*.md"), *ROOT.glob("plugins/*/README.md")})
 INSTALLING = [
     *ROOT.glob("*.md"),
     *(ROOT / "docs").glob("*.md"),
@@ -63,11 +65,104 @@ def test_the_pages_were_found() -> None:
     assert len(COMMANDS) > 5
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+@pytest.mark.parametrize("page", LINKING, ids=lambda page: str(page.relative_to(ROOT)))
 def test_links_lead_somewhere(page: Path) -> None:
-    links = re.findall(r"\]\(([^)#\s]+)(?:#[^)]*)?\)", page.read_text(encoding="utf-8"))
-    gone = [link for link in links if "://" not in link and not (page.parent / link).exists()]
+    gone = []
+    for target, anchor in links(page.read_text(encoding="utf-8")):
+        path = page.parent / target if target else page
+        if not path.exists():
+            gone.append(target)
+        elif anchor and path.suffix == ".md" and anchor not in anchors(path):
+            gone.append(f"{target}#{anchor}")
     assert not gone
+
+
+def _without_code(text: str) -> str:
+    return re.sub(r"^```.*?^```$", "", text, flags=re.MULTILINE | re.DOTALL)
+
+
+def links(text: str) -> list[tuple[str, str]]:
+    """Return file and anchor of each link to a place of ours."""
+    prose = re.sub(r"`[^`\n]*`", "`", _without_code(text))
+    found = re.findall(r"\]\(([^)#\s]*)(?:#([^)\s]*))?\)", prose)
+    return [link for link in found if ":" not in link[0]]
+
+
+def anchors(page: Path) -> set[str]:
+    """Return the anchors that the site (and GitHub) gives a page's headings."""
+    text = re.sub(
+        r"^```.*?^```$", "", page.read_text(encoding="utf-8"), flags=re.MULTILINE | re.DOTALL
+    )
+    headings = re.findall(r"^#{1,3} (.*)$", text, re.MULTILINE)
+    found: Counter[str] = Counter()
+    names = set()
+    for heading in headings:
+        shown = re.sub(r"\[([^\]]*)\]\([^)]*\)", r"\1", heading).replace("`", "")
+        slug = re.sub(r"[^\w\- ]", "", shown.strip().lower()).replace(" ", "-")
+        names.add(f"{slug}-{found[slug]}" if found[slug] else slug)
+        found[slug] += 1
+    return names
+
+
+def test_a_link_to_nothing_is_found(tmp_path: Path) -> None:
+    page = tmp_path / "page.md"
+    page.write_text("# One page\n\n## `new-bridge`: a *name*\n\n## Twice\n\n## Twice\n", "utf-8")
+    assert anchors(page) == {"one-page", "new-bridge-a-name", "twice", "twice-1"}
+    text = "[a](other.md#b), [c](#d), [`e(f)`](g.md) and [h](https://i.example/#j) `[k](l)`"
+    assert links(text) == [("other.md", "b"), ("", "d"), ("g.md", "")]
+
+
+def test_every_page_is_in_the_contents() -> None:
+    contents = (ROOT / "docs" / "index.md").read_text(encoding="utf-8")
+    listed = {
+        line
+        for block in re.findall(r"^```{toctree}$(.*?)^```$", contents, re.MULTILINE | re.DOTALL)
+        for line in block.splitlines()
+        if line and not line.startswith(":")
+    }
+    assert listed == {page.stem for page in ROOT.glob("docs/*.md")} - {"index"}
+
+
+@frozen
+class Command:
+    """A command that a page shows, and what it prints."""
+
+    line: str
+    output: str
+
+
+def session(text: str) -> list[Command]:
+    parts = re.split(r"^\$ (.*)\n", text, flags=re.MULTILINE)[1:]
+    return [Command(*pair) for pair in zip(parts[::2], parts[1::2], strict=True)]
+
+
+SESSIONS = [
+    block for block in EVERY if block.language == "console" and block.text.startswith("$ cat ")
+]
+
+
+@pytest.mark.parametrize("block", SESSIONS, ids=str)
+def test_a_session_prints_what_the_page_shows(block: Block, tmp_path: Path) -> None:
+    """`$ cat FILE` shows a file, which is written; each other command is run beside it."""
+    for command in session(block.text):
+        words = shlex.split(command.line)
+        if words[0] == "cat":
+            (tmp_path / words[1]).write_text(command.output, encoding="utf-8")
+            continue
+        done = subprocess.run(
+            [sys.executable, "-m", *words],
+            cwd=tmp_path,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            timeout=patience(),
+            check=False,
+        )
+        assert done.stdout == command.output
+
+
+def test_pages_show_errors_as_they_are_printed() -> None:
+    assert sum("uoarm explain UOA-" in block.text for block in SESSIONS) > 1
 
 
 @pytest.mark.parametrize("block", [item for item in EVERY if item.language == "python"], ids=str)

@@ -1,0 +1,110 @@
+"""Figures of the pages: words, the length of sentences, words that no reader searches for.
+
+`python -m bench.pages` prints them by page. `tests/docs/test_plain_words.py` holds them.
+"""
+
+from __future__ import annotations
+
+import re
+import statistics
+from collections import Counter
+from pathlib import Path
+
+from attrs import frozen
+
+from bench.structure import words_of_prose
+from bench.tables import print_table
+
+__all__ = ["PageFigures", "page_figures", "pages", "sentences_of"]
+
+ROOT = Path(__file__).parent.parent
+# Figures of speech that are more than a word, and words for which there is a plainer one.
+_PHRASES = re.compile(
+    r"\b(?:in vain|goes? on alone|octets?|is asked as seldom|who comes|of one's own|wrong words)\b",
+    re.IGNORECASE,
+)
+# What belongs into benchmarks.md: how fast something was, on which machine, under which load.
+_MEASURED = re.compile(
+    r"\bload (?:of )?\d|\bp99\b|\bmedians?\b|\b(?:two|four) (?:shared )?cores\b|\bthis machine\b",
+    re.IGNORECASE,
+)
+_FENCE = re.compile(r"^( *)(`{3,}|~{3,}).*?^\1\2[`~]*$", re.MULTILINE | re.DOTALL)
+_LINK = re.compile(r"!?\[([^\]]*)\]\([^)]*\)")
+_WORD = re.compile(r"[A-Za-z0-9`][\w`'.,/-]*")
+_END = re.compile(r"(?<=[.!?])[\"')]*\s+(?=[A-Z`*\"'(\[])")
+
+
+@frozen
+class PageFigures:
+    """What was counted on one page."""
+
+    words: int
+    sentence: float
+    """The mean number of words of a sentence of running text."""
+    longest: str
+    vague: Counter[str]
+    measured: int
+
+
+def pages() -> list[Path]:
+    """Return the pages that people read: the README and those of `docs`."""
+    return [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+
+
+def _paragraphs(text: str) -> list[str]:
+    """Return running text and items of lists; no tables, headings, code or lists of links."""
+    paragraphs: list[list[str]] = [[]]
+    for line in _FENCE.sub("\n", text).splitlines():
+        stripped = line.strip()
+        if not stripped or stripped.startswith(("#", "|", ">", "<!--", "(")):
+            paragraphs.append([])
+        elif re.match(r"(?:[-*+]|\d+\.) ", stripped):
+            paragraphs.append([re.sub(r"^(?:[-*+]|\d+\.) ", "", stripped)])
+        else:
+            paragraphs[-1].append(stripped)
+    return [" ".join(lines) for lines in paragraphs if lines]
+
+
+def sentences_of(text: str) -> list[str]:
+    """Return the sentences of a page's running text, each code span and link as its words."""
+    found = []
+    for paragraph in _paragraphs(text):
+        plain = re.sub(r"`[^`]*`", lambda span: "`" + re.sub(r"\W", "", span[0]) + "`", paragraph)
+        found += _END.split(_LINK.sub(r"\1", plain))
+    return [sentence for sentence in found if len(_WORD.findall(sentence)) > 2]
+
+
+def page_figures(page: Path) -> PageFigures:
+    """Count a page."""
+    text = page.read_text(encoding="utf-8")
+    sentences = sentences_of(text)
+    lengths = [len(_WORD.findall(sentence)) for sentence in sentences]
+    prose = re.sub(r"`[^`\n]*`", "", _FENCE.sub("\n", text))
+    vague = words_of_prose(prose)
+    vague.update(match.lower() for match in _PHRASES.findall(prose))
+    return PageFigures(
+        words=len(text.split()),
+        sentence=round(statistics.mean(lengths), 1) if lengths else 0.0,
+        longest=max(sentences, key=lambda sentence: len(_WORD.findall(sentence)), default=""),
+        vague=vague,
+        measured=len(_MEASURED.findall(prose)),
+    )
+
+
+def main() -> None:
+    """Print the figures of every page, and of all together."""
+    figures = {page.name: page_figures(page) for page in pages()}
+    rows = [
+        (name, f"{page.words}", f"{page.sentence}", f"{page.vague.total()}", f"{page.measured}")
+        for name, page in figures.items()
+    ]
+    words = [page.words for page in figures.values()]
+    rows.append(("all", f"{sum(words)}", "", "", ""))
+    rows.append(("median", f"{statistics.median(words):g}", "", "", ""))
+    print_table(
+        "The pages", ("page", "words", "words a sentence", "vague words", "measurements"), rows
+    )
+
+
+if __name__ == "__main__":
+    main()

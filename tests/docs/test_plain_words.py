@@ -1,0 +1,120 @@
+"""Pages are short, in sentences of some twenty words, and in words that a search finds."""
+
+from __future__ import annotations
+
+import statistics
+from pathlib import Path
+
+import pytest
+from bench.pages import ROOT, page_figures, pages, sentences_of
+
+# `python -m bench.pages` prints the figures. Lower these with what they count; never raise one, and
+# add none.
+WORDS = 3500
+WORDS_OF_ALL = 82_000
+MEDIAN_WORDS = 1350
+SENTENCE = 18.0  # words of a sentence on average
+LONGER_PAGES: dict[str, int] = {
+    "architecture.md": 3800,
+    "conformance.md": 3620,
+    "healthbot.md": 4160,
+}
+LONGER_SENTENCES: dict[str, float] = {
+    "architecture.md": 21.0,
+    "benchmarks.md": 21.5,
+    "bridges.md": 18.5,
+    "cli.md": 23.0,
+    "conformance.md": 21.0,
+    "dashboard.md": 18.5,
+    "failing.md": 22.5,
+    "healthbot.md": 20.0,
+    "limits.md": 20.0,
+    "lock.md": 21.5,
+    "plugins.md": 18.5,
+    "protocol.md": 19.0,
+    "schema-alone.md": 23.0,
+    "threat-model.md": 22.5,
+    "warehouse.md": 20.0,
+}
+# Figures of speech and pronouns in the place of a noun, and `octets` for bytes.
+VAGUE: dict[str, int] = {
+    "access.md": 1,
+    "agents.md": 3,
+    "bridges.md": 3,
+    "conformance.md": 2,
+    "dashboard.md": 1,
+    "fleet.md": 1,
+    "healthbot.md": 15,
+    "hosts.md": 1,
+    "limits.md": 1,
+    "protocol.md": 2,
+    "recordings.md": 1,
+    "rocos-profile.md": 1,
+    "rocos.md": 3,
+    "ros1.md": 1,
+    "ros2.md": 1,
+    "rosbridge.md": 1,
+    "schema.md": 1,
+}
+# How fast something was belongs into benchmarks.md, and nowhere else.
+MEASURED: dict[str, int] = {
+    "access.md": 1,
+    "agents.md": 3,
+    "cli.md": 2,
+    "discovery.md": 1,
+    "foxglove.md": 2,
+    "healthbot.md": 26,
+    "hosts.md": 1,
+    "limits.md": 2,
+    "rocos.md": 3,
+    "ros1.md": 4,
+    "ros2.md": 1,
+    "rtm.md": 2,
+    "schema.md": 1,
+    "serialising.md": 3,
+    "stopping.md": 3,
+    "threat-model.md": 5,
+    "warehouse.md": 18,
+}
+
+PAGES = pages()
+
+
+def _name(page: Path) -> str:
+    return str(page.relative_to(ROOT))
+
+
+@pytest.mark.parametrize("page", PAGES, ids=_name)
+def test_a_page_is_short_and_plain(page: Path) -> None:
+    figures = page_figures(page)
+    assert figures.words <= LONGER_PAGES.get(page.name, WORDS), "split it by task"
+    limit = LONGER_SENTENCES.get(page.name, SENTENCE)
+    assert figures.sentence <= limit, f"sentences are too long, such as: {figures.longest}"
+    assert figures.vague.total() <= VAGUE.get(page.name, 0), f"find a plainer word: {figures.vague}"
+    if page.name != "benchmarks.md":
+        assert figures.measured <= MEASURED.get(page.name, 0), "figures belong into benchmarks.md"
+
+
+def test_the_pages_together_are_short() -> None:
+    words = [page_figures(page).words for page in PAGES]
+    assert sum(words) <= WORDS_OF_ALL
+    assert statistics.median(words) <= MEDIAN_WORDS
+
+
+def test_every_limit_is_that_of_a_page() -> None:
+    names = {page.name for page in PAGES}
+    assert {*LONGER_PAGES, *LONGER_SENTENCES, *VAGUE, *MEASURED} <= names
+
+
+def test_sentences_are_those_of_running_text() -> None:
+    text = (
+        "# A heading\n\nRun `uoarm list`. It lists what [the page](a.md) says, in order. Short.\n\n"
+        "```sh\nuoarm list\n```\n\n| no | table |\n|---|---|\n\n"
+        "- Items of lists are sentences, too\n"
+        "1. they end with their item\n"
+    )
+    assert sentences_of(text) == [
+        "It lists what the page says, in order.",
+        "Items of lists are sentences, too",
+        "they end with their item",
+    ]
