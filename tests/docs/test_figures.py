@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 FIGURES = Path(__file__).parents[2] / "docs" / "figures"
-PAGE = FIGURES.parent / "healthbot.md"
+PAGE = FIGURES.parents[1] / "examples" / "healthbot" / "RESULTS.md"
 
 
 def recorded(name: str) -> Any:

@@ -21,7 +21,9 @@ from uoarm.testing import patience
 
 ROOT = Path(__file__).parents[2]
 PAGES = sorted([ROOT / "README.md", *ROOT.glob("docs/*.md"), *ROOT.glob("examples/*/README.md")])
-LINKING = sorted({*PAGES, *ROOT.glob("*.md"), *ROOT.glob("plugins/*/README.md")})
+LINKING = sorted(
+    {*PAGES, *ROOT.glob("*.md"), *ROOT.glob("examples/*/*.md"), *ROOT.glob("plugins/*/README.md")}
+)
 INSTALLING = [
     *ROOT.glob("*.md"),
     *(ROOT / "docs").glob("*.md"),
