@@ -11,7 +11,7 @@ from bench.pages import ROOT, page_figures, pages, sentences_of
 # `python -m bench.pages` prints the figures. Lower these with what they count; never raise one, and
 # add none.
 WORDS = 3500
-WORDS_OF_ALL = 73_100
+WORDS_OF_ALL = 72_800
 MEDIAN_WORDS = 1210
 SENTENCE = 18.0  # words of a sentence on average
 LONGER_PAGES: dict[str, int] = {
@@ -19,7 +19,7 @@ LONGER_PAGES: dict[str, int] = {
 }
 LONGER_SENTENCES: dict[str, float] = {
     "architecture.md": 21.0,
-    "benchmarks.md": 21.5,
+    "benchmarks.md": 20.5,
     "bridges.md": 18.5,
     "cli.md": 23.0,
     "dashboard.md": 18.5,
@@ -43,7 +43,6 @@ VAGUE: dict[str, int] = {
     "recordings.md": 1,
     "rocos-profile.md": 1,
     "rocos.md": 3,
-    "ros1.md": 1,
     "ros2.md": 1,
     "rosbridge.md": 1,
     "schema.md": 1,
@@ -57,8 +56,6 @@ MEASURED: dict[str, int] = {
     "foxglove.md": 2,
     "hosts.md": 1,
     "limits.md": 2,
-    "rocos.md": 3,
-    "ros1.md": 4,
     "ros2.md": 1,
     "rtm.md": 2,
     "schema.md": 1,
