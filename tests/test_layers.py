@@ -96,6 +96,7 @@ WITHIN = {
         {"streams"},
         {"session"},
         {"front_end"},
+        {"publication"},
         {"http"},
         {"_options"},
         {"_server", "_service_manager"},

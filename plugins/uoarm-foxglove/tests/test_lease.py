@@ -1,20 +1,22 @@
-"""A viewer that goes gives its leases back, and what it moved stops, though others hold it open."""
+"""What a viewer moves: from its first message on, until it goes and gives its leases back."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+import threading
+from collections.abc import Collection, Iterator
 from typing import Any
 
 import pytest
+from uoarm_foxglove._catalogue import ChannelCatalogue, ListingAnswer, ListingQuestion
 from viewer import Viewer
 
 from uoarm import RobotManager
 from uoarm.bridge import Registry
 from uoarm.config import loads
 from uoarm.model import LeaseHolder
-from uoarm.server import ServerOptions, serve_in_thread
-from uoarm.testing import MemoryBridge, Taker, wait
+from uoarm.server import Limits, ServerOptions, serve_in_thread
+from uoarm.testing import MemoryBridge, Taker, patience, wait
 
 ROBOT = """
 version: 1
@@ -48,6 +50,23 @@ def robot(memory: MemoryBridge, base: Taker) -> Iterator[RobotManager]:
     del base
     with RobotManager(loads(ROBOT), registry=Registry(()), bridges={"memory": memory}) as robot:
         yield robot
+
+
+@pytest.fixture
+def listed(monkeypatch: pytest.MonkeyPatch) -> Iterator[threading.Event]:
+    """Hold back all listings until it is set."""
+    listed = threading.Event()
+    make = ChannelCatalogue.make
+
+    def late(
+        self: ChannelCatalogue, questions: Collection[ListingQuestion]
+    ) -> dict[ListingQuestion, ListingAnswer]:
+        listed.wait(patience())
+        return make(self, questions)
+
+    monkeypatch.setattr(ChannelCatalogue, "make", late)
+    yield listed
+    listed.set()
 
 
 def holder(robot: RobotManager) -> LeaseHolder | None:
@@ -85,3 +104,28 @@ def test_what_a_viewer_moved_stops_as_it_ends(
         wait(lambda: taken() == [1, 0], "what it moved was not stopped")
         second.publish(1, json.dumps({"v": 2}).encode())
         wait(lambda: taken() == [1, 0, 2], "another cannot command it")
+
+
+def test_what_a_viewer_does_before_its_first_listing_waits_for_it(
+    robot: RobotManager, base: Taker, listed: threading.Event
+) -> None:
+    """As one does that connects again: it advertises and publishes at once."""
+    with serve_in_thread(robot, ServerOptions(port=0)) as server, Viewer(server) as viewer:
+        viewer.send("advertise", channels=[{"id": 1, "topic": "/drive", "encoding": "json"}])
+        for number in (1, 2):
+            viewer.publish(1, json.dumps({"v": number}).encode())
+        assert viewer.socket.ping().wait(patience())
+        listed.set()
+        wait(lambda: len(base.taken.messages) == 2, "what was published early did not arrive")
+        assert [message["v"] for message in base.taken.messages] == [1, 2]
+
+
+def test_no_more_waits_for_the_first_listing_than_may(
+    robot: RobotManager, listed: threading.Event
+) -> None:
+    options = ServerOptions(port=0, limits=Limits(queue_messages=2))
+    with serve_in_thread(robot, options) as server, Viewer(server) as viewer:
+        for _ in range(3):
+            viewer.send("subscribeConnectionGraph")
+        assert "2 messages wait for the first listing" in viewer.until("status")["message"]
+        listed.set()

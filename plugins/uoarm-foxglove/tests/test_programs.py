@@ -72,7 +72,11 @@ def test_the_protocols_own_client_sees_publishes_and_calls(
         ):
             wait(lambda: expected in seen(), f"no {expected}: {seen()}", patience())  # noqa: B023
         assert not [item for item in seen() if "error" in item or "status" in item]
-        assert any("/numbers" in item.get("published", ()) for item in seen())
+        wait(
+            lambda: any("/numbers" in item.get("published", ()) for item in seen()),
+            "the graph does not have it",
+            patience(),
+        )
     finally:
         assert viewer.stdin is not None
         viewer.stdin.close()

@@ -194,12 +194,14 @@ def test_a_role_sees_and_does_what_it_may(serve: Serve, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "frame",
     ["[]", "{}", '{"op": 3}', '{"op": "subscribe"}', '{"op": "subscribe", "subscriptions": [1]}',
+     '{"op": "unsubscribe", "subscriptionIds": [{}]}', '{"op": "advertise", "channels": [[]]}',
      '{"op": "getParameters", "parameterNames": []}', b"", b"\1", b"\2\0", b"\1\0\0\0\0"],
 )  # fmt: skip
 def test_a_message_that_is_wrong_is_answered_and_the_viewer_stays(
     serve: Serve, frame: str | bytes
 ) -> None:
     with Viewer(serve()) as viewer:
+        viewer.channel("/numbers")  # so that there is a channel 1
         viewer.socket.send(frame)
         assert viewer.until("status")["level"] == 2
         viewer.subscribe("/numbers")

@@ -14,12 +14,12 @@ from components import END, script
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from ros import Enter, Ros, Serve, end, eventually, opened, url
-from uoarm_rosbridge._publication import ClientPublication
 from uoarm_rosbridge._wire import Fragments
 
 from uoarm import RobotManager
 from uoarm.errors import ControlMessageError
 from uoarm.server import Limits, Server
+from uoarm.server.publication import InputPublication
 from uoarm.testing import slowness
 
 
@@ -501,7 +501,7 @@ def test_an_input_whose_function_ended_leaves_nothing(enter: Enter, robot: Robot
 
 def publications() -> list[object]:
     gc.collect()
-    return [object_ for object_ in gc.get_objects() if isinstance(object_, ClientPublication)]
+    return [object_ for object_ in gc.get_objects() if isinstance(object_, InputPublication)]
 
 
 def test_rosapi_shows_functions_and_components(enter: Enter) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Collection, Mapping
 from enum import Enum
-from typing import Any, TypeAlias
+from typing import Any, TypeAlias, TypeVar
 
 import orjson
 from attrs import frozen
@@ -37,6 +37,7 @@ _pack_message = struct.Struct("<BIQ").pack
 _read_number = struct.Struct("<I").unpack_from
 _CALL_HEAD = struct.Struct("<BIII")
 _LONGEST_ENCODING = 32
+T = TypeVar("T")
 _MOST_NUMBER = 2**32 - 1
 
 
@@ -120,15 +121,16 @@ def write(op: str, **fields: object) -> bytes:
     return orjson.dumps({"op": op, **fields})
 
 
-def list_of(fields: Mapping[str, Any], name: str) -> list[Any]:
-    """Return a list that a message must have.
+def list_of(fields: Mapping[str, Any], name: str, kind: type[T]) -> list[T]:
+    """Return a list of objects (dict) or of numbers (int) that a message must have.
 
     Raises:
         ControlMessageError: it does not.
     """
     found = fields.get(name)
-    if not isinstance(found, list):
-        raise ControlMessageError(f"{fields.get('op')}: {name}: expected a list")
+    if not isinstance(found, list) or any(type(item) is not kind for item in found):
+        items = "objects" if kind is dict else "numbers"
+        raise ControlMessageError(f"{fields.get('op')}: {name}: expected a list of {items}")
     return found
 
 

@@ -14,6 +14,8 @@ from uoarm.errors import ControlMessageError, UoarmError
 from uoarm.model import Spending
 from uoarm.server.front_end import (
     Backend,
+    BusyError,
+    Charge,
     Client,
     LimitError,
     MemoryUse,
@@ -21,6 +23,7 @@ from uoarm.server.front_end import (
     error_text,
     without_frames,
 )
+from uoarm.server.publication import InputPublication
 from uoarm_foxglove._catalogue import (
     NOTHING,
     ChannelCatalogue,
@@ -43,7 +46,6 @@ from uoarm_foxglove._protocol import (
     text_of,
     write,
 )
-from uoarm_foxglove._publication import ViewerPublication
 from uoarm_foxglove._subscription import ChannelSubscription
 
 __all__ = ["FoxgloveSession"]
@@ -73,8 +75,11 @@ class FoxgloveSession:
         self._listing = NOTHING
         self._graph: VisibleListing | None = None  # that the viewer has; None: it wants none
         self._look_now = asyncio.Event()
+        # What comes before the first listing waits for it: a viewer that connects again advertises
+        # at once what it publishes. None: there is a listing.
+        self._early: list[tuple[ClientFrame, Charge]] | None = []
         self._subscriptions: dict[int, ChannelSubscription] = {}
-        self._publications: dict[int, ViewerPublication] = {}
+        self._publications: dict[int, InputPublication] = {}
         self._calls: set[asyncio.Task[None]] = set()
         self._acts: dict[str, Callable[[Fields], None]] = {
             "subscribe": self._subscribe,
@@ -115,6 +120,8 @@ class FoxgloveSession:
             subscription.close()
         for publication in self._publications.values():
             publication.abandon()
+        for _, charge in self._early or ():
+            charge.release()
         self._subscriptions.clear()
         self._publications.clear()
 
@@ -129,6 +136,7 @@ class FoxgloveSession:
                 _log.debug("a viewer is not shown what there is: %s", error)
             else:
                 self._listing = answer.listing
+                self._handle_early()
                 # The viewer may have asked for the graph, or for no graph, meanwhile.
                 if asked.graph is not None and self._graph is asked.graph:
                     self._graph = answer.listing
@@ -138,9 +146,29 @@ class FoxgloveSession:
             with suppress(asyncio.TimeoutError):
                 await asyncio.wait_for(self._look_now.wait(), _LOOK_SECONDS)
 
+    def _handle_early(self) -> None:
+        early, self._early = self._early or [], None
+        for message, charge in early:
+            charge.release()
+            self._handle(message)
+
+    def _keep(self, early: list[tuple[ClientFrame, Charge]], message: ClientFrame) -> None:
+        """Keep what came before the first listing.
+
+        Raises:
+            BusyError: too many wait.
+            LimitError: the client has too much memory held.
+        """
+        most = self._client.limits.queue_messages
+        if len(early) >= most:
+            raise BusyError(f"{most} messages wait for the first listing already")
+        early.append((message, self._client.account.charge(MemoryUse.ASKED, self._client.in_hand)))
+
     def _handle(self, message: ClientFrame) -> None:
         try:
-            if isinstance(message, PublishedFrame):
+            if self._early is not None:
+                self._keep(self._early, message)
+            elif isinstance(message, PublishedFrame):
                 self._publish(message)
             elif isinstance(message, ServiceRequest):
                 self._call(message)
@@ -159,7 +187,7 @@ class FoxgloveSession:
         act(fields)
 
     def _subscribe(self, fields: Fields) -> None:
-        for asked in list_of(fields, "subscriptions"):
+        for asked in list_of(fields, "subscriptions", dict):
             number = number_of(asked, "id")
             channel = self._listing.channels[number_of(asked, "channelId", self._listing.channels)]
             if number in self._subscriptions:
@@ -184,12 +212,12 @@ class FoxgloveSession:
             self._status(StatusLevel.ERROR, f"{topic} {cause}", topic)
 
     def _unsubscribe(self, fields: Fields) -> None:
-        for asked in list_of(fields, "subscriptionIds"):
+        for asked in list_of(fields, "subscriptionIds", int):
             number = number_of(asked, "subscriptionIds", self._subscriptions)
             self._subscriptions.pop(number).close()
 
     def _advertise(self, fields: Fields) -> None:
-        for asked in list_of(fields, "channels"):
+        for asked in list_of(fields, "channels", dict):
             number, name = number_of(asked, "id"), text_of(asked, "topic")
             encoding = text_of(asked, "encoding")
             topic = self._listing.inputs.get(name if name.startswith("/") else f"/{name}")
@@ -203,13 +231,14 @@ class FoxgloveSession:
             if len(self._publications) >= self._client.limits.streams:
                 raise LimitError(f"{self._client.limits.streams} channels are advertised already")
             self._client.require(Operation.SEND, topic.function)
-            self._publications[number] = ViewerPublication(
-                topic,
+            self._publications[number] = InputPublication(
+                topic.function,
+                topic.function,
+                topic.port,
                 read_as(encoding, self._client.limits.budget),
-                self._client,
                 self._backend,
-                fail=self._fail,
-                on_end=functools.partial(self._publication_ended, number),
+                self._client,
+                on_ended=functools.partial(self._publication_ended, number),
             )
 
     def _publication_ended(self, number: int, error: BaseException) -> None:
@@ -219,7 +248,7 @@ class FoxgloveSession:
             self._fail(error)
 
     def _unadvertise(self, fields: Fields) -> None:
-        for asked in list_of(fields, "channelIds"):
+        for asked in list_of(fields, "channelIds", int):
             self._publications.pop(number_of(asked, "channelIds", self._publications)).close()
 
     def _subscribe_graph(self, fields: Fields) -> None:
@@ -235,12 +264,16 @@ class FoxgloveSession:
         publication = self._publications.get(message.channel)
         if publication is None:
             raise ControlMessageError(f"there is no channel {message.channel} of this client")
-        publication.publish(message.payload)
+        publication.publish(message.payload, self._published, len(message.payload))
+
+    def _published(self, error: BaseException | None) -> None:
+        if error is not None:
+            self._fail(error)
 
     def _call(self, request: ServiceRequest) -> None:
         try:
             service = self._admitted(request)
-            charge = self._client.account.charge(MemoryUse.ASKED, self._client.in_hand)
+            charge = self._client.account.charge(MemoryUse.ASKED, len(request.payload))
         except Exception as error:  # noqa: BLE001 - answered as the call's
             self._call_failed(request, error)
             return

@@ -11,10 +11,18 @@ from attrs import define
 
 from uoarm.errors import ControlMessageError, MessageError, UoarmError, UsageError
 from uoarm.model import MessageStructure, Role
-from uoarm.server.front_end import Backend, Client, Feed, FeedKey, LimitError, Operation
+from uoarm.server.front_end import (
+    Backend,
+    Client,
+    Feed,
+    FeedKey,
+    LimitError,
+    Operation,
+)
+from uoarm.server.publication import InputPublication
 from uoarm_rosbridge._hub import Hub
 from uoarm_rosbridge._names import Addresses, NamedPort, find_place
-from uoarm_rosbridge._publication import ClientPublication, SharedPublication
+from uoarm_rosbridge._publication import SharedPublication, publish_into
 from uoarm_rosbridge._subscription import SubscribeOptions, Subscription, read_options
 from uoarm_rosbridge._types import check_type
 
@@ -70,7 +78,7 @@ class Topics:
         self._addresses = addresses
         self._fail = fail
         self._warn = warn
-        self._publications: dict[str, ClientPublication | SharedPublication] = {}
+        self._publications: dict[str, InputPublication | SharedPublication] = {}
         self._latched: set[str] = set()
         self._listening: dict[str, _Listening] = {}
 
@@ -93,7 +101,7 @@ class Topics:
             self._open(place, fields)
         publication = self._publications[place.name]
         done = lambda error: self._done(fields, error)  # noqa: E731
-        if isinstance(publication, ClientPublication):
+        if isinstance(publication, InputPublication):
             publication.publish(message, done, self._client.in_hand)
             return
         if not isinstance(message, dict):
@@ -153,7 +161,7 @@ class Topics:
             if place.function not in self._backend.robot.config.functions:
                 raise UsageError(f"there is no function {place.function!r}")
             failed = lambda error: self._publication_failed(place, fields, error)  # noqa: E731
-            self._publications[place.name] = ClientPublication(
+            self._publications[place.name] = publish_into(
                 place, _type_in(fields), self._backend, self._client, failed
             )
         else:
