@@ -70,6 +70,9 @@ NEEDS = {
         packages=("rclpy",),
         systems=ROS,
     ),
+    "diagnostic_msgs": Need(
+        "pip install -e 'plugins/uoarm-ros2[dev]'", packages=("diagnostic_msgs",), systems=ROS
+    ),
     "rtm": Need(
         "pip install -e 'plugins/uoarm-rtm[dev]'",
         packages=("uoarm_rtm", "_uoarm_rtm_stubs", "omniORB"),
@@ -135,6 +138,7 @@ MODULES = {
     "tests/examples/test_warehouse_broker.py": ("rtm", "mosquitto"),
     "plugins/uoarm-ros2/tests/test_rosbridge.py": ("ros2", "rosbridge"),
     "plugins/uoarm-ros2/tests/test_cbor_raw.py": ("ros2", "rosbridge"),
+    "plugins/uoarm-ros2/tests/test_diagnostics.py": ("ros2", "diagnostic_msgs"),
     "plugins/uoarm-ros2/tests/*": ("ros2",),
     "plugins/uoarm-rtm/tests/*": ("rtm",),
     "plugins/uoarm-rocos/tests/*": ("rocos",),

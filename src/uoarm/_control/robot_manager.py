@@ -114,6 +114,7 @@ class RobotManager:
             robot.origin,
             self._identity,
         )
+        self._bridges.show(self.status)
         self._revisions = Revisions(
             robot,
             self._bridges,

@@ -37,6 +37,7 @@ from uoarm.model import (
     Message,
     MessageStructure,
     Options,
+    StatusMap,
     StopOutcome,
 )
 
@@ -72,9 +73,12 @@ class Bridge(ABC):
 
     Attributes:
         manager: identity of the manager that uses it, set before its first step; "": it has none.
+        status: returns the status of that manager, from any thread; None where it has none, and in
+            a host.
     """
 
     manager: str = ""
+    status: Callable[[], StatusMap] | None = None
 
     capabilities: Capabilities = Capabilities()
     _is_last_hop = True

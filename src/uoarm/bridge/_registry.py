@@ -26,7 +26,7 @@ __all__ = ["Registry"]
 
 _GROUP = "uoarm.bridges"
 # Of the core, beside the plugin `python`, which has an entry point as others have.
-_OWN = {"recording": "uoarm.record.plugin"}
+_OWN = {"recording": "uoarm.record.plugin", "status": "uoarm.local.status"}
 # The extra is what most need: ROS 2 itself, where none is sourced.
 _KNOWN = {
     "ros2": ("uoarm-ros2", "jazzy"),

@@ -29,6 +29,8 @@ __all__ = [
     "with_every_plugin",
 ]
 
+_OWN_HEALTH = "status"  # a plugin whose component is the manager, not one of the robot
+
 _timeout_option = click.option(
     "--timeout",
     type=click.FloatRange(min=0.1, max=600),
@@ -173,7 +175,7 @@ def with_every_plugin(robot: Robot, registry: Registry) -> Robot:
     more = {
         name: BridgeSpec(name, name)
         for name in registry.types
-        if name not in plugins and name not in robot.bridges
+        if name not in plugins and name not in robot.bridges and name != _OWN_HEALTH
     }
     return evolve(robot, bridges={**robot.bridges, **more})
 

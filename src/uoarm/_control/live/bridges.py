@@ -22,7 +22,7 @@ from uoarm._raised import foreign, text_of
 from uoarm._support import deadlines
 from uoarm.bridge import Bridge, Channel, HealthEvent, Registry
 from uoarm.errors import BridgeError, ConnectionClosedError, FailureReason, PluginError
-from uoarm.model import BridgeSpec, BridgeStatus, Health, Listening, Options
+from uoarm.model import BridgeSpec, BridgeStatus, Health, Listening, Options, StatusMap
 
 if TYPE_CHECKING:
     from uoarm._host.machines import MachineRegistry
@@ -173,6 +173,7 @@ class BridgeSet:
         manager: str = "",
     ) -> None:
         self._origin, self._manager = origin, manager
+        self._status: Callable[[], StatusMap] | None = None
         self._specs = specs
         self._registry = registry
         self._listener = listener
@@ -191,6 +192,12 @@ class BridgeSet:
         for name, bridge in ready.items():
             self._bridges[name] = bridge
             bridge.watch(self._note_health)
+
+    def show(self, status: Callable[[], StatusMap]) -> None:
+        """Have bridges of this process read the manager's status; before any of them is used."""
+        self._status = status
+        for bridge in self._bridges.values():
+            bridge.status = status
 
     def get(self, name: str) -> Bridge:
         """Return the bridge of this name, starting it when it is the first time.
@@ -388,12 +395,14 @@ class BridgeSet:
         if spec.host is not None:
             registry = partial(self.machines.registry, joining)
             return start_hosted(spec, spec.host, self._restarts, registry, self._origin)
-        return deadlines.run(
+        bridge = deadlines.run(
             f"starting bridge {name!r}",
             _START_SECONDS,
             partial(self._registry.create, spec),
             on_late=lambda late: late.close(),
         )
+        bridge.status = self._status
+        return bridge
 
 
 class StagedBridges:
