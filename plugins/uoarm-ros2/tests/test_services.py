@@ -378,7 +378,7 @@ def test_goals_of_a_killed_server_are_lost(bridge: Bridge, peer: Start) -> None:
     statuses.wait_until(lambda item: item["status"] == "accepted")
     server.kill()
     assert statuses.wait_until(lambda item: item["status"] == "lost")
-    assert events.event(Health.LOST, "the server of /fibonacci is gone").channel is channel
+    assert events.event(Health.LOST, "action /fibonacci: its server is gone").channel is channel
 
 
 def looks(bridge: Bridge, monkeypatch: pytest.MonkeyPatch) -> set[str]:

@@ -290,6 +290,24 @@ def test_auto_takes_what_is_offered_and_offers_what_is_asked(bridge: Bridge, pee
     assert "deadline 0.5 s" in out.facts()["qos"]
 
 
+def test_a_deadline_that_a_reader_asks_for_makes_no_writer_lost(
+    bridge: Bridge, peer: Start
+) -> None:
+    other, events = peer("other"), Inbox()
+    bridge.watch(events)
+    other.do("subscribe", topic="/seldom", deadline=0.2)
+    out = sink(bridge, endpoint(Role.INPUT, "/seldom", INT64))
+    out.send({"data": 1})
+    # Three deadlines, and a second at least, are a silence for who reads.
+    wait(lambda: int(str(out.facts()["deadlines_missed"])) >= 8, str(out.facts()))
+    assert {event.health for event in events.messages if event.channel is out} == {Health.DEGRADED}
+    wait(lambda: out.send({"data": 2}) or _is_well(events), str(events.messages))
+
+
+def _is_well(events: Inbox) -> bool:
+    return events.messages[-1].health is Health.OK
+
+
 def test_auto_follows_a_publisher_that_comes_back_with_less(bridge: Bridge, peer: Start) -> None:
     talker = peer("talker")
     talker.do("advertise", topic="/changing")
@@ -313,7 +331,7 @@ def test_auto_adapts_to_what_is_left_when_the_better_publisher_goes(
     good.do("advertise", topic="/leaving")
     channel = source(bridge, endpoint(Role.OUTPUT, "/leaving", INT64), inbox)
     bad.do("advertise", topic="/leaving", reliability="best_effort")
-    events.event(Health.DEGRADED, "incompatible QoS on topic /leaving")
+    events.event(Health.DEGRADED, "topic /leaving: incompatible QoS")
     good.do("unadvertise", topic="/leaving")
     assert bad.do("subscriptions", topic="/leaving", expected=1)["count"] == 1
     bad.do("publish", topic="/leaving", count=200, period=0.01)
@@ -380,12 +398,12 @@ def test_a_clash_that_comes_later_is_an_event(make_bridge: Make, peer: Start) ->
     good.do("advertise", topic="/mixed")
     channel = source(bridge, endpoint(Role.OUTPUT, "/mixed", INT64), print)
     bad.do("advertise", topic="/mixed", reliability="best_effort")
-    event = events.event(Health.DEGRADED, "incompatible QoS on topic /mixed")
+    event = events.event(Health.DEGRADED, "topic /mixed: incompatible QoS")
     assert event.channel is channel
     assert "publisher /bad offers (best_effort" in event.cause
     assert channel.facts()["qos_clashes"] == 1
     bad.do("unadvertise", topic="/mixed")
-    assert events.event(Health.OK, "every publisher of /mixed fits").channel is channel
+    assert events.event(Health.OK, "topic /mixed: every publisher fits").channel is channel
 
 
 def test_a_peer_is_counted_once_although_its_node_is_named_later(
@@ -438,14 +456,14 @@ def test_a_killed_publisher_is_lost_and_its_successor_resumes(
     talker.start("publish", topic="/mortal", count=100_000, period=0.001)
     inbox.wait_for(100)
     talker.kill()
-    assert events.event(Health.LOST, "the last publisher of /mortal is gone").channel is channel
+    assert events.event(Health.LOST, "topic /mortal: the last publisher is gone").channel is channel
     before = inbox.numbers()
     # Each once and in order. A process that stands still for its lease's second, as under load, is
     # forgotten and met again, and DDS never brings what was published meanwhile.
     assert before == sorted(set(before))
     successor = peer("successor")
     successor.do("advertise", topic="/mortal")
-    assert events.event(Health.OK, "a publisher of /mortal is there").channel is channel
+    assert events.event(Health.OK, "topic /mortal: a peer is connected").channel is channel
     assert successor.do("subscriptions", topic="/mortal", expected=1)["count"] == 1
     successor.do("publish", topic="/mortal", first=1_000_000, count=5)
     inbox.wait_for(len(before) + 5)
@@ -513,7 +531,7 @@ def test_messages_that_the_middleware_lost_are_counted_and_reported(
     assert isinstance(lost, int)
     assert 0 < lost <= 200 - len(inbox.messages)
     camera.do("publish", topic="/flood", count=300, period=0.01)
-    events.event(Health.OK, "messages arrive as they should")
+    events.event(Health.OK, "messages come as they should")
 
 
 def test_two_types_on_one_topic_are_reported(bridge: Bridge, peer: Start) -> None:
@@ -743,7 +761,7 @@ def test_a_link_of_one_topic_is_only_watched(bridge: Bridge, peer: Start) -> Non
     assert link is not None
     assert link.facts() == {"publishers": 1, "subscriptions": 1}
     talker.kill()
-    assert events.event(Health.LOST, "topic /shared has no publisher").channel is link
+    assert events.event(Health.LOST, "topic /shared: it has no publisher").channel is link
     bridge.close()
     assert link.facts() == {}
 

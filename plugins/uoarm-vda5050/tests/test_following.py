@@ -10,7 +10,7 @@ import pytest
 from brokers import Broker
 from uoarm_mqtt.connection import PayloadCodec
 from uoarm_vda5050._channels import Follower, call
-from uoarm_vda5050._health import Presence, VehicleHealth
+from uoarm_vda5050._health import Presence
 from uoarm_vda5050._messages import check_of
 from uoarm_vda5050._orders import Order
 from uoarm_vda5050._releases import RELEASES
@@ -137,9 +137,8 @@ def test_a_state_that_lacks_what_the_rules_need_is_unreadable_and_the_next_is_ta
     codec: Any = SimpleNamespace(split=lambda payload: ({}, json.loads(payload)))
     link: Any = SimpleNamespace(subscribe=lambda _: None, unsubscribe=lambda _: None)
     reports: list[tuple[Health, str]] = []
-    health = VehicleHealth(patience())
     follower = Follower(
-        link, "v2/m/s", TransportState(release), health, {"state": codec},
+        link, "v2/m/s", TransportState(release), patience(), {"state": codec},
         lambda *one: reports.append(one),
     )  # fmt: skip
     try:
@@ -169,7 +168,7 @@ def test_a_call_that_is_given_up_says_which_states_came_and_could_not_be_read() 
         "instantActions": PayloadCodec("json", BUDGET),
     }
     follower = Follower(
-        link, "v2/m/s", TransportState(release), VehicleHealth(patience()), codecs, lambda *_: None
+        link, "v2/m/s", TransportState(release), patience(), codecs, lambda *_: None
     )  # fmt: skip
     try:
         follower.connection(True, "")
@@ -201,13 +200,27 @@ def test_a_goal_that_ends_for_want_of_states_says_which_came_and_could_not_be_re
 
 
 def test_silence_is_distinguished_from_states_that_cannot_be_read() -> None:
-    health = VehicleHealth(30.0)
-    health.connected(0.0)
-    health.unreadable("no JSON")
-    assert health.tick(31.0) == (
-        Health.DEGRADED,
-        "peer: its state cannot be read: no JSON; silent: no state that can be read within 30 s",
-    )
+    codec: Any = SimpleNamespace(split=lambda payload: ({}, json.loads(payload)))
+    link: Any = SimpleNamespace(unsubscribe=lambda _: None)
+    reports: list[tuple[Health, str]] = []
+    follower = Follower(
+        link, "v2/m/s", TransportState(RELEASES["2.1"]), 0.2, {"state": codec},
+        lambda *report: reports.append(report),
+    )  # fmt: skip
+    unreadable = "peer: vehicle m/s: its state cannot be read: "
+    silent = "silent: vehicle m/s: no message for 0.2 s that can be read"
+    try:
+        event: Any = SimpleNamespace(payload=b"{")
+        follower._inbox.put(event)
+        wait(lambda: reports and unreadable in reports[-1][1], str(reports))
+        wait(lambda: reports[-1][1].startswith(f"{silent}; {unreadable}"), str(reports))
+        follower.connection(False, "")
+        follower._inbox.put(event)
+        wait(lambda: follower.facts()["states_unreadable"] == 2)
+    finally:
+        follower.close()
+    assert {health for health, _ in reports} == {Health.DEGRADED}
+    assert len(reports) == 2, "that a vehicle has gone is reported by what watches its connection"
 
 
 def test_an_order_that_the_client_fails_to_send_is_rejected_and_the_next_state_is_taken() -> None:
@@ -228,7 +241,7 @@ def test_an_order_that_the_client_fails_to_send_is_rejected_and_the_next_state_i
     codec: Any = SimpleNamespace(split=split, encode=lambda _: b"")
     codecs = dict.fromkeys(("order", "instantActions", "state"), codec)
     follower = Follower(
-        link, "v2/m/s", TransportState(release), VehicleHealth(patience()), codecs, lambda *_: None
+        link, "v2/m/s", TransportState(release), patience(), codecs, lambda *_: None
     )
     received: list[Any] = []
     follower.join(received.append)

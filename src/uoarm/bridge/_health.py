@@ -7,6 +7,7 @@ channels of which several threads learn something.
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 from collections import deque
@@ -24,7 +25,11 @@ __all__ = ["ChannelHealth", "ChannelMonitor", "ChannelReport", "Disconnection", 
 P = ParamSpec("P")
 _ENOUGH = 0.5  # of the rate that is expected
 _FEWEST = 4  # messages that are expected in the time over which a rate is judged
-_SHORTEST_SECONDS = 1.0
+_SHORTEST_SECONDS = 1.0  # no silence and no rate is judged sooner: a busy machine has pauses
+_CALM_SECONDS = 1.0
+_STEADY_GAPS, _STEADY_SECONDS = 20, 5.0  # from which on messages may be called steady
+_STEADY = 3.0  # mean gaps that the longest one has at most
+_LONGEST_GAPS = 10  # longest gaps after which what was steady has ceased
 
 
 class Disconnection:
@@ -96,12 +101,20 @@ _MEANINGS: Mapping[HealthReason, str] = {
     HealthReason.DISCONNECTED: "no peer is connected: `lost`, or `degraded` in its grace",
     HealthReason.SILENT: "no message passed for `stale_after` seconds: `lost`, or `degraded` in "
     "its grace",
-    HealthReason.SLOW: "fewer than half of the messages that are expected pass: `degraded`",
+    HealthReason.SLOW: "fewer than half of the messages that are expected pass, or some were lost "
+    "or late: `degraded`",
     HealthReason.REFUSED: "the peer refused the channel, `lost`, or a message, `degraded`",
     HealthReason.PEER: "the peer says so of itself, with the health that it says",
 }
 _BADNESS = (Health.OK, Health.DEGRADED, Health.FINISHED, Health.LOST)
 _REASONS = tuple(HealthReason)
+_EXPLAINED_BY: Mapping[HealthReason, set[HealthReason]] = {
+    HealthReason.SILENT: {HealthReason.DISCONNECTED},
+    HealthReason.SLOW: {HealthReason.DISCONNECTED, HealthReason.SILENT},
+}
+_DISCONNECTED, _SILENT = (HealthReason.DISCONNECTED, ""), (HealthReason.SILENT, "")
+_SLOW = (HealthReason.SLOW, "")
+_CHANNEL, _MESSAGE = (HealthReason.REFUSED, ""), (HealthReason.REFUSED, "a message")
 
 
 @frozen
@@ -122,18 +135,30 @@ class ChannelReport:
 
 
 class ChannelHealth:
-    """One end of a flow: what is reported of it, each change once. What is lost stays lost.
+    """One end of a flow: what is reported of it, each change once.
 
-    Each method takes what happened, and returns what to report, None for nothing.
+    Each method takes what happened, and returns what to report, None for nothing. Several things
+    may be wrong at once: the status is the worst, with all that is equally bad and that nothing
+    before it in `HealthReason` explains.
 
     Args:
         what: the channel leads to, such as `publisher of /image`.
         now: the time.
         stale_after: seconds without a message after which it is lost; None: never.
         rate: messages a second that are expected; None: any number.
-        peer_required: whether a channel whose last peer has gone is not well.
+        without_peers: how a channel is whose last peer has gone.
         grace: seconds that it may be without one, or longer silent than `stale_after`, before it
             is lost.
+        recovers: whether a loss is over with what caused it, as where a framework matches peers
+            anew by itself; else what is lost or finished stays so, and nothing more is reported.
+        learns: whether messages that always came steadily, and cease to, are reported where no
+            `stale_after` is known.
+
+    Attributes:
+        stale_after: may change, as where peers promise how often they send.
+        status: how it is now.
+        peers: that are connected.
+        messages: that passed.
     """
 
     def __init__(
@@ -143,136 +168,271 @@ class ChannelHealth:
         *,
         stale_after: float | None = None,
         rate: float | None = None,
-        peer_required: bool = True,
+        without_peers: Health = Health.LOST,
         grace: float = 0.0,
+        recovers: bool = False,
+        learns: bool = False,
     ) -> None:
-        self._what, self._stale_after, self._rate = what, stale_after, rate
-        self._peer_required, self._grace = peer_required, grace
+        self.stale_after = stale_after
+        self._what, self._rate = what, rate
+        self._without_peers, self._grace, self._recovers = without_peers, grace, recovers
+        self._rhythm = _Rhythm() if learns else None
         self._window = 0.0 if rate is None else max(_SHORTEST_SECONDS, _FEWEST / rate)
-        self._faults: dict[HealthReason, ChannelReport] = {}
-        self._peers = self._count = self._counted = 0
+        # By reason, and what it is about where several things may be wrong for one reason.
+        self._faults: dict[tuple[HealthReason, str], ChannelReport] = {}
+        self.peers = self.messages = self._counted = 0
         self._last = self._awaited_since = self._counted_since = now
+        self._missed_at: float | None = None
         self._why_gone = ""
         self.status = ChannelReport(Health.OK, "", now)
 
     @property
     def is_over(self) -> bool:
-        """Whether it is lost or finished: nothing more is reported."""
-        return self.status.health in {Health.LOST, Health.FINISHED}
+        """Whether it is lost or finished for good: nothing more is reported."""
+        return not self._recovers and self.status.health in {Health.LOST, Health.FINISHED}
 
     @property
     def is_silent(self) -> bool:
-        """Whether it is lost because nothing came."""
+        """Whether it is not well because nothing came."""
         return self.status.reason is HealthReason.SILENT
 
     def passed(self, now: float) -> ChannelReport | None:
         """A message passed: it came and could be read, or the peer took it."""
+        self.messages += 1
         self._last = self._awaited_since = now
-        self._count += 1
+        if self._rhythm is not None:
+            self._rhythm.passed(now)
         if not self._faults:
             return None
-        return self._mended(now, "a message passed", HealthReason.REFUSED, HealthReason.SILENT)
+        return self._mended(now, "a message passed", _MESSAGE, _SILENT)
 
     def connected(self, now: float, peers: int = 1, cause: str = "") -> ChannelReport | None:
         """So many peers are connected now; `cause`: why the others have gone, or none comes."""
-        before, self._peers = self._peers, peers
+        before, self.peers = self.peers, peers
         self._why_gone = cause or self._why_gone
-        if before and not peers and self._peer_required:
-            health = Health.DEGRADED if self._grace else Health.LOST
-            return self._fault(now, health, HealthReason.DISCONNECTED, cause)
+        if before and not peers:
+            if self._without_peers is Health.OK:
+                # With the last peer goes what was wrong with it.
+                return self._mended(now, "no peer is connected, and none need be", *self._faults)
+            health = Health.DEGRADED if self._grace else self._without_peers
+            return self._fault(now, health, _DISCONNECTED, cause + self._sooner(now))
         if peers <= before:
             return None
-        reasons = [HealthReason.DISCONNECTED, HealthReason.REFUSED]
-        if HealthReason.DISCONNECTED in self._faults:
-            # What no peer could send is not missed: silence is counted anew.
-            self._awaited_since = now
-            reasons.append(HealthReason.SILENT)
-        return self._mended(now, "a peer is connected", *reasons)
+        if before:
+            return self._mended(now, "a peer is connected", _MESSAGE, _CHANNEL)
+        # What was wrong before the first peer is over, and what none could send is not missed.
+        self._awaited_since = self._counted_since = now
+        self._counted, self._missed_at = self.messages, None
+        if self._rhythm is not None:
+            self._rhythm = _Rhythm()
+        return self._mended(now, "a peer is connected", *self._faults)
 
     def refused(self, now: float, cause: str, *, final: bool = False) -> ChannelReport | None:
         """The peer refused a message, or for good the channel itself."""
-        if HealthReason.REFUSED in self._faults and not final:
+        if final:
+            return self._fault(now, Health.LOST, _CHANNEL, cause)
+        if _MESSAGE in self._faults or _CHANNEL in self._faults:
             return None
-        health = Health.LOST if final else Health.DEGRADED
-        return self._fault(now, health, HealthReason.REFUSED, cause)
+        return self._fault(now, Health.DEGRADED, _MESSAGE, cause)
 
-    def peer_reported(self, now: float, health: Health, cause: str) -> ChannelReport | None:
-        """The peer has said how it is."""
+    def missed(self, now: float, cause: str) -> ChannelReport | None:
+        """Messages were lost on their way, or late: reported once, until they come as they should.
+
+        That is when one passes that is more than a second younger than what was missed last.
+        """
+        self._missed_at = now
+        if _SLOW in self._faults:
+            return None
+        return self._fault(now, Health.DEGRADED, _SLOW, cause)
+
+    def peer_reported(
+        self, now: float, health: Health, cause: str, about: str = ""
+    ) -> ChannelReport | None:
+        """The peer has said how it is, of each of several things where `about` names them."""
+        return self.judged(now, HealthReason.PEER, health, cause, about)
+
+    def judged(
+        self, now: float, reason: HealthReason, health: Health, cause: str, about: str
+    ) -> ChannelReport | None:
+        """Something that lasts was judged, and stays so until it, or all with new peers, changes.
+
+        Args:
+            now: the time.
+            reason: why it is not well.
+            health: OK where it is.
+            cause: what was found.
+            about: what was judged, of all that is for this reason.
+        """
         if health is Health.OK:
-            return self._mended(now, cause, HealthReason.PEER)
-        return self._fault(now, health, HealthReason.PEER, cause)
+            return self._mended(now, cause, (reason, about))
+        return self._fault(now, health, (reason, about), cause)
 
     def tick(self, now: float, note: str = "") -> ChannelReport | None:
         """Time has passed; what follows from it alone is reported. `note` ends the words on it."""
         # Simulated time goes back where it begins anew.
         self._last, self._counted_since = min(self._last, now), min(self._counted_since, now)
         self._awaited_since = min(self._awaited_since, now)
-        if self._stale_after is not None and now - self._awaited_since > self._stale_after:
-            is_lost = now - self._awaited_since > self._stale_after + self._grace
-            health = Health.LOST if is_lost else Health.DEGRADED
-            known = self._faults.get(HealthReason.SILENT)
-            if known is None or known.health is not health:
-                lasted = self._stale_after + self._grace * is_lost
-                text = f"no message for {lasted:g} s{note}"
-                return self._fault(now, health, HealthReason.SILENT, text)
-        broken = self._faults.get(HealthReason.DISCONNECTED)
-        if broken is not None and now - broken.since >= self._grace:
+        silence = self._silence(now, note)
+        if silence is not None:
+            return self._fault(now, silence.health, _SILENT, silence.cause)
+        broken = self._faults.get(_DISCONNECTED)
+        is_graced = broken is not None and broken.health is not self._without_peers
+        if broken is not None and is_graced and now - broken.since >= self._grace:
             why = f": {self._why_gone}" if self._why_gone else ""
             text = f"no peer for {self._grace:g} s{why}{note}"
-            return self._fault(now, Health.LOST, HealthReason.DISCONNECTED, text)
+            return self._fault(now, self._without_peers, _DISCONNECTED, text)
+        is_calm = self._missed_at is None or self._last > self._missed_at + _CALM_SECONDS
+        if self._rate is None:
+            if self._missed_at is None or not is_calm:
+                return None
+            self._missed_at = None
+            return self._mended(now, "messages come as they should", _SLOW)
         lasted = now - self._counted_since
-        if self._rate is None or lasted < self._window:
+        if lasted < self._window:
             return None
-        passed = (self._count - self._counted) / lasted
-        self._counted, self._counted_since = self._count, now
+        passed = (self.messages - self._counted) / lasted
+        self._counted, self._counted_since = self.messages, now
         if passed >= _ENOUGH * self._rate:
-            return self._mended(now, f"{passed:.3g} messages a second", HealthReason.SLOW)
-        if HealthReason.SLOW in self._faults:
+            if not is_calm:
+                return None
+            return self._mended(now, f"{passed:.3g} messages a second", _SLOW)
+        if _SLOW in self._faults:
             return None
         text = f"{passed:.3g} messages a second, {self._rate:g} are expected"
-        return self._fault(now, Health.DEGRADED, HealthReason.SLOW, text)
+        return self._fault(now, Health.DEGRADED, _SLOW, text)
+
+    def wake_at(self) -> float | None:
+        """Return the time until which no `tick` has news of a silence or a grace; None: never."""
+        times = []
+        silent, broken = self._faults.get(_SILENT), self._faults.get(_DISCONNECTED)
+        if self.stale_after is not None and (silent is None or silent.health is not Health.LOST):
+            grace = 0.0 if silent is None else self._grace
+            times.append(self._awaited_since + self.stale_after + grace)
+        if broken is not None and broken.health is not self._without_peers:
+            times.append(broken.since + self._grace)
+        due = min(times, default=math.inf)
+        return due if due < math.inf and not self.is_over else None
 
     def facts(self, now: float) -> Mapping[str, object]:
         """Return what the status shows of it beside the health."""
+        since = round(max(0.0, now - self._last), 3) if self.messages else None
         return {
-            "seconds_since_message": round(max(0.0, now - self._last), 3) if self._count else None,
-            "stale_after": "never" if self._stale_after is None else self._stale_after,
+            "seconds_since_message": since,
+            "stale_after": "never" if self.stale_after is None else self.stale_after,
         }
 
+    def _silence(self, now: float, note: str) -> ChannelReport | None:
+        """Return what a silence is now, None where it is none, or reported so already."""
+        age, known = now - self._awaited_since, self._faults.get(_SILENT)
+        if self.stale_after is None:
+            rhythm = self._rhythm
+            if known is not None or rhythm is None or not self.peers:
+                return None
+            text = rhythm.silence(age)
+            return ChannelReport(Health.DEGRADED, text, now) if text else None
+        if age <= self.stale_after:
+            return None
+        lasted, health = self.stale_after, Health.DEGRADED
+        if age > self.stale_after + self._grace:
+            lasted, health = self.stale_after + self._grace, Health.LOST
+        if known is not None and known.health is health:
+            return None
+        return ChannelReport(health, f"no message for {lasted:g} s{note}", now)
+
+    def _sooner(self, now: float) -> str:
+        """Name the option that would have reported a loss sooner; empty: none would."""
+        return "" if self._rhythm is None else self._rhythm.sooner(now - self._awaited_since)
+
     def _fault(
-        self, now: float, health: Health, reason: HealthReason, cause: str
+        self, now: float, health: Health, key: tuple[HealthReason, str], cause: str
     ) -> ChannelReport | None:
-        text = f"{reason.value}: {self._what}: {cause}"
-        known = self._faults.get(reason)
+        known = self._faults.get(key)
         since = now if known is None else known.since
-        self._faults[reason] = ChannelReport(health, text, since, reason)
+        self._faults[key] = ChannelReport(health, cause, since, key[0])
         return self._changed(now, "")
 
-    def _mended(self, now: float, why: str, *reasons: HealthReason) -> ChannelReport | None:
-        for reason in reasons:
-            self._faults.pop(reason, None)
+    def _mended(
+        self, now: float, why: str, *keys: tuple[HealthReason, str]
+    ) -> ChannelReport | None:
+        for key in keys:
+            self._faults.pop(key, None)
         return self._changed(now, f"{self._what}: {why}")
 
     def _changed(self, now: float, why: str) -> ChannelReport | None:
-        """Take the worst that is wrong as the status; returns it where it is another.
-
-        Of what is equally bad, the reason that is listed first explains the others.
-        """
+        """Take the worst that is wrong as the status; returns it where it is another."""
         if self.is_over:
             return None
-        well = ChannelReport(Health.OK, why, now)
-        worst = max(
-            (self._faults[reason] for reason in _REASONS if reason in self._faults),
-            key=lambda fault: _BADNESS.index(fault.health),
-            default=well,
-        )
+        status = self._worst() if self._faults else ChannelReport(Health.OK, why, now)
         before = self.status
-        if (worst.health, worst.reason) == (before.health, before.reason) and (
-            worst is well or worst.cause == before.cause
+        if (status.health, status.reason) == (before.health, before.reason) and (
+            status.reason is None or status.cause == before.cause
         ):
             return None
-        self.status = worst
-        return worst
+        self.status = status
+        return status
+
+    def _worst(self) -> ChannelReport:
+        health = max((fault.health for fault in self._faults.values()), key=_BADNESS.index)
+        found: dict[HealthReason, list[ChannelReport]] = {}
+        for reason in _REASONS:
+            faults = [
+                fault
+                for (why, _), fault in self._faults.items()
+                if why is reason and fault.health is health
+            ]
+            if faults and not _EXPLAINED_BY.get(reason, set()) & found.keys():
+                found[reason] = faults
+        text = "; ".join(
+            f"{reason.value}: {self._what}: {'; '.join(fault.cause for fault in faults)}"
+            for reason, faults in found.items()
+        )
+        first = next(iter(found))
+        since = min(fault.since for faults in found.values() for fault in faults)
+        return ChannelReport(health, text, since, first)
+
+
+class _Rhythm:
+    """How steadily messages come, so that their end is known where no time for it is stated."""
+
+    def __init__(self) -> None:
+        self._since: float | None = None
+        self._last = self._longest = 0.0
+        self._gaps = 0
+
+    def passed(self, now: float) -> None:
+        """A message passed."""
+        if self._since is None:
+            self._since = now
+        else:
+            self._gaps += 1
+            self._longest = max(self._longest, now - self._last)
+        self._last = now
+
+    def silence(self, age: float) -> str:
+        """Say what is conspicuous of a silence; empty: nothing."""
+        if self._since is None or self._gaps < _STEADY_GAPS:
+            return ""
+        lasted = self._last - self._since
+        is_steady = lasted >= _STEADY_SECONDS and self._longest <= _STEADY * lasted / self._gaps
+        if not is_steady or age <= self._never_reached():
+            return ""
+        return (
+            f"no message for {age:.1f} s, and before one came every {self._longest:.2g} s or "
+            f"sooner: with stale_after: {self._never_reached():g} in the options it is lost"
+        )
+
+    def sooner(self, age: float) -> str:
+        """Name the option by which a loss after a silence would have been known before."""
+        if self._since is None or age <= 2 * self._never_reached():
+            return ""
+        return (
+            f", {age:.1f} s after its last message: stale_after: {self._never_reached():g} in the "
+            "options reports it sooner"
+        )
+
+    def _never_reached(self) -> float:
+        """Return a `stale_after` that no silence so far would have reached."""
+        return max(_SHORTEST_SECONDS, math.ceil(_LONGEST_GAPS * self._longest))
 
 
 class ChannelMonitor:
@@ -300,8 +460,23 @@ class ChannelMonitor:
 
     @property
     def is_silent(self) -> bool:
-        """Whether the channel is lost because nothing came."""
+        """Whether the channel is not well because nothing came."""
         return self._health.is_silent
+
+    @property
+    def peers(self) -> int:
+        """How many are connected."""
+        return self._health.peers
+
+    @property
+    def messages(self) -> int:
+        """How many passed."""
+        return self._health.messages
+
+    def expect(self, stale_after: float | None) -> None:
+        """Have it lost after so many seconds without a message from now on; None: never."""
+        with self._lock:
+            self._health.stale_after = stale_after
 
     def facts(self) -> Mapping[str, object]:
         """Return what the status shows of it beside the health."""
@@ -314,7 +489,12 @@ class ChannelMonitor:
 
     def passed(self) -> None:
         """A message passed."""
-        self._judge(self._health.passed)
+        with self._lock:  # as `_judge`, spelled out: this is done with each message
+            report = self._health.passed(self._clock())
+            if report is None:
+                return
+            self._waiting.append(report)
+        self._say()
 
     def connected(self, peers: int = 1, cause: str = "") -> None:
         """So many peers are connected now; `cause`: why the others have gone."""
@@ -324,9 +504,17 @@ class ChannelMonitor:
         """The peer refused a message, or for good the channel itself."""
         self._judge(self._health.refused, cause, final=final)
 
-    def peer_reported(self, health: Health, cause: str) -> None:
-        """The peer has said how it is."""
-        self._judge(self._health.peer_reported, health, cause)
+    def missed(self, cause: str) -> None:
+        """Messages were lost on their way, or late."""
+        self._judge(self._health.missed, cause)
+
+    def peer_reported(self, health: Health, cause: str, about: str = "") -> None:
+        """The peer has said how it is, of each of several things where `about` names them."""
+        self._judge(self._health.peer_reported, health, cause, about)
+
+    def judged(self, reason: HealthReason, health: Health, cause: str, about: str) -> None:
+        """Something that lasts was judged; see `ChannelHealth.judged`."""
+        self._judge(self._health.judged, reason, health, cause, about)
 
     def tick(self, note: str = "") -> None:
         """Time has passed; `note` ends the words on what follows from it alone."""

@@ -62,7 +62,7 @@ class TopicPlace:
             f"{what} of {self.topic}",
             self.clock(),
             stale_after=self.port.stale_after,
-            peer_required=self.port.peer_required,
+            without_peers=Health.LOST if self.port.peer_required else Health.OK,
         )
         return ChannelMonitor(health, report, self.clock)
 

@@ -11,11 +11,12 @@ from uuid import uuid4
 
 from attrs import define, field
 
-from uoarm.bridge import Channel, Sink, Source
+from uoarm.bridge import HealthReason, Sink, Source
 from uoarm.errors import BridgeError, FailureReason
 from uoarm.model import Deliver, Endpoint, Health, Message
 from uoarm_ros2._conversion import reader, writer
 from uoarm_ros2._discovery import Ros2Graph, ServerPresence
+from uoarm_ros2._health import Report, monitored
 from uoarm_ros2._middleware import NodeRunner, rclpy_errors
 from uoarm_ros2._schema import action_records
 from uoarm_ros2._services import Agreement, Disagreement, answered, require_agreement
@@ -79,7 +80,6 @@ class Action:
         self._was_ready = False
         services = (f"{name}/_action/{text}" for text in ("send_goal", "get_result"))
         self.agreement = Agreement(runner, f"action {name}", services)
-        self._disagreement = ""
 
     def ready(self) -> bool:
         """Whether a server is matched."""
@@ -193,13 +193,11 @@ class Action:
 
     def tick(self) -> None:
         """Notice a server that went away or came back."""
-        ready = self.ready()
-        if ready != self._was_ready:
-            self._was_ready = ready
-            for listener in self._listeners:
-                listener.server_changed(ready=ready)
-        if ready and self._listeners:
-            self._report_disagreement()
+        ready, listeners = self.ready(), self._listeners
+        self._was_ready = ready
+        found = self.agreement.look() if ready and listeners else Disagreement()
+        for listener in listeners:
+            listener.judge(found, ready=ready)
         goals = list(self._goals.items())
         servers = self._graph.servers(self._sending) if goals else frozenset[bytes]()
         for goal_id, goal in goals:
@@ -207,13 +205,6 @@ class Action:
                 if goal.sent is not None and not goal.sent.done():
                     goal.sent.cancel()  # else rclpy keeps it for an answer that never comes
                 self._emit("status", {"goal_id": goal_id, "status": "lost"})
-
-    def _report_disagreement(self) -> None:
-        found = self.agreement.look()
-        if found.text != self._disagreement:
-            self._disagreement = found.text
-            for listener in self._listeners:
-                listener.disagreed(found)
 
     def _forget(self, goal_id: str) -> bool:
         """Take a goal off the list; False: it has ended before, and that was reported."""
@@ -325,13 +316,14 @@ class ActionSource(Source):
         action: Action,
         part: str,
         deliver: Deliver,
-        report: Callable[[Channel, Health, str], None],
+        report: Report,
     ) -> None:
         super().__init__(endpoint)
         self.part = part
         self._action = action
         self._deliver = deliver
-        self._report = report
+        self._health = monitored(f"action {action.name}", self, report)
+        self._health.connected(int(action.ready()))
         action.join(self)
 
     def take(self, message: Message) -> None:
@@ -339,18 +331,14 @@ class ActionSource(Source):
         if not self._closed:
             self._deliver(message)
 
-    def server_changed(self, *, ready: bool) -> None:
-        """Report that the server is gone or back."""
+    def judge(self, found: Disagreement, *, ready: bool) -> None:
+        """Report whether a server is there, and what of the servers has another definition."""
+        self._health.connected(int(ready), "" if ready else "its server is gone")
         if ready:
-            self._report(self, Health.OK, f"a server of {self._action.name} is there")
-        else:
-            self._report(self, Health.LOST, f"the server of {self._action.name} is gone")
-
-    def disagreed(self, found: Disagreement) -> None:
-        """Report that some or all servers have another definition, or none any more."""
-        unwell = Health.LOST if found.is_total else Health.DEGRADED
-        every = f"every server of {self._action.name} has our definition"
-        self._report(self, unwell if found.text else Health.OK, found.text or every)
+            unwell = Health.LOST if found.is_total else Health.DEGRADED
+            health = unwell if found.text else Health.OK
+            cause = found.text or "every server has our definition"
+            self._health.judged(HealthReason.REFUSED, health, cause, "definition")
 
     def _close(self) -> None:
         self._action.leave(self)

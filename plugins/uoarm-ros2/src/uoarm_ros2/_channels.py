@@ -6,16 +6,15 @@ import threading
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
-from functools import partial
 from typing import Any
 
 from attrs import evolve
 
-from uoarm.bridge import Channel, Delivery, Sink, Source
+from uoarm.bridge import Channel, ChannelMonitor, Delivery, Sink, Source
 from uoarm.cdr import forget_octets, note_octets
 from uoarm.errors import BridgeError, FailureReason, MessageError
 from uoarm.model import Deliver, Health, Message, OverflowPolicy, QueuePolicy
-from uoarm_ros2._health import TopicHealth
+from uoarm_ros2._health import monitored
 from uoarm_ros2._middleware import Peer, publish_released, rclpy_errors
 from uoarm_ros2._qos import KEEP_ALL_SECONDS, Policies, clashes, for_reading, for_writing
 from uoarm_ros2._topic_endpoint import TopicContext, TopicEndpoint
@@ -57,7 +56,7 @@ class _Publisher(TopicEndpoint):
         The event of the first match comes a moment after it, so that none is not taken for granted.
         """
         is_kept = self.policies.durability == "transient_local"
-        if self._health.matched or is_kept or not self._context.options.peer_required:
+        if self._health.peers or is_kept or not self._context.options.peer_required:
             return False
         with suppress(BridgeError), rclpy_errors(f"topic {self._context.topic.name}"):
             return not self.count()
@@ -92,12 +91,12 @@ class PublisherSink(Sink):
 
     def __init__(self, context: TopicContext, write: Callable[[Message], Any]) -> None:
         super().__init__(context.endpoint)
-        # Guards the counts of messages: a stop message is sent from another thread than commands.
+        # Guards the count: a stop message is sent from another thread than commands.
         self._counting = threading.Lock()
         self._lost = 0
         self._context = context
         self._write = write
-        self._health = TopicHealth(partial(context.report, self))
+        self._health = context.health(self)
         self._publisher = _Publisher(context, self._health)
         self.blocking = self._publisher.policies.history == "keep_all"
         self.default_queue = _LOSSLESS
@@ -115,10 +114,10 @@ class PublisherSink(Sink):
             self._publish(native_publisher, native)
         except Exception as error:  # noqa: BLE001 - raised again there, unless it can be helped
             self._publish_anyway(native, native_publisher, error)
-        is_lost = self._publisher.reaches_none()
-        with self._counting:
-            self._health.count += 1
-            self._lost += is_lost
+        self._health.passed()
+        if self._publisher.reaches_none():
+            with self._counting:
+                self._lost += 1
 
     def wait(self) -> None:
         """Wait until every fitting subscription on the graph is matched.
@@ -213,10 +212,10 @@ class _Subscription(TopicEndpoint):
     peer_word = "publisher"
 
     def __init__(
-        self, context: TopicContext, health: TopicHealth, take: Callable[..., None]
+        self, context: TopicContext, health: ChannelMonitor, take: Callable[..., None]
     ) -> None:
         self._take = take
-        super().__init__(context, health)
+        super().__init__(context, health, receives=True)
 
     def graph_peers(self, topic: str) -> tuple[Peer, ...]:
         return self._context.runner.publishers(topic)
@@ -243,9 +242,9 @@ class _Subscription(TopicEndpoint):
             return ""
         volatile = [peer.node for peer in peers if peer not in latched]
         return (
-            f"topic {context.topic.name}: {', '.join(peer.node for peer in latched)} latched what "
-            f"they published, which does not come since {', '.join(volatile)} latch nothing; with "
-            "qos: {durability: transient_local} it comes, and nothing of those that latch nothing"
+            f"{', '.join(peer.node for peer in latched)} latched what they published, which does "
+            f"not come since {', '.join(volatile)} latch nothing; with qos: {{durability: "
+            "transient_local} it comes, and nothing of those that latch nothing"
         )
 
     def _fitting(self, peers: Iterable[Peer]) -> Policies:
@@ -253,13 +252,18 @@ class _Subscription(TopicEndpoint):
 
     def _create(self) -> Any:
         context, health = self._context, self._health
-        where = f"topic {context.topic.name}"
         events = self.events()
-        required = context.options.peer_required
-        events["liveliness"] = lambda info: health.note_liveliness(
-            info.alive_count, info.not_alive_count, where, required=required
-        )
-        events["message_lost"] = lambda info: health.note_lost(info.total_count, where)
+        dead = Health.LOST if context.options.peer_required else Health.DEGRADED
+
+        def note_liveliness(info: Any) -> None:
+            if info.alive_count:
+                health.peer_reported(Health.OK, "the publisher says again that it is alive")
+            elif info.not_alive_count:
+                text = "the publisher no longer says that it is alive (liveliness)"
+                health.peer_reported(dead, text)
+
+        events["liveliness"] = note_liveliness
+        events["message_lost"] = lambda info: self.note_lost(info.total_count)
         return context.runner.subscribe(
             context.native,
             context.topic.name,
@@ -298,12 +302,7 @@ class SubscriptionSource(Source):
         self._read, self._definition = read, definition
         self._deliver = deliver
         self._delivery = deliver if isinstance(deliver, Delivery) else None
-        self._health = TopicHealth(
-            partial(context.report, self),
-            context.options.stale_after,
-            context.clock,
-            receives=True,
-        )
+        self._health = context.health(self, receives=True)
         self._writers: set[bytes] = set()  # whose messages stand; in the runner's thread
         self._departures = self._looks = 0
         self._subscription = _Subscription(context, self._health, self._receive)
@@ -365,7 +364,7 @@ class SubscriptionSource(Source):
             if self._delivery is not None:
                 self._delivery.unreadable(f"topic {self._context.topic.name}: {error}")
             return
-        self._health.note_message()
+        self._health.passed()
         if self._definition:
             note_octets(message, octets, self._definition)
         try:
@@ -434,18 +433,13 @@ class SameTopicLink(Channel):
         super().__init__(source.endpoint)
         self._source = source
         self._sink = sink
-        self._state = ""
+        self._health = monitored(f"topic {source.topic.name}", self, source.report)
+        self._health.connected()
 
     def tick(self) -> None:
         """Look at the graph."""
         missing = self._missing()
-        if missing == self._state:
-            return
-        self._state = missing
-        if missing:
-            self._source.report(self, Health.LOST, missing)
-        else:
-            self._source.report(self, Health.OK, "both ends are there")
+        self._health.connected(0 if missing else 1, missing)
 
     def facts(self) -> Mapping[str, object]:
         """Return how many publishers and subscriptions the topic has; nothing after the end."""
@@ -460,9 +454,9 @@ class SameTopicLink(Channel):
     def _missing(self) -> str:
         runner, name = self._source.runner, self._source.topic.name
         if self._source.options.peer_required and not runner.publishers(name):
-            return f"topic {name} has no publisher"
+            return "it has no publisher"
         if self._sink.options.peer_required and not runner.subscriptions(name):
-            return f"topic {name} has no subscription"
+            return "it has no subscription"
         return ""
 
     def _close(self) -> None:

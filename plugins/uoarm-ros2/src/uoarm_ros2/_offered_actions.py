@@ -17,8 +17,9 @@ from attrs import define
 
 from uoarm.bridge import Channel, Handler, Sink, Source
 from uoarm.errors import BridgeError, FailureReason, MessageError
-from uoarm.model import Deliver, Endpoint, Health, Message
+from uoarm.model import Deliver, Endpoint, Message
 from uoarm_ros2._conversion import reader, writer
+from uoarm_ros2._health import Report
 from uoarm_ros2._middleware import GoalRequest, NodeRunner
 from uoarm_ros2._schema import action_records
 from uoarm_ros2._services import ServiceWorkers
@@ -404,7 +405,7 @@ class OfferedCall(ServiceWorkers):
         type_name: str,
         handler: Handler,
         at_once: int,
-        report: Callable[[Channel, Health, str], None],
+        report: Report,
     ) -> None:
         super().__init__(endpoint, name, handler, at_once, report)
         goal, _, result = action_records(type_name)

@@ -22,6 +22,7 @@ from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason
 from uoarm.model import Endpoint, Health, Message
 from uoarm_ros2._conversion import reader, writer
 from uoarm_ros2._discovery import Ros2Graph, ServerPresence
+from uoarm_ros2._health import Report
 from uoarm_ros2._middleware import UNNAMED, NodeRunner, Peer
 from uoarm_ros2._schema import service_records
 from uoarm_ros2._types import import_type
@@ -226,7 +227,7 @@ class ServiceWorkers(Channel):
         name: str,
         handler: Handler,
         at_once: int,
-        report: Callable[[Channel, Health, str], None],
+        report: Report,
     ) -> None:
         super().__init__(endpoint)
         self._name = name
@@ -335,7 +336,7 @@ class ServiceServer(ServiceWorkers):
         type_name: str,
         handler: Handler,
         at_once: int,
-        report: Callable[[Channel, Health, str], None],
+        report: Report,
     ) -> None:
         super().__init__(endpoint, name, handler, at_once, report)
         native: Any = import_type(type_name)

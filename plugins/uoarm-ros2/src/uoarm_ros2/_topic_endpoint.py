@@ -10,11 +10,11 @@ from typing import Any
 
 from attrs import frozen
 
-from uoarm.bridge import Channel
+from uoarm.bridge import Channel, ChannelMonitor, HealthReason
 from uoarm.errors import BridgeError, FailureReason
 from uoarm.model import Endpoint, Health
 from uoarm_ros2._discovery import Ros2Graph, Topic
-from uoarm_ros2._health import TopicHealth
+from uoarm_ros2._health import PROMISED, Report, monitored, promised_silence
 from uoarm_ros2._middleware import UNNAMED, NodeRunner, Peer
 from uoarm_ros2._options import Ros2Options
 from uoarm_ros2._qos import Policies, QosOptions
@@ -39,8 +39,21 @@ class TopicContext:
     options: Ros2Options
     qos: QosOptions
     settle: float
-    report: Callable[[Channel, Health, str], None]
+    report: Report
     clock: Callable[[], float] = time.monotonic
+
+    def health(self, channel: Channel, *, receives: bool = False) -> ChannelMonitor:
+        """Return what judges a channel here; `receives`: whether messages come in by it."""
+        without_peers = Health.LOST if self.options.peer_required else Health.DEGRADED
+        return monitored(
+            f"topic {self.topic.name}",
+            channel,
+            self.report,
+            without_peers=Health.OK if self.endpoint.is_offered else without_peers,
+            stale_after=self.options.stale_after if receives else None,
+            learns=receives,
+            clock=self.clock,
+        )
 
 
 class TopicEndpoint(ABC):
@@ -52,6 +65,7 @@ class TopicEndpoint(ABC):
     Args:
         context: where it is.
         health: takes what happens to peers.
+        receives: whether publishers are the peers, whose deadlines promise messages.
 
     Attributes:
         policies: in force.
@@ -61,9 +75,14 @@ class TopicEndpoint(ABC):
 
     peer_word: str
 
-    def __init__(self, context: TopicContext, health: TopicHealth) -> None:
+    def __init__(
+        self, context: TopicContext, health: ChannelMonitor, *, receives: bool = False
+    ) -> None:
         self._context = context
         self._health = health
+        self._keeps_deadlines = receives and context.options.stale_after is None
+        self._note = ""
+        self._lost = self._incompatible = self._deadlines_missed = 0
         self._clash_checks = 0
         self._clashes_since = math.inf
         self._clashing = False
@@ -129,14 +148,17 @@ class TopicEndpoint(ABC):
         name = self._context.topic.name
         if self.count() == 0:
             text = f"no {self.peer_word} of {name} was matched within {limit:g} s"
-            raise BridgeError(self._clashes() or text, FailureReason.UNAVAILABLE)
+            clashes = self._clashes()
+            text = f"topic {name}: {clashes}" if clashes else text
+            raise BridgeError(text, FailureReason.UNAVAILABLE)
         if self._all_differ(peers):
             self._context.graph.until(lambda: UNNAMED not in self._difference_text(), _NAME_SECONDS)
-            raise BridgeError(self._difference_text(), FailureReason.UNAVAILABLE)
+            text = f"topic {name}: {self._difference_text()}"
+            raise BridgeError(text, FailureReason.UNAVAILABLE)
 
     def tick(self) -> None:
         """Look after the end a few times a second, in the runner's thread."""
-        self._health.tick()
+        self._health.tick(self._note)
         if self._closed:
             return
         if self._clash_checks:
@@ -148,14 +170,25 @@ class TopicEndpoint(ABC):
             self._peers_changed = False
             peers = self.peers()
             self._check_definitions(peers)
-            self._health.note_deadlines(peer.policies.deadline for peer in peers)
+            if self._keeps_deadlines:
+                promised = promised_silence(peer.policies.deadline for peer in peers)
+                self._note = PROMISED if promised is not None else ""
+                self._health.expect(promised)
             self._check_unreached(peers)
         if self._context.graph.has_other_types(self._context.topic) is not self._has_other_types:
             self._check_other_types()
 
     def facts(self) -> Mapping[str, object]:
         """Return counters, the matched peers and the policies in force."""
-        return {**self._health.facts(), "qos": str(self.policies)}
+        return {
+            **self._health.facts(),
+            "matched": self._health.peers,
+            "messages": self._health.messages,
+            "lost_by_middleware": self._lost,
+            "qos_clashes": self._incompatible,
+            "deadlines_missed": self._deadlines_missed,
+            "qos": str(self.policies),
+        }
 
     def close(self) -> None:
         """Put the native endpoint away."""
@@ -164,27 +197,38 @@ class TopicEndpoint(ABC):
 
     def events(self) -> Events:
         """Return the callbacks that both kinds of end have."""
-        where, health = f"topic {self._context.topic.name}", self._health
         common: Events = {
             "matched": lambda info: self._matched(info.current_count, info.current_count_change),
             "incompatible_qos": lambda info: self._note_clash(info.total_count),
         }
         if self.policies.deadline is not None:
-            common["deadline"] = lambda info: health.note_missed_deadline(info.total_count, where)
+            common["deadline"] = lambda info: self._note_missed_deadline(info.total_count)
         return common
+
+    def _note_missed_deadline(self, total: int) -> None:
+        self._deadlines_missed = total
+        self._health.missed(f"the deadline passed {total} times without a message")
+
+    def note_lost(self, total: int) -> None:
+        """Note how many messages the middleware has lost since opening."""
+        self._lost = total
+        self._health.missed(f"{total} messages lost by the middleware since opening")
+
+    def _judge(self, about: str, problem: str, well: str, *, total: bool = False) -> None:
+        """Report a problem that lasts, or its end; `total`: no peer is without it."""
+        health = Health.OK
+        if problem:
+            is_lost = total and self._context.options.peer_required
+            health = Health.LOST if is_lost else Health.DEGRADED
+        self._health.judged(HealthReason.REFUSED, health, problem or well, about)
 
     def _matched(self, current: int, change: int) -> None:
         self._peers_changed = True
         self.departures += change < 0
         if not current:
             self._clash_checks = _CLASH_TICKS  # those that are left may be the ones that clash
-        context = self._context
-        self._health.note_peers(
-            current,
-            f"{self.peer_word} of {context.topic.name}",
-            required=context.options.peer_required,
-            offered=context.endpoint.is_offered,
-        )
+        gone = "" if current else f"the last {self.peer_word} is gone"
+        self._health.connected(current, gone)
 
     def _own_definition(self) -> str:
         context = self._context
@@ -203,19 +247,18 @@ class TopicEndpoint(ABC):
         differing = self._differing_peers(self.peers())
         theirs = "; ".join(f"{peer.node} has {peer.definition}" for peer in differing)
         return (
-            f"topic {topic.name}: {topic.type} is defined otherwise there than here: {theirs}, "
-            f"this process has {self._own_definition()}"
+            f"{topic.type} is defined otherwise there than here: {theirs}, this "
+            f"process has {self._own_definition()}"
         )
 
     def _check_definitions(self, peers: Sequence[Peer]) -> None:
         before, self._is_differing = self._is_differing, bool(self._differing_peers(peers))
         if self._is_differing:
             text = self._difference_text()
-            lost = self._all_differ(peers) and self._context.options.peer_required
-            self._health.report(Health.LOST if lost else Health.DEGRADED, text)
+            self._judge("definition", text, "", total=self._all_differ(peers))
             self._peers_changed = UNNAMED in text  # the graph learns of an end, then of its node
         elif before and self.count():
-            self._health.report(Health.OK, "every peer has our definition of the type")
+            self._judge("definition", "", "every peer has our definition of the type")
 
     def unreached(self, peers: Sequence[Peer]) -> str:
         """Say what of the peers is not reached although all fit; mostly empty."""
@@ -227,9 +270,9 @@ class TopicEndpoint(ABC):
         if UNNAMED in self._unreached:
             self._unreached, self._peers_changed = before, True
         elif self._unreached and self._unreached != before:
-            self._health.report(Health.DEGRADED, self._unreached)
+            self._judge("reach", self._unreached, "")
         elif before and not self._unreached and self.count():
-            self._health.report(Health.OK, "all that the peers offer is reached")
+            self._judge("reach", "", "all that the peers offer is reached")
 
     def _check_other_types(self) -> None:
         """Report a node that uses another type on our topic, which ROS 2 itself does not."""
@@ -239,14 +282,13 @@ class TopicEndpoint(ABC):
             return  # its node reaches the graph a moment later
         self._has_other_types = bool(others)
         if others:
-            text = f"topic {topic.name} carries other types than {topic.type} too: {others}"
-            self._health.report(Health.DEGRADED, text)
+            self._judge("types", f"it carries other types than {topic.type} too: {others}", "")
         elif self.count():
-            self._health.report(Health.OK, f"topic {topic.name} carries {topic.type} only")
+            self._judge("types", "", f"it carries {topic.type} only")
 
     def _note_clash(self, total: int) -> None:
         """Take note of a peer that does not fit; in the runner's thread, as messages are."""
-        self._health.incompatible = total
+        self._incompatible = total
         self._clash_checks = _CLASH_TICKS
         self._resolve_clash()
 
@@ -267,15 +309,13 @@ class TopicEndpoint(ABC):
         self._clash_checks = 0
         if text:
             self._clashing = True
-            lost = alone and self._context.options.peer_required
-            self._health.report(Health.LOST if lost else Health.DEGRADED, text)
+            self._judge("qos", text, "", total=alone)
 
     def _check_clash_ended(self) -> None:
         """Report that the last peer that did not fit is gone and others are there."""
         if self.count() and not self._clashes():
             self._clashing = False
-            what = f"{self.peer_word} of {self._context.topic.name}"
-            self._health.report(Health.OK, f"every {what} fits")
+            self._judge("qos", "", f"every {self.peer_word} fits")
 
     def _clashes(self) -> str:
         clashing = ((peer, self.clashes_with(peer.policies)) for peer in self.peers())
@@ -286,4 +326,4 @@ class TopicEndpoint(ABC):
         ]
         if not sentences:
             return ""
-        return f"incompatible QoS on topic {self._context.topic.name}: {' / '.join(sentences)}"
+        return f"incompatible QoS: {' / '.join(sentences)}"

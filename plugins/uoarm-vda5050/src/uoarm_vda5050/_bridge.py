@@ -28,7 +28,7 @@ from uoarm.bridge import (
 from uoarm.model import Endpoint, Health, Message, MessageStructure
 from uoarm_vda5050._channels import Follower, TransportSink, TransportSource, call
 from uoarm_vda5050._discovery import VehicleDirectory
-from uoarm_vda5050._health import Presence, Vehicle, VehicleHealth
+from uoarm_vda5050._health import Presence, Vehicle
 from uoarm_vda5050._messages import Headers, Published, VdaCodec, check_of, read_published
 from uoarm_vda5050._options import TRANSPORT, FleetOptions, VehicleAddress, place_of
 from uoarm_vda5050._releases import RELEASES, SENT, TOPICS
@@ -171,7 +171,7 @@ class Vda5050Bridge(Bridge):
             self._broker,
             self._topic(place),
             TransportState(self._release, times, options.max_nodes),
-            VehicleHealth(options.state_timeout),
+            options.state_timeout,
             codecs,
             partial(self._report_vehicle, vehicle),
         )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -11,10 +12,9 @@ from typing import Any
 from attrs import asdict, frozen
 from uoarm_mqtt.connection import BrokerConnection, PacketOutcome, ReceivedMessage, Receiver
 
-from uoarm.bridge import Delivery, ReceiveQueue, Sink, Source
+from uoarm.bridge import ChannelHealth, ChannelReport, Delivery, ReceiveQueue, Sink, Source
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, MessageError
 from uoarm.model import Endpoint, Health, Message
-from uoarm_vda5050._health import VehicleHealth
 from uoarm_vda5050._messages import HEADER_IDS, VdaCodec
 from uoarm_vda5050._orders import words_of
 from uoarm_vda5050._transport_state import Action, Feedback, GoalEnded, Send, Status, TransportState
@@ -44,7 +44,7 @@ class Follower:
         link: to the broker.
         topic: of the vehicle's, up to the last level.
         transport: what becomes of its orders; touched under the lock only.
-        health: what is to be reported of it; touched by the thread only.
+        state_timeout: seconds without a state that can be read after which that is reported.
         codecs: of `order`, `instantActions` and `state`.
         on_health: is called with health and cause.
     """
@@ -54,19 +54,21 @@ class Follower:
         link: BrokerConnection,
         topic: str,
         transport: TransportState,
-        health: VehicleHealth,
+        state_timeout: float,
         codecs: Mapping[str, VdaCodec],
         on_health: Callable[[Health, str], object],
     ) -> None:
         self._link, self._topic, self._codecs, self._on_health = link, topic, codecs, on_health
-        self._transport, self._health = transport, health
+        self._transport, self._timeout = transport, state_timeout
+        # Of a vehicle that is there, anew with each coming; touched by the thread only. That it
+        # has gone is reported by what watches its connection.
+        self._health: ChannelHealth | None = self._new_health()
         # Guards the orders and the listeners, and is held while news is announced: what listeners
         # receive is in the order in which it came about, whichever thread brought it.
         self._lock = threading.Lock()
         self._listeners: tuple[Callable[[News], object], ...] = ()
         self._unreadable = self._missed = 0
         self._last_id: int | None = None
-        health.connected(time.monotonic())
         self._inbox: ReceiveQueue[_Event] = ReceiveQueue(
             f"uoarm-vda5050-{topic}", self._take, _MOST_STATES, wake=self._wake
         )
@@ -135,10 +137,7 @@ class Follower:
         if isinstance(event, tuple):
             online, why = event
             self._last_id = None
-            if online:
-                self._health.connected(now)
-            else:
-                self._health.gone()
+            self._health = self._new_health() if online else None
             with self._lock:
                 self._do(self._transport.connection(online, why))
             return
@@ -153,7 +152,7 @@ class Follower:
             with self._lock:
                 self._transport.unreadable(why)
                 self._announce(StateRead(why))
-            self._report(self._health.unreadable(why))
+            self._judge("state", f"its state cannot be read: {why}"[:500])
 
     def _take_state(self, event: ReceivedMessage, now: float) -> None:
         header, body = self._codecs["state"].split(event.payload)
@@ -163,7 +162,23 @@ class Follower:
         with self._lock:
             self._do(self._transport.state(state, now))
             self._announce(StateRead())
-        self._report(self._health.state(fatal, now))
+        self._judge("vehicle", f"fatal: {'; '.join(fatal)[:500]}" if fatal else "")
+        self._judge("state", "")
+        if self._health is not None:
+            self._report(self._health.passed(now))
+
+    def _new_health(self) -> ChannelHealth:
+        # It is never lost by silence: it may drive on, and is well with its next state.
+        what = f"vehicle {'/'.join(self._topic.split('/')[-2:])}"
+        return ChannelHealth(what, time.monotonic(), stale_after=self._timeout, grace=math.inf)
+
+    def _judge(self, about: str, problem: str) -> None:
+        """Report what the vehicle says of itself by its states; empty: nothing is wrong."""
+        if self._health is not None:
+            health = Health.DEGRADED if problem else Health.OK
+            cause = problem or "its states are well again"
+            now = time.monotonic()
+            self._report(self._health.peer_reported(now, health, cause, about))
 
     def _count_gap(self, header_id: object) -> None:
         """Count the states between the last one and this one; a counter that went back is none."""
@@ -176,15 +191,18 @@ class Follower:
 
     def _wake(self) -> float | None:
         now = time.monotonic()
-        self._report(self._health.tick(now))
+        due: float | None = None
+        if self._health is not None:
+            self._report(self._health.tick(now, " that can be read"))
+            due = self._health.wake_at()
         with self._lock:
             self._do(self._transport.tick(now))
-            times = [self._transport.wake_at(), self._health.wake_at()]
+            times = [self._transport.wake_at(), due]
         return min((value for value in times if value is not None), default=None)
 
-    def _report(self, news: tuple[Health, str] | None) -> None:
-        if news is not None:
-            self._on_health(*news)
+    def _report(self, report: ChannelReport | None) -> None:
+        if report is not None:
+            self._on_health(report.health, report.cause)
 
     def _announce(self, news: News) -> None:
         """Have every listener take in news, under the lock."""

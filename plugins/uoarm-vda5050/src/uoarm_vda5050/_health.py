@@ -1,9 +1,9 @@
-"""How vehicles are: by their own word on `connection`, by their states, and by silence."""
+"""Which vehicles are there, by their own word on `connection`."""
 
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any
 
 from attrs import define, field
@@ -16,74 +16,12 @@ from uoarm_vda5050._messages import VdaCodec, check_of
 from uoarm_vda5050._releases import VdaRelease
 from uoarm_vda5050._structures import body_of
 
-__all__ = ["Presence", "Vehicle", "VehicleHealth"]
+__all__ = ["Presence", "Vehicle"]
 
-_PEER, _SILENT = HealthReason.PEER.value, HealthReason.SILENT.value
 _SMALL = Budget(octets=16_384, elements=1000, depth=16)
 
 Vehicle = tuple[str, str]
 """Manufacturer and serial number."""
-
-
-@define
-class VehicleHealth:
-    """What is wrong with a vehicle that is connected; no clock, no socket.
-
-    It is never lost by it: a silent vehicle may drive on, and is well with its next state. So each
-    of several things that are wrong is reported.
-
-    Attributes:
-        timeout: seconds of silence after which it is reported.
-    """
-
-    timeout: float
-    _last_state: float | None = None  # or since when one is awaited; None: none is
-    _problems: dict[str, str] = field(factory=dict)
-    _reported: str = ""
-
-    def connected(self, now: float) -> None:
-        """The vehicle has come: states are awaited, and nothing is known of it."""
-        self._last_state, self._reported = now, ""
-        self._problems.clear()
-
-    def gone(self) -> None:
-        """The vehicle has gone, which is reported in another way."""
-        self._last_state, self._reported = None, ""
-        self._problems.clear()
-
-    def state(self, fatal: Sequence[str], now: float) -> tuple[Health, str] | None:
-        """Take a state with its fatal errors; return what to report, None for nothing."""
-        self._last_state = now
-        self._problems.clear()
-        if fatal:
-            self._problems["fatal"] = f"{_PEER}: fatal: {'; '.join(fatal)[:500]}"
-        return self._news()
-
-    def unreadable(self, why: str) -> tuple[Health, str] | None:
-        """Take the news that a state cannot be read; return what to report."""
-        self._problems["unreadable"] = f"{_PEER}: its state cannot be read: {why}"[:500]
-        return self._news()
-
-    def tick(self, now: float) -> tuple[Health, str] | None:
-        """Let time pass; return what to report."""
-        due = self.wake_at()
-        if due is not None and now >= due:
-            what = "no state that can be read" if "unreadable" in self._problems else "no state"
-            self._problems["silent"] = f"{_SILENT}: {what} within {self.timeout:g} s"
-        return self._news()
-
-    def wake_at(self) -> float | None:
-        """Return when `tick` is due, None for never."""
-        if self._last_state is None or "silent" in self._problems:
-            return None
-        return self._last_state + self.timeout
-
-    def _news(self) -> tuple[Health, str] | None:
-        text = "; ".join(self._problems.values())
-        if text == self._reported:
-            return None
-        self._reported = text
-        return (Health.DEGRADED, text) if text else (Health.OK, "a state came that is well")
 
 
 @define
@@ -222,7 +160,7 @@ class Presence:
             if now:
                 health, reason = Health.OK, ""
             elif state in {"OFFLINE", "HIBERNATING"}:
-                health, reason = Health.FINISHED, f"{_PEER}: "
+                health, reason = Health.FINISHED, f"{HealthReason.PEER.value}: "
             cause = f"{reason}vehicle {manufacturer}/{serial_number}: {why}"
             for name in sorted(names):
                 self._on_health(name, health, cause)

@@ -42,8 +42,8 @@ Report = Callable[[Channel, Health, str], None]
 
 def monitored(channel: Channel, topic: str, port: Port, report: Report) -> ChannelMonitor:
     """Return the health of a channel on a topic, which has a peer as it is opened."""
-    now, is_required = time.monotonic(), port.peer_required
-    health = ChannelHealth(topic, now, stale_after=port.stale_after, peer_required=is_required)
+    now, without_peers = time.monotonic(), Health.LOST if port.peer_required else Health.OK
+    health = ChannelHealth(topic, now, stale_after=port.stale_after, without_peers=without_peers)
     health.connected(now)
     return ChannelMonitor(health, lambda health, cause: report(channel, health, cause))
 
