@@ -46,6 +46,7 @@ KEYS = {
     "ArrowUp": (38, ""),
     "ArrowRight": (39, ""),
     "ArrowDown": (40, ""),
+    "Home": (36, ""),
 }
 
 

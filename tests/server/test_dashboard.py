@@ -149,7 +149,7 @@ def test_a_service_is_called_with_a_form_of_its_schema(browser: Browser, visit: 
     browser.write("-2.5")
     browser.until("!document.querySelector('.problem')")
     browser.click('[id="field-hurry"]')
-    browser.click("fieldset .button", "item")
+    browser.click("fieldset .button", "Add item")
     browser.click('[id="field-stops.0.count"]')
     browser.write("7")
     browser.press("Enter")
@@ -172,7 +172,7 @@ def test_a_connection_of_another_client_is_killed(
     connection = client.open("camera")
     visit("#/graph/function/camera")
     browser.click(".panel .button.bad", "Kill")
-    browser.click(".panel .button.bad", "sure?")
+    browser.click(".panel .button.bad", "Confirm")
     assert client.next("connection")["jsonMessage"]["connection"] == connection
     browser.until(says(".panel", "None at this moment."))
     browser.click(".top nav a", "Timeline")
@@ -187,7 +187,7 @@ def test_a_death_is_shown_with_its_cause(browser: Browser, visit: Visit, talk: C
     front.put(RuntimeError("the lens cap is on"))
     browser.until(says('[data-card="function/camera"].is-lost', "the lens cap is on"))
     browser.click(".top nav a", "Timeline")
-    browser.click(".chip", "Only losses")
+    browser.click(".chip", "Losses only")
     browser.until(says(".event.lost", "the lens cap is on"))
     browser.click(".event .link", "front")
     browser.until(says(".panel .notice", "the lens cap is on"))
@@ -253,7 +253,7 @@ class TestEmergencyStop:
         browser.until(says(".stopped", "stopped base.default (move)"))
         browser.click(".stopped .button", "Release")
         assert robot.is_stopped
-        browser.click(".stopped .button", "sure?")
+        browser.click(".stopped .button", "Confirm")
         browser.until("!document.querySelector('.stopped')")
         assert not robot.is_stopped
 
@@ -425,7 +425,7 @@ class TestConfiguration:
         editing.until(says(".found", "head camera"))
         lab.cut("no radio")
         editing.click(".found-component .button", "head camera")
-        editing.until(says(".found-component .notice.bad", "Not taken"))
+        editing.until(says(".found-component .notice.bad", "Not added"))
 
     @pytest.mark.parametrize(("width", "height"), [(1440, 900), (390, 844)])
     def test_who_may_not_sees_first_what_gives_the_right(
@@ -470,7 +470,7 @@ class TestConfiguration:
     ) -> None:
         editing.show(1440, 900)
         self.put(editing, LAB.replace("# the only one", "# the first one"))
-        editing.click(".editor-tools .button", "Show what would happen")
+        editing.click(".editor-tools .button", "Preview changes")
         side = "document.querySelector('.difference')?.shadowRoot?.querySelector('{}')?.innerText"
         editing.until(f"{side.format('.cm-merge-a')}?.includes('# the only one')")
         assert "# the first one" in editing.js(side.format(".cm-merge-b"))
@@ -480,10 +480,10 @@ class TestConfiguration:
         self, editing: Browser, robot: RobotManager
     ) -> None:
         self.put(editing, LAB.replace("functions:", "funktions:"))
-        editing.click(".editor-tools .button", "Show what would happen")
+        editing.click(".editor-tools .button", "Preview changes")
         editing.until(says(".configuration .notice.bad", 'unknown key "funktions"'))
         assert editing.js("document.querySelectorAll('.editor-tools .button')[1].disabled")
-        editing.click(".editor-tools .button", "Read again")
+        editing.click(".editor-tools .button", "Reload")
         editing.until(f"{EDITED}.includes('functions:')")
         assert robot.revision == 0
 
@@ -574,7 +574,7 @@ def test_what_another_asks_for_is_approved_or_refused(
     assert browser.js(says(".approvals li", f"agent asks to call {function}"))
     assert browser.js(says(".approvals li", '"angle": 30'))
     browser.click(".approvals .bar button", "Approve")
-    browser.click(".approvals .bar button", "sure")
+    browser.click(".approvals .bar button", "Confirm")
     browser.until("document.querySelectorAll('.approvals li').length === 1")
     browser.click(".approvals .bar button", "Refuse")
     browser.until("!document.querySelector('.approvals')")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -10,13 +11,14 @@ from tests.server.browser import Browser, says
 from tests.server.conftest import Connect, Serve, Visit
 from tests.server.shown import END, SHOWN, front
 from tests.server.talk import Talk
-from tests.server.test_dashboard import manage
+from tests.server.test_dashboard import GUEST, manage
 
 from uoarm import RobotManager
 from uoarm.bridge import Registry
 from uoarm.config import loads
+from uoarm.model import QueuePolicy
 from uoarm.server import hash_token
-from uoarm.testing import MemoryBridge, wait
+from uoarm.testing import MemoryBridge, patience, wait
 
 pytestmark = pytest.mark.needs("chromium")
 
@@ -62,6 +64,7 @@ functions:
   map: {components: [{name: map, bridge: memory, output: {endpoint: [map]}}]}
 """
 NUMBER = {"type": "number"}
+COUNT = {"type": "object", "required": ["n"], "properties": {"n": {"type": "integer"}}}
 
 
 def record_of(**properties: object) -> dict[str, object]:
@@ -141,8 +144,8 @@ class TestSenses:
         browser.click(".fields-list label", "still")
         browser.click(".fields-list label", "forward")
         browser.until(f"{plots}.join() === 'Plot of turn, still'")
-        browser.click(".bar .button", "Hold")
-        browser.until(says(".bar .button[aria-pressed=true]", "Go on"))
+        browser.click(".bar .button", "Pause")
+        browser.until(says(".bar .button[aria-pressed=true]", "Resume"))
         browser.until("location.hash.includes('fields=turn%2Cstill')")
         assert browser.js("document.querySelector('.plot canvas').clientWidth") > 300
 
@@ -230,8 +233,9 @@ tokens: [{{name: person, role: guest, sha256: {hash_token("right")}}}]
     browser.complaints.clear()  # the refusals before the token: a browser reports them all
 
 
+@pytest.mark.needs("record")
 class TestRecordings:
-    """A button that records, and a scrubber for what is played."""
+    """A button that records."""
 
     def test_a_function_is_recorded_by_a_button(
         self, browser: Browser, serve: Serve, tmp_path: Path
@@ -245,6 +249,81 @@ class TestRecordings:
         browser.click(".panel .button", "Stop recording")
         browser.until(says(".panel .parts:last-of-type", "ended"))
         assert list(tmp_path.glob("*.mcap"))
+
+
+@pytest.mark.needs("record")
+class TestPlayer:
+    """The scrubber of a recording that a bridge plays."""
+
+    TAPE = """
+version: 1
+bridges: {tape: {plugin: recording, options: {file: FILE, paused: true}}}
+functions:
+  then: {components: [{name: of_then, bridge: tape, output: {endpoint: [/counter]}}]}
+"""
+    AT = "Number(document.querySelector('.player input')?.value ?? NaN)"
+    PRESSABLE = "[...document.querySelectorAll('.player input, .player button, .player select')]"
+
+    @pytest.fixture
+    def robot(self, tmp_path: Path) -> Iterator[RobotManager]:
+        """Play nine messages, a second apart each."""
+        from mcap.writer import Writer
+
+        path = tmp_path / "then.mcap"
+        with path.open("wb") as file:
+            writer = Writer(file)
+            writer.start()
+            schema = writer.register_schema("Count", "jsonschema", json.dumps(COUNT).encode())
+            channel = writer.register_channel("/counter", "json", schema)
+            for n in range(9):
+                writer.add_message(channel, (1000 + n) * 10**9, b'{"n": %d}' % n, 0)
+            writer.finish()  # type: ignore[no-untyped-call]  # of mcap
+        with RobotManager(loads(self.TAPE.replace("FILE", json.dumps(str(path))))) as robot:
+            yield robot
+
+    def test_it_steps_seeks_changes_speed_and_plays(
+        self, browser: Browser, visit: Visit, robot: RobotManager
+    ) -> None:
+        with robot.request("then", queue=QueuePolicy(length=100, policy="block")) as connection:
+            assert connection.get(patience()) == {"n": 0}
+            visit("#/graph/function/then")
+            browser.until(says(".player", "tape plays then.mcap"))
+            browser.until(f"{self.AT} === 0")
+            browser.click(".player button", "Step")
+            assert connection.get(patience()) == {"n": 1}
+            browser.until(f"{self.AT} === 1")
+            browser.click(".player input")
+            browser.until(f"Math.abs({self.AT} - 4) < 0.5")
+            wait(lambda: robot.playback("tape").position == pytest.approx(4, abs=0.5))
+            browser.click(".player button", "Step")
+            assert connection.get(patience())["n"] in {4, 5}  # its middle is 4, give or take
+            browser.js("document.querySelector('.player input').focus()")
+            browser.press("Home")
+            browser.until(f"{self.AT} === 0")
+            browser.js(
+                "(s => { s.value = 'fast'; s.dispatchEvent(new Event('change', { bubbles: true })) "
+                "})(document.querySelector('.player select'))"
+            )
+            wait(lambda: robot.playback("tape").rate is None)
+            assert robot.playback("tape").is_paused
+            browser.click(".player button", "Play")
+            played = [connection.get(patience())["n"]]
+            while played[-1] != 8:
+                played.append(connection.get(patience())["n"])
+            assert played[-9:] == [*range(9)]
+
+    def test_it_cannot_be_moved_without_the_right(
+        self, browser: Browser, serve: Serve, tmp_path: Path
+    ) -> None:
+        access = tmp_path / "access.yaml"
+        access.write_text(GUEST.format(right=hash_token("right")), encoding="utf-8")
+        browser.go(f"http://127.0.0.1:{serve(access=access).ports[0]}/#/graph/function/then")
+        browser.click(".lock input")
+        browser.write("right")
+        browser.press("Enter")
+        browser.until(says(".player", "a role needs the right record"))
+        assert browser.js(f"{self.PRESSABLE}.every((control) => control.disabled)")
+        browser.complaints.clear()  # the refusals before the token: a browser reports them all
 
 
 class TestPanels:

@@ -27,7 +27,7 @@ ${" "}· ${span(of.left)} left to decide</p>
       ${of.preview && html`<p class="quiet">${of.preview}</p>`}
       <pre class="message" tabindex="0" aria-label="Arguments">${pretty(of.arguments)}</pre>
       ${allowsMore(of.envelope) && html`<pre class="message" tabindex="0" aria-label="Also within">${pretty(of.envelope)}</pre>`}</div>
-      <div class="bar"><${Sure} act=${() => decide(true)} question="Have it done: sure?"
+      <div class="bar"><${Sure} act=${() => decide(true)} question="Confirm: approve"
           label=${`Approve what ${of.requester} asks for`}>Approve</${Sure}>
         <button type="button" class="button" onClick=${() => decide(false)}>Refuse</button></div></li>`;
 }

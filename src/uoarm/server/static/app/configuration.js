@@ -86,9 +86,9 @@ function Bridge({ of, take, untaken }) {
       <details><summary>What is installed</summary><${Facts} of=${Object.entries(of.facts)} /></details>
       <ul>${of.components.map((component) => html`<li key=${component.name} class="found-component">
         <b>${component.name}</b> <span class="quiet">${component.detail}</span>
-        ${take && isFree(component) && html`<button type="button" class="button" onClick=${() => take(of.bridge, component.name)}>Take
-          <span class="hidden"> ${component.name} into a function</span></button>`}
-        ${untaken?.component === component.name && html`<${Notice} kind="bad" title="Not taken">${untaken.cause}</${Notice}>`}
+        ${take && isFree(component) && html`<button type="button" class="button" onClick=${() => take(of.bridge, component.name)}>Add
+          <span class="hidden"> ${component.name} as a function</span></button>`}
+        ${untaken?.component === component.name && html`<${Notice} kind="bad" title="Not added">${untaken.cause}</${Notice}>`}
         <ul>${component.ports.map((port) => html`<li key=${`${port.role} ${port.address.join(" ")}`}>${port.role} ${port.address.join(", ")}
           ${!port.known && " (structure unknown)"}${port.rate !== null && `, ${port.rate.toPrecision(3)} a second${port.measured ? "" : ", as stated"}`}${port.used_by.length > 0 && `, used by ${port.used_by.join(", ")}`}</li>`)}</ul>
         ${component.more > 0 && html`<p>and ${component.more} ports more</p>`}</li>`)}</ul>
@@ -182,13 +182,13 @@ function Editor({ store, given, refused }) {
     <${TextEditor} source=${source} change=${setText} problems=${problems} schema=${force.schema} label="Configuration, YAML" />
     <p class="hint">Ctrl+Space completes, pointing at a word explains it, Ctrl+F searches. Tab leaves the text, Ctrl+] indents.</p>
     <p class="editor-tools">
-      <button type="button" class="button main" onClick=${() => look(text)}>Show what would happen</button>
+      <button type="button" class="button main" onClick=${() => look(text)}>Preview changes</button>
       <button type="button" class="button" disabled=${!isTried} onClick=${apply}>Apply</button>
       <label><input type="checkbox" checked=${keep} onChange=${(event) => setKeep(event.target.checked)} />
         write it to the robot's file</label>
-      <button type="button" class="button" onClick=${load}>Read again</button>
+      <button type="button" class="button" onClick=${load}>Reload</button>
     </p>
-    <div ref=${said}>${tried && html`<${Notice} title=${tried.done ? "Done" : "What would happen"}><pre>${tried.report}</pre></${Notice}>`}
+    <div ref=${said}>${tried && html`<${Notice} title=${tried.done ? "Done" : "Preview"}><pre>${tried.report}</pre></${Notice}>`}
     ${isTried && tried.text !== tried.before && html`<h3>What changes in the text</h3><${Difference} before=${tried.before} after=${tried.text} />`}
     ${trouble && html`<${Notice} kind="bad" title="Refused"><pre>${trouble}</pre></${Notice}>`}</div>`;
 }

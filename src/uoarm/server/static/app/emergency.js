@@ -36,7 +36,7 @@ export function Stopped({ store }) {
       <ul>${inputs.map((input) => html`<li key=${input.name} class=${input.stopped ? "" : "bad"}>
         <b>${input.stopped ? "stopped" : "NOT STOPPED"}</b> ${input.name} (${input.of})${input.stopped ? `, ${span(input.since)} ago` : `: ${input.cause}`}</li>`)}
         ${inputs.length === 0 && html`<li>Nothing open moves.</li>`}</ul>
-      <${Sure} act=${release} question="Let everything move again: sure?">Release</${Sure}>
+      <${Sure} act=${release} question="Confirm: everything may move again">Release</${Sure}>
       ${trouble}
     </section>`;
 }

@@ -16,7 +16,7 @@ export function Explain({ store, func }) {
       ${plan && untried(plan, func).map((row) => html`<${Untried} row=${row} />`)}
     </ul>
     ${plan?.warnings.map((text) => html`<${Notice} kind="warn">${text}</${Notice}>`)}
-    <button type="button" class="button small" onClick=${again}>Ask again</button>`;
+    <button type="button" class="button small" onClick=${again}>Refresh</button>`;
 }
 
 /** Candidates that nobody looked at, because one before them fits. */

@@ -96,13 +96,13 @@ function Items({ node, root, draft, change, problems, path }) {
         ${draft.length > node.least && html`<${Less} what=${`item ${at}`}
           act=${() => change(draft.filter((_, place) => place !== at))} />`}
       </div>`)}
-    ${draft.length < (node.most ?? 1000) && html`<${More} what="item" act=${() => change([...draft, start(node.items, root)])} />`}`;
+    ${draft.length < (node.most ?? 1000) && html`<${More} what="Add item" act=${() => change([...draft, start(node.items, root)])} />`}`;
 }
 
 function Variants({ node, root, draft, change, problems, path }) {
   const choose = (at) => change({ at, draft: start(node.branches[at], root) });
   return html`
-    <select aria-label="Which form" value=${String(draft.at)} onChange=${(event) => choose(Number(event.target.value))}>
+    <select aria-label="Variant" value=${String(draft.at)} onChange=${(event) => choose(Number(event.target.value))}>
       ${node.branches.map((branch, at) => html`<option value=${String(at)}>${nameOf(branch, root)}</option>`)}</select>
     <${Field} key=${draft.at} schema=${node.branches[draft.at]} root=${root} draft=${draft.draft} name="value"
       path=${path} problems=${problems} change=${(value) => change({ ...draft, draft: value })} />`;

@@ -60,9 +60,9 @@ export function Graph({ system, shown, panels, select }) {
       <${Stage} stage=${stage}>${plane}</${Stage}>
       ${cards.length === 0 && html`<p class="empty">Nothing is found.</p>`}
       <div class="graph-tools" role="toolbar" aria-label="Graph">
-        <${Tool} icon="plus" label="Larger (+)" act=${() => camera.zoomBy(1.25)} />
-        <${Tool} icon="minus" label="Smaller (-)" act=${() => camera.zoomBy(0.8)} />
-        <${Tool} icon="fit" label="Show all (0)" act=${camera.fitAll} />
+        <${Tool} icon="plus" label="Zoom in (+)" act=${() => camera.zoomBy(1.25)} />
+        <${Tool} icon="minus" label="Zoom out (-)" act=${() => camera.zoomBy(0.8)} />
+        <${Tool} icon="fit" label="Fit to view (0)" act=${camera.fitAll} />
         <button type="button" class="tool text" onClick=${() => foldAll(!allFolded)}>
           ${allFolded ? "Unfold all" : "Fold all"}</button>
         <button type="button" class="tool text" aria-pressed=${frameworks}

@@ -26,6 +26,6 @@ export function Kill({ store, connection }) {
     return html`<p class="hint">To kill it, a role needs the right <code>kill</code>; <code>uoarm token NAME --role ROLE</code> makes a token of such a role.</p>`;
   }
   return html`
-    <${Sure} act=${kill} question="For everyone: sure?" label=${`Kill ${connection.id}`}>Kill</${Sure}>
+    <${Sure} act=${kill} question="Confirm: kill for everyone" label=${`Kill ${connection.id}`}>Kill</${Sure}>
     ${refusal && html`<${Notice} kind="bad">${refusal}</${Notice}>`}`;
 }

@@ -31,7 +31,7 @@ export function Plots({ store, func, output, watch, options, choose }) {
       <label>Last <select value=${String(seconds)} onChange=${(event) => choose({ window: event.target.value })}>
         ${WINDOWS.map((length) => html`<option value=${String(length)}>${span(length)}</option>`)}</select></label>
       <button type="button" class="button small" aria-pressed=${held > 0}
-        onClick=${() => setHeld(held ? 0 : store.watches.now())}>${held ? "Go on" : "Hold"}</button>
+        onClick=${() => setHeld(held ? 0 : store.watches.now())}>${held ? "Resume" : "Pause"}</button>
       <details class="fields"><summary>${chosen.length} of ${paths.length} fields</summary>
         <div class="fields-list">${paths.map((path) => html`<label key=${path}><input type="checkbox" checked=${chosen.includes(path)}
           onChange=${() => toggle(path)} /> ${path} <span class="hint">${short(watch.series.get(path).values.at(-1))}</span></label>`)}</div></details>

@@ -50,7 +50,7 @@ export function Recordings({ store, name }) {
     <h3>Recordings</h3>
     ${played.map((player) => html`<${Player} key=${player.bridge} of=${player} move=${(how) => ask("Play", player.bridge, how)} />`)}
     <p><button type="button" class="button" onClick=${() => ask("Record", "", { functions: [name] })}><${Icon} name="record" /> Record</button></p>
-    ${refusal && html`<${Notice} kind="bad" title="It was refused">${refusal}</${Notice}>`}
+    ${refusal && html`<${Notice} kind="bad" title="Refused">${refusal}</${Notice}>`}
     <ul class="parts">${its.map((recording) => html`<${Recording} key=${recording.recording} of=${recording}
       stop=${() => ask("Record", recording.recording, { stop: true })} />`)}</ul>`;
 }
@@ -80,9 +80,9 @@ function Player({ of, move }) {
       <div class="bar">
         <button type="button" class="button small" disabled=${!of.may_move} onClick=${() => move({ pause: !of.is_paused })}>
           ${of.is_paused ? "Play" : "Pause"}</button>
-        <button type="button" class="button small" disabled=${!of.may_move} onClick=${() => move({ step: true })}>One message</button>
+        <button type="button" class="button small" disabled=${!of.may_move} onClick=${() => move({ step: true })}>Step</button>
         <label>Speed <select value=${rate} disabled=${!of.may_move} onChange=${({ target }) => move({ rate: target.value === "fast" ? "fast" : Number(target.value) })}>
-          ${[...new Set([...RATES, rate])].map((speed) => html`<option value=${speed}>${speed === "fast" ? "as fast as it goes" : `${speed} ×`}</option>`)}</select></label>
+          ${[...new Set([...RATES, rate])].map((speed) => html`<option value=${speed}>${speed === "fast" ? "as fast as possible" : `${speed} ×`}</option>`)}</select></label>
         <span>${span(position)} of ${span(of.duration)}</span>
       </div>
       ${of.cause && html`<${Notice} kind="warn">${of.cause}</${Notice}>`}

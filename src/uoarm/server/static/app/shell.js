@@ -58,7 +58,7 @@ export function Summary({ system, loaded, filter, setFilter }) {
         <span><b>${running}</b> of ${rows.length} components running</span>
         <span><b>${system.connections.length}</b> ${noun(system.connections.length, "application")}</span>
         ${lost > 0 && html`<span class="bad"><b>${lost}</b> lost</span>`}</p>
-      <div class="chips" role="group" aria-label="Show only">
+      <div class="chips" role="group" aria-label="Filter">
         <button type="button" class="chip" aria-pressed=${filter.running}
           onClick=${() => toggle({ running: !filter.running })}>Running</button>
         ${bridges.length > 1 && bridges.map((bridge) => html`

@@ -52,9 +52,9 @@ export function Timeline({ events, since, query, owners, session, open }) {
     onClick=${() => setKind(name)}>${label}</button>`;
   return html`
     <section class="timeline" aria-label="Timeline">
-      <div class="chips" role="group" aria-label="Which events">
+      <div class="chips" role="group" aria-label="Filter by kind">
         ${choice("", "All")}${KINDS.map(([kind, label]) => choice(kind, label))}
-        <button type="button" class="chip" aria-pressed=${bad} onClick=${() => setBad(!bad)}>Only losses</button>
+        <button type="button" class="chip" aria-pressed=${bad} onClick=${() => setBad(!bad)}>Losses only</button>
       </div>
       ${shown.length === 0 && html`<p class="empty">No such events since ${clock(since)}.
         Changes of connections, components and frameworks appear here.</p>`}

@@ -44,15 +44,15 @@ export function Watch({ store, func, panel, act, keep }) {
       ${running
         ? html`<button type="button" class="button" onClick=${end}><${Icon} name="stop" /> Stop</button>`
         : html`<button type="button" class="button main" disabled=${state.busy} onClick=${begin}>
-            <${Icon} name="play" /> ${state.busy ? "One moment …" : "Watch"}</button>`}
+            <${Icon} name="play" /> ${state.busy ? "Starting …" : "Watch"}</button>`}
       ${func.outputs.length > 1 && html`<label>Output <select value=${output} disabled=${running}
         onChange=${(event) => choose({ output: event.target.value })}>${func.outputs.map((other) => html`
           <option value=${other}>${other}</option>`)}</select></label>`}
-      <label>At most <select value=${String(every)} disabled=${running}
+      <label>Maximum rate <select value=${String(every)} disabled=${running}
         onChange=${(event) => setEvery(Number(event.target.value))}>${PACES.map(([seconds, label]) => html`
           <option value=${String(seconds)}>${label}</option>`)}</select></label>
     </div>
-    ${state.refusal && html`<${Notice} kind="bad" title="It was refused">${state.refusal}</${Notice}>`}
+    ${state.refusal && html`<${Notice} kind="bad" title="Refused">${state.refusal}</${Notice}>`}
     ${watch && html`<${Shown} store=${store} func=${func} output=${output} watch=${watch} options=${panel.options} choose=${choose} />`}`;
 }
 

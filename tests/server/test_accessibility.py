@@ -1,0 +1,114 @@
+"""Accessibility of the dashboard, as axe-core finds it in a real Chromium.
+
+npm brings axe-core, unless UOARM_AXE names a folder in which `npm install axe-core@4` was run.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from tests.server.browser import Browser, says
+from tests.server.conftest import Connect, Visit
+from tests.server.shown import END, SHOWN, front
+from tests.server.test_dashboard import manage
+
+from uoarm import RobotManager
+
+pytestmark = pytest.mark.needs("chromium")
+
+# What a person looks at, by its address, and what is there once it is drawn.
+VIEWS = {
+    "": '[data-card="function/camera"], .list .item',
+    "#/list": ".list .item",
+    "#/timeline": ".timeline .event",
+    "#/configuration": ".found-bridge",
+    "#/graph/function/camera&function/hopeless/explain&function/drive/use": ".form .button.main",
+    "#/list/function/faces&function/echo/use": ".form .button.main",
+}
+# Transitions end first: half of one has colours that nobody reads.
+FINDINGS = """
+Promise.all(document.getAnimations().map((animation) => animation.finished.catch(() => null)))
+  .then(() => axe.run(document, { resultTypes: ["violations"] }))
+  .then(({ violations }) => violations
+    .filter(({ impact }) => impact === "serious" || impact === "critical")
+    .flatMap(({ id, nodes }) => nodes.map(({ target, failureSummary }) =>
+      `${id}: ${target.join(" ")}: ${failureSummary}`)))
+"""
+
+
+@pytest.fixture
+def robot() -> Iterator[RobotManager]:
+    front.reset()
+    manager = manage(SHOWN)
+    yield manager
+    front.put(END)
+    manager.close()
+
+
+@pytest.fixture(scope="module")
+def axe(tmp_path_factory: pytest.TempPathFactory) -> str:
+    """Return the source of axe-core."""
+    folder = os.environ.get("UOARM_AXE")
+    if not folder:
+        if shutil.which("npm") is None:
+            pytest.skip("needs npm: apt install npm")
+        folder = str(tmp_path_factory.mktemp("axe"))
+        options = ["--prefix", folder, "--no-audit", "--no-fund", "--ignore-scripts", "--silent"]
+        if subprocess.run(["npm", "install", *options, "axe-core@4"], check=False).returncode:
+            pytest.skip("npm cannot fetch axe-core")
+    return (Path(folder) / "node_modules/axe-core/axe.min.js").read_text(encoding="utf-8")
+
+
+def findings(browser: Browser, axe: str) -> list[str]:
+    """Return what axe-core calls serious or critical in the page as it is."""
+    browser.js(f"{axe};0")
+    found: list[str] = browser.js(FINDINGS)
+    return found
+
+
+@pytest.mark.parametrize("is_dark", [False, True], ids=["light", "dark"])
+@pytest.mark.parametrize(("width", "height"), [(1440, 900), (390, 844)])
+def test_nothing_serious_is_found(
+    browser: Browser,
+    visit: Visit,
+    talk: Connect,
+    axe: str,
+    width: int,
+    height: int,
+    *,
+    is_dark: bool,
+) -> None:
+    browser.show(width, height, phone=width < 700, dark=is_dark)
+    client = talk()
+    client.open("faces")
+    front.take((9, 9, 9))
+    found = {}
+    for place, shown in VIEWS.items():
+        visit(place)
+        browser.until(f"document.querySelector({json.dumps(shown)})")
+        found[place] = findings(browser, axe)
+    assert {place: those for place, those in found.items() if those} == {}
+
+
+def test_axe_finds_what_is_wrong(browser: Browser, visit: Visit, axe: str) -> None:
+    """The test above would see a serious finding."""
+    visit()
+    browser.js("document.body.append(document.createElement('button'))")
+    assert [finding.partition(":")[0] for finding in findings(browser, axe)] == ["button-name"]
+
+
+def test_nothing_serious_is_found_in_what_is_watched(
+    browser: Browser, visit: Visit, axe: str
+) -> None:
+    visit("#/graph/function/camera/use")
+    browser.click(".button.main", "Watch")
+    browser.until(says(".panel", "No message yet"))
+    front.take((250, 100, 3))
+    browser.until("document.querySelector('.picture canvas')")
+    assert findings(browser, axe) == []
