@@ -9,11 +9,11 @@ import sys
 
 import pytest
 
-from uoarm._support.allocator import KEEPING, give_memory_back
+from uoarm._support.process_tuning import KEEPING, give_memory_back
 
 PICTURES = """
 import resource, sys
-from uoarm._support.allocator import keep_memory
+from uoarm._support.process_tuning import keep_memory
 keep_memory()
 def take():
     return bytes(921_600) + b"-"

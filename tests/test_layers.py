@@ -33,7 +33,6 @@ LAYERS = [
         "_spans",
         "_spelling",
         "_support",
-        "_switch_interval",
     },
     {"error_codes"},
     {"_plugins"},
@@ -118,8 +117,7 @@ PARTS = {
     "_host": {
         "transport": {"transport"},
         "agent": {"agent", "transport"},
-        "host_process": {"host_process"},
-        "process_connection": {"process_connection", "host_process", "transport"},
+        "process_connection": {"process_connection", "transport"},
         "machines": {"machines", "process_connection", "transport"},
     },
 }

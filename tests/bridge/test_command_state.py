@@ -9,7 +9,7 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
 
-from uoarm.bridge._command_state import CommandState
+from uoarm.bridge._watchdog import CommandState
 from uoarm.model import CommandPhase, CommandPolicy, FieldLimit, StopMessage
 
 LIFETIME = 0.25

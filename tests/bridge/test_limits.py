@@ -9,7 +9,7 @@ from attrs import frozen
 from hypothesis import given
 from hypothesis import strategies as st
 
-from uoarm.bridge._command_state import CommandState
+from uoarm.bridge._watchdog import CommandState
 from uoarm.model import CommandPolicy, FieldLimit, StopMessage
 
 LIFETIME = 0.25

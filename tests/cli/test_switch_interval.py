@@ -9,8 +9,8 @@ import click
 import pytest
 from click.testing import CliRunner
 
+from uoarm._support.process_tuning import short_switch_interval, switch_interval_seconds
 from uoarm._support.workers import WorkerPool
-from uoarm._switch_interval import short_switch_interval, switch_interval_seconds
 from uoarm.cli import main
 from uoarm.errors import UsageError
 from uoarm.testing import patience

@@ -16,8 +16,7 @@ from tests.schema._strategies import Body, schemas
 from uoarm._dataplane._compiled_check import Accepts, compile_check
 from uoarm._dataplane._whole_validator import validator_of
 from uoarm.model import Message, Schema
-from uoarm.testing._choices import DrawnChoices
-from uoarm.testing._instance_builder import Builder
+from uoarm.testing._instance_builder import Builder, DrawnChoices
 from uoarm.testing._instances import mutate
 
 FLOAT32 = {"type": "number", "minimum": -3.4028234663852886e38, "maximum": 3.4028234663852886e38}

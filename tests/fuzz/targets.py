@@ -508,9 +508,8 @@ def _recordings() -> Mapping[str, Target]:
     if find_spec("mcap") is None:
         return {}
     from uoarm.record._file import McapFile
-    from uoarm.record._forms import form_of
+    from uoarm.record._forms import form_of, reading_of
     from uoarm.record._reading import McapReader
-    from uoarm.record._structures import reading_of
 
     def read(data: bytes) -> None:
         with TemporaryDirectory() as folder:

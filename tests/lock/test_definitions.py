@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 from click.testing import CliRunner, Result
 
-from uoarm._lock import _schemas
+from uoarm._lock import _compare
 from uoarm.cli import main
 from uoarm.errors import ConfigurationError
 from uoarm.plugins import DefinitionFormat, Definitions, hookimpl
@@ -46,7 +46,7 @@ def uoarm_definition_formats() -> list[DefinitionFormat]:
 @pytest.fixture(autouse=True)
 def plugins(monkeypatch: pytest.MonkeyPatch) -> list[EntryPoint]:
     points = [EntryPoint("mine", __name__, "uoarm.definitions")]
-    monkeypatch.setattr(_schemas, "entry_points", lambda group: points)
+    monkeypatch.setattr(_compare, "entry_points", lambda group: points)
     return points
 
 

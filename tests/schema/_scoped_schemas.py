@@ -6,10 +6,10 @@ import json
 from copy import deepcopy
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from uoarm.testing._choices import chance
+from uoarm.testing._instance_builder import chance
 
 if TYPE_CHECKING:
-    from uoarm.testing._choices import Choices
+    from uoarm.testing._instance_builder import Choices
 
 __all__ = [
     "BESIDE",

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
     from tests.schema._judge import Body
 
-    from uoarm.testing._choices import Choices
+    from uoarm.testing._instance_builder import Choices
 
 __all__ = ["PAIRS", "UNKNOWN", "fillings", "places", "replaced"]
 

@@ -18,7 +18,7 @@ from tests.server.test_serving import figures
 
 from uoarm.errors import UsageError
 from uoarm.server import Server
-from uoarm.server._service_manager import ServiceManager
+from uoarm.server._running import ServiceManager
 from uoarm.testing import patience
 
 ROOT = Path(__file__).parents[2]

@@ -32,8 +32,7 @@ from uoarm.testing import Background, MemoryBridge
 from uoarm.testing.conformance._describing import Declaring, Describing
 from uoarm.testing.conformance._ending import EndingRules
 from uoarm.testing.conformance._failures import Breaking, DisturbanceRules
-from uoarm.testing.conformance._flow import Flow
-from uoarm.testing.conformance._services import ServiceRules
+from uoarm.testing.conformance._flow import Flow, ServiceRules
 from uoarm.testing.conformance._world import rule_of
 
 __all__ = ["BUGS", "RULED_OUT", "BadWorld", "Bug", "table"]

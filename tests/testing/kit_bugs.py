@@ -45,8 +45,7 @@ from uoarm.testing.conformance import BridgeConformance, World
 from uoarm.testing.conformance._describing import Declaring, Describing
 from uoarm.testing.conformance._ending import EndingRules
 from uoarm.testing.conformance._failures import Breaking, DisturbanceRules
-from uoarm.testing.conformance._flow import Flow
-from uoarm.testing.conformance._services import ServiceRules
+from uoarm.testing.conformance._flow import Flow, ServiceRules
 from uoarm.testing.conformance._world import PAGE, rule_of
 
 __all__ = ["GENERAL", "Spoiled", "hold_found_out", "rules_without_a_bug", "spoiled"]

@@ -27,7 +27,7 @@ from uoarm.testing import (
     raising,
     wait,
 )
-from uoarm.testing._native import PAIRS, ROWS, NativeDialect, codec
+from uoarm.testing._components import PAIRS, ROWS, NativeDialect, codec
 
 
 def record(**fields: dict[str, Any]) -> dict[str, Any]:

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from uoarm.testing.conformance._types import find_other_type, with_integers, with_length
+from uoarm.testing.conformance._world import find_other_type, with_integers, with_length
 
 ANY_OF: Any = {"type": ["array", "boolean", "number", "string"]}
 SCHEMA: Any = {

@@ -15,8 +15,7 @@ from uoarm.model import Health
 from uoarm.testing.conformance._describing import Describing
 from uoarm.testing.conformance._ending import EndingRules
 from uoarm.testing.conformance._failures import Breaking, DisturbanceRules
-from uoarm.testing.conformance._flow import Flow
-from uoarm.testing.conformance._services import ServiceRules
+from uoarm.testing.conformance._flow import Flow, ServiceRules
 from uoarm.testing.conformance._world import rule_of
 
 __all__ = ["BUGS", "Bug", "table"]

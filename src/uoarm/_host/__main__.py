@@ -24,7 +24,7 @@ from uoarm._host.transport.shared_counters import SharedCounters
 from uoarm._host.transport.socket_transport import SocketTransport
 from uoarm._host.transport.transport import Reply, Transport
 from uoarm._log_lines import HostFormatter
-from uoarm._switch_interval import set_short_switch_interval
+from uoarm._support.process_tuning import set_short_switch_interval
 from uoarm.bridge import Bridge, Registry
 from uoarm.errors import UoarmError
 from uoarm.model import BridgeSpec

@@ -5,7 +5,15 @@ from typing import TYPE_CHECKING
 from uoarm._deferred import deferred
 
 if TYPE_CHECKING:
-    from uoarm._lock._compare import LockFinding, LockGuard, LockOutcome, compare, guard_of
+    from uoarm._lock._compare import (
+        LockFinding,
+        LockGuard,
+        LockOutcome,
+        compare,
+        guard_of,
+        read_schemas,
+        uncompared_types,
+    )
     from uoarm._lock._record import (
         Lock,
         LockedBridge,
@@ -15,7 +23,6 @@ if TYPE_CHECKING:
         record,
         write_lock,
     )
-    from uoarm._lock._schemas import read_schemas, uncompared_types
 
 __all__ = [
     "Lock",
@@ -38,7 +45,15 @@ if not TYPE_CHECKING:
     __getattr__, __dir__ = deferred(
         __name__,
         {
-            "_compare": ("LockFinding", "LockGuard", "LockOutcome", "compare", "guard_of"),
+            "_compare": (
+                "LockFinding",
+                "LockGuard",
+                "LockOutcome",
+                "compare",
+                "guard_of",
+                "read_schemas",
+                "uncompared_types",
+            ),
             "_record": (
                 "Lock",
                 "LockError",
@@ -48,6 +63,5 @@ if not TYPE_CHECKING:
                 "record",
                 "write_lock",
             ),
-            "_schemas": ("read_schemas", "uncompared_types"),
         },
     )

@@ -15,7 +15,7 @@ from typing import Any, Generic, TypeAlias, TypeVar
 from attrs import field, frozen
 
 from uoarm._raised import contained
-from uoarm._switch_interval import fit_switch_interval
+from uoarm._support.process_tuning import fit_switch_interval
 from uoarm.errors import UoarmError
 
 __all__ = ["Done", "WorkerPool", "WorkerPoolClosedError"]

@@ -7,7 +7,7 @@ from uoarm._plugins import PluginProblem, hookimpl
 from uoarm._raised import foreign
 from uoarm.bridge._border import reading_endpoint
 from uoarm.bridge._bridge import CONTRACT_VERSION, Bridge, Handler
-from uoarm.bridge._channel import Channel, Outcomes, Sink, Source
+from uoarm.bridge._channel import Channel, Outcomes, ReceiveQueue, Sink, Source
 from uoarm.bridge._description import (
     Capabilities,
     Description,
@@ -23,7 +23,6 @@ from uoarm.bridge._health import (
     Disconnection,
     HealthReason,
 )
-from uoarm.bridge._managers import MOST_HOPS, asking, asking_managers, refuse_loop
 from uoarm.bridge._options import (
     BridgeOptions,
     DeclaredOptions,
@@ -32,9 +31,14 @@ from uoarm.bridge._options import (
     option,
     options_table,
 )
-from uoarm.bridge._plugin import BridgeType
-from uoarm.bridge._receiving import ReceiveQueue
-from uoarm.bridge._registry import Registry
+from uoarm.bridge._registry import (
+    MOST_HOPS,
+    BridgeType,
+    Registry,
+    asking,
+    asking_managers,
+    refuse_loop,
+)
 from uoarm.bridge._watchdog import boot_seconds
 
 __all__ = [

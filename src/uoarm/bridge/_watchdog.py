@@ -2,7 +2,8 @@
 
 It depends on nothing but its own thread and a clock, so that the stop goes out when the client,
 the manager, or the link between died, hangs, or stands still. What it decides is in
-`_command_state.py`.
+`CommandState`: a state machine that touches no thread, clock or framework. Commands, results and
+the time go in, what to do comes out. Times are seconds of one monotonic clock.
 """
 
 from __future__ import annotations
@@ -12,14 +13,229 @@ import logging
 import math
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from numbers import Real
 
+from attrs import frozen
+
+from uoarm._backoff import Backoff
 from uoarm._raised import LimitedLog, foreign, text_of
-from uoarm.bridge._command_state import CommandState
 from uoarm.errors import CommandRefusedError
-from uoarm.model import CommandPhase, CommandPolicy, CommandStatus, Message
+from uoarm.model import CommandPhase, CommandPolicy, CommandStatus, FieldLimit, Message
 
-__all__ = ["Watchdog", "boot_seconds"]
+__all__ = ["CommandState", "Refusal", "Watchdog", "boot_seconds"]
+
+_STOP_BACKOFF = Backoff(first=0.02, most=0.5)
+
+
+@frozen
+class Refusal:
+    """Why a command is not sent: one word, by which it is counted, and a sentence."""
+
+    reason: str
+    sentence: str
+
+
+class CommandState:
+    """What one input was told last, until when that holds, and whether the stop is due.
+
+    Who uses it asks `offer` before each command is sent and says `sent` after it, sends the stop
+    message when `is_due`, and says what became of it. Commands are sent one at a time. The
+    stop may be sent while a command is: it then counts as taken only when it is sent once more,
+    since the command may arrive behind it.
+
+    Args:
+        policy: of the input.
+        now: the time.
+
+    Attributes:
+        phase: what it was told last.
+        held: whether every command is refused.
+        dropped: commands refused, by reason.
+        cause: why the last stop was not taken.
+        stops: how many stop messages were taken.
+    """
+
+    def __init__(self, policy: CommandPolicy, now: float) -> None:
+        self._lifetime = math.inf if policy.lifetime is None else policy.lifetime
+        self._can_stop = policy.stop is not None
+        rest = None if policy.stop is None else policy.stop.message
+        self._limits = [(limit, _at(rest, limit.path)) for limit in policy.limits]
+        self._values: list[tuple[float | None, float]] = [(at, -math.inf) for _, at in self._limits]
+        self._since = now
+        self._until = math.inf
+        self._due = math.inf
+        self._failed = 0
+        self._is_sending = False
+        self._has_crossed = False
+        self._closed = False
+        self.phase = CommandPhase.IDLE
+        self.held = False
+        self.dropped: dict[str, int] = {}
+        self.cause = ""
+        self.stops = 0
+
+    def offer(self, message: Message, now: float, age: float = 0.0) -> Refusal | None:
+        """Take a command in; return why it may not be sent, None when it must be sent now.
+
+        Args:
+            message: the command.
+            now: the time.
+            age: seconds since it left its sender.
+        """
+        self.advance(now)
+        refusal = self._refusal(message, now, max(0.0, age))
+        if refusal is not None:
+            self.dropped[refusal.reason] = self.dropped.get(refusal.reason, 0) + 1
+            return refusal
+        self._is_sending = True
+        self._until = now - max(0.0, age) + self._lifetime
+        self._values = [(_at(message, field_limit.path), now) for field_limit, _ in self._limits]
+        if self.phase is not CommandPhase.MOVING:
+            self._turn(CommandPhase.MOVING, now)
+        return None
+
+    def sent(self, now: float) -> None:
+        """Take in that the sending of a command is over, whatever it came to.
+
+        One that raised may have arrived all the same, so it is stopped as any other.
+        """
+        self._is_sending = False
+        if self.phase is CommandPhase.STOPPING and self._due == math.inf:
+            self._due = now
+
+    def advance(self, now: float) -> None:
+        """Let a command expire whose time is over."""
+        if self.phase is CommandPhase.MOVING and now >= self._until:
+            self._stop(now)
+
+    def is_due(self, now: float) -> bool:
+        """Say whether the stop message must be sent now."""
+        self.advance(now)
+        return self.phase is CommandPhase.STOPPING and now >= self._due
+
+    def begin_stop(self, now: float) -> bool:
+        """Say whether the stop is due still; the caller then sends it, one at a time."""
+        self._has_crossed = self._is_sending
+        return self.is_due(now)
+
+    def stop_taken(self, now: float) -> None:
+        """Take in that the sink took the stop message."""
+        self.stops += 1
+        self.cause = ""
+        self._failed = 0
+        if self.phase is not CommandPhase.STOPPING:
+            return
+        if self._has_crossed:
+            self._due = math.inf if self._is_sending else now
+        else:
+            self._turn(CommandPhase.STOPPED, now)
+            self._values = [(rest, -math.inf) for _, rest in self._limits]
+
+    def stop_failed(self, now: float, cause: str) -> None:
+        """Take in that the sink did not take the stop message: it is due again after a pause."""
+        self.cause = cause
+        self._failed += 1
+        self._due = now + _STOP_BACKOFF.pause(self._failed)
+
+    def halt(self, now: float) -> None:
+        """Stop what moves, now and not when it expires; the next command moves it again."""
+        if self.phase is CommandPhase.MOVING:
+            self._stop(now)
+
+    def hold(self, now: float) -> None:
+        """Refuse every command from now on, and stop, also what stands still."""
+        self.held = True
+        self._stop(now)
+
+    def release(self) -> None:
+        """Let commands through again; what has stopped stays so until the next one."""
+        self.held = False
+
+    def close(self, now: float) -> None:
+        """Refuse every command for good; what moves is stopped."""
+        self._closed = True
+        if self.phase is CommandPhase.MOVING:
+            self._stop(now)
+
+    def wake_at(self) -> float:
+        """Return when `is_due` may change without anything being said, infinity for never."""
+        if self.phase is CommandPhase.MOVING:
+            return self._until
+        return self._due if self.phase is CommandPhase.STOPPING else math.inf
+
+    def status(self, now: float) -> CommandStatus:
+        """Return what the status map shows."""
+        moving = self.phase is CommandPhase.MOVING and self._until < math.inf
+        return CommandStatus(
+            self.phase,
+            since=now - self._since,
+            left=max(0.0, self._until - now) if moving else None,
+            held=self.held,
+            stops=self.stops,
+            dropped=tuple(sorted(self.dropped.items())),
+            cause=self.cause,
+        )
+
+    def _refusal(self, message: Message, now: float, age: float) -> Refusal | None:
+        if self._closed:
+            return Refusal("closed", "it is closed")
+        if self.held:
+            return Refusal("held", "commands are refused until the emergency stop is released")
+        if self.phase is CommandPhase.STOPPING:
+            return Refusal("stopping", "it has not taken the stop message yet that is on its way")
+        if age >= self._lifetime:
+            lifetime = f"more than its lifetime of {self._lifetime:g} s"
+            return Refusal("late", f"the command is {age:.3f} s old, {lifetime}")
+        for (limit, _), (before, when) in zip(self._limits, self._values, strict=True):
+            elapsed = min(now - when, self._lifetime)  # a pause gives no leave for a jump
+            text = _beyond(limit, _at(message, limit.path), before, elapsed)
+            if text:
+                return Refusal("beyond-limits", text)
+        return None
+
+    def _stop(self, now: float) -> None:
+        if not self._can_stop:
+            return
+        self._due = now
+        self._failed = 0
+        if self.phase is not CommandPhase.STOPPING:
+            self._turn(CommandPhase.STOPPING, now)
+
+    def _turn(self, phase: CommandPhase, now: float) -> None:
+        self.phase = phase
+        self._since = now
+
+
+def _at(message: object, path: str) -> float | None:
+    """Return the number at a path, None where there is none."""
+    for part in () if path == "." else path.split("."):
+        if not isinstance(message, Mapping):
+            return None
+        message = message.get(part)
+    if isinstance(message, bool) or not isinstance(message, Real):
+        return None
+    try:
+        return float(message)
+    except OverflowError:  # of an integer that JSON writes and no motor means
+        return math.inf
+
+
+def _beyond(limit: FieldLimit, value: float | None, before: float | None, elapsed: float) -> str:
+    """Return how a value is beyond its limits; nothing where it is within them."""
+    if value is None or not math.isfinite(value):
+        return f"{limit.path} is no finite number, which its limits need"
+    if limit.minimum is not None and value < limit.minimum:
+        return f"{limit.path} is {value:g}, less than {limit.minimum:g}"
+    if limit.maximum is not None and value > limit.maximum:
+        return f"{limit.path} is {value:g}, more than {limit.maximum:g}"
+    if limit.rate is None or before is None or elapsed == math.inf:
+        return ""
+    if abs(value - before) > limit.rate * elapsed * (1 + 1e-9):
+        rate = abs(value - before) / elapsed if elapsed > 0 else math.inf
+        return f"{limit.path} would change by {rate:g} in a second, more than {limit.rate:g}"
+    return ""
+
 
 _log = logging.getLogger("uoarm.commands")
 _LONGEST_SECONDS = 3600.0

@@ -11,11 +11,29 @@ from typing import TYPE_CHECKING
 from uoarm._deferred import deferred
 
 if TYPE_CHECKING:
-    from uoarm.cdr._basic import BASIC, FLOAT32_MAX, basic_type, number_schema, ros_unit
-    from uoarm.cdr._codec import Codec, deserialiser, serialiser
+    from uoarm.cdr._codec import (
+        Codec,
+        deserialiser,
+        forget_octets,
+        note_octets,
+        octets_of,
+        serialiser,
+    )
     from uoarm.cdr._definition import RosDefinition, definition_of, structure_of_definition
-    from uoarm.cdr._layout import CORBA, DDS, NATIVE, ROS_1, SWITCH, ByteOrder, Encoding
-    from uoarm.cdr._origin import forget_octets, note_octets, octets_of
+    from uoarm.cdr._layout import (
+        BASIC,
+        CORBA,
+        DDS,
+        FLOAT32_MAX,
+        NATIVE,
+        ROS_1,
+        SWITCH,
+        ByteOrder,
+        Encoding,
+        basic_type,
+        number_schema,
+        ros_unit,
+    )
     from uoarm.cdr._writing import Part
 
 __all__ = [
@@ -47,11 +65,29 @@ if not TYPE_CHECKING:
     __getattr__, __dir__ = deferred(
         __name__,
         {
-            "_basic": ("BASIC", "FLOAT32_MAX", "basic_type", "number_schema", "ros_unit"),
-            "_codec": ("Codec", "deserialiser", "serialiser"),
+            "_codec": (
+                "Codec",
+                "deserialiser",
+                "forget_octets",
+                "note_octets",
+                "octets_of",
+                "serialiser",
+            ),
             "_definition": ("RosDefinition", "definition_of", "structure_of_definition"),
-            "_layout": ("CORBA", "DDS", "NATIVE", "ROS_1", "SWITCH", "ByteOrder", "Encoding"),
-            "_origin": ("forget_octets", "note_octets", "octets_of"),
+            "_layout": (
+                "BASIC",
+                "CORBA",
+                "DDS",
+                "FLOAT32_MAX",
+                "NATIVE",
+                "ROS_1",
+                "SWITCH",
+                "ByteOrder",
+                "Encoding",
+                "basic_type",
+                "number_schema",
+                "ros_unit",
+            ),
             "_writing": ("Part",),
         },
     )

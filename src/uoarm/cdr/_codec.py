@@ -1,8 +1,14 @@
-"""One layout in both directions."""
+"""One layout in both directions, and from which octets a message was read.
+
+A bridge notes those octets around the delivery of a message; a recorder that takes that very
+message, as the same object, in the same thread, writes them. What was adapted, or came through a
+queue or another process, is another object: nothing is known of it, and it is serialised.
+"""
 
 from __future__ import annotations
 
 import struct
+import threading
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -14,7 +20,7 @@ from uoarm.cdr._writing import HEADERS, Part, writer
 from uoarm.errors import MessageError
 from uoarm.model import Budget, Message, MessageStructure
 
-__all__ = ["Codec", "deserialiser", "serialiser"]
+__all__ = ["Codec", "deserialiser", "forget_octets", "note_octets", "octets_of", "serialiser"]
 
 _UNFIT = (
     UnfitValue, struct.error, ArithmeticError, AttributeError, LookupError, TypeError, ValueError,
@@ -134,3 +140,44 @@ def deserialiser(
 ) -> Callable[[bytes | bytearray | memoryview], Message]:
     """Return the function that makes messages of octets of ROS 2, or of ROS 1, which packs them."""
     return Codec(structure, ROS_1 if is_packed else DDS, budget).decode
+
+
+_LITTLE_ENDIAN = b"\0\1"  # plain CDR, as everything here is written
+
+
+class _Noted(threading.local):
+    message: Message = None
+    octets: bytes = b""
+    definition: str = ""
+
+
+_noted = _Noted()
+
+
+def note_octets(message: Message, octets: bytes, definition: str) -> None:
+    """Note of which octets, header first, a message was read that is about to be delivered.
+
+    Args:
+        message: that was read.
+        octets: as ROS 2 serialises it.
+        definition: the text of its type, as `definition_of` gives it.
+    """
+    _noted.message, _noted.octets, _noted.definition = message, octets, definition
+
+
+def forget_octets() -> None:
+    """Note that it was delivered."""
+    _noted.message, _noted.octets = None, b""
+
+
+def octets_of(message: Message, definition: str) -> bytes | None:
+    """Return the octets of which a message of a type was read; None: they are not known here."""
+    noted = _noted
+    if (
+        noted.message is message
+        and message is not None
+        and noted.definition == definition
+        and noted.octets.startswith(_LITTLE_ENDIAN)
+    ):
+        return noted.octets
+    return None

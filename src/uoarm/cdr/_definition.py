@@ -11,7 +11,7 @@ from typing import Any
 
 from attrs import frozen
 
-from uoarm.cdr._basic import BASIC, basic_type, number_schema
+from uoarm.cdr._layout import BASIC, basic_type, number_schema
 from uoarm.errors import MessageError
 from uoarm.model import MessageStructure
 

@@ -14,8 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from uoarm.cdr._basic import FLOAT32_MAX
 from uoarm.cdr._layout import (
+    FLOAT32_MAX,
     SIZES,
     ArrayLayout,
     BooleanLayout,

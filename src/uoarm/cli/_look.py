@@ -35,7 +35,7 @@ from uoarm.errors import BridgeError
 from uoarm.model import to_json
 from uoarm.schema.__main__ import check_files
 
-__all__ = ["bridges", "check", "doctor", "list_functions", "resolve", "schema"]
+__all__ = ["bridges", "check", "doctor", "explain", "list_functions", "resolve", "schema"]
 
 _LARGE = 1_000_000
 _SILENT_SECONDS = 3.0
@@ -297,3 +297,27 @@ def _asked(interpreter: Path, variables: dict[str, str], plugin: str) -> dict[st
     except (ValueError, LookupError, TypeError, AttributeError):
         last = done.stderr.strip().rpartition("\n")[2]
         return {"usable": f"no: it has no uoarm that answers: {last}"}
+
+
+@click.command()
+@click.argument("code", required=False)
+@click.option("--markdown", is_flag=True, help="Write the page of all codes.")
+@json_option
+def explain(code: str | None, *, markdown: bool, as_json: bool) -> None:
+    """Say what an error CODE means and what to do.
+
+    Without CODE: a line about each there is.
+    """
+    from uoarm import error_codes  # noqa: PLC0415 - when first needed
+
+    with reporting():
+        entry = None if code is None else error_codes.explain(code)
+    if as_json:
+        print_json(tuple(error_codes.ERROR_CODES.values()) if entry is None else entry)
+    elif markdown:
+        click.echo(error_codes.markdown(), nl=False)
+    elif entry is not None:
+        click.echo(entry)
+    else:
+        for known in error_codes.ERROR_CODES.values():
+            click.echo(f"{known.code}  {known.title}")

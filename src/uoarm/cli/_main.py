@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from uoarm._raised import text_of
-from uoarm._switch_interval import short_switch_interval
+from uoarm._support.process_tuning import short_switch_interval
 from uoarm._version import __version__
 from uoarm.cli._log import add_log_options, logging_to_stderr
 from uoarm.cli._shared import INTERRUPTED, exit_code_of, fail, importing, terminable
@@ -44,7 +44,7 @@ COMMANDS: Mapping[str, tuple[str, str, str]] = {
     "discover": ("_discover", "discover", "Show every component and port that bridges see now."),
     "doctor": ("_look", "doctor", "Say what the environment is and what plugins find in it."),
     "env": ("_setup", "env", "Make and remove Python environments for bridge hosts."),
-    "explain": ("_explain", "explain", "Say what an error CODE means and what to do."),
+    "explain": ("_look", "explain", "Say what an error CODE means and what to do."),
     "history": ("_remote", "history", "Show the revisions of a running robot's configuration."),
     "host": ("_host", "host", "Run BRIDGES of a configuration, until interrupted."),
     "list": ("_look", "list_functions", "List the functions and the components that provide them."),

@@ -28,17 +28,6 @@ from uoarm.model._component import (
     Service,
 )
 from uoarm.model._control import ControlMessage, Op, read_control, write_control
-from uoarm.model._discovery import BridgeFindings, FoundComponent, FoundPort
-from uoarm.model._json import (
-    Budget,
-    Spending,
-    count_names,
-    finite,
-    read_json,
-    scan_json,
-    show_value,
-    write_json,
-)
 from uoarm.model._message import (
     Deliver,
     Message,
@@ -52,6 +41,9 @@ from uoarm.model._message import (
 )
 from uoarm.model._offer import (
     Availability,
+    BridgeFindings,
+    FoundComponent,
+    FoundPort,
     FunctionStatus,
     Offer,
     OfferedPort,
@@ -98,7 +90,18 @@ from uoarm.model._status import (
     format_status,
     format_trouble,
 )
-from uoarm.model._wire import from_json, to_json
+from uoarm.model._wire import (
+    Budget,
+    Spending,
+    count_names,
+    finite,
+    from_json,
+    read_json,
+    scan_json,
+    show_value,
+    to_json,
+    write_json,
+)
 
 __all__ = [
     "Availability",

@@ -13,8 +13,8 @@ from typing import Any
 from attrs import field, frozen
 
 from uoarm.errors import ControlMessageError
-from uoarm.model._json import Budget, Spending, scan_json
 from uoarm.model._message import Message, Options
+from uoarm.model._wire import Budget, Spending, scan_json
 
 __all__ = ["ControlMessage", "Op", "read_control", "write_control"]
 

@@ -25,7 +25,7 @@ from uoarm.errors import BridgeError, FailureReason, MessageError
 from uoarm.model import Endpoint, Health, Message, MessageStructure, Options, Role, to_json
 from uoarm.record._checking import open_recording
 from uoarm.record._file import require_mcap
-from uoarm.record._forms import EVENTS_TOPIC
+from uoarm.record._forms import EVENTS_TOPIC, RECORDED, ChannelReading, reading_of
 from uoarm.record._playback import (
     CONTROL,
     CONTROL_REPLY,
@@ -35,7 +35,6 @@ from uoarm.record._playback import (
     Timeline,
 )
 from uoarm.record._reading import McapReader, RecordedFile
-from uoarm.record._structures import RECORDED, ChannelReading, reading_of
 
 __all__ = ["RecordingBridge"]
 

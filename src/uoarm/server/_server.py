@@ -17,7 +17,7 @@ from websockets.frames import CloseCode
 
 from uoarm._control import RobotManager
 from uoarm._raised import foreign
-from uoarm._support.allocator import give_memory_back
+from uoarm._support.process_tuning import give_memory_back
 from uoarm._wire import FORMS, TEXT_FORM
 from uoarm.errors import ConfigurationError
 from uoarm.model import StatusEvent

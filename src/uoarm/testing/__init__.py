@@ -6,10 +6,9 @@ The conformance kit for bridge authors is `uoarm.testing.conformance`, which nee
 
 from uoarm.testing._collector import Background, Collector, copies, losses, plain, same
 from uoarm.testing._components import Emitter, Loop, MemoryService, Script, Taker
-from uoarm.testing._faults import Hang, hanging, lying, raising
+from uoarm.testing._faults import Hang, Proxy, hanging, lying, raising
 from uoarm.testing._instances import find_instance, instances
 from uoarm.testing._memory import MemoryBridge
-from uoarm.testing._proxy import Proxy
 from uoarm.testing._resources import Census, free_port, hold_idle
 from uoarm.testing._time import ManualClock, patience, slowness, wait
 

@@ -1,22 +1,30 @@
-"""Faults on demand: a step of any bridge raises, hangs or lies while a `with` block runs.
+"""Faults on demand: of a step of any bridge, and of a TCP connection through a `Proxy`.
 
-Each replaces one raw step (`_describe`, `_open_sink`, ...) of one bridge instance, below the
-core's final methods, which is where a framework would fail. What a real framework does beside
-(print, crash the process, hold the interpreter) is not imitated.
+A step raises, hangs or lies while a `with` block runs. Each fault replaces one raw step
+(`_describe`, `_open_sink`, ...) of one bridge instance, below the core's final methods, which is
+where a framework would fail. What a real framework does beside (print, crash the process, hold the
+interpreter) is not imitated. A `Proxy` between client and server breaks connections for real.
 """
 
 from __future__ import annotations
 
+import asyncio
+import socket
+import struct
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
+from types import TracebackType
 from typing import Any
+
+from typing_extensions import Self
 
 from uoarm._arguments import arguments
 from uoarm.bridge import Bridge, Channel
 from uoarm.testing._time import patience
 
-__all__ = ["Hang", "hanging", "lying", "raising"]
+__all__ = ["Hang", "Proxy", "hanging", "lying", "raising"]
 
 
 class Hang:
@@ -98,3 +106,144 @@ def _replaced(
             delattr(subject, step)
         else:
             setattr(subject, step, before)
+
+
+_RESET = struct.pack("ii", 1, 0)
+
+
+class Proxy:
+    """Passes bytes on until it is told otherwise; methods from any thread.
+
+    Realism: `cut` resets both ends as a crashed router would; `hold` keeps bytes as a dead link
+    does, and what was held at a cut is lost.
+    """
+
+    def __init__(self, port: int) -> None:
+        self._target = port
+        self._loop = asyncio.new_event_loop()
+        self._pairs: set[tuple[_End, _End]] = set()
+        self._admits = True
+        self.refused = 0
+        self._server: asyncio.AbstractServer | None = None
+        self._thread = threading.Thread(target=self._loop.run_forever, daemon=True)
+
+    @property
+    def port(self) -> int:
+        assert self._server is not None
+        number: int = self._server.sockets[0].getsockname()[1]  # type: ignore[attr-defined]
+        return number
+
+    def cut(self, *, admit: bool = True, server: bool = True) -> None:
+        """Reset every connection, with `server=False` towards the client only."""
+        self._do(partial(self._cut, admit=admit, server=server))
+
+    def admit(self) -> None:
+        """Let clients connect again."""
+        self._do(setattr, self, "_admits", True)
+
+    def hold(self, *, to_server: bool = False, to_client: bool = False) -> None:
+        """Keep what comes from now on, in these directions."""
+        for client, backend in list(self._pairs):
+            self._do(setattr, client, "held", to_server)
+            self._do(setattr, backend, "held", to_client)
+
+    def jam(self) -> None:
+        """Take nothing more from the server, so that it cannot write on."""
+        for _, backend in list(self._pairs):
+            self._do(backend.pause)
+
+    def _do(self, action: Any, *arguments: Any) -> None:
+        async def act() -> None:
+            action(*arguments)
+
+        asyncio.run_coroutine_threadsafe(act(), self._loop).result(patience())
+
+    def _cut(self, *, admit: bool, server: bool) -> None:
+        self._admits = admit
+        for client, backend in self._pairs:
+            client.reset()
+            if server:
+                backend.reset()
+        self._pairs.clear()
+
+    async def _start(self) -> None:
+        self._server = await self._loop.create_server(lambda: _End(self), "127.0.0.1", 0)
+
+    async def connect(self, client: _End) -> None:
+        """Find a way to the server for a client that has come."""
+        if not self._admits:
+            self.refused += 1
+            client.reset()
+            return
+        _, backend = await self._loop.create_connection(
+            lambda: _End(None), "127.0.0.1", self._target
+        )
+        self._pairs.add((client, backend))
+        client.join(backend)
+        backend.join(client)
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        asyncio.run_coroutine_threadsafe(self._start(), self._loop).result(patience())
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.cut(admit=False)
+        assert self._server is not None
+        self._do(self._server.close)
+        self._loop.call_soon_threadsafe(self._loop.stop)
+        self._thread.join(patience())
+        self._loop.close()
+
+
+class _End(asyncio.Protocol):
+    """One of the two connections of a pair."""
+
+    def __init__(self, proxy: Proxy | None) -> None:
+        self._proxy = proxy
+        self._early = bytearray()
+        self._peer: _End | None = None
+        self._transport: Any = None
+        self.held = False
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        self._transport = transport
+        if self._proxy is not None:
+            self._connecting = asyncio.ensure_future(self._proxy.connect(self))
+
+    def join(self, peer: _End) -> None:
+        self._peer = peer
+        peer.write(bytes(self._early))
+
+    def data_received(self, data: bytes) -> None:
+        if self._peer is None:
+            self._early += data
+        elif not self.held:
+            self._peer.write(data)
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        del exc
+        if self._peer is not None and not self.held:
+            self._peer.close()
+
+    def write(self, data: bytes) -> None:
+        self._transport.write(data)
+
+    def pause(self) -> None:
+        self._transport.pause_reading()
+
+    def close(self) -> None:
+        self._transport.close()
+
+    def reset(self) -> None:
+        self._peer = None
+        if self._transport.is_closing():
+            return
+        found: socket.socket = self._transport.get_extra_info("socket")
+        found.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _RESET)
+        self._transport.abort()

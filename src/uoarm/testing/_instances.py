@@ -11,11 +11,10 @@ from typing import TYPE_CHECKING, TypeAlias
 
 from jsonschema import Draft202012Validator
 
-from uoarm.testing._choices import CHARACTERS, DrawnChoices, chance
-from uoarm.testing._instance_builder import Builder, TooLargeError
+from uoarm.testing._instance_builder import CHARACTERS, Builder, DrawnChoices, TooLargeError, chance
 
 if TYPE_CHECKING:
-    from uoarm.testing._choices import Choices
+    from uoarm.testing._instance_builder import Choices
 
 _OTHERS: tuple[object, ...] = (None, True, False, 0, 1, -1, 0.5, "", "a", [], [0], {}, {"x": 0})
 if TYPE_CHECKING:
@@ -23,7 +22,7 @@ if TYPE_CHECKING:
 
     from hypothesis.strategies import DrawFn, SearchStrategy
 
-    from uoarm.testing._choices import Choices
+    from uoarm.testing._instance_builder import Choices
 
 Schema: TypeAlias = "bool | Mapping[str, object]"
 _ATTEMPTS = 6

@@ -25,8 +25,16 @@ from uoarm.bridge import (
 )
 from uoarm.errors import BridgeError, FailureReason
 from uoarm.model import Deliver, Endpoint, Health, Message, MessageStructure, Options, Role, Schema
-from uoarm.testing._components import CLEARED, Emitter, Loop, MemoryService, Taker
-from uoarm.testing._native import PAIRS, ROWS, codec
+from uoarm.testing._components import (
+    CLEARED,
+    PAIRS,
+    ROWS,
+    Emitter,
+    Loop,
+    MemoryService,
+    Taker,
+    codec,
+)
 
 __all__ = ["MemoryBridge"]
 
@@ -38,7 +46,7 @@ class MemoryBridge(Bridge):
 
     An endpoint's address is one string, the name under which the test made the component with
     `emitter`, `taker`, `loop` or `service`. Producers keep their messages as rows, consumers
-    take them as pairs (`_native.py`), and each is opened only with its own structure.
+    take them as pairs (`PAIRS`), and each is opened only with its own structure.
 
     Args:
         name: name of this instance.

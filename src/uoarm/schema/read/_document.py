@@ -15,7 +15,6 @@ from urllib.parse import urlsplit
 
 from uoarm.schema._errors import Meter, OutOfScopeError, Pointer, SchemaError, write_pointer
 from uoarm.schema._values import SCALARS, Keys
-from uoarm.schema.read._dialects import DRAFT_2019, NEWEST, dialect_of
 from uoarm.schema.read._node import (
     ANNOTATIONS,
     LISTS,
@@ -27,7 +26,16 @@ from uoarm.schema.read._node import (
     Scope,
     check_keyword,
 )
-from uoarm.schema.read._resources import PLACING, POSITIONAL, REFERENCES, Resources, Scopes
+from uoarm.schema.read._resources import (
+    DRAFT_2019,
+    NEWEST,
+    PLACING,
+    POSITIONAL,
+    REFERENCES,
+    Resources,
+    Scopes,
+    dialect_of,
+)
 from uoarm.schema.regex import UnsupportedPatternError, is_disputed
 
 __all__ = ["Pool", "SchemaDocument", "Texts", "is_plain"]

@@ -14,8 +14,7 @@ from uoarm.testing._time import default_limits, patience
 from uoarm.testing.conformance._describing import Declaring, Describing
 from uoarm.testing.conformance._ending import EndingRules
 from uoarm.testing.conformance._failures import Breaking, DisturbanceRules
-from uoarm.testing.conformance._flow import Flow
-from uoarm.testing.conformance._services import ServiceRules
+from uoarm.testing.conformance._flow import Flow, ServiceRules
 from uoarm.testing.conformance._world import World
 
 __all__ = ["BridgeConformance"]
