@@ -22,11 +22,12 @@ from uoarm import (
     MessageError,
     QueuePolicy,
     ResolutionError,
+    RobotManager,
     UsageError,
 )
 from uoarm.client import RemoteRobot, RemoteStream, ServerError, connect
 from uoarm.server import Limits, Server, hash_token
-from uoarm.testing import patience, slowness
+from uoarm.testing import patience, slowness, wait
 
 Work = Callable[[RemoteRobot], Awaitable[None]]
 FORMS = pytest.mark.parametrize("binary", [False, True], ids=["json", "cbor"])
@@ -190,6 +191,21 @@ def test_changes_are_watched(server: Server) -> None:
         async with await client.request("numbers"):
             pass
         assert await watching == ["opening", "running", "closed"]
+
+    run(server, work)
+
+
+def test_a_request_that_is_given_up_is_given_back(server: Server, robot: RobotManager) -> None:
+    async def work(client: RemoteRobot) -> None:
+        asking = asyncio.ensure_future(client.request("numbers"))
+        # In turns of the loop and then without it, so that the answer is not read before.
+        while not client._link._unanswered:  # noqa: ASYNC110 - there is no event of it
+            await asyncio.sleep(0)
+        wait(lambda: robot.status().connections, "it was not opened")
+        asking.cancel()
+        with pytest.raises(asyncio.CancelledError):
+            await asking
+        await asyncio.to_thread(wait, lambda: not robot.status().connections)
 
     run(server, work)
 

@@ -293,6 +293,20 @@ def test_kill_waits_for_what_was_sent_before_it(talk: Connect) -> None:
     assert [item["value"] for item in listener.data(connection, 50)] == list(range(50))
 
 
+def test_a_request_waits_for_the_kill_before_it(talk: Connect) -> None:
+    client = talk()
+    first = client.open("hang", receive=False)
+    client.ask("Data", first, {"text": ""})  # is with the component, so that the kill has to wait
+    killed = client.send("Kill", first)
+    again = client.send("Request", "hang", {"receive": False})
+    client.ask("List")  # by then the request was looked at
+    script.gate.set()
+    assert client.answer(killed)["op"] == "Reply"
+    opened = client.answer(again)
+    assert opened["op"] == "Reply", opened
+    client.ask("Data", opened["jsonMessage"]["connection"], {"text": ""})
+
+
 def test_requests_under_way_are_limited(serve: Serve) -> None:
     server = serve(Limits(calls=2))
     with Talk(f"ws://127.0.0.1:{server.ports[0]}/") as client:

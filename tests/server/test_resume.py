@@ -180,6 +180,24 @@ def test_what_never_arrived_is_reported_and_not_done_twice(
     run(proxy, work)
 
 
+def test_a_kill_that_a_drop_took_is_asked_again(
+    server: Server, between: Between, robot: RobotManager
+) -> None:
+    proxy = between(server)
+
+    async def work(client: RemoteRobot) -> None:
+        stream = await client.request("numbers")
+        proxy.hold(to_server=True)
+        killing = asyncio.ensure_future(stream.kill())
+        await asyncio.sleep(0)
+        async with resumed(client):
+            proxy.cut()
+        await killing
+        await until(lambda: not robot.status().connections)
+
+    run(proxy, work)
+
+
 def test_what_is_asked_while_it_is_down_waits(server: Server, between: Between) -> None:
     proxy = between(server)
 

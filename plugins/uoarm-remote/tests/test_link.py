@@ -100,6 +100,29 @@ def test_what_is_closed_while_the_link_is_down_ends_there_once_it_is_up(
         )
 
 
+def test_what_was_closed_as_the_link_dropped_ends_there_and_opens_again(
+    robot: ServedRobot, proxy: Proxy, desk: Desk
+) -> None:
+    manager = desk(through(proxy))
+    with manager.request("drive"):
+        with manager.request("counter") as counter:
+            counter.get(patience())
+            proxy.hold(to_server=True)
+        proxy.cut()
+        wait(lambda: facts_of(manager)["breaks"] == 1, "the break was not noticed")
+        wait(lambda: answers(manager), "the link is not up again")
+        with manager.request("counter", timeout=patience()) as counter:
+            counter.get(patience())
+    wait(lambda: not robot.manager.status().connections, "a connection there is still open")
+
+
+def answers(manager: RobotManager) -> bool:
+    try:
+        return bool(manager.call("double", {"value": 1}, timeout=patience()))
+    except (BridgeError, ResolutionError):
+        return False
+
+
 def test_what_moves_stops_there_when_the_link_is_cut(
     robot: ServedRobot, proxy: Proxy, desk: Desk
 ) -> None:

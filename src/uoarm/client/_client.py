@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import itertools
 import ssl
-from collections.abc import AsyncIterator, Callable, Mapping
+from collections.abc import AsyncIterator, Callable, Coroutine, Mapping
 from contextlib import asynccontextmanager, suppress
 from functools import partial
 from types import MappingProxyType
@@ -30,6 +30,8 @@ __all__ = ["RemoteRobot", "ServerAddress", "ServerError", "connect"]
 
 _HELD = 1024
 _DIAGNOSIS_SECONDS = 1.0
+# What may be asked once more where a drop took the question or its answer.
+_REPEATABLE = frozenset({"Kill", "List", "Resolve"})
 _Changes: TypeAlias = "asyncio.Queue[StatusEvent | None]"
 _KEYS: Mapping[str, Callable[[Mapping[str, Any]], Any]] = {
     "components": lambda entry: entry["name"],
@@ -186,6 +188,8 @@ class RemoteRobot:
         # Streams of a session that is gone, until this one has opened them again.
         self._away: set[RemoteStream[Any]] = set()
         self._renewing: set[asyncio.Task[None]] = set()
+        # Requests that were given up before their answer: what they open is given back.
+        self._abandoned: set[str] = set()
 
     @property
     def restarts(self) -> int:
@@ -569,6 +573,7 @@ class RemoteRobot:
     def _lose(self, cause: str) -> None:
         """Fail what waits, and let nothing be sent to connections of a session that is gone."""
         self._fail(cause)
+        self._abandoned.clear()
         for stream in self._streams.values():
             stream.suspend()
             self._away.add(stream)
@@ -577,13 +582,15 @@ class RemoteRobot:
     def _open_again(self) -> None:
         """Have a new session open what the one before had, and report what changes."""
         self._away = {stream for stream in self._away if not stream.ended}
-        works = [self._renew(stream) for stream in self._away]
+        for stream in self._away:
+            self._begin(self._renew(stream))
         if self._watchers:
-            works.append(self._watch_again())
-        for work in works:
-            renewing = asyncio.ensure_future(work)
-            self._renewing.add(renewing)
-            renewing.add_done_callback(self._renewing.discard)
+            self._begin(self._watch_again())
+
+    def _begin(self, work: Coroutine[Any, Any, None]) -> None:
+        renewing = asyncio.ensure_future(work)
+        self._renewing.add(renewing)
+        renewing.add_done_callback(self._renewing.discard)
 
     async def _renew(self, stream: RemoteStream[Any]) -> None:
         session = self._link.session
@@ -596,6 +603,10 @@ class RemoteRobot:
             if session == self._link.session:  # otherwise it is tried again already
                 self._away.discard(stream)
                 stream.finish("failed", f"after a restart of the server: {error}")
+
+    async def _give_back(self, connection: str) -> None:
+        with suppress(errors.UoarmError):
+            await self.ask("Kill", connection)
 
     async def _watch_again(self) -> None:
         with suppress(errors.UoarmError):
@@ -642,6 +653,18 @@ class RemoteRobot:
             UoarmError: the server refused, as the other methods raise it.
             ConnectionClosedError: the connection has ended for good.
         """
+        while True:
+            before = self.resumed, self.restarts
+            try:
+                return await self._ask(op, kind, renewed, more)
+            except errors.ConnectionClosedError:
+                was_dropped = before[0] < self.resumed and before[1] == self.restarts
+                if op not in _REPEATABLE or not was_dropped or self._link.closed:
+                    raise
+
+    async def _ask(
+        self, op: str, kind: str, renewed: RemoteStream[Any] | None, more: Mapping[str, Any]
+    ) -> Any:
         if self._link.closed:
             raise errors.ConnectionClosedError(self._link.closed)
         identity = str(next(self._ids))
@@ -653,6 +676,8 @@ class RemoteRobot:
             return await asked.answer
         finally:
             self._asked.pop(identity, None)
+            if op == "Request" and self._link.is_unanswered(identity):
+                self._abandoned.add(identity)
             if asked.answer.done() and not asked.answer.cancelled():
                 asked.answer.exception()  # it is seen, also where sending failed before
 
@@ -689,6 +714,11 @@ class RemoteRobot:
         stream = self._streams.get(received.get("type", ""))
         if received["op"] == "Error" and "id" not in received and stream is not None:
             stream.refuse(message["text"])  # one of its messages could not be written
+        if received.get("id") in self._abandoned:
+            self._abandoned.discard(received["id"])
+            if received["op"] == "Reply":
+                self._begin(self._give_back(message["connection"]))
+            return
         if asked is None or asked.answer.done():
             return
         if received["op"] == "Error":

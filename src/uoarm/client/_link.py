@@ -127,6 +127,10 @@ class Link:
                 raise ConnectionClosedError(f"the server is gone: {error}") from error
             # Whether it arrived is known when the session goes on: then it has its answer.
 
+    def is_unanswered(self, identity: str) -> bool:
+        """Say whether a question was sent, or may have been, and its answer has not come."""
+        return identity in self._unanswered
+
     async def run(self) -> None:
         """Read until the connection has ended for good; `closed` then says why."""
         try:

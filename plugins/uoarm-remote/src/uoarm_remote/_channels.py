@@ -111,13 +111,16 @@ class FunctionStreams:
         async with shared.opening:  # one that joins meanwhile keeps it
             if shared.members or self._streams.get(channel.key) is not shared:
                 return
-            del self._streams[channel.key]
-            stream, reading = shared.stream, shared.reading
-        if reading is not None:
-            reading.cancel()
-        if stream is not None:
-            with suppress(UoarmError):  # where the link is down, it is asked once that is up
-                await stream.kill()
+            if shared.reading is not None:
+                shared.reading.cancel()
+            stream, shared.stream = shared.stream, None
+            if stream is not None:
+                # Where the link is down, this waits until it is up; what is opened again waits for
+                # it: the other manager has one connection of a function for one client.
+                with suppress(UoarmError):
+                    await stream.kill()
+            if not shared.members:
+                del self._streams[channel.key]
 
 
 class _Monitored:

@@ -198,6 +198,11 @@ class ClientStreams:
         self._opening += 1
         try:
             feed = await self._join(wanted, options.get("wait", 0), on_absent)
+            while (killed := self._killed(feed)) is not None:
+                # This client gives the same connection back: it is had again once that is done.
+                self._registry.leave(feed)
+                await killed
+                feed = await self._join(wanted, options.get("wait", 0), on_absent)
         finally:
             self._opening -= 1
         connection = feed.connection
@@ -209,6 +214,21 @@ class ClientStreams:
             raise UsageError(f"this client has {wanted.name!r} open as {connection.id}")
         stream = self._streams[connection.id] = self._stream(feed, connection, options)
         return stream
+
+    def _killed(self, feed: Feed) -> asyncio.Future[None] | None:
+        """Return what has the end of a kill of this client's that is under way; None: none is."""
+        assert feed.connection is not None, "join returns feeds that are open"
+        pending = self._killing.get(feed.connection.id)
+        if pending is None:
+            return None
+        killed: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+
+        def end() -> None:
+            if not killed.done():
+                killed.set_result(None)
+
+        pending.append(end)
+        return killed
 
     async def _join(self, wanted: FeedKey, seconds: float, on_absent: OnAbsent) -> Feed:
         if not seconds:
