@@ -25,7 +25,7 @@ _PHRASES = re.compile(
 )
 # What belongs into benchmarks.md: how fast something was, on which machine, under which load.
 _MEASURED = re.compile(
-    r"\bload (?:of )?\d|\bp99\b|\bmedians?\b|\b(?:two|four) (?:shared )?cores\b|\bthis machine\b",
+    r"\bload (?:of )?\d|\bp99\b|\bmedians?\b|\b(?:two|four) (?:shared )?cores\b",
     re.IGNORECASE,
 )
 _FENCE = re.compile(r"^( *)(`{3,}|~{3,}).*?^\1\2[`~]*$", re.MULTILINE | re.DOTALL)

@@ -125,6 +125,23 @@ def test_every_page_is_in_the_contents() -> None:
     assert listed == {page.stem for page in ROOT.glob("docs/*.md")} - {"index"}
 
 
+@pytest.mark.parametrize("name", ["architecture.md", "control-plane.md"])
+def test_modules_and_classes_that_the_tour_names_exist(name: str) -> None:
+    text = (ROOT / "docs" / name).read_text(encoding="utf-8")
+    sources = {
+        path.relative_to(ROOT).as_posix(): path.read_text(encoding="utf-8")
+        for pattern in ("src/**/*.py", "plugins/*/src/**/*.py", "tests/**/*.py")
+        for path in ROOT.glob(pattern)
+    }
+    modules = set(re.findall(r"`([\w/]+\.py)`", text))
+    assert not [
+        item for item in modules if not any(f"/{path}".endswith(f"/{item}") for path in sources)
+    ]
+    defined = set(re.findall(r"^class (\w+)", "\n".join(sources.values()), re.MULTILINE))
+    named = set(re.findall(r"`([A-Z][a-z]+[A-Z]\w+)`", text))
+    assert named <= defined, named - defined
+
+
 @frozen
 class Command:
     """A command that a page shows, and what it prints."""

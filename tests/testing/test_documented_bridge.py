@@ -22,7 +22,7 @@ can = pytest.importorskip("can")
 PAGE = Path(__file__).parents[2] / "docs" / "writing-a-bridge.md"
 BLOCK = re.compile(r"^```python\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 TEXT = PAGE.read_text(encoding="utf-8")
-CODE = BLOCK.findall(TEXT)[-1]
+CODE = next(code for code in BLOCK.findall(TEXT) if "uoarm_bridge_types" in code)
 ROBOT = re.findall(r"^```yaml\n(version: 1.*?)^```$", TEXT, re.MULTILINE | re.DOTALL)[-1]
 CHANNELS = itertools.count()
 

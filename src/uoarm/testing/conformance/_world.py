@@ -162,7 +162,7 @@ def _resolved(root: Schema, schema: object) -> object:
 
 
 _TRICKLE_SECONDS = 0.2
-PAGE = "docs/writing-a-bridge.md"
+PAGE = "docs/bridge-contract.md"
 T = TypeVar("T")
 
 
@@ -432,7 +432,7 @@ def rules(section: str) -> Callable[[type[T]], type[T]]:
     A test's name is its rule.
 
     Args:
-        section: anchor on the page on writing bridges.
+        section: anchor on the page on the contract of bridges.
     """
 
     def mark(tests: type[T]) -> type[T]:
