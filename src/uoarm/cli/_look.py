@@ -20,6 +20,7 @@ from uoarm._version import __version__
 from uoarm.bridge import Registry
 from uoarm.cli._file import Unnamed, takes_configuration
 from uoarm.cli._shared import (
+    BRIDGE,
     CONFIGURATION,
     function_argument,
     json_option,
@@ -200,12 +201,28 @@ def bridges(*, file: str | None, as_json: bool) -> None:
 
 @click.command()
 @takes_configuration(unnamed=Unnamed.NONE)
+@click.option(
+    "--service", "is_service", is_flag=True, help="Look at the installed systemd unit instead."
+)
+@click.option(
+    "--unit",
+    default="uoarm.service",
+    show_default=True,
+    metavar="UNIT",
+    help="Which unit --service looks at: a name, or the path of a file.",
+)
 @json_option
-def doctor(*, file: str | None, as_json: bool) -> None:
+def doctor(*, file: str | None, is_service: bool, unit: str, as_json: bool) -> None:
     """Say what the environment is and what plugins find in it.
 
     With a configuration also what its bridges find that have an environment of their own.
+
+    With --service: what of an installed service does not hold. Looked at are its user, the rights
+    of its files and secrets, ports, watchdog and bounds. Exit code 4 where it would not run safely.
     """
+    if is_service:
+        _examine_service(unit, as_json=as_json)
+        return
     from uoarm._checks import plugin_facts  # noqa: PLC0415 - when first needed
 
     registry = Registry()
@@ -228,6 +245,27 @@ def doctor(*, file: str | None, as_json: bool) -> None:
         click.echo(click.style(name, bold=True))
         for key, finding in findings.items():
             click.echo(f"  {key:<14} {finding}")
+
+
+_COLOURS = {"ok": "green", "warning": "yellow", "error": "red"}
+
+
+def _examine_service(name: str, *, as_json: bool) -> None:
+    from uoarm.cli._service import Level, examine, find_unit, read_unit  # noqa: PLC0415 - as above
+
+    with reporting():
+        unit = read_unit(find_unit(name))
+    findings = examine(unit)
+    is_usable = all(finding.level is not Level.ERROR for finding in findings)
+    if as_json:
+        print_json({"unit": str(unit.path), "usable": is_usable, "findings": to_json(findings)})
+    else:
+        click.echo(click.style(str(unit.path), bold=True))
+        for finding in findings:
+            level = click.style(f"{finding.level.value:<8}", fg=_COLOURS[finding.level.value])
+            click.echo(f"  {finding.check:<14} {level} {finding.text}")
+    if not is_usable:
+        sys.exit(BRIDGE)
 
 
 @click.group(invoke_without_command=True)
