@@ -66,7 +66,7 @@ class Link:
         while self._may_write >= WRITE and not self.window.is_full(self.now):
             self._may_write -= WRITE
             self._written += WRITE
-            self.window.sent(WRITE)
+            self.window.sent += WRITE
             self._arriving.append((self.now + self.round_trip / 2, self._written))
             self.ping(is_behind=is_behind)
 
@@ -200,16 +200,16 @@ def test_a_client_that_keeps_up_is_pinged_seldom_and_bounded_by_nothing() -> Non
 def test_a_client_that_is_sent_little_is_pinged_once() -> None:
     window = met()
     for now in range(10):
-        window.sent(100)
+        window.sent += 100
         assert not window.wants_ping(float(now), is_behind=False)
 
 
 def test_a_client_that_does_not_answer_gets_nothing_more_after_a_while() -> None:
     window = met()
-    window.sent(WRITE)
+    window.sent += WRITE
     assert window.wants_ping(0.0, is_behind=False)
     window.asked(0.0)
-    window.sent(10**9)
+    window.sent += 10**9
     assert not window.wants_ping(0.3, is_behind=False)
     assert not window.is_full(0.3)
     assert window.is_full(0.5)
@@ -226,7 +226,7 @@ def test_a_client_that_has_caught_up_is_bounded_no_more() -> None:
     assert link.window.is_full(link.now)
     link.run_idle(2)  # everything is read
     link.window.wants_ping(link.now, is_behind=False)
-    link.window.sent(10**9)
+    link.window.sent += 10**9
     assert not link.window.is_full(link.now)
 
 
@@ -235,7 +235,7 @@ def test_until_two_answers_or_without_any_how_long_it_takes_is_what_was_waited(
     answered: int,
 ) -> None:
     window = met()
-    window.sent(WRITE)
+    window.sent += WRITE
     window.wants_ping(0.0, is_behind=True)
     window.asked(0.0)
     if answered:
@@ -250,7 +250,7 @@ def test_until_two_answers_or_without_any_how_long_it_takes_is_what_was_waited(
 def test_each_answer_is_a_sign_of_life_however_late() -> None:
     window = met()
     for now in (0.0, 1.0):
-        window.sent(WRITE)
+        window.sent += WRITE
         window.wants_ping(now, is_behind=True)
         window.asked(now)
     assert window.silent(9.0) == 9.0
@@ -264,7 +264,7 @@ def test_a_window_that_is_full_has_a_ping_under_way_or_asks_for_one() -> None:
     window = met()
     assert window.wants_ping(0.0, is_behind=True)
     window.asked(0.0)
-    window.sent(3 * WRITE)
+    window.sent += 3 * WRITE
     window.answered(3.0)  # it reads 64 KiB a second
     assert window.is_full(3.0)
     assert window.is_stuck(3.0)
@@ -281,7 +281,7 @@ def test_a_free_window_is_never_full_and_has_nothing_known_under_way(seed: int) 
     was_free_again = False
     for _ in range(2000):
         now += steps.choice((0.001, 0.05, 0.3, 2.0))
-        window.sent(steps.choice((100, 100_000)))
+        window.sent += steps.choice((100, 100_000))
         if window.wants_ping(now, is_behind=steps.random() < 0.05):
             window.asked(now)
             pings += 1

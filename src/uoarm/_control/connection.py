@@ -48,6 +48,7 @@ class Connection(Generic[T]):
     ) -> None:
         self.id = runtime.id
         self._runtime = runtime
+        self._receiver = runtime.receiver  # the server looks at its outlet for each message
         self._driver = driver
         self._type = as_type
         runtime.handle = self
@@ -97,7 +98,7 @@ class Connection(Generic[T]):
         if self.output is None:
             raise UsageError(f"function {self.plan.function!r} has no output to read")
         try:
-            message = self._runtime.receiver.inbox.get(timeout)
+            message = self._receiver.inbox.get(timeout)
         except TimeoutError as error:
             if not timeout:  # a look whether there is one
                 raise
@@ -259,15 +260,7 @@ class Connection(Generic[T]):
         if self.output is None:
             raise UsageError(f"function {self.plan.function!r} has no output to read")
         take = callback if self._type is None else self._type.callback(callback)
-        return self._runtime.receiver.inbox.subscribe(take)
-
-    def _standing(self) -> tuple[Message, ...]:
-        """Return what stands at a latched output, for who joins this connection; as it came."""
-        return self._runtime.receiver.standing()
-
-    def _is_latched(self) -> bool:
-        """Say whether who joins this connection gets first what its output gave last."""
-        return self._runtime.receiver.is_latched
+        return self._receiver.inbox.subscribe(take)
 
     def kill(self) -> None:
         """End the connection and close what only it used. Once is enough; bounded in time.
@@ -300,7 +293,7 @@ class Connection(Generic[T]):
 
     def _on_wake(self, wake: Callable[[], None] | None) -> None:
         """Have `wake` called when a message or the end can be read; for event loops."""
-        self._runtime.receiver.inbox.on_wake(wake)
+        self._receiver.inbox.on_wake(wake)
 
     def status(self) -> ConnectionStatus:
         """Return what the status map shows."""

@@ -135,6 +135,8 @@ class Outlet:
 
     Attributes:
         undelivered: messages that came while no route was there.
+        retains: whether the last messages are for those who join later; None while the source opens
+            and that is not known.
     """
 
     __slots__ = (
@@ -142,10 +144,10 @@ class Outlet:
         "_last",
         "_lock",
         "_reader",
-        "_retains",
         "_routes",
         "_standing",
         "_turns",
+        "retains",
         "undelivered",
     )
 
@@ -160,9 +162,9 @@ class Outlet:
         # threads of the manager against the source's. It is never held while a route takes a
         # message, which may block. Where a turn's lock is needed too, that one is taken first.
         self._lock = threading.Lock()
-        # None while the source opens. Read without the lock on the way of every message: once it is
-        # False it stays, and a reader that saw None before looks again under the lock.
-        self._retains: bool | None = None
+        # Read without the lock on the way of every message: once it is False it stays, and a
+        # reader that saw None before looks again under the lock.
+        self.retains: bool | None = None
         self._turns: dict[Route, _Turn] = {}
         self._last: tuple[int, Message] = 0, None
         self._standing = _Standing()
@@ -172,11 +174,6 @@ class Outlet:
     def routes(self) -> tuple[Route, ...]:
         """The routes attached now."""
         return self._routes
-
-    @property
-    def retains(self) -> bool:
-        """Whether the last messages are for those who join later."""
-        return self._retains is True
 
     def retain(self, retains: bool, depth: int = 1) -> None:  # noqa: FBT001 - the source's answer
         """Say, once the source is open, whether the last messages are for those who join later.
@@ -188,7 +185,7 @@ class Outlet:
             depth: how many of each writer.
         """
         with self._lock:
-            self._retains = retains
+            self.retains = retains
             turns = tuple(self._turns.values())
             if not retains:
                 self._turns, self._last = {}, (0, None)
@@ -216,7 +213,7 @@ class Outlet:
         """
         if self._is_suspected:
             self.readable()
-        if self._retains is not False and self._deliver_kept(message, writer):
+        if self.retains is not False and self._deliver_kept(message, writer):
             return
         routes = self._routes  # read once: it may be replaced while a route takes the message
         for route in routes:
@@ -249,7 +246,7 @@ class Outlet:
 
     def standing(self) -> tuple[Message, ...]:
         """Return what stands, oldest first; of a source that is being opened, what may."""
-        if self._retains is False:
+        if self.retains is False:
             return ()
         with self._lock:
             return tuple(message for _, message, _ in self._standing.messages.values())
@@ -257,7 +254,7 @@ class Outlet:
     def _deliver_kept(self, message: Message, writer: str) -> bool:
         """Hand a message over and keep it; False where it turns out that none is retained."""
         with self._lock:
-            if self._retains is False:  # said while this waited for the lock: no route has a turn
+            if self.retains is False:  # said while this waited for the lock: no route has a turn
                 return False
             number = self._last[0] + 1
             self._last = number, message
@@ -284,12 +281,12 @@ class Outlet:
             with self._lock:
                 kept = [attached for attached in self._routes if not attached.closed]
                 self._routes = (*kept, route)
-                if self._retains is not False:
+                if self.retains is not False:
                     self._turns = {
                         **{attached: self._turns[attached] for attached in kept},
                         route: turn,
                     }
-                if not self._retains:
+                if not self.retains:
                     turn.joined = self._last[0]
                     return
                 standing = tuple(self._standing.messages.items())
@@ -310,7 +307,7 @@ class Outlet:
             return
         with turn.lock:
             yield
-            if not self._retains:
+            if not self.retains:
                 return
             with self._lock:
                 # What came until now is in `standing` or is gone: a thread that still brings one

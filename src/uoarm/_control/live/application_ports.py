@@ -72,11 +72,12 @@ class OutputReceiver:
         inbox: where the application reads.
         arrived: how many messages have come so far.
         began: how many had come before the plan that delivers now.
+        outlet: the one that delivers; what stands there is the very objects that came.
     """
 
     def __init__(self, queue: QueuePolicy, on_raised: Callable[[str], None]) -> None:
         self._delivering = _DeliveringRoute(on_raised)
-        self._outlet: Outlet | None = None
+        self.outlet: Outlet | None = None
         self.inbox = Inbox(queue, self._delivering.count_drop, self._delivering.raised)
         self.arrived = 0
         self.began = 0
@@ -109,20 +110,10 @@ class OutputReceiver:
 
     def deliver_from(self, route: Route | None, outlet: Outlet | None) -> None:
         """Let the messages of this route, from this outlet, through from now on; of no other."""
-        self._outlet = outlet
+        self.outlet = outlet
         if route is not self._delivering.route:
             self._delivering.route = route
             self.began = self.arrived
-
-    @property
-    def is_latched(self) -> bool:
-        """Whether the output that delivers retains its last messages."""
-        return self._outlet is not None and self._outlet.retains
-
-    def standing(self) -> tuple[Message, ...]:
-        """Return what stands at the output that delivers, the very objects that it delivers."""
-        outlet = self._outlet
-        return () if outlet is None else outlet.standing()
 
 
 @frozen

@@ -41,8 +41,8 @@ class Totals:
     def add(self, client: ConnectedClient) -> None:
         """Keep the counts of a client that goes."""
         self.received += client.received
-        self.sent += client.sent
-        self.sent_bytes += client.sent_bytes
+        self.sent += client.outbox.sent
+        self.sent_bytes += client.outbox.sent_bytes
         self.cut_off += client.is_cut
 
 
@@ -92,9 +92,9 @@ class Metrics:
         yield _count("cut_off", "clients that were cut off", totals.cut_off)
         received = totals.received + sum(client.received for client in clients)
         yield _count("received_messages", "messages from clients", received)
-        sent = totals.sent + sum(client.sent for client in clients)
+        sent = totals.sent + sum(client.outbox.sent for client in clients)
         yield _count("sent_messages", "messages to clients", sent)
-        octets = totals.sent_bytes + sum(client.sent_bytes for client in clients)
+        octets = totals.sent_bytes + sum(client.outbox.sent_bytes for client in clients)
         yield _count("sent_bytes", "bytes of messages to clients", octets)
         waiting_bytes = sum(client.outbox.waiting_bytes for client in clients)
         yield _gauge("waiting_bytes", "bytes that wait for clients", waiting_bytes)

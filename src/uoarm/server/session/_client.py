@@ -99,8 +99,6 @@ class ConnectedClient(AdmittedClient):
         self._decoder = decoder
         self.outbox = Outbox(limits.queue_bytes, limits.control_messages, account)
         self.received = 0
-        self.sent = 0
-        self.sent_bytes = 0
         self.is_cut = False
         self.is_kept = False
         self.is_leaving = False
@@ -231,8 +229,6 @@ class ConnectedClient(AdmittedClient):
                 pong = asyncio.ensure_future(await self._socket.ping())
                 pong.add_done_callback(functools.partial(_take_pong, answered))
             self._writing_since = None
-            self.sent += len(frames)
-            self.sent_bytes += sum(len(frame) for frame, _ in frames)
 
 
 def _take_pong(answered: Callable[[], None], pong: asyncio.Future[float]) -> None:

@@ -274,7 +274,7 @@ class NativeSession:
             "inputs": [port.name for port in plan.provider.component.inputs if port.source is None],
             "warnings": self._view.data(plan.warnings, plan.function),
             "lifetimes": dict(stream.connection.lifetimes()),
-            "latched": stream.connection._is_latched(),  # noqa: SLF001 - within the house
+            "latched": stream.feed.is_latched,
             "managers": self._managers(plan),
         }
         self._reply(asked, opened)

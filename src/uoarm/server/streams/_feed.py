@@ -14,7 +14,7 @@ from typing import Protocol, TypeAlias
 from attrs import define, field, frozen
 
 from uoarm._control import Connection
-from uoarm._dataplane import Clock
+from uoarm._dataplane import Clock, Outlet
 from uoarm._raised import contained, foreign
 from uoarm.errors import MessageError
 from uoarm.model import Message, ValidationMode, message_octets
@@ -144,7 +144,7 @@ class Envelope:
 
         The future never fails: `written` raises what went wrong.
         """
-        if key in self._written or not self.takes_long:
+        if key in self._written:
             return None
         if key not in self._writing:
             future = encoder.start(lambda: self._make(key, write))
@@ -275,10 +275,26 @@ class Feed:
         """Messages received so far."""
         return self._number
 
+    @property
+    def outlet(self) -> Outlet | None:
+        """Where its messages come from; None until the connection is open."""
+        connection = self.connection
+        return None if connection is None else connection._receiver.outlet  # noqa: SLF001 - of ours
+
+    @property
+    def is_latched(self) -> bool:
+        """Whether who joins gets first what the output gave last."""
+        return self.outlet is not None and self.outlet.retains is True
+
     def take(self, message: Message) -> None:
         """Take one message in the thread in which it came. Waits for nothing."""
         self._number += 1
-        self._remember(self._number, message)
+        # Most outputs retain nothing: then there is nothing to remember.
+        outlet = self.outlet
+        if outlet is None or outlet.retains is not False:
+            self._remember(self._number, message)
+        elif self._known:  # it was being opened when these came
+            self._known = []
         # Remembered before it can be handed out: a client that joins in between finds its number.
         self._waiting.append(Envelope(self._number, message, came=self._clock()))
         if len(self._waiting) > self._limits.feed_messages:
@@ -307,10 +323,8 @@ class Feed:
         self._most_known = 2 * len(self._known)
 
     def _standing(self) -> tuple[Message, ...]:
-        connection = self.connection
-        if connection is None:
-            return ()
-        return connection._standing()  # noqa: SLF001 - the server is within the house
+        outlet = self.outlet
+        return () if outlet is None else outlet.standing()
 
     def _bound_memory(self) -> None:
         """Lose the oldest until what waits holds no more than it may; what came last is kept."""
@@ -394,11 +408,11 @@ class Feed:
             self._hand_all()
             return
         end = time.perf_counter() + _TURN_SECONDS
-        while self._hand_next() and time.perf_counter() < end:
+        while self._hand_next() and self._waiting and time.perf_counter() < end:
             pass
         # Through the loop, not at once: sockets and replies that became ready have their turn
         # before.
-        if self._can_hand():
+        if self._waiting and self._can_hand():
             self._schedule()
 
     def _hand_all(self) -> None:
@@ -422,6 +436,13 @@ class Feed:
         envelope = self._next() if self._can_hand() else None
         if envelope is None:
             return False
+        if envelope.takes_long and self._begin_writing(envelope):
+            return False
+        self._hand_one(envelope)
+        return True
+
+    def _begin_writing(self, envelope: Envelope) -> bool:
+        """Have a long message written for those who get it; False where that need not be."""
         writing = [
             future
             for listener, place in self._takers(envelope)
@@ -434,9 +455,7 @@ class Feed:
         if writing:
             self._is_writing = True
             asyncio.gather(*writing).add_done_callback(lambda _: self._written(envelope))
-            return False
-        self._hand_one(envelope)
-        return True
+        return bool(writing)
 
     def _next(self) -> Envelope | None:
         """Take the oldest message that waits, and settle who gets it."""

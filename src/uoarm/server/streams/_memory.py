@@ -60,6 +60,11 @@ class Charge:
             self._account.add(octets - self.octets)
             self.octets = octets
 
+    def grow(self, octets: int) -> bool:
+        """Hold so much more, as `resize`; say whether the client holds no more than it may."""
+        self.resize(self.octets + octets)
+        return self._account.has_room(0)
+
     def release(self) -> None:
         """Hold it no more. Idempotent."""
         self.resize(0)

@@ -31,9 +31,11 @@ class Lane:
     Attributes:
         policy: its length and whether only the newest counts; `block` is not for clients.
         text: whether its frames are text frames.
+        length: messages that may wait.
         age: seconds after which a message that waits is dropped, where there are 16 newer ones: a
             client that reads too slowly gets what is new, and a few messages are never lost.
         wants_all: whether what is late already, since the server was busy, is for it, too.
+        is_for_new: whether a client that reads too slowly is to get what is new rather than all.
         dropped: messages that this client lost here.
         sent: messages that were handed to the socket.
         waiting: when they came, and messages in their pieces; oldest first.
@@ -50,17 +52,14 @@ class Lane:
     waiting: deque[tuple[float, tuple[bytes, ...]]] = field(factory=deque)
     waiting_bytes: int = 0
     finished: bool = False
+    length: int = field(init=False)
+    is_for_new: bool = field(init=False)
     _refusal: str = field(default="", init=False)
 
-    @property
-    def length(self) -> int:
-        """Messages that may wait."""
-        return 1 if self.policy.policy is OverflowPolicy.LATEST else self.policy.length
-
-    @property
-    def is_for_new(self) -> bool:
-        """Whether a client that reads too slowly is to get what is new rather than all."""
-        return self.age < math.inf or self.policy.policy is OverflowPolicy.LATEST
+    def __attrs_post_init__(self) -> None:
+        is_latest = self.policy.policy is OverflowPolicy.LATEST
+        self.length = 1 if is_latest else self.policy.length
+        self.is_for_new = is_latest or self.age < math.inf
 
     def is_stale(self, now: float, transit: float) -> bool:
         """Say whether the oldest message is too old, or will be after this many seconds more."""
@@ -84,7 +83,7 @@ class Outbox:
     may pass. When too much waits the oldest of the fullest stream is dropped and counted, but not
     the only message of a stream as long as there is room for it. Replies and the last messages of
     streams are never dropped: with too many of them `overflowed` is set, and the client must be cut
-    off. `dropped` counts the data messages that were lost here.
+    off.
 
     Args:
         max_bytes: of data that waits, and as much of what is never dropped; one message more may
@@ -92,6 +91,11 @@ class Outbox:
         max_replies: replies and events that may wait.
         account: of the client; None: one without bounds.
         clock: seconds.
+
+    Attributes:
+        dropped: data messages that were lost here.
+        sent: frames that were handed to the socket.
+        sent_bytes: of them all.
     """
 
     def __init__(
@@ -130,7 +134,7 @@ class Outbox:
         # Wakes a reply that waits for room.
         self._has_gone = asyncio.Event()
         self.overflowed = False
-        self.dropped = 0
+        self.dropped = self.sent = self.sent_bytes = 0
         self._window = SendWindow()
         self._waits_since = math.inf
         # Whether a message of a stream that wants the newest was sent: only then pings are worth
@@ -167,7 +171,7 @@ class Outbox:
             else:
                 self._replies.append((frame, text))
             self._reply_bytes += len(frame)
-            _grow(self._replies_held, len(frame))
+            self._replies_held.grow(len(frame))
         self._filled.set()
 
     async def room(self, size: int) -> None:
@@ -187,13 +191,15 @@ class Outbox:
         stream has after it waits for the last of them.
         """
         # Added before others are dropped, so that the newest message is never the one that goes.
-        self._add(lane, frames)
+        has_room = self._add(lane, frames)
         if len(lane.waiting) > lane.length:
             self._drop(lane)
-        self._drop_stale(lane)
-        # Each turn drops one message or finds none to drop, so this ends.
-        while self._is_over() and self._drop_somewhere():
-            pass
+        if len(lane.waiting) > _FRESH:
+            self._drop_stale(lane)
+        if self._bytes > self.max_bytes or not has_room:
+            # Each turn drops one message or finds none to drop, so this ends.
+            while self._is_over() and self._drop_somewhere():
+                pass
 
     def miss(self, lane: Lane) -> None:
         """Count a message of a stream that was let go of before it came here."""
@@ -223,7 +229,8 @@ class Outbox:
         is_behind = now - self._waits_since > _BEHIND_SECONDS and any(
             lane.is_for_new for lane in self._turns
         )
-        if not window.wants_ping(now, is_behind=is_behind):
+        rests = window.is_free and not is_behind and now < window.rests_until
+        if rests or not window.wants_ping(now, is_behind=is_behind):
             return None
         window.asked(now)
 
@@ -259,7 +266,7 @@ class Outbox:
         """
         # Who asks for more has written what it got: its memory is free.
         for held, size in self._written.items():
-            _grow(held, -size)
+            held.grow(-size)
         self._written.clear()
         while not (self._may_go() or self._is_stuck()):
             # Cleared before the wait and after the look: what is added in between sets it, and
@@ -270,11 +277,14 @@ class Outbox:
             await self._filled.wait()
         frames: list[tuple[bytes, bool]] = []
         while octets > 0 and self._may_go():
-            frame, text = self._take_frame()
-            octets -= len(frame)
+            frame = self._take_frame()
+            size = len(frame[0])
+            octets -= size
             # Counted as under way when it is handed to the socket: a ping behind it covers it.
-            self._window.sent(len(frame))
-            frames.append((frame, text))
+            self._window.sent += size
+            self.sent_bytes += size
+            frames.append(frame)
+        self.sent += len(frames)
         if not self._turns:
             self._waits_since = math.inf
         return frames
@@ -286,7 +296,7 @@ class Outbox:
             await self._emptied.wait()
 
     def _may_go(self) -> bool:
-        if self._replies or self.empty:
+        if self._replies or not (self._turns or self._pieces):
             return bool(self._replies)
         return self._window.is_free or not self._window.is_full(self._clock())
 
@@ -303,7 +313,7 @@ class Outbox:
         else:
             # Between the pieces of a long message one short one of another stream passes, then a
             # piece again: neither stops the other.
-            passing = self._passing()
+            passing = self._passing() if self._pieces and self._may_pass else None
             if passing is not None:
                 self._begin_message(passing)
             elif not self._pieces:
@@ -316,19 +326,19 @@ class Outbox:
 
     def _passing(self) -> Lane | None:
         """Return the stream whose next message, in one piece, goes between those of another's."""
-        if not (self._pieces and self._may_pass):
-            return None
         for lane in itertools.islice(self._turns, 2):  # one of them at most is in pieces itself
             if lane is not self._in_pieces:
-                self._drop_stale(lane)
+                if len(lane.waiting) > _FRESH:
+                    self._drop_stale(lane)
                 return lane if len(lane.waiting[0][1]) == 1 else None
         return None
 
     def _begin_message(self, lane: Lane) -> None:
         self._turns.remove(lane)
-        self._drop_stale(lane)
-        frames = [(piece, lane.text) for piece in self._take(lane)]
-        self._pieces.extendleft(reversed(frames))
+        if len(lane.waiting) > _FRESH:
+            self._drop_stale(lane)
+        for piece in reversed(self._take(lane)):
+            self._pieces.appendleft((piece, lane.text))
         lane.sent += 1
         # Noted at the first message that leaves: before that there is nothing a ping could measure.
         self._has_streamed |= lane.is_for_new
@@ -340,8 +350,6 @@ class Outbox:
         self.miss(lane)
 
     def _drop_stale(self, lane: Lane) -> None:
-        if len(lane.waiting) <= _FRESH:  # as `Lane.is_stale`, without asking for the time
-            return
         now = self._clock()
         transit = self._window.transit(now)
         while lane.is_stale(now, transit):
@@ -373,23 +381,24 @@ class Outbox:
             self._turns.remove(lane)
         return bool(others)
 
-    def _add(self, lane: Lane, frames: tuple[bytes, ...]) -> None:
+    def _add(self, lane: Lane, frames: tuple[bytes, ...]) -> bool:
+        """Add a message; say whether the client holds no more than it may."""
         # Keeps the invariant of `_turns`.
         if not lane.waiting:
             self._turns.append(lane)
         now = self._clock()
         self._waits_since = min(self._waits_since, now)
         lane.waiting.append((now, frames))
-        size = _size(frames)
+        size = sum(map(len, frames))
         lane.waiting_bytes += size
         self._bytes += size
-        _grow(self._data_held, size)
         self._filled.set()
+        return self._data_held.grow(size)
 
     def _take(self, lane: Lane) -> tuple[bytes, ...]:
         """Take the oldest message of a stream; its memory is still held."""
         _, frames = lane.waiting.popleft()
-        size = _size(frames)
+        size = sum(map(len, frames))
         lane.waiting_bytes -= size
         self._bytes -= size
         if lane.finished and not lane.waiting:
@@ -398,16 +407,8 @@ class Outbox:
         return frames
 
     def _forget(self, lane: Lane) -> None:
-        _grow(self._data_held, -_size(self._take(lane)))
-
-
-def _size(frames: tuple[bytes, ...]) -> int:
-    return sum(map(len, frames))
+        self._data_held.grow(-sum(map(len, self._take(lane))))
 
 
 def _bytes_of(lane: Lane) -> int:
     return lane.waiting_bytes
-
-
-def _grow(charge: Charge, octets: int) -> None:
-    charge.resize(charge.octets + octets)

@@ -35,17 +35,19 @@ class SendWindow:
     It knows no socket and no clock: all times are seconds of one clock, sizes are octets.
 
     Attributes:
+        sent: octets handed to the socket since the beginning; who writes counts them here.
         is_free: whether nothing bounds what goes: no ping is out and no rate is known. Then it is
             never full and nothing is known to be under way, so that who writes need not ask; of
             small messages that would take a good part of the time.
+        rests_until: until when it wants no ping while it is free and no messages wait.
     """
 
     def __init__(self) -> None:
         # True only while there are no pings, no answers and no draining. Each begins with a ping
         # or its answer: `asked` clears it, and it is set again where the last of them goes.
         self.is_free = True
-        # Octets handed to the socket since the beginning; differences of it are what is under way.
-        self._sent = 0
+        self.sent = 0  # differences of it are what is under way
+        self.rests_until = -math.inf
         # The bound. Infinite while the client keeps up, so that a fast one is never held back.
         self._octets = math.inf
         self._asked: tuple[float, float] = (-math.inf, -math.inf)  # the last ping, and what before
@@ -61,10 +63,6 @@ class SendWindow:
         self._found_at = -math.inf
         # Whether nothing goes until all is read, to measure a round trip behind nothing.
         self._is_draining = False
-
-    def sent(self, octets: int) -> None:
-        """Note what was written."""
-        self._sent += octets
 
     def wants_ping(self, now: float, *, is_behind: bool) -> bool:
         """Say whether to send a ping, behind what was written; `is_behind`: messages wait.
@@ -82,16 +80,18 @@ class SendWindow:
             self._octets = math.inf
             self._is_draining = False
             self.is_free = not self._pings
-            is_time = now - at >= _LOOK_SECONDS and self._sent - before >= _LEAST_OCTETS
+            is_time = now - at >= _LOOK_SECONDS and self.sent - before >= _LEAST_OCTETS
             return is_time and not self._pings
-        is_time = now - at >= _PING_SECONDS or self._sent - before >= self._octets / _PARTS
+        self.is_free = False
+        is_time = now - at >= _PING_SECONDS or self.sent - before >= self._octets / _PARTS
         return is_time or self.is_stuck(now)
 
     def asked(self, now: float) -> None:
         """Note a ping that was sent."""
         self.is_free = False
-        self._asked = (now, self._sent)
-        self._pings.append((now, self._sent))
+        self.rests_until = now + _LOOK_SECONDS
+        self._asked = (now, self.sent)
+        self._pings.append((now, self.sent))
 
     def answered(self, now: float) -> None:
         """Note the answer to the oldest ping."""
@@ -142,7 +142,7 @@ class SendWindow:
             return True
         # Against what the last answer covers: all after that may be unread.
         if self._answers:
-            return self._sent - self._answers[-1][1] >= self._octets
+            return self.sent - self._answers[-1][1] >= self._octets
         return self._is_slow(self.waited(now))
 
     def is_stuck(self, now: float) -> bool:

@@ -10,7 +10,7 @@ from collections import deque
 from collections.abc import Callable, Collection, Hashable, Mapping
 from typing import Any, TypeAlias, TypeVar
 
-from uoarm._raised import foreign
+from uoarm._raised import contained
 from uoarm._support.workers import WorkerPool
 from uoarm.server._failures import BusyError
 from uoarm.server.streams._memory import Shares, acting
@@ -112,8 +112,10 @@ class LoopMailbox:
                 return
             action = self._actions.popleft()
             try:
-                foreign(action)
-            except Exception:  # noqa: BLE001 - those after it must not wait for the next wake-up
+                action()
+            # As `foreign`, without its call. Those after it must not wait for the next wake-up.
+            except BaseException as error:  # noqa: BLE001 - a session of a front end may be in it
+                contained(error)
                 _log.exception("an action in the server's loop failed")
 
 
