@@ -210,6 +210,13 @@ def test_commands_and_their_options_exist(block: Block, line: str) -> None:
     assert given <= known, f"{block}: {given - known} in {line!r}"
 
 
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_commands_within_sentences_exist(page: Path) -> None:
+    named = re.findall(r"`uoarm ([a-z][a-z0-9-]*)", _without_code(page.read_text("utf-8")))
+    plugins = {path.name.removeprefix("uoarm-") for path in ROOT.glob("plugins/uoarm-*")}
+    assert set(named) <= {*main.list_commands(click.Context(main)), *plugins}
+
+
 @pytest.mark.parametrize("page", INSTALLING, ids=lambda page: str(page.relative_to(ROOT)))
 def test_what_a_page_installs_of_ours_comes_from_the_checkout(page: Path) -> None:
     """Nothing of ours is on an index yet, so that its names there are nobody's or a stranger's."""

@@ -11,16 +11,14 @@ from bench.pages import ROOT, page_figures, pages, sentences_of
 # `python -m bench.pages` prints the figures. Lower these with what they count; never raise one, and
 # add none.
 WORDS = 3500
-WORDS_OF_ALL = 72_400
-MEDIAN_WORDS = 1220
+WORDS_OF_ALL = 72_300
+MEDIAN_WORDS = 1180
 SENTENCE = 18.0  # words of a sentence on average
 LONGER_PAGES: dict[str, int] = {}
 LONGER_SENTENCES: dict[str, float] = {
     "benchmarks.md": 20.5,
-    "cli.md": 23.0,
     "dashboard.md": 18.5,
     "failing.md": 22.5,
-    "lock.md": 21.5,
     "plugins.md": 18.5,
     "schema-alone.md": 23.0,
 }
