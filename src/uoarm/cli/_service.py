@@ -23,7 +23,7 @@ from attrs import frozen
 
 from uoarm.errors import UoarmError, UsageError
 
-__all__ = ["Account", "Finding", "Level", "Unit", "examine", "find_unit", "read_unit"]
+__all__ = ["Finding", "Level", "ServiceUser", "Unit", "examine", "find_unit", "read_unit"]
 
 _FOLDERS = ("etc", "run", "usr/local/lib", "usr/lib", "lib")
 _SETTING = re.compile(r"\s*([A-Za-z]+)\s*=\s*(.*)")
@@ -64,7 +64,7 @@ class Finding:
 
 
 @frozen
-class Account:
+class ServiceUser:
     """As whom a service runs."""
 
     name: str
@@ -159,7 +159,7 @@ def _octets(text: str) -> int | None:
 
 
 @frozen
-class _Command:
+class _ServeCommand:
     """What `ExecStart` starts.
 
     Attributes:
@@ -184,8 +184,8 @@ class _Examination:
     def __init__(self, unit: Unit, look: Callable[[Path], os.stat_result]) -> None:
         self._unit = unit
         self._look = look
-        self._command: _Command | None = None
-        self._account: Account | None = None
+        self._command: _ServeCommand | None = None
+        self._account: ServiceUser | None = None
 
     def findings(self) -> Iterator[Finding]:
         """Yield everything, what the later looks need first."""
@@ -225,7 +225,7 @@ class _Examination:
             return
         folder = Path(self._unit.value("WorkingDirectory") or "/")
         file = options.get("place") or options.get("file")
-        self._command = _Command(program, options, None if file is None else folder / file)
+        self._command = _ServeCommand(program, options, None if file is None else folder / file)
         yield Level.OK, " ".join(words)
 
     def _user(self) -> Iterator[tuple[Level, str]]:
@@ -441,7 +441,7 @@ class _Examination:
         if not self._may(file, account, os.R_OK):
             yield Level.ERROR, f"{account.name} cannot read {file}: give it to its group, chmod 640"
 
-    def _may(self, path: Path, account: Account, right: int) -> bool:
+    def _may(self, path: Path, account: ServiceUser, right: int) -> bool:
         found = self._look(path)
         if account.uid == 0:
             return True
@@ -486,7 +486,7 @@ def _secret_files(options: Any, folder: Path, name: str = "") -> Iterator[Path]:
             yield path
 
 
-def _account(name: str, unit: Unit) -> Account:
+def _account(name: str, unit: Unit) -> ServiceUser:
     """Return the account of a user, with the groups that a unit gives it.
 
     Raises:
@@ -503,7 +503,7 @@ def _account(name: str, unit: Unit) -> Account:
             groups.add(int(group) if group.isdecimal() else grp.getgrnam(group).gr_gid)
         except KeyError:
             raise KeyError(f"group {group!r}") from None
-    return Account(entry.pw_name, entry.pw_uid, frozenset(groups))
+    return ServiceUser(entry.pw_name, entry.pw_uid, frozenset(groups))
 
 
 def _taken(host: str, port: int) -> str:
