@@ -21,11 +21,12 @@ from uoarm._host import RemoteBridge
 from uoarm.bridge import Bridge
 from uoarm.config import loads
 from uoarm.errors import BridgeError
-from uoarm.local import PythonBridge
+from uoarm.local import PythonBridge, PythonOptions
 from uoarm.model import BridgeSpec, Endpoint, Health, MessageStructure, Role
 
 HERE = Path(__file__).parent
 PARTS = {"path": [str(HERE)]}
+OPTIONS = PythonOptions.of(PARTS)
 SIZES = {"100 B": 100, "10 KB": 10_000, "1 MB": 1_000_000}
 ANY = MessageStructure(True)
 ROUNDS, DEATHS, SILENCE = 5, 7, 3.0
@@ -38,7 +39,7 @@ def main() -> None:
     with ExitStack() as stack:
         trips = {
             "bare Zenoh, a thread at either end": stack.enter_context(_zenoh()),
-            "in this process": stack.enter_context(_bridge(PythonBridge("far", PARTS))),
+            "in this process": stack.enter_context(_bridge(PythonBridge("far", OPTIONS))),
             "in a host": stack.enter_context(_bridge(_hosted())),
         }
         samples = {(name, size): list[float]() for name in trips for size in SIZES}

@@ -139,7 +139,7 @@ def test_the_check_of_addresses_sees_options_only_that_are_right(tmp_path: Path)
 
 
 def test_an_editor_completes_and_explains_what_a_plugin_has() -> None:
-    schema = completed_schema({**Registry().types, "shed": KIND})
+    schema = completed_schema({"python": Registry().types["python"], "shed": KIND})
     Draft202012Validator.check_schema(schema)
     known = schema["$defs"]["output"]["properties"]["options"]["properties"]
     assert known["period"]["description"] == "shed: of a look"

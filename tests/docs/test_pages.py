@@ -16,7 +16,10 @@ import click
 import pytest
 from attrs import frozen
 
+from uoarm.bridge import BridgeOptions, options_table
 from uoarm.cli import main
+from uoarm.local import PythonOptions
+from uoarm.record.plugin import PlaybackOptions
 from uoarm.testing import patience
 
 ROOT = Path(__file__).parents[2]
@@ -287,3 +290,13 @@ def run(arguments: list[str], folder: Path, code: int = 0) -> str:
     )
     assert done.returncode == code, done.stderr
     return done.stdout if code == 0 else done.stderr
+
+
+@pytest.mark.parametrize(
+    ("page", "kind"), [("configuration.md", PythonOptions), ("recordings.md", PlaybackOptions)]
+)
+def test_the_page_of_a_bridge_of_the_core_has_its_options(
+    page: str, kind: type[BridgeOptions]
+) -> None:
+    text = (ROOT / "docs" / page).read_text(encoding="utf-8")
+    assert options_table(kind.schema()) in text

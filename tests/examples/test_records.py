@@ -24,7 +24,7 @@ from healthbot_records.component import PatientRecord  # noqa: E402
 from healthbot_records.observation import Measurement, identity, observation  # noqa: E402
 from healthbot_records.spool import Spool  # noqa: E402
 
-from uoarm.local import PythonBridge  # noqa: E402
+from uoarm.local import PythonBridge, PythonOptions  # noqa: E402
 from uoarm.model import Endpoint, Role  # noqa: E402
 from uoarm.testing import wait  # noqa: E402
 
@@ -249,7 +249,7 @@ def test_what_waits_is_sent_without_another_call(service: Service, tmp_path: Pat
     parameters = {"url": service.url, "spool": str(tmp_path / "bridged.db")}
     address = ("healthbot_records.component:PatientRecord",)
     endpoint = Endpoint("records", "record", Role.SERVICE, address, parameters=parameters)
-    bridge = PythonBridge("records", {"path": [str(RECORDS)]})
+    bridge = PythonBridge("records", PythonOptions.of({"path": [str(RECORDS)]}))
     try:
         service.stop(signal.SIGKILL)
         report = bridge.call(endpoint, dict(PULSE), timeout=patience())

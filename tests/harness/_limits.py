@@ -24,6 +24,7 @@ _LIMITS: dict[str, dict[str, tuple[str, ...]]] = {
         "trust_fingerprint": ("timeout",),
         "RemoteRobot.call": ("timeout",),
     },
+    "uoarm.local._bridge": {"PythonOptions": ("timeout",)},
     "uoarm.server": {
         "Limits": (
             "handshake_seconds",
@@ -59,7 +60,6 @@ _CONSTANTS = {
     "uoarm.config._plugins": ("_PARAMETER_SECONDS",),
     "uoarm.config._suggestion": ("_PAIR_SECONDS",),
     "uoarm.environments._environment": ("_SECONDS",),
-    "uoarm.local._bridge": ("_HANDLER_SECONDS",),
     "uoarm.server._running": ("_START_SECONDS",),
     "uoarm.server.session._discoveries": ("_ASK_SECONDS", "_GRACE_SECONDS"),
     "uoarm.server.streams._known": ("_WAIT_SECONDS",),

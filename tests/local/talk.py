@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from typing import Any
 
 from uoarm.bridge import Description
-from uoarm.local import PythonBridge
+from uoarm.local import PythonBridge, PythonOptions
 from uoarm.model import Endpoint, Message, MessageStructure, Role
 from uoarm.testing import Collector, patience
 
@@ -18,7 +18,7 @@ ANY = MessageStructure(True)
 
 @contextmanager
 def bridge(**options: Any) -> Iterator[PythonBridge]:
-    made = PythonBridge("p", options)
+    made = PythonBridge("p", PythonOptions.of(options))
     try:
         yield made
     finally:

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from uoarm.bridge import Discovered
-from uoarm.local import PythonBridge
+from uoarm.local import PythonBridge, PythonOptions
 from uoarm.model import Role
 
 SOURCE = """
@@ -42,7 +42,8 @@ def folder(tmp_path: Path) -> str:
 
 
 def shown(folder: str, *entries: object) -> tuple[Discovered, ...]:
-    with closing(PythonBridge("py", {"path": [folder], "discover": entries})) as bridge:
+    options = PythonOptions.of({"path": [folder], "discover": list(entries)})
+    with closing(PythonBridge("py", options)) as bridge:
         return tuple(bridge.discover())
 
 

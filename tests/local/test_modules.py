@@ -16,7 +16,7 @@ import pytest
 from uoarm import RobotManager
 from uoarm.config import loads
 from uoarm.errors import BridgeError, FailureReason
-from uoarm.local import PythonBridge
+from uoarm.local import PythonBridge, PythonOptions
 from uoarm.model import Endpoint, Role
 from uoarm.testing import patience
 
@@ -68,7 +68,7 @@ def two(tmp_path: Path) -> Iterator[tuple[Path, Path]]:
 
 
 def call(place: Path, address: str, message: Any, *more: Path) -> Any:
-    bridge = PythonBridge("p", {"path": [str(path) for path in (place, *more)]})
+    bridge = PythonBridge("p", PythonOptions.of({"path": [str(path) for path in (place, *more)]}))
     try:
         return bridge.call(service(address), message, timeout=patience())
     finally:

@@ -10,7 +10,7 @@ import pytest
 from typing_extensions import NotRequired
 
 from uoarm.errors import BridgeError, FailureReason
-from uoarm.local import HintError, Octets, PythonBridge, Range, UInt8, schema_of
+from uoarm.local import HintError, Octets, PythonBridge, PythonOptions, Range, UInt8, schema_of
 from uoarm.local._target import Target
 from uoarm.model import Endpoint, Role
 from uoarm.testing import Background, patience
@@ -66,7 +66,7 @@ class Queue:
 
 def describe(name: str, role: Role, **parameters: Any) -> Any:
     endpoint = Endpoint("p", "c", role, (name,), parameters=parameters)
-    bridge = PythonBridge("p", {})
+    bridge = PythonBridge("p", PythonOptions())
     try:
         return bridge.describe(endpoint)
     finally:
@@ -74,7 +74,7 @@ def describe(name: str, role: Role, **parameters: Any) -> Any:
 
 
 def test_a_service_is_built_once_and_closed_with_the_bridge() -> None:
-    bridge = PythonBridge("p", {})
+    bridge = PythonBridge("p", PythonOptions())
     endpoint = Endpoint("p", "queue", Role.SERVICE, (f"{HERE}:Queue",))
     answers = [bridge.call(endpoint, {"x": 2}, timeout=patience()) for _ in range(3)]
     assert answers == [{"x": 2}, {"x": 4}, {"x": 6}]
@@ -154,7 +154,7 @@ def test_what_runs_code_of_the_component_as_it_opens_is_not_quick(
     parameters: dict[str, int],
     is_quick: bool,
 ) -> None:
-    bridge = PythonBridge("python", {})
+    bridge = PythonBridge("python", PythonOptions())
     endpoint = Endpoint("python", "c", role, (f"{HERE}:{name}",), parameters=parameters)
     assert not bridge.is_quick(endpoint), "importing it may take long"
     bridge.describe(endpoint)

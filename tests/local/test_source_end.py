@@ -15,7 +15,7 @@ import pytest
 from uoarm import RobotManager
 from uoarm._support.workers import WorkerPool
 from uoarm.config import loads
-from uoarm.local import PythonBridge
+from uoarm.local import PythonBridge, PythonOptions
 from uoarm.local._instance import IteratedSource
 from uoarm.model import Endpoint, Message, MessageStructure, Role
 from uoarm.testing import Background, patience, wait
@@ -84,7 +84,7 @@ def test_what_comes_of_a_message_that_was_taken_is_counted_when_its_output_is_cl
     module = ModuleType("ending_source")
     module.__dict__["double"] = double
     monkeypatch.setitem(sys.modules, "ending_source", module)
-    bridge, got = PythonBridge("python", {}), list[Message]()
+    bridge, got = PythonBridge("python", PythonOptions()), list[Message]()
     sink = bridge.open_sink(at("double", Role.INPUT), ANY)
     source = bridge.open_source(at("double", Role.OUTPUT), ANY, got.append)
     sending = Background(lambda: sink.send(1))
@@ -137,7 +137,7 @@ def test_what_a_source_raises_is_logged_with_where_it_was_raised(
     module = ModuleType("ending_source")
     module.__dict__["numbers"] = numbers
     monkeypatch.setitem(sys.modules, "ending_source", module)
-    bridge = PythonBridge("python", {})
+    bridge = PythonBridge("python", PythonOptions())
     causes: list[str] = []
     bridge.watch(lambda event: causes.append(event.cause))
     bridge.open_source(at("numbers", Role.OUTPUT), ANY, lambda _: None, timeout=patience())
@@ -175,7 +175,7 @@ def test_what_comes_in_the_place_of_what_died_is_a_new_instance_and_holds_what_i
 ) -> None:
     """The one that died is still open, as it is in a connection until another plan takes over."""
     monkeypatch.setattr(Plugged, "made", 0)
-    bridge, got = PythonBridge("python", {}), list[Message]()
+    bridge, got = PythonBridge("python", PythonOptions()), list[Message]()
     causes: list[str] = []
     bridge.watch(lambda event: causes.append(event.cause))
     endpoint = Endpoint("python", "sensor", Role.OUTPUT, (f"{__name__}:Plugged",))

@@ -18,6 +18,7 @@ from uoarm.model import Endpoint, Message, MessageStructure, Role
 from uoarm.record._bridge import RecordingBridge
 from uoarm.record._file import McapFile
 from uoarm.record._forms import ChannelForm, form_of
+from uoarm.record.plugin import PlaybackOptions
 from uoarm.testing.conformance import BridgeConformance, Pair, Victim, World
 
 OCTETS: Any = {
@@ -53,7 +54,7 @@ class WrittenBridge(RecordingBridge):
     """The bridge, and sinks that write into its file."""
 
     def __init__(self, world: RecordingWorld) -> None:
-        super().__init__("tape", {"file": str(world.path), "follow": True})
+        super().__init__("tape", PlaybackOptions(str(world.path), follow=True))
         self._world = world
 
     def _describe(self, endpoint: Endpoint) -> Description:
@@ -130,7 +131,7 @@ class TestRecordingBridge(BridgeConformance):
 
 def test_an_input_of_the_bridge_itself_is_refused(tmp_path: Path) -> None:
     world = RecordingWorld(tmp_path / "run.mcap")
-    bridge = RecordingBridge("tape", {"file": str(world.path)})
+    bridge = RecordingBridge("tape", PlaybackOptions(str(world.path)))
     with pytest.raises(BridgeError) as caught:
         bridge.open_sink(at("/json", Role.INPUT), MessageStructure(True))
     assert caught.value.reason is FailureReason.UNSUPPORTED

@@ -17,6 +17,7 @@ from uoarm.errors import BridgeError, ResolutionError
 from uoarm.model import Endpoint, MessageStructure, QueuePolicy, Role
 from uoarm.record._bridge import RecordingBridge
 from uoarm.record._reading import McapReader
+from uoarm.record.plugin import PlaybackOptions
 from uoarm.testing import Collector, MemoryBridge, patience, wait
 
 BLOCK = QueuePolicy(length=1000, policy="block", timeout=600)
@@ -62,7 +63,9 @@ def tape(make_robot: Any, bridge: MemoryBridge, tmp_path: Path) -> Path:
 
 
 def played(path: Path, topic: str, count: int, **options: object) -> list[Any]:
-    made = RecordingBridge("tape", {"file": str(path), "rate": "fast", **options})
+    made = RecordingBridge(
+        "tape", PlaybackOptions.of({"file": str(path), "rate": "fast", **options})
+    )
     try:
         collector = Collector()
         endpoint = Endpoint("tape", "run", Role.OUTPUT, (topic,))
@@ -83,7 +86,7 @@ def test_what_was_recorded_comes_out_again(tape: Path) -> None:
 
 
 def test_it_says_that_it_is_recorded_and_what_it_has(tape: Path) -> None:
-    made = RecordingBridge("tape", {"file": str(tape)})
+    made = RecordingBridge("tape", PlaybackOptions.of({"file": str(tape)}))
     (found,) = made.discover()
     assert found.name == "run"
     assert found.detail.startswith("recorded: run.mcap, from ")
@@ -161,7 +164,7 @@ def test_it_loops_and_begins_where_it_is_asked_to(tape: Path) -> None:
     again = played(tape, "/counter", 2 * len(MESSAGES), loop=True)
     assert again[: 2 * len(MESSAGES)] == MESSAGES + MESSAGES
     with pytest.raises(BridgeError, match="`from` is 1e\\+06 s"):
-        RecordingBridge("tape", {"file": str(tape), "from": 1e6})
+        RecordingBridge("tape", PlaybackOptions.of({"file": str(tape), "from": 1e6}))
 
 
 def test_a_slow_consumer_is_waited_for(tape: Path, bridge: MemoryBridge, make_robot: Any) -> None:
@@ -227,7 +230,7 @@ def test_files_of_others_are_read_however_they_are_written(tmp_path: Path, optio
 
 def test_what_is_not_read_is_refused_by_name(tmp_path: Path) -> None:
     path = foreign_file(tmp_path / "other.mcap")
-    made = RecordingBridge("tape", {"file": str(path)})
+    made = RecordingBridge("tape", PlaybackOptions.of({"file": str(path)}))
     with pytest.raises(BridgeError, match=r"/proto has messages as 'protobuf'.*what is read is"):
         made.describe(Endpoint("tape", "x", Role.OUTPUT, ("/proto",)))
     assert made.describe(Endpoint("tape", "x", Role.OUTPUT, ("/loose",))).message is None

@@ -1341,7 +1341,7 @@ BUGS: tuple[Bug, ...] = (
         "does not hand its options on",
         declares(create=_forgets_options),
         Declaring.test_the_options_reach_the_bridge,
-        "its options are {}",
+        ", got {}",
     ),
     Bug(
         OPTIONS_KIND,

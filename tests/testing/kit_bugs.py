@@ -325,7 +325,7 @@ GENERAL: tuple[Bug, ...] = (
         "forgets its options",
         declares(create=_forgets_options),
         Declaring.test_the_options_reach_the_bridge,
-        "its options are {}",
+        ", got {}",
     ),
     Bug(
         OPTIONS_KIND,

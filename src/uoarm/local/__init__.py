@@ -2,7 +2,7 @@
 
 from uoarm._hints.arrays import HintError, Octets, Range, Shape, UInt8
 from uoarm._hints.schemas import schema_of
-from uoarm.local._bridge import PythonBridge, uoarm_bridge_types
+from uoarm.local._bridge import PythonBridge, PythonOptions, uoarm_bridge_types
 from uoarm.local._target import Emit, structure
 
 __all__ = [
@@ -10,6 +10,7 @@ __all__ = [
     "HintError",
     "Octets",
     "PythonBridge",
+    "PythonOptions",
     "Range",
     "Shape",
     "UInt8",

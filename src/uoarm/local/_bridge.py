@@ -10,12 +10,13 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import Any, TypeAlias
 
-from attrs import define, field
+from attrs import define, field, frozen
 
 from uoarm._raised import LimitedLog, foreign, text_of
 from uoarm._support.workers import WorkerPool
 from uoarm.bridge import (
     Bridge,
+    BridgeOptions,
     BridgeType,
     Capabilities,
     Channel,
@@ -25,6 +26,7 @@ from uoarm.bridge import (
     Sink,
     Source,
     hookimpl,
+    option,
 )
 from uoarm.errors import BridgeError
 from uoarm.local._instance import Instance
@@ -33,9 +35,9 @@ from uoarm.local._modules import Modules
 from uoarm.local._target import Target, address_mistake, find
 from uoarm.model import Deliver, Endpoint, Health, Message, MessageStructure, Options, Role
 
-__all__ = ["LISTED", "PythonBridge", "listed", "uoarm_bridge_types"]
+__all__ = ["PythonBridge", "PythonOptions", "listed", "uoarm_bridge_types"]
 
-LISTED = {
+_LISTED = {
     "type": "array",
     "items": {
         "anyOf": [
@@ -52,33 +54,9 @@ LISTED = {
             },
         ]
     },
-    "description": "Components that discovery shows: module:attribute, also with parameters.",
 }
 _SOURCE_SECONDS = 0.25
 _GLANCE_SECONDS = 0.005
-_HANDLER_SECONDS = 10.0
-_OPTIONS = {
-    "type": "object",
-    "properties": {
-        "path": {
-            "type": "array",
-            "items": {"type": "string", "x-uoarm-path": True},
-            "description": "Folders in which modules are looked for first.",
-        },
-        "timeout": {
-            "type": "number",
-            "exclusiveMinimum": 0,
-            "description": "Seconds that an `async def` handler may take for a message (10).",
-        },
-        "code": {
-            "type": "string",
-            "pattern": "^[0-9a-f]{1,32}$",
-            "description": "Chosen by uoarm when the code is to be read again; not for files.",
-        },
-        "discover": LISTED,
-    },
-    "additionalProperties": False,
-}
 _Key: TypeAlias = tuple[str, tuple[str, ...], str]
 
 
@@ -159,6 +137,31 @@ class _Slot:
     instance: Instance | None = None
 
 
+@frozen
+class PythonOptions(BridgeOptions):
+    """Where Python objects are looked for, and what is said of them."""
+
+    path: tuple[str, ...] = option(
+        (),
+        {"type": "array", "items": {"type": "string", "x-uoarm-path": True}},
+        "folders in which modules are looked for first",
+    )
+    timeout: float = option(
+        10.0,
+        {"type": "number", "exclusiveMinimum": 0},
+        "seconds that an `async def` handler may take for a message",
+        unit="s",
+    )
+    code: str = option(
+        "",
+        {"type": "string", "pattern": "^[0-9a-f]{1,32}$"},
+        "chosen by uoarm when the code is to be read again; not for files",
+    )
+    discover: tuple[str | Mapping[str, Any], ...] = option(
+        (), _LISTED, "components that discovery shows: module:attribute, also with parameters"
+    )
+
+
 class PythonBridge(Bridge):
     """Runs plain Python objects as components, in threads of this process.
 
@@ -171,16 +174,12 @@ class PythonBridge(Bridge):
 
     capabilities = Capabilities(discover=True, call=True)
 
-    def __init__(self, name: str, options: Options) -> None:
+    def __init__(self, name: str, options: PythonOptions) -> None:
         super().__init__(name, options)
-        path: Any = options.get("path", ())
-        code: Any = options.get("code", "")
-        self._modules = Modules(path, code)
-        listing: Any = options.get("discover", ())
-        self._listing = tuple(listing)
+        self._modules = Modules(options.path, options.code)
+        self._listing = options.discover
         self._targets: dict[tuple[str, ...], Target] = {}
-        seconds: Any = options.get("timeout", _HANDLER_SECONDS)
-        self._handler_seconds = float(seconds)
+        self._handler_seconds = options.timeout
         self._loop = LoopThread(f"uoarm-{name}-loop")
         self._slots: dict[_Key, _Slot] = {}
         self._services: set[_Slot] = set()
@@ -344,19 +343,17 @@ def _check_endpoint(address: tuple[str, ...], options: Options) -> str:
 
 
 def _check_parameters(
-    address: tuple[str, ...], parameters: Options, options: Options
+    address: tuple[str, ...], parameters: Options, options: PythonOptions
 ) -> Mapping[str, str]:
-    path: Any = options.get("path", ())
-    modules = Modules.newest(path)
+    modules = Modules.newest(options.path)
     try:
         return find(address, modules).parameter_mistakes(parameters)
     finally:
         modules.close()
 
 
-def _describe_here(endpoint: Endpoint, options: Options) -> Description:
-    path: Any = options.get("path", ())
-    modules = Modules.newest(path)
+def _describe_here(endpoint: Endpoint, options: PythonOptions) -> Description:
+    modules = Modules.newest(options.path)
     try:
         return find(endpoint.address, modules).describe(endpoint)
     finally:
@@ -371,7 +368,7 @@ def uoarm_bridge_types() -> list[BridgeType]:
             name="python",
             summary="plain Python functions, generators and classes, in this process",
             create=PythonBridge,
-            bridge_options=_OPTIONS,
+            bridge_options=PythonOptions,
             check_endpoint=_check_endpoint,
             check_parameters=_check_parameters,
             describe=_describe_here,

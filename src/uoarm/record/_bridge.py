@@ -22,7 +22,7 @@ from uoarm.bridge import (
     Source,
 )
 from uoarm.errors import BridgeError, FailureReason, MessageError
-from uoarm.model import Endpoint, Health, Message, MessageStructure, Options, Role, to_json
+from uoarm.model import Endpoint, Health, Message, MessageStructure, Role, to_json
 from uoarm.record._checking import open_recording
 from uoarm.record._file import require_mcap
 from uoarm.record._forms import EVENTS_TOPIC, RECORDED, ChannelReading, reading_of
@@ -35,6 +35,7 @@ from uoarm.record._playback import (
     Timeline,
 )
 from uoarm.record._reading import McapReader, RecordedFile
+from uoarm.record.plugin import PlaybackOptions
 
 __all__ = ["RecordingBridge"]
 
@@ -51,21 +52,19 @@ class RecordingBridge(Bridge):
 
     capabilities = Capabilities(discover=True, call=True)
 
-    def __init__(self, name: str, options: Options) -> None:
+    def __init__(self, name: str, options: PlaybackOptions) -> None:
         super().__init__(name, options)
         require_mcap()
-        given: dict[str, Any] = dict(options)
-        self._path = Path(given["file"])
-        self._follows = bool(given.get("follow", False))
-        self._loops = bool(given.get("loop", False))
-        self._may_move = bool(given.get("allow_motion", False))
+        self._path = Path(options.file)
+        self._follows, self._loops = options.follow, options.loop
+        self._may_move = options.allow_motion
         self._mcap: McapReader | None = None
         self._file: RecordedFile
         if self._follows:
             self._file = self._mcap = McapReader(self._path, follows=True)
         else:
             self._file = open_recording(self._path)
-        begin = int(given.get("from", 0.0) * _NANO)
+        begin = int(options.from_ * _NANO)
         length = self._file.end - self._file.start
         if begin > length:
             raise BridgeError(
@@ -73,12 +72,9 @@ class RecordingBridge(Bridge):
                 f"{length / _NANO:g} s",
                 FailureReason.REFUSED,
             )
-        rate = given.get("rate", 1.0)
-        timeline = Timeline(
-            None if rate == "fast" or self._follows else float(rate),
-            begin,
-            is_paused=bool(given.get("paused", False)),
-        )
+        is_fast = options.rate == "fast" or self._follows
+        rate = None if is_fast else float(options.rate)
+        timeline = Timeline(rate, begin, is_paused=options.paused)
         self.playback = Playback(timeline, self._file.start, length, file=self._path.name)
 
     def facts(self) -> Mapping[str, object]:

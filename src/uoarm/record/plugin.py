@@ -2,59 +2,57 @@
 
 from __future__ import annotations
 
-from uoarm.bridge import Bridge, BridgeType, hookimpl
+from attrs import frozen
+
+from uoarm.bridge import Bridge, BridgeOptions, BridgeType, hookimpl, option
 from uoarm.model import Options
 
-__all__ = ["RECORDING_OPTIONS", "uoarm_bridge_types"]
+__all__ = ["PlaybackOptions", "uoarm_bridge_types"]
 
-RECORDING_OPTIONS = {
-    "type": "object",
-    "properties": {
-        "file": {
-            "type": "string",
-            "minLength": 1,
-            "x-uoarm-path": True,
-            "examples": ["run.mcap"],
-            "description": "An MCAP file, a .bag of ROS 1, or a folder of rosbag2.",
-        },
-        "rate": {
-            "anyOf": [{"type": "number", "exclusiveMinimum": 0}, {"enum": ["fast"]}],
-            "default": 1.0,
-            "description": "Seconds of the recording in a second; fast: as messages are taken.",
-        },
-        "from": {
-            "type": "number",
-            "minimum": 0,
-            "default": 0,
-            "description": "Seconds after its first message at which it begins.",
-        },
-        "loop": {
-            "type": "boolean",
-            "default": False,
-            "description": "Whether it begins again when it has been played.",
-        },
-        "paused": {
-            "type": "boolean",
-            "default": False,
-            "description": "Whether it waits for the service @control before it begins.",
-        },
-        "follow": {
-            "type": "boolean",
-            "default": False,
-            "description": "Give what another process writes into the file from now on.",
-        },
-        "allow_motion": {
-            "type": "boolean",
-            "default": False,
-            "description": "Whether inputs that move something may be fed from it.",
-        },
-    },
-    "required": ["file"],
-    "additionalProperties": False,
-}
+_POSITIVE = {"type": "number", "exclusiveMinimum": 0}
+_BOOLEAN = {"type": "boolean"}
 
 
-def _create(name: str, options: Options) -> Bridge:
+@frozen
+class PlaybackOptions(BridgeOptions):
+    """What a recording is played with."""
+
+    file: str = option(
+        "",
+        {"type": "string", "minLength": 1, "x-uoarm-path": True, "examples": ["run.mcap"]},
+        "MCAP file, .bag of ROS 1, or folder of rosbag2",
+        required=True,
+    )
+    rate: float | str = option(
+        1.0,
+        {"anyOf": [_POSITIVE, {"enum": ["fast"]}]},
+        "seconds of the recording in a second; `fast`: as fast as consumers take the messages",
+    )
+    from_: float = option(
+        0.0,
+        {"type": "number", "minimum": 0},
+        "seconds after its first message at which it begins",
+        unit="s",
+    )
+    loop: bool = option(
+        False,
+        _BOOLEAN,
+        "whether it begins again at its end; otherwise its connections end in order",
+    )
+    paused: bool = option(
+        False, _BOOLEAN, "whether it waits for the service @control before it begins"
+    )
+    follow: bool = option(
+        False, _BOOLEAN, "gives what another process writes into the file from now on"
+    )
+    allow_motion: bool = option(
+        False,
+        _BOOLEAN,
+        "whether an input that moves something may be fed from it: such a plan is refused else",
+    )
+
+
+def _create(name: str, options: PlaybackOptions) -> Bridge:
     from uoarm.record._bridge import RecordingBridge  # noqa: PLC0415 - only where there is one
 
     return RecordingBridge(name, options)
@@ -73,7 +71,7 @@ def uoarm_bridge_types() -> list[BridgeType]:
             name="recording",
             summary="channels of MCAP files and of bags of ROS, played again",
             create=_create,
-            bridge_options=RECORDING_OPTIONS,
+            bridge_options=PlaybackOptions,
             topic=_topic,
             contract=2,
         )

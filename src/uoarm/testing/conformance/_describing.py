@@ -122,7 +122,7 @@ class Declaring:
         try:
             assert made.name == spec.name
             assert made.options == expected, (
-                f"its options are {made.options!r}, expected {expected!r}"
+                f"expected the options {expected!r}, got {made.options!r}"
             )
         finally:
             made.close()
