@@ -87,6 +87,12 @@ functions:
         outputs:
           status: {endpoint: ["components:Walker"], structure: {type: object}}
           result: {endpoint: ["components:Walker"], structure: {type: object}}
+  digit:
+    components:
+      - name: digit
+        bridge: python
+        input: {from: numbers, endpoint: ["components:digit"]}
+        output: {endpoint: ["components:digit"]}
   missing:
     components:
       - {name: missing, bridge: python, output: {endpoint: ["components:nothing"]}}
@@ -95,6 +101,10 @@ functions:
 
 class Number(TypedDict):
     value: int
+
+
+class Digit(TypedDict):
+    value: Annotated[int, Range(0, 9)]
 
 
 class Picture(TypedDict):
@@ -150,6 +160,10 @@ class Play:
 script = Play()
 numbers = script.numbers.source(Number)
 picture = script.pictures.source(Picture)
+
+
+def digit(message: Digit) -> Digit:
+    return message
 
 
 def add(request: Pair) -> Number:

@@ -112,6 +112,14 @@ def test_a_plan_says_what_would_open_or_why_not(agents: Agents) -> None:
     assert "cuff" in unknown["why"]
 
 
+def test_a_plan_that_does_not_fit_has_the_message_that_would_not(agents: Agents) -> None:
+    plan = agents.facts("plan", {"function": "digit"})
+    assert plan["possible"] is False
+    assert "value: -1 does not meet what the consumer demands" in plan["why"]
+    assert 'takes:    {"type": "integer", "minimum": 0, "maximum": 9}' in plan["why"]
+    assert "example:  -1" in plan["why"]
+
+
 def test_messages_are_read_next_latest_and_several(agents: Agents) -> None:
     script.numbers.put({"value": 1}, {"value": 2}, {"value": 3})
     read = agents.facts("read_numbers", {"count": 3, "seconds": 30})

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import time
 from collections import OrderedDict
 from collections.abc import Awaitable, Callable
@@ -15,7 +16,7 @@ from uoarm.model import Message
 from uoarm.server.front_end import LimitError, UnknownError, code_of, error_text
 from uoarm_mcp._values import RenderedMessage
 
-__all__ = ["AgentGoal", "AgentGoals"]
+__all__ = ["AgentGoal", "AgentGoals", "within"]
 
 _MOST_RUNNING = 32
 _MOST_KEPT = 128
@@ -146,3 +147,11 @@ class AgentGoals:
         finally:
             goal.ended = time.monotonic()
             goal.done.set()
+
+
+async def within(seconds: float, event: asyncio.Event) -> None:
+    """Wait for an event, for so many seconds at most."""
+    if event.is_set():
+        return
+    with contextlib.suppress(asyncio.TimeoutError):
+        await asyncio.wait_for(event.wait(), seconds)

@@ -7,6 +7,8 @@ from functools import lru_cache
 from typing import Any
 
 import orjson
+from jsonschema import Draft202012Validator
+from jsonschema.exceptions import best_match
 
 from uoarm.errors import MessageError
 from uoarm.model import Message, MessageStructure
@@ -18,6 +20,7 @@ __all__ = [
     "OWN_INPUTS",
     "SECONDS",
     "ToolArguments",
+    "check_schema",
     "has_headers",
     "output_schema",
     "read_input",
@@ -249,3 +252,11 @@ def _hoisted(schema: dict[str, Any], around: Any) -> dict[str, Any]:
 
 def _plain(value: Any) -> Any:
     return dict(value) if isinstance(value, Mapping) else list(value)
+
+
+def check_schema(validator: Draft202012Validator, arguments: Mapping[str, Any]) -> None:
+    """Refuse arguments that do not fit; raises MessageError with the field."""
+    problem = best_match(validator.iter_errors(arguments))
+    if problem is not None:
+        path = ".".join(map(str, problem.absolute_path)) or "arguments"
+        raise MessageError(f"{path}: {problem.message:.300}")

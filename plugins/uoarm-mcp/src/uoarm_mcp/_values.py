@@ -1,4 +1,4 @@
-"""Messages as agents get them: exact where they are short, else a summary with links."""
+"""What agents get: answers; messages, exact where they are short, else a summary with links."""
 
 from __future__ import annotations
 
@@ -12,13 +12,21 @@ from typing import Any
 
 import orjson
 from attrs import frozen
-from mcp_types import ImageContent, ResourceLink
+from mcp_types import CallToolResult, ImageContent, ResourceLink, TextContent
 
 from uoarm.errors import PluginError, UsageError
 from uoarm.model import Message
 from uoarm.server.front_end import TEXT_FORM, Account, Charge, MemoryUse
 
-__all__ = ["KEPT", "KeptValues", "RenderedMessage", "is_picture", "picture_of"]
+__all__ = [
+    "KEPT",
+    "KeptValues",
+    "RenderedMessage",
+    "failed",
+    "is_picture",
+    "picture_of",
+    "succeeded",
+]
 
 KEPT = "uoarm://kept/"
 _SHORT = 16_384
@@ -213,3 +221,23 @@ def picture_of(message: Message) -> ImageContent:
     except (OSError, ValueError, TypeError, Image.DecompressionBombError) as error:
         raise UsageError(f"it is no picture that can be shown: {error}") from error
     return ImageContent(data=base64.b64encode(written.getvalue()).decode(), mime_type="image/jpeg")
+
+
+def succeeded(
+    facts: dict[str, Any],
+    links: Any = (),
+    pictures: Any = (),
+    *,
+    is_error: bool = False,
+) -> CallToolResult:
+    """Return what a tool answers, as data and as text."""
+    text = orjson.dumps(facts, option=orjson.OPT_NON_STR_KEYS).decode()
+    content: list[TextContent | ResourceLink | ImageContent] = [TextContent(text=text)]
+    return CallToolResult(
+        content=[*content, *links, *pictures], structured_content=facts, is_error=is_error
+    )
+
+
+def failed(code: str, text: str) -> CallToolResult:
+    """Return what a tool answers that refuses."""
+    return CallToolResult(content=[TextContent(text=f"{code}: {text}")], is_error=True)

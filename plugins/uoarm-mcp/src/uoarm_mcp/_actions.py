@@ -1,0 +1,331 @@
+"""What an agent does with functions: calls, messages, goals, where they fit and are approved."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import secrets
+from collections.abc import Awaitable, Callable, Mapping
+from functools import partial
+from typing import Any
+
+from attrs import evolve
+from mcp_types import CallToolResult
+
+from uoarm.errors import MessageError, UoarmError, UsageError
+from uoarm.model import FieldLimit, Message, MessageStructure, Plan, message_octets
+from uoarm.server.front_end import (
+    TEXT_FORM,
+    ApprovalFoundation,
+    ApprovalWish,
+    Backend,
+    DeniedError,
+    Goal,
+    GoalStatus,
+    Guest,
+    RoleView,
+    check_message,
+    read_message,
+    show_approval,
+)
+from uoarm_mcp._catalogue import FunctionTool, ToolKind
+from uoarm_mcp._goals import AgentGoal, AgentGoals, within
+from uoarm_mcp._schemas import APPROVAL, tool_arguments
+from uoarm_mcp._streams import AgentStreams
+from uoarm_mcp._values import KeptValues, RenderedMessage, succeeded
+
+__all__ = ["AgentActions", "check_arguments"]
+
+_AT_ONCE_SECONDS = 5.0
+_WORDS = 200
+_read = partial(read_message, TEXT_FORM)
+
+
+class AgentActions:
+    """What one agent does and asks approval for, in the server's loop.
+
+    Each begins with a goal; what ends at once is answered at once.
+
+    Args:
+        guest: whose.
+        backend: the robot.
+        kept: where large values go.
+        streams: what it has open.
+        goals: what it began.
+    """
+
+    def __init__(
+        self,
+        guest: Guest,
+        backend: Backend,
+        kept: KeptValues,
+        streams: AgentStreams,
+        goals: AgentGoals,
+    ) -> None:
+        self._guest = guest
+        self._backend = backend
+        self._kept = kept
+        self._streams = streams
+        self._goals = goals
+        self._desk = backend.approvals
+
+    @property
+    def _view(self) -> RoleView:
+        return self._backend.role_views.of(self._guest.role)
+
+    async def act(self, made: FunctionTool, arguments: Mapping[str, Any]) -> CallToolResult:
+        """Call or send, where it fits and is approved."""
+        if made.kind is ToolKind.CALL and APPROVAL not in arguments and not self.reason(made):
+            return await self._call_at_once(made, arguments)
+        plan, revision = await self.find_plan(made.function)
+        message, handle = _checked(plan, made, arguments)
+        wish = self.wish(made, message, plan, revision)
+        if self.reason(made):
+            if not handle:
+                return succeeded(self.ask(made, wish))
+            approval = self._desk.use(handle, wish)
+            goal_handle = handle if approval.uses == 1 else f"{handle}-{approval.uses}"
+        elif handle:
+            raise UsageError(f"{APPROVAL}: it needs no approval; leave it out")
+        else:
+            goal_handle = secrets.token_hex(8)
+        goal = AgentGoal(goal_handle, made.function)
+        work: Callable[[AgentGoal], Awaitable[RenderedMessage]]
+        if made.kind is ToolKind.CALL:
+            work = partial(self._call, plan, revision, message, _read)
+        elif made.kind is ToolKind.GOAL:
+            own = {port.name for port in plan.provider.component.inputs if port.source is None}
+            work = partial(self._give_goal, made, wish, message, can_cancel="cancel" in own)
+        else:
+            work = partial(self._send, made, wish, message)
+        return await self._pursue(goal, work)
+
+    async def _call_at_once(
+        self, made: FunctionTool, arguments: Mapping[str, Any]
+    ) -> CallToolResult:
+        """Call what needs no approval: found, checked, called and shown by one worker."""
+        goal = AgentGoal(secrets.token_hex(8), made.function)
+        refusals: list[UoarmError] = []
+
+        def read(structure: MessageStructure, message: Message) -> Message:
+            try:
+                # Again: the plan may be of a configuration that is newer than the question above.
+                if reason := self.reason(made):
+                    raise UsageError(f"it needs an approval since just now: {reason}; try again")
+                message, _ = tool_arguments(structure).split(message)
+                return check_message(structure, message, _read, made.tool.name)
+            except UoarmError as error:
+                refusals.append(error)
+                raise
+
+        result = await self._pursue(goal, partial(self._call, made.function, None, arguments, read))
+        if refusals:
+            self._goals.forget(goal)
+            raise refusals[0]
+        return result
+
+    async def _pursue(
+        self, goal: AgentGoal, work: Callable[[AgentGoal], Awaitable[RenderedMessage]]
+    ) -> CallToolResult:
+        self._goals.check_room()
+        self._goals.start(goal, work, lambda text: self._view.text(text, goal.function))
+        await within(_AT_ONCE_SECONDS, goal.done)
+        return self._goal_result(goal)
+
+    async def _call(
+        self,
+        wanted: Plan | str,
+        revision: int | None,
+        message: Message,
+        read: Callable[[MessageStructure, Message], Message],
+        goal: AgentGoal,
+    ) -> RenderedMessage:
+        timeout = self._guest.limits.call_seconds
+        if not isinstance(wanted, str):
+            service = wanted.provider.component.service
+            if service is None:
+                raise UsageError(f"{wanted.function!r} is not a service any more")
+            command = service.endpoint.command
+            timeout = (None if command is None else command.lifetime) or timeout
+
+        def began(cancel: Callable[[], bool]) -> None:
+            goal.cancel = cancel
+            if goal.is_cancelled:
+                cancel()
+
+        return await self._backend.call_planned(
+            wanted, revision, message, read, timeout, began, self._kept.render
+        )
+
+    async def _send(
+        self, made: FunctionTool, wish: ApprovalWish, message: Message, goal: AgentGoal
+    ) -> RenderedMessage:
+        del goal
+        check = partial(self._check_foundation, made, wish)
+        await self._streams.send(made.function, made.port, message, check)
+        return RenderedMessage(None)
+
+    async def _give_goal(
+        self,
+        made: FunctionTool,
+        wish: ApprovalWish,
+        message: Message,
+        goal: AgentGoal,
+        *,
+        can_cancel: bool,
+    ) -> RenderedMessage:
+        """Give a goal to an action, and wait for its end; its cancellation reaches the action."""
+        loop = asyncio.get_running_loop()
+        ended: asyncio.Future[tuple[Message, str]] = loop.create_future()
+
+        def feed(values: Message) -> None:
+            goal.feedback = values
+
+        def finish(values: Message, status: GoalStatus) -> None:
+            if not ended.done():
+                ended.set_result((values, status.name.lower()))
+
+        def fail(error: BaseException) -> None:
+            if not ended.done():
+                ended.set_exception(error)
+
+        sent = Goal(
+            message,
+            feed,
+            finish,
+            fail,
+            message_octets(message),
+            read=_read,
+            check=partial(self._check_foundation, made, wish),
+        )
+        actions = self._backend.actions
+        runner = actions.join(made.function, sent)
+
+        def ask_for_end() -> None:
+            with contextlib.suppress(UoarmError):  # its end is reported, whatever it is
+                runner.cancel(sent, lambda _: None)
+
+        def cancel() -> bool:
+            loop.call_soon_threadsafe(ask_for_end)
+            return True
+
+        try:
+            runner.start(sent)
+            if can_cancel:
+                goal.cancel = cancel
+            values, state = await ended
+        finally:
+            if not sent.ended:
+                runner.abandon(sent)
+            actions.leave(made.function, sent)
+        rendered = await self._backend.in_worker(lambda: self._kept.render(values))
+        goal.state = state
+        return rendered
+
+    def _check_foundation(self, made: FunctionTool, wish: ApprovalWish, plan: Plan) -> None:
+        found = ApprovalFoundation.of(plan, self._backend.robot.revision)
+        if self.reason(made) and found != wish.foundation:
+            raise DeniedError(
+                f"{made.function} runs {', '.join(found.components)}, which was not approved"
+            )
+
+    def _goal_result(self, goal: AgentGoal) -> CallToolResult:
+        facts = goal.facts()
+        if not goal.done.is_set():
+            facts["next"] = f"it goes on: wait, goal_status or cancel with handle {goal.handle}"
+        links = () if goal.result is None else goal.result.links
+        failed = goal.done.is_set() and goal.state != "succeeded"
+        return succeeded(facts, links, is_error=failed)
+
+    def reason(self, made: FunctionTool) -> str:
+        """Return why it needs an approval now, whatever the catalogue says."""
+        return self._desk.supervision.reason(made.operation, made.function)
+
+    def wish(self, made: FunctionTool, message: Message, plan: Plan, revision: int) -> ApprovalWish:
+        """Return what an approval would have to be of."""
+        return ApprovalWish(
+            self._guest.principal,
+            made.operation.value,
+            made.function,
+            made.port,
+            message,
+            ApprovalFoundation.of(plan, revision),
+        )
+
+    def ask(self, made: FunctionTool, wish: ApprovalWish) -> dict[str, Any]:
+        """Ask for an approval; returns how it stands, as data."""
+        description = self._backend.robot.config.functions[made.function].description
+        preview = f"{description or made.function}; {self.reason(made)}"
+        approval = self._desk.ask(evolve(wish, preview=preview[:_WORDS]))
+        return {
+            "state": "approval-needed",
+            "handle": approval.id,
+            "approval": show_approval(self._desk, approval, self._view),
+            "next": (
+                f"another person than {self._guest.principal} decides about it; then call "
+                f"{made.tool.name} again with the same arguments and {APPROVAL} {approval.id}"
+            ),
+        }
+
+    async def find_plan(self, function: str) -> tuple[Plan, int]:
+        """Return the plan of a function, and the revision that it is of at the latest."""
+        revision = self._backend.robot.revision
+        plan = await self._backend.resolve(function)
+        return plan, revision
+
+
+def _checked(plan: Plan, made: FunctionTool, arguments: Mapping[str, Any]) -> tuple[Message, str]:
+    """Return the message of a tool's arguments and the approval, where the message fits."""
+    message, handle = tool_arguments(_structure(plan, made)).split(arguments)
+    check_arguments(plan, made, message)
+    return message, handle
+
+
+def check_arguments(plan: Plan, made: FunctionTool, message: Message) -> None:
+    """Refuse what does not fit, with the field and why; nothing has been asked of a bridge."""
+    check_message(_structure(plan, made), message, _read, made.tool.name)
+    for limit in _limits(plan, made):
+        value = message if limit.path == "." else _at(message, limit.path)
+        if value is None:
+            continue
+        if not isinstance(value, int | float) or isinstance(value, bool):
+            raise MessageError(f"{made.tool.name}: {limit.path}: expected a number, got {value!r}")
+        if limit.minimum is not None and not value >= limit.minimum:
+            raise MessageError(
+                f"{made.tool.name}: {limit.path}: {value} is below its limit {limit.minimum}"
+            )
+        if limit.maximum is not None and not value <= limit.maximum:
+            raise MessageError(
+                f"{made.tool.name}: {limit.path}: {value} is above its limit {limit.maximum}"
+            )
+
+
+def _limits(plan: Plan, made: FunctionTool) -> tuple[FieldLimit, ...]:
+    """Return the limits of the input that a tool sends to, which hold at the last hop, too."""
+    if made.kind not in {ToolKind.SEND, ToolKind.GOAL}:
+        return ()
+    own = [port for port in plan.provider.component.inputs if port.source is None]
+    found = next((port for port in own if port.name == made.port or not made.port), None)
+    command = None if found is None else found.endpoint.command
+    return () if command is None else command.limits
+
+
+def _at(message: Message, path: str) -> Message:
+    for name in path.split("."):
+        if not isinstance(message, Mapping):
+            return None
+        message = message.get(name)
+    return message
+
+
+def _structure(plan: Plan, made: FunctionTool) -> MessageStructure:
+    structures = plan.provider.structures
+    if made.kind is ToolKind.CALL:
+        name = "request"
+    else:
+        own = [port.name for port in plan.provider.component.inputs if port.source is None]
+        name = f"input.{made.port or (own[0] if own else 'default')}"
+    structure = structures.get(name)
+    if structure is None:
+        raise UsageError(f"{made.function!r} is another one now: list the tools again")
+    return structure
