@@ -11,7 +11,9 @@ from attrs import astuple
 from uoarm._support.yaml import ReadBudget
 from uoarm.config import loads, published_schema
 
-PAGE = (Path(__file__).parents[2] / "docs" / "configuration.md").read_text(encoding="utf-8")
+DOCS = Path(__file__).parents[2] / "docs"
+PAGES = ("configuration", "offering", "configuration-rules")
+PAGE = "".join((DOCS / f"{name}.md").read_text(encoding="utf-8") for name in PAGES)
 EXAMPLE, *_ = re.findall(r"```yaml\n(.*?)```", PAGE, re.DOTALL)
 
 
