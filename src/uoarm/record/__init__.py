@@ -15,9 +15,9 @@ if TYPE_CHECKING:
         RecordingCheck,
         check_recording,
     )
-    from uoarm.record._options import RecordOptions
+    from uoarm.record._options import RecordedChannel, RecordingStatus, RecordOptions
     from uoarm.record._playback import PlaybackStatus, ask_playback
-    from uoarm.record._recording import RecordedChannel, Recording, RecordingStatus
+    from uoarm.record._recording import Recording
 
 __all__ = [
     "ChannelCheck",
@@ -44,8 +44,8 @@ if not TYPE_CHECKING:
                 "RecordingCheck",
                 "check_recording",
             ),
-            "_options": ("RecordOptions",),
+            "_options": ("RecordOptions", "RecordedChannel", "RecordingStatus"),
             "_playback": ("PlaybackStatus", "ask_playback"),
-            "_recording": ("RecordedChannel", "Recording", "RecordingStatus"),
+            "_recording": ("Recording",),
         },
     )

@@ -1,4 +1,4 @@
-"""What came for a recording and waits for its writer: taken in without a lock, bounded in turns.
+"""What a recording takes from a manager, and what waits for its writer: bounded, without a lock.
 
 A queue that looks at every message costs the source as much as the message did. So a source
 appends and goes on; it looks at the bounds at every sixteenth of its messages, or at each that is
@@ -12,14 +12,23 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterable
-from typing import Generic, Protocol, TypeVar
+from typing import Any, Generic, Protocol, TypeVar
 
 from attrs import frozen
 
 from uoarm.cdr import octets_of
-from uoarm.model import Message, OverflowPolicy, QueuePolicy, message_octets
+from uoarm.model import (
+    Gap,
+    Message,
+    OverflowPolicy,
+    Plan,
+    QueuePolicy,
+    Robot,
+    StatusEvent,
+    message_octets,
+)
 
-__all__ = ["Arrivals", "ArrivingTrack", "ReadOctets"]
+__all__ = ["Arrivals", "ArrivingTrack", "ReadOctets", "RecordedConnection", "RecordedRobot"]
 
 _GATHER_SECONDS = 0.05
 _LARGE_OCTETS = 65_536
@@ -27,6 +36,33 @@ _LOOKS = 16
 """A source looks at the bounds at each message of this number."""
 _EXACT_LENGTH = 256
 """Up to which a queue's length is held to exactly."""
+
+
+class RecordedConnection(Protocol):
+    """A connection, as far as a recording uses it."""
+
+    id: str
+
+    @property
+    def plan(self) -> Plan: ...
+    @property
+    def output(self) -> str | None: ...
+    @property
+    def gaps(self) -> tuple[Gap, ...]: ...
+    @property
+    def ended(self) -> bool: ...
+    def kill(self) -> None: ...
+
+
+class RecordedRobot(Protocol):
+    """A manager, as far as a recording uses it."""
+
+    @property
+    def config(self) -> Robot: ...
+    def request(
+        self, name: str, *, validate: str, on_message: Callable[[Any], None], timeout: float
+    ) -> RecordedConnection: ...
+    def listen(self, listener: Callable[[StatusEvent], None]) -> Callable[[], None]: ...
 
 
 class ArrivingTrack(Protocol):

@@ -1,27 +1,42 @@
-"""One MCAP file that is being written: whole up to the last chunk, whatever happens to it then."""
+"""One MCAP file that is being written: whole up to the last chunk, whatever happens to it then.
+
+Beside messages it has the plans, the configuration without secrets, and the lock.
+"""
 
 from __future__ import annotations
 
 import os
+import re
 import struct
 import zlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from itertools import count
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
+
+from attrs import evolve
 
 from uoarm._origin import install_command
 from uoarm._version import __version__
 from uoarm.errors import PluginError, UsageError
+from uoarm.model import Plan, Robot, StatusEvent, to_json, write_json
 from uoarm.record._forms import ChannelForm
+from uoarm.record._records import HEAD, MAGIC
+
+__all__ = [
+    "McapFile",
+    "documents",
+    "event_message",
+    "free_path",
+    "gap_message",
+    "masked",
+    "require_mcap",
+]
 
 if TYPE_CHECKING:
     from mcap.records import McapRecord
 
-__all__ = ["McapFile", "free_path", "require_mcap"]
 
-_MAGIC = b"\x89MCAP0\r\n"
-_HEAD = struct.Struct("<BQ")
 _MESSAGE = struct.Struct("<BQHIQQ")
 _MESSAGE_OCTETS = 22  # of a message's content before its data
 _CHUNK = struct.Struct("<BQQQQI")
@@ -134,7 +149,7 @@ class McapFile:
         """Write what stands before all else; `ros2` where every channel is one of ROS 2."""
         from mcap.records import Header  # noqa: PLC0415 - an extra
 
-        self._output.write(_MAGIC, _written(Header(profile, f"uoarm {__version__}")))
+        self._output.write(MAGIC, _written(Header(profile, f"uoarm {__version__}")))
 
     @property
     def octets(self) -> int:
@@ -210,7 +225,7 @@ class McapFile:
         packed = self._compress(data)
         kind = self._compression.encode()
         tail = struct.pack(f"<I{len(kind)}sQ", len(kind), kind, len(packed))
-        octets = _CHUNK.size - _HEAD.size + len(tail) + len(packed)
+        octets = _CHUNK.size - HEAD.size + len(tail) + len(packed)
         head = _CHUNK.pack(_OF_CHUNK, octets, start, end, len(data), zlib.crc32(data)) + tail
         at, length = self._output.count, len(head) + len(packed)
         offsets, records, place = {}, [], at + length
@@ -274,7 +289,7 @@ class McapFile:
         summary = b"".join((*groups.values(), offsets))
         footer = _FOOTER.pack(_OF_FOOTER, 20, begin, place)
         crc = zlib.crc32(footer, zlib.crc32(summary))
-        self._output.write(summary, footer, crc.to_bytes(4, "little"), _MAGIC)
+        self._output.write(summary, footer, crc.to_bytes(4, "little"), MAGIC)
         self._output.close()
 
     def abandon(self) -> None:
@@ -310,3 +325,66 @@ def _compressor(compression: str) -> Callable[[bytearray], bytes | bytearray]:
         compress: Callable[[bytearray], bytes | bytearray] = lz4.frame.compress
         return compress
     return lambda data: data
+
+
+_HIDDEN = "***"
+_SECRET_NAME = re.compile(
+    r"(?i)(?:passw(?:or)?d|passphrase|secret|token|credential|api_?key|private_?key)s?$"
+)
+_IN_URL = re.compile(r"(?<=://)[^\s/@]+(?=@)")
+_MOST_LOCK = 16 << 20
+
+
+def masked(value: Any) -> Any:
+    """Return plain data in which secrets are hidden: by the name of a member, and in URLs."""
+    if isinstance(value, Mapping):
+        return {
+            str(name): _HIDDEN
+            if _SECRET_NAME.search(str(name)) and item not in (None, "")
+            else masked(item)
+            for name, item in value.items()
+        }
+    if isinstance(value, list | tuple):
+        return [masked(item) for item in value]
+    return _IN_URL.sub(_HIDDEN, value) if isinstance(value, str) else value
+
+
+def documents(robot: Robot, plans: Mapping[str, Plan]) -> Iterator[tuple[str, bytes]]:
+    """Yield the attachments of a file: name and content, JSON all of them.
+
+    Args:
+        robot: the configuration in force.
+        plans: by the function that is recorded.
+    """
+    yield "configuration.json", _attachment(to_json(evolve(robot, text="")))
+    for function, plan in plans.items():
+        yield f"plan-{function}.json", _attachment(to_json(plan))
+    lock = Path(robot.origin).with_name("robot.lock") if robot.origin else None
+    if lock is not None:
+        try:
+            content = lock.read_bytes()
+        except OSError:
+            return  # there is none
+        if len(content) <= _MOST_LOCK:
+            yield "robot.lock", content
+
+
+def event_message(event: StatusEvent) -> dict[str, Any]:
+    """Return what the channel of events has of a status event."""
+    message: dict[str, Any] = masked(to_json(event))
+    return message
+
+
+def gap_message(function: str, connection: str, gap: Any) -> dict[str, Any]:
+    """Return what the channel of events has of a gap between two plans."""
+    return {
+        "subject": f"connection {connection}",
+        "change": "gap",
+        "cause": gap.cause,
+        "function": function,
+        "gap": masked(to_json(gap)),
+    }
+
+
+def _attachment(value: Any) -> bytes:
+    return write_json(masked(value), indent=1).encode()

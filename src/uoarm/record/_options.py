@@ -1,8 +1,9 @@
-"""What a recording is asked to do, and what follows from it as time passes: no clock, no file."""
+"""What a recording is asked to do, what follows from it in time, and its status: pure values."""
 
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 from enum import Enum
 from typing import NamedTuple
 
@@ -12,7 +13,15 @@ from attrs.validators import ge, gt, in_, optional
 from uoarm.errors import UsageError
 from uoarm.model import OverflowPolicy, QueuePolicy
 
-__all__ = ["Due", "Instant", "RecordOptions", "RecordingSchedule", "read_split"]
+__all__ = [
+    "Due",
+    "Instant",
+    "RecordOptions",
+    "RecordedChannel",
+    "RecordingSchedule",
+    "RecordingStatus",
+    "read_split",
+]
 
 COMPRESSIONS = ("zstd", "lz4", "none")
 _UNITS = {"": 1, "k": 1000, "m": 1000**2, "g": 1000**3, "ki": 1024, "mi": 1024**2, "gi": 1024**3}
@@ -233,3 +242,48 @@ class RecordingSchedule:
     @staticmethod
     def _since(began: Instant, now: Instant) -> float:
         return (now.steady - began.steady) / _NANO
+
+
+@frozen
+class RecordedChannel:
+    """One function of a recording.
+
+    Attributes:
+        function: as it was asked for.
+        topic: of its channel.
+        encoding: `cdr` or `json`.
+        received: messages that came.
+        recorded: those that were written, or wait in the chunk that is being filled; of a ring,
+            those that came into it.
+        unwritable: those that have no form in the file.
+    """
+
+    function: str
+    topic: str
+    encoding: str
+    received: int
+    recorded: int
+    unwritable: int
+
+
+@frozen
+class RecordingStatus:
+    """A recording at one moment.
+
+    Attributes:
+        state: `recording`, `ended` or `failed`.
+        cause: why it ended or failed; empty while it runs.
+        files: the paths, oldest first.
+        octets: of all files.
+        channels: what came of each function.
+        dropped: messages that were lost before the writer, by reason.
+        seconds: for which it has run.
+    """
+
+    state: str
+    cause: str
+    files: tuple[str, ...]
+    octets: int
+    channels: tuple[RecordedChannel, ...]
+    dropped: Mapping[str, int] = field(factory=dict, hash=False)
+    seconds: float = 0.0

@@ -21,17 +21,25 @@ from typing import BinaryIO, Protocol, TypeAlias
 from attrs import define, field, frozen
 
 from uoarm.errors import BridgeError, FailureReason
+from uoarm.record._records import (
+    HEAD,
+    MAGIC,
+    MESSAGE,
+    MESSAGE_RECORD,
+    MOST_RECORD,
+    DamageError,
+    RecordContent,
+    inner_records,
+    read_content,
+    unpacked,
+)
 
 __all__ = ["FileChannel", "McapReader", "RecordedFile", "StoredMessage"]
 
-_MAGIC = b"\x89MCAP0\r\n"
-_HEAD = struct.Struct("<BQ")
-_MESSAGE = struct.Struct("<HIQQ")
 _CHUNK = struct.Struct("<QQQI")
-_FOOTER_OCTETS = _HEAD.size + 20 + len(_MAGIC)
-_FOOTER, _SCHEMA, _CHANNEL, _MESSAGE_RECORD, _CHUNK_RECORD = 2, 3, 4, 5, 6
+_FOOTER_OCTETS = HEAD.size + 20 + len(MAGIC)
+_FOOTER, _SCHEMA, _CHANNEL, _CHUNK_RECORD = 2, 3, 4, 6
 _CHUNK_INDEX, _STATISTICS, _DATA_END = 8, 11, 15
-_MOST_RECORD = 268_435_456
 _MOST_SUMMARY = 67_108_864
 _MOST_CHANNELS = 10_000
 _MOST_HELD = 268_435_456
@@ -106,10 +114,6 @@ _Found: TypeAlias = "tuple[Mapping[int, list[_Timed]], str]"
 _time_of: Callable[[_Timed], int] = itemgetter(0)
 
 
-class _DamageError(Exception):
-    """Something that cannot be read; the text says what."""
-
-
 class McapReader:
     """One file, which may be read in several threads at a time.
 
@@ -130,17 +134,17 @@ class McapReader:
         self._schemas: dict[int, tuple[str, str, bytes]] = {}
         self._parts: list[_Part] = []
         self._has_schemas = True  # of all channels that say that they have one
-        self._size, self._size_read = 0, len(_MAGIC)
+        self._size, self._size_read = 0, len(MAGIC)
         self._cache = _PartCache(self._found_in)
         # Guards the place up to which a growing file was read, between sources that open.
         self._growing = threading.Lock()
         try:
             with path.open("rb") as file:
-                if file.read(len(_MAGIC)) != _MAGIC:
+                if file.read(len(MAGIC)) != MAGIC:
                     raise BridgeError(f"{path} is no MCAP file", FailureReason.UNSUPPORTED)
                 self._size = file.seek(0, 2)
                 if follows or not self._read_summary(file):
-                    self._scan(file, len(_MAGIC))
+                    self._scan(file, len(MAGIC))
         except OSError as error:
             text = f"{path} cannot be read: {error.strerror or error}"
             raise BridgeError(text, FailureReason.UNAVAILABLE) from error
@@ -235,7 +239,7 @@ class McapReader:
                         ids = {n for n, channel in self._ids.items() if channel == wanted}
                         for time, data in self._messages_of(file, part, ids):
                             yield StoredMessage(time, data)
-                    except _DamageError as error:
+                    except DamageError as error:
                         on_damage(str(error))
                 if stop(_POLL_SECONDS):
                     return
@@ -244,16 +248,16 @@ class McapReader:
 
     def _read_summary(self, file: BinaryIO) -> bool:
         """Read the summary; False where there is none that can be used."""
-        if self._size < 2 * len(_MAGIC) + _FOOTER_OCTETS:
+        if self._size < 2 * len(MAGIC) + _FOOTER_OCTETS:
             return False
         file.seek(self._size - _FOOTER_OCTETS)
         footer = file.read(_FOOTER_OCTETS)
-        opcode, octets = _HEAD.unpack_from(footer)
-        if footer[-len(_MAGIC) :] != _MAGIC or (opcode, octets) != (_FOOTER, 20):
+        opcode, octets = HEAD.unpack_from(footer)
+        if footer[-len(MAGIC) :] != MAGIC or (opcode, octets) != (_FOOTER, 20):
             return False
-        start = int.from_bytes(footer[_HEAD.size : _HEAD.size + 8], "little")
+        start = int.from_bytes(footer[HEAD.size : HEAD.size + 8], "little")
         end = self._size - _FOOTER_OCTETS
-        if not len(_MAGIC) < start < end or end - start > _MOST_SUMMARY:
+        if not len(MAGIC) < start < end or end - start > _MOST_SUMMARY:
             return False
         chunks: int | None = None
         has_messages = True
@@ -264,11 +268,11 @@ class McapReader:
                 elif opcode == _CHUNK_INDEX:
                     self._parts.append(self._indexed(file, place, octets))
                 elif opcode == _STATISTICS:
-                    content = _Content(_content(file, place, octets))
+                    content = RecordContent(read_content(file, place, octets))
                     has_messages = content.number(8) > 0
                     content.take(14)  # counts of schemas, channels, attachments and metadata
                     chunks = content.number(4)
-        except (_DamageError, struct.error):
+        except (DamageError, struct.error):
             self._forget()
             return False
         # Messages outside of chunks have no index, and each part of a summary may be left out.
@@ -289,10 +293,10 @@ class McapReader:
         self.notes.clear()
 
     def _indexed(self, file: BinaryIO, place: int, octets: int) -> _Part:
-        start, end, at, length = struct.unpack_from("<QQQQ", _content(file, place, octets))
-        if not len(_MAGIC) <= at < self._size or not _HEAD.size < length <= self._size - at:
-            raise _DamageError("the index leads out of the file")
-        return _Part(at + _HEAD.size, length - _HEAD.size, is_chunk=True, start=start, end=end)
+        start, end, at, length = struct.unpack_from("<QQQQ", read_content(file, place, octets))
+        if not len(MAGIC) <= at < self._size or not HEAD.size < length <= self._size - at:
+            raise DamageError("the index leads out of the file")
+        return _Part(at + HEAD.size, length - HEAD.size, is_chunk=True, start=start, end=end)
 
     def _scan(self, file: BinaryIO, start: int) -> None:
         """Read every record from a place on, one chunk at a time."""
@@ -304,7 +308,7 @@ class McapReader:
             self._size_read = place + octets
             try:
                 part = self._take_record(file, opcode, place, octets)
-            except _DamageError as error:
+            except DamageError as error:
                 self._note(str(error))
                 continue
             if part is not None:
@@ -318,10 +322,10 @@ class McapReader:
             last is not None
             and not part.is_chunk
             and not last.is_chunk
-            and last.at + last.octets + _HEAD.size == part.at
+            and last.at + last.octets + HEAD.size == part.at
             and last.octets < _LOOSE_OCTETS
         ):
-            last.octets += _HEAD.size + part.octets
+            last.octets += HEAD.size + part.octets
             last.start, last.end = min(last.start, part.start), max(last.end, part.end)
             return
         self._parts.append(part)
@@ -333,12 +337,12 @@ class McapReader:
         at = start
         while at < end:
             file.seek(at)
-            head = file.read(_HEAD.size)
-            if len(head) < _HEAD.size:
+            head = file.read(HEAD.size)
+            if len(head) < HEAD.size:
                 why = "ends within a record"
             else:
-                opcode, octets = _HEAD.unpack(head)
-                place = at + _HEAD.size
+                opcode, octets = HEAD.unpack(head)
+                place = at + HEAD.size
                 if octets <= end - place:
                     yield opcode, place, octets
                     at = place + octets
@@ -355,22 +359,22 @@ class McapReader:
     def _take_record(self, file: BinaryIO, opcode: int, place: int, octets: int) -> _Part | None:
         """Take in one record; returns what has messages."""
         if opcode in {_SCHEMA, _CHANNEL}:
-            self._take_definition(opcode, _content(file, place, octets))
-        elif opcode == _MESSAGE_RECORD:
+            self._take_definition(opcode, read_content(file, place, octets))
+        elif opcode == MESSAGE_RECORD:
             file.seek(place)
-            head = file.read(_MESSAGE.size)
-            if octets < _MESSAGE.size or len(head) < _MESSAGE.size:
-                raise _DamageError(f"a message at {place:,} is too short")
-            time = _MESSAGE.unpack(head)[2]
+            head = file.read(MESSAGE.size)
+            if octets < MESSAGE.size or len(head) < MESSAGE.size:
+                raise DamageError(f"a message at {place:,} is too short")
+            time = MESSAGE.unpack(head)[2]
             return _Part(
-                place - _HEAD.size, _HEAD.size + octets, is_chunk=False, start=time, end=time
+                place - HEAD.size, HEAD.size + octets, is_chunk=False, start=time, end=time
             )
         elif opcode == _CHUNK_RECORD:
             part = _Part(place, octets, is_chunk=True, start=0, end=0)
             times = []
-            for inner, content in _inner_records(self._chunk(file, part), place):
-                if inner == _MESSAGE_RECORD:
-                    times.append(_MESSAGE.unpack_from(content)[2])
+            for inner, content in inner_records(self._chunk(file, part), place):
+                if inner == MESSAGE_RECORD:
+                    times.append(MESSAGE.unpack_from(content)[2])
                 elif inner in {_SCHEMA, _CHANNEL}:
                     self._take_definition(inner, bytes(content))
             if times:
@@ -379,17 +383,17 @@ class McapReader:
         return None
 
     def _take_definition(self, opcode: int, octets: bytes) -> None:
-        content = _Content(octets)
+        content = RecordContent(octets)
         if opcode == _CHANNEL:
             self._take_channel(content)
             return
         number = content.number(2)
         self._schemas[number] = (content.text(), content.text(), content.octets(4))
 
-    def _take_channel(self, content: _Content) -> None:
+    def _take_channel(self, content: RecordContent) -> None:
         number, schema = content.number(2), content.number(2)
         topic, encoding = content.text(), content.text()
-        inner = _Content(content.octets(4))
+        inner = RecordContent(content.octets(4))
         metadata = {}
         while not inner.is_over:
             key = inner.text()
@@ -397,7 +401,7 @@ class McapReader:
         if number in self._ids:
             return
         if len(self._ids) >= _MOST_CHANNELS:
-            raise _DamageError(f"it has more than {_MOST_CHANNELS:,} channels")
+            raise DamageError(f"it has more than {_MOST_CHANNELS:,} channels")
         self._has_schemas = self._has_schemas and (not schema or schema in self._schemas)
         name, kind, data = self._schemas.get(schema, ("", "", b""))
         channel = FileChannel(topic, encoding, name, kind, data, metadata)
@@ -411,11 +415,11 @@ class McapReader:
     def _messages_of(
         self, file: BinaryIO, part: _Part, ids: set[int]
     ) -> Iterator[tuple[int, memoryview]]:
-        for opcode, content in _inner_records(self._records_in(file, part), part.at):
-            if opcode == _MESSAGE_RECORD:
-                number, _, time, _ = _MESSAGE.unpack_from(content)
+        for opcode, content in inner_records(self._records_in(file, part), part.at):
+            if opcode == MESSAGE_RECORD:
+                number, _, time, _ = MESSAGE.unpack_from(content)
                 if number in ids:
-                    yield time, content[_MESSAGE.size :]
+                    yield time, content[MESSAGE.size :]
 
     def _found_in(self, part: _Part, *, is_ahead: bool) -> _Found:
         """Read a whole part; ahead of its time it lets others go first, again and again."""
@@ -423,14 +427,14 @@ class McapReader:
         damage, count = "", 0
         with self.path.open("rb") as file:
             try:
-                for opcode, content in _inner_records(self._records_in(file, part), part.at):
-                    if opcode == _MESSAGE_RECORD:
-                        number, _, at, _ = _MESSAGE.unpack_from(content)
-                        found.setdefault(number, []).append((at, content[_MESSAGE.size :]))
+                for opcode, content in inner_records(self._records_in(file, part), part.at):
+                    if opcode == MESSAGE_RECORD:
+                        number, _, at, _ = MESSAGE.unpack_from(content)
+                        found.setdefault(number, []).append((at, content[MESSAGE.size :]))
                     count += 1
                     if is_ahead and not count % _TURN_RECORDS:
                         time.sleep(0)
-            except _DamageError as error:
+            except DamageError as error:
                 damage = str(error)
         for messages in found.values():
             messages.sort(key=_time_of)
@@ -439,27 +443,27 @@ class McapReader:
     def _records_in(self, file: BinaryIO, part: _Part) -> memoryview:
         if part.is_chunk:
             return self._chunk(file, part)
-        return memoryview(_content(file, part.at, part.octets))
+        return memoryview(read_content(file, part.at, part.octets))
 
     def _chunk(self, file: BinaryIO, part: _Part) -> memoryview:
         """Return the records of a chunk, unpacked."""
-        content = _Content(_content(file, part.at, part.octets))
-        where = f"the chunk at {part.at - _HEAD.size:,}"
+        content = RecordContent(read_content(file, part.at, part.octets))
+        where = f"the chunk at {part.at - HEAD.size:,}"
         _, _, size, crc = _CHUNK.unpack(content.take(_CHUNK.size))
         compression = content.text()
         packed = content.octets(8)
-        if size > _MOST_RECORD:
-            raise _DamageError(f"{where} has {size:,} octets; {_MOST_RECORD:,} are read")
+        if size > MOST_RECORD:
+            raise DamageError(f"{where} has {size:,} octets; {MOST_RECORD:,} are read")
         try:
-            data = _unpacked(compression, packed, size)
-        except _DamageError as error:
-            raise _DamageError(f"{where} {error}") from None
+            data = unpacked(compression, packed, size)
+        except DamageError as error:
+            raise DamageError(f"{where} {error}") from None
         except Exception as error:  # noqa: BLE001 - of libraries, each with errors of its own
-            raise _DamageError(f"{where} cannot be unpacked: {error}") from None
+            raise DamageError(f"{where} cannot be unpacked: {error}") from None
         if len(data) != size:
-            raise _DamageError(f"{where} has {len(data):,} octets, not {size:,}")
+            raise DamageError(f"{where} has {len(data):,} octets, not {size:,}")
         if crc and zlib.crc32(data) != crc:
-            raise _DamageError(f"{where} has another checksum than it states")
+            raise DamageError(f"{where} has another checksum than it states")
         return memoryview(data)
 
 
@@ -547,76 +551,3 @@ class _PartCache:
 
 def _octets_of(messages: Iterable[_Timed]) -> int:
     return sum(len(data) for _, data in messages)
-
-
-def _unpacked(compression: str, packed: bytes, size: int) -> bytes:
-    """Return what was compressed; takes no more memory than for the size that is stated."""
-    if compression == "":
-        return packed
-    if compression == "zstd":
-        import zstandard  # noqa: PLC0415 - of the extra
-
-        stated = zstandard.frame_content_size(packed)
-        if stated > size:
-            raise _DamageError(f"has {stated:,} octets, not {size:,}")
-        return zstandard.ZstdDecompressor().decompress(packed, max_output_size=size)
-    if compression == "lz4":
-        from lz4.frame import LZ4FrameDecompressor  # noqa: PLC0415 - of the extra
-
-        unpacked: bytes = LZ4FrameDecompressor().decompress(packed, max_length=size + 1)
-        return unpacked
-    raise _DamageError(f"is compressed by {compression[:40]!r}, which is not known")
-
-
-def _inner_records(data: memoryview, where: int) -> Iterator[tuple[int, memoryview]]:
-    """Yield opcode and content of the records of a chunk."""
-    at, end = 0, len(data)
-    while at < end:
-        if end - at < _HEAD.size:
-            raise _DamageError(f"the chunk at {where:,} ends within a record")
-        opcode, octets = _HEAD.unpack_from(data, at)
-        at += _HEAD.size
-        least = _MESSAGE.size if opcode == _MESSAGE_RECORD else 0
-        if not least <= octets <= end - at:
-            raise _DamageError(f"the chunk at {where:,} has a record of {octets:,} octets")
-        yield opcode, data[at : at + octets]
-        at += octets
-
-
-def _content(file: BinaryIO, place: int, octets: int) -> bytes:
-    if octets > _MOST_RECORD:
-        raise _DamageError(
-            f"a record at {place:,} has {octets:,} octets; {_MOST_RECORD:,} are read"
-        )
-    file.seek(place)
-    content = file.read(octets)
-    if len(content) < octets:
-        raise _DamageError(f"the record at {place:,} is cut short")
-    return content
-
-
-class _Content:
-    """The content of one record, from its front on; raises _DamageError where it is too short."""
-
-    def __init__(self, content: bytes) -> None:
-        self._content, self._at = content, 0
-
-    @property
-    def is_over(self) -> bool:
-        return self._at >= len(self._content)
-
-    def take(self, octets: int) -> bytes:
-        taken = self._content[self._at : self._at + octets]
-        if len(taken) < octets:
-            raise _DamageError("a record states more octets than it has")
-        self._at += octets
-        return taken
-
-    def number(self, octets: int) -> int:
-        return int.from_bytes(self.take(octets), "little")
-
-    def octets(self, prefix: int) -> bytes:
-        return self.take(self.number(prefix))
-
-    def text(self) -> str:
-        return self.octets(4).decode("utf-8", "replace")

@@ -11,21 +11,34 @@ from concurrent.futures import Future
 from concurrent.futures import TimeoutError as FutureTimeoutError
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Protocol, TypeAlias
+from typing import Any, TypeAlias
 
-from attrs import define, field, frozen
+from attrs import define, frozen
 from typing_extensions import Self
 
 from uoarm._raised import LimitedLog, text_of
 from uoarm.errors import MessageError, UoarmError, UsageError
-from uoarm.model import Gap, Message, Plan, Robot, StatusEvent
-from uoarm.record._arrivals import Arrivals, ReadOctets
-from uoarm.record._documents import documents, event_message, gap_message
-from uoarm.record._file import McapFile, free_path, require_mcap
+from uoarm.model import Message, StatusEvent
+from uoarm.record._arrivals import Arrivals, ReadOctets, RecordedConnection, RecordedRobot
+from uoarm.record._file import (
+    McapFile,
+    documents,
+    event_message,
+    free_path,
+    gap_message,
+    require_mcap,
+)
 from uoarm.record._forms import EVENTS, ChannelForm, form_of, ros_events
-from uoarm.record._options import Due, Instant, RecordingSchedule, RecordOptions
+from uoarm.record._options import (
+    Due,
+    Instant,
+    RecordedChannel,
+    RecordingSchedule,
+    RecordingStatus,
+    RecordOptions,
+)
 
-__all__ = ["RecordedChannel", "Recording", "RecordingStatus"]
+__all__ = ["Recording"]
 
 _log = logging.getLogger("uoarm")
 _CLOSE_SECONDS = 60.0
@@ -34,78 +47,6 @@ _TURN_MESSAGES = 1024
 """After which the writer lets those go first who bring messages."""
 _MOST_EVENTS = 10_000
 _FAILURES = frozenset({"lost", "failed"})
-
-
-class RecordedConnection(Protocol):
-    """A connection, as far as a recording uses it."""
-
-    id: str
-
-    @property
-    def plan(self) -> Plan: ...
-    @property
-    def output(self) -> str | None: ...
-    @property
-    def gaps(self) -> tuple[Gap, ...]: ...
-    @property
-    def ended(self) -> bool: ...
-    def kill(self) -> None: ...
-
-
-class RecordedRobot(Protocol):
-    """A manager, as far as a recording uses it."""
-
-    @property
-    def config(self) -> Robot: ...
-    def request(
-        self, name: str, *, validate: str, on_message: Callable[[Any], None], timeout: float
-    ) -> RecordedConnection: ...
-    def listen(self, listener: Callable[[StatusEvent], None]) -> Callable[[], None]: ...
-
-
-@frozen
-class RecordedChannel:
-    """One function of a recording.
-
-    Attributes:
-        function: as it was asked for.
-        topic: of its channel.
-        encoding: `cdr` or `json`.
-        received: messages that came.
-        recorded: those that were written, or wait in the chunk that is being filled; of a ring,
-            those that came into it.
-        unwritable: those that have no form in the file.
-    """
-
-    function: str
-    topic: str
-    encoding: str
-    received: int
-    recorded: int
-    unwritable: int
-
-
-@frozen
-class RecordingStatus:
-    """A recording at one moment.
-
-    Attributes:
-        state: `recording`, `ended` or `failed`.
-        cause: why it ended or failed; empty while it runs.
-        files: the paths, oldest first.
-        octets: of all files.
-        channels: what came of each function.
-        dropped: messages that were lost before the writer, by reason.
-        seconds: for which it has run.
-    """
-
-    state: str
-    cause: str
-    files: tuple[str, ...]
-    octets: int
-    channels: tuple[RecordedChannel, ...]
-    dropped: Mapping[str, int] = field(factory=dict, hash=False)
-    seconds: float = 0.0
 
 
 @define(eq=False)

@@ -16,6 +16,7 @@ from fnmatch import fnmatchcase
 from io import TextIOWrapper
 from logging.handlers import WatchedFileHandler
 from pathlib import Path
+from typing import Any
 
 import orjson
 from attrs import field, frozen
@@ -131,6 +132,13 @@ class AccessRole:
     def allows_all(self, operation: Operation) -> bool:
         """Say whether an operation is allowed on everything, whatever it is of."""
         return operation in self.everything
+
+    def rights(self) -> dict[str, Any]:
+        """Return what it may do, as an access file says it."""
+        rights: dict[str, Any] = {
+            operation.value: list(patterns) for operation, patterns in self.rules.items()
+        }
+        return rights | {operation.value: "all" for operation in self.everything}
 
     def require(self, operation: Operation, function: str) -> None:
         """Raise DeniedError when an operation on a function is not allowed."""

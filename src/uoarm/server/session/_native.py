@@ -6,12 +6,10 @@ import asyncio
 import functools
 import logging
 import time
-from collections.abc import Callable, Coroutine, Iterable, Mapping
+from collections.abc import Callable, Coroutine, Mapping
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
-
-from attrs import evolve
 
 from uoarm._control import Connection
 from uoarm._resolve import NoPlanError
@@ -33,7 +31,7 @@ from uoarm.model import (
     to_json,
 )
 from uoarm.server._failures import LimitError, UnknownError, code_of, error_code_of, without_frames
-from uoarm.server.access import AccessRole, Operation, RoleView
+from uoarm.server.access import Operation, RoleView
 from uoarm.server.session._client import ConnectedClient
 from uoarm.server.session._discoveries import Discoveries
 from uoarm.server.session._recordings import RecordingDesk
@@ -44,6 +42,7 @@ from uoarm.server.session._views import (
     StatusQuestion,
     StatusViews,
     show_approval,
+    show_changes,
     show_plan,
     show_stop,
 )
@@ -312,30 +311,20 @@ class NativeSession:
 
     async def _configure(self, asked: ControlMessage) -> None:
         self._client.require_all(Operation.CONFIGURE)
-        wanted = asked.jsonMessage
-        if wanted is None:
-            robot = self._registry.robot
-
-            def history() -> bytes:
-                revisions, text = _shown_changes(robot.history()), robot.config.text
-                return self._written(asked, {"revisions": revisions, "configuration": text})
-
-            self._emit_frame(asked.id, await self._registry.in_worker(history))
-            return
-        if "schema" in wanted:
-            types = self._registry.robot.registry.types
-
-            def schema() -> bytes:
-                return self._written(asked, {"schema": completed_schema(types)})
-
-            self._emit_frame(asked.id, await self._registry.in_worker(schema))
-            return
-        if wanted.get("keep"):
-            self._client.require_all(Operation.KEEP)
-        changed = await self._registry.configure(wanted)
+        robot, wanted = self._registry.robot, asked.jsonMessage
+        changes: list[ConfigurationChange] = []
+        if wanted is not None and "schema" not in wanted:
+            if wanted.get("keep"):
+                self._client.require_all(Operation.KEEP)
+            changes.append(await self._registry.configure(wanted))
 
         def write() -> bytes:
-            return self._written(asked, _shown_changes((changed,))[0])
+            if changes:
+                return self._written(asked, show_changes(changes)[0])
+            if wanted is not None:
+                return self._written(asked, {"schema": completed_schema(robot.registry.types)})
+            revisions, text = show_changes(robot.history()), robot.config.text
+            return self._written(asked, {"revisions": revisions, "configuration": text})
 
         self._emit_frame(asked.id, await self._registry.in_worker(write))
 
@@ -524,7 +513,7 @@ class NativeSession:
             "server": f"uoarm {__version__}",
             "session": self._client.identity,
             "role": self._client.role.name,
-            "rights": _rights_of(self._client.role),
+            "rights": self._client.role.rights(),
             "message_bytes": self._client.limits.message_bytes,
             "elements": self._client.limits.elements,
             "depth": self._client.limits.depth,
@@ -588,10 +577,6 @@ class NativeSession:
         self._client.outbox.reply(frame, text=self._form.text, first=first)
 
 
-def _shown_changes(changes: Iterable[ConfigurationChange]) -> list[Message]:
-    return [{**to_json(evolve(change, robot=None)), "text": str(change)} for change in changes]
-
-
 def _reply_around(form: Form, asked: ControlMessage, written: bytes) -> bytes:
     """Return a reply whose message is written already."""
     head = {"op": "Reply", "type": asked.type, "id": asked.id}
@@ -604,11 +589,3 @@ def _reply_of(asked: ControlMessage, message: Message) -> dict[str, Any]:
     if message is not None:
         reply["jsonMessage"] = message
     return reply
-
-
-def _rights_of(role: AccessRole) -> Message:
-    """Return what a role may do, as an access file says it."""
-    rights: dict[str, Any] = {
-        operation.value: list(patterns) for operation, patterns in role.rules.items()
-    }
-    return rights | {operation.value: "all" for operation in role.everything}

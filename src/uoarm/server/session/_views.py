@@ -18,8 +18,10 @@ from uoarm._wire import Form
 from uoarm.model import (
     Component,
     ComponentStatus,
+    ConfigurationChange,
     ConnectionStatus,
     Function,
+    Message,
     Plan,
     Robot,
     RouteStatus,
@@ -38,6 +40,7 @@ __all__ = [
     "StatusQuestion",
     "StatusViews",
     "list_functions",
+    "show_changes",
     "show_plan",
     "show_stop",
     "visible_status",
@@ -140,6 +143,11 @@ def show_plan(plan: Plan, form: Form, view: RoleView) -> dict[str, Any]:
     for edge in data["edges"]:
         del edge["producer_structure"], edge["consumer_structure"]
     return {"plan": data, "text": view.text(str(shown), plan.function)}
+
+
+def show_changes(changes: Iterable[ConfigurationChange]) -> list[Message]:
+    """Return changes of the configuration as they are shown, without the robots themselves."""
+    return [{**to_json(evolve(change, robot=None)), "text": str(change)} for change in changes]
 
 
 def show_stop(report: StopReport, view: RoleView) -> dict[str, Any]:

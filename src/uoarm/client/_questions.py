@@ -1,0 +1,232 @@
+"""What a client asks a server that opens no stream: one control message and its answer each."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from typing import Any
+
+from uoarm._arguments import arguments
+
+__all__ = ["ServerQuestions"]
+
+
+class ServerQuestions(ABC):
+    """Plans, configuration, emergency stop, approvals and recordings of a robot elsewhere."""
+
+    @abstractmethod
+    async def ask(self, op: str, kind: str = "", **more: Any) -> Any:
+        """Send a control message and return the `jsonMessage` of its answer."""
+
+    async def functions(self) -> list[Mapping[str, Any]]:
+        """Return the functions that one may see."""
+        listed: list[Mapping[str, Any]] = (await self.ask("List"))["functions"]
+        return listed
+
+    @arguments()
+    async def resolve(self, name: str) -> Mapping[str, Any]:
+        """Return the plan of a function as data, and as text; raises ResolutionError."""
+        plan: Mapping[str, Any] = await self.ask("Resolve", name)
+        return plan
+
+    @arguments()
+    async def configure(
+        self,
+        text: str,
+        *,
+        dry_run: bool = False,
+        force: bool = False,
+        revision: int | None = None,
+        keep: bool = False,
+        reload_code: bool = False,
+    ) -> Mapping[str, Any]:
+        """Change the configuration of the robot; needs the right `configure`.
+
+        Args:
+            text: the whole configuration, YAML.
+            dry_run: whether to say only what would happen.
+            force: whether connections may end for it.
+            revision: of the configuration that the change was made for; None: any.
+            keep: whether it is written to the robot's file, too; needs the right `keep`.
+            reload_code: whether the code of Python components is read again.
+
+        Returns:
+            `revision`, `differences`, `connections`, `is_applied`, `is_kept`, `time`, and `text`
+            for people.
+
+        Raises:
+            ConfigurationError: it has mistakes, or would end connections, or components cannot be
+                had with their new code.
+            UsageError: another revision is in force.
+            ServerError: the role may not.
+        """
+        what = {"text": text, "keep": keep, "reload_code": reload_code}
+        return await self._change(what, dry_run, force, revision)
+
+    @arguments()
+    async def rollback(
+        self,
+        to: int,
+        *,
+        dry_run: bool = False,
+        force: bool = False,
+        revision: int | None = None,
+        keep: bool = False,
+    ) -> Mapping[str, Any]:
+        """Have the configuration of an earlier revision again; otherwise as `configure`."""
+        return await self._change({"rollback": to, "keep": keep}, dry_run, force, revision)
+
+    async def _change(
+        self,
+        what: Mapping[str, Any],
+        dry_run: bool,  # noqa: FBT001
+        force: bool,  # noqa: FBT001
+        revision: int | None,
+    ) -> Mapping[str, Any]:
+        wanted: dict[str, Any] = {**what, "dry_run": dry_run, "force": force}
+        if revision is not None:
+            wanted["revision"] = revision
+        change: Mapping[str, Any] = await self.ask("Configure", jsonMessage=wanted)
+        return change
+
+    async def revisions(self) -> list[Mapping[str, Any]]:
+        """Return the revisions of the configuration, the one in force last; needs `configure`."""
+        report: Mapping[str, Any] = await self.ask("Configure")
+        return list(report["revisions"])
+
+    async def discover(self) -> list[Mapping[str, Any]]:
+        """Return what each bridge sees now; needs the right `see` for `*`.
+
+        Returns:
+            `bridge`, `plugin`, `configured`, `cause` where it sees nothing, `facts` of the plugin,
+            `components` with their `ports`, `more` and `left_out`; also plugins without a bridge.
+        """
+        report: Mapping[str, Any] = await self.ask("Discover")
+        return list(report["bridges"])
+
+    async def stop_all(self) -> Mapping[str, Any]:
+        """Stop everything of the robot that moves, until `release`; needs the right `stop`.
+
+        Returns:
+            `stopped`: whether every open input that moves something has; `inputs`: for each whether
+            it has, since when, or why not; `since`; and `text` for people.
+
+        Raises:
+            ServerError: the role may not.
+        """
+        report: Mapping[str, Any] = await self.ask("Stop")
+        return report
+
+    async def release(self) -> None:
+        """Let commands through again; needs the right `release`.
+
+        Raises:
+            BridgeError: some inputs could not be reached, and go on refusing commands.
+            ServerError: the role may not.
+        """
+        await self.ask("Stop", jsonMessage={"release": True})
+
+    async def approvals(self) -> list[Mapping[str, Any]]:
+        """Return what others ask for that one may approve, oldest first; needs `approve`.
+
+        Returns:
+            `approval`, `phase`, `requester`, `operation`, `function`, `arguments`, `digest`,
+            `envelope`, `seconds`, `left`, `components`, `preview`, `approver`, `uses` and `cause`.
+        """
+        report: Mapping[str, Any] = await self.ask("Approve")
+        return list(report["approvals"])
+
+    @arguments()
+    async def approve(
+        self, approval: str, *, approve: bool = True, digest: str = "", cause: str = ""
+    ) -> Mapping[str, Any]:
+        """Approve or refuse what another principal asks for; needs the right `approve`.
+
+        Args:
+            approval: which.
+            approve: whether it may be done.
+            digest: of the arguments that were shown; with others nothing is approved.
+            cause: why, for who asked.
+
+        Raises:
+            ServerError: it is one's own, waits no more, or the role may not.
+        """
+        wanted: dict[str, Any] = {"approve": approve, "cause": cause}
+        if digest:
+            wanted["digest"] = digest
+        decided: Mapping[str, Any] = await self.ask("Approve", approval, jsonMessage=wanted)
+        return decided
+
+    @arguments()
+    async def record(
+        self,
+        *functions: str,
+        duration: float | None = None,
+        max_size: int | str | None = None,
+        split: int | str | None = None,
+        compression: str | None = None,
+        ring: float | None = None,
+    ) -> Mapping[str, Any]:
+        """Have the server record functions into a file of its folder; needs `record` for each.
+
+        It goes on without this client, until it is stopped or has what the server allows. Options
+        are those of `RobotManager.record`.
+
+        Returns:
+            `recording`, its name, `state`, `files`, `channels` and more: see the protocol.
+
+        Raises:
+            ResolutionError: nothing fits.
+            ServerError: the role may not, or too much is recorded already.
+        """
+        given = {
+            "duration": duration,
+            "max_size": max_size,
+            "split": split,
+            "compression": compression,
+            "ring": ring,
+        }
+        options = {name: value for name, value in given.items() if value is not None}
+        begun: Mapping[str, Any] = await self.ask(
+            "Record", jsonMessage={"functions": list(functions), **options}
+        )
+        return begun
+
+    async def recordings(self) -> Mapping[str, Any]:
+        """Return the `recordings`, and for whom may record all also the `files` in their folder."""
+        found: Mapping[str, Any] = await self.ask("Record")
+        return found
+
+    @arguments()
+    async def stop_recording(self, recording: str) -> Mapping[str, Any]:
+        """End a recording and return what is in it; that of another needs the right `kill`, too."""
+        ended: Mapping[str, Any] = await self.ask("Record", recording, jsonMessage={"stop": True})
+        return ended
+
+    @arguments()
+    async def dump_recording(self, recording: str) -> Mapping[str, Any]:
+        """Write what a recording with a `ring` keeps in memory; `written` is the file."""
+        done: Mapping[str, Any] = await self.ask("Record", recording, jsonMessage={"dump": True})
+        return done
+
+    async def players(self) -> list[Mapping[str, Any]]:
+        """Return where the recordings are that bridges play."""
+        report: Mapping[str, Any] = await self.ask("Play")
+        return list(report["players"])
+
+    @arguments()
+    async def playback(
+        self,
+        bridge: str,
+        *,
+        pause: bool | None = None,
+        rate: float | str | None = None,
+        seek: float | None = None,
+        step: bool = False,
+    ) -> Mapping[str, Any]:
+        """Move the recording that a bridge plays, as `RobotManager.playback`; needs `record`."""
+        given = {"pause": pause, "rate": rate, "seek": seek, "step": step or None}
+        wanted = {name: value for name, value in given.items() if value is not None}
+        message: dict[str, Any] = {"jsonMessage": wanted} if wanted else {}
+        moved: Mapping[str, Any] = await self.ask("Play", bridge, **message)
+        return moved
