@@ -223,7 +223,7 @@ class RtmBridgeOptions(BridgeOptions):
     max_message: int = option(
         1 << 26,
         {"type": "integer", "minimum": 1 << 16, "maximum": 1 << 30},
-        "octets of one message (of GIOP) that our side sends or takes, up to 1 GiB; one figure for "
+        "bytes of one message (of GIOP) that our side sends or takes, up to 1 GiB; one figure for "
         "all bridges of a process",
     )
     watch: float = option(
