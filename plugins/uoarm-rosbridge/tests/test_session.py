@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import base64
 import gc
 import json
@@ -19,7 +20,9 @@ from uoarm_rosbridge._wire import Fragments
 from uoarm import RobotManager
 from uoarm.errors import ControlMessageError
 from uoarm.server import Limits, Server
+from uoarm.server.front_end import Feed
 from uoarm.server.publication import InputPublication
+from uoarm.server.streams import FeedRegistry
 from uoarm.testing import slowness
 
 
@@ -496,6 +499,25 @@ def test_an_input_whose_function_ended_leaves_nothing(enter: Enter, robot: Robot
     if report.startswith("closed: "):  # the message itself, where it was still on its way
         report = client.receive()["msg"]
     assert "/uoarm/echo has closed" in report
+    eventually(lambda: not publications(), "the publication is gone")
+
+
+def test_an_input_whose_function_ends_as_it_opens_fails_what_waits(
+    enter: Enter, robot: RobotManager, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    join = FeedRegistry.join
+
+    async def late(registry: FeedRegistry, *asked: Any, **options: Any) -> Feed:
+        feed = await join(registry, *asked, **options)
+        await asyncio.to_thread(end, robot)
+        await asyncio.to_thread(eventually, lambda: feed.end is not None, "it has ended")
+        return feed
+
+    monkeypatch.setattr(FeedRegistry, "join", late)
+    client = enter()
+    client.send(op="publish", topic="/uoarm/echo", msg={"value": 1})
+    for _ in range(2):  # the topic's end, and the message that is not sent
+        assert "/uoarm/echo has closed" in client.receive()["msg"]
     eventually(lambda: not publications(), "the publication is gone")
 
 

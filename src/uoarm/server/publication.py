@@ -63,6 +63,7 @@ class InputPublication:
         self._waiting: deque[tuple[Message, Done, Charge]] = deque()
         self._feed: Feed | None = None
         self._sender: InputSender | None = None
+        self._failure: BaseException | None = None  # once nothing more can be published
         self._closing = False
         self._opening = asyncio.ensure_future(self._open())
 
@@ -77,7 +78,10 @@ class InputPublication:
         Raises:
             BusyError: too many wait.
             LimitError: the client has too much memory held.
+            UoarmError: the function could not be opened, or has ended.
         """
+        if self._failure is not None:
+            raise self._failure
         if self._sender is not None:
             self._sender.send(message, self._port or None, done, octets)
         elif len(self._waiting) >= self._limit:
@@ -107,8 +111,7 @@ class InputPublication:
 
     def ended(self, state: str, cause: str) -> None:
         """Give the function back, whose provider has gone."""
-        self._leave()
-        self._on_ended(UoarmError(f"{self._name} has {state}: {cause or 'killed'}"))
+        self._fail(UoarmError(f"{self._name} has {state}: {cause or 'killed'}"))
 
     async def _open(self) -> None:
         try:
@@ -119,28 +122,37 @@ class InputPublication:
                 self._backend.leave(feed)
                 raise
         except Exception as error:  # noqa: BLE001 - said to the one who publishes
-            self._on_ended(error)
-            while self._waiting:
-                _, done, charge = self._waiting.popleft()
-                charge.release()
-                done(error)
+            self._fail(error)
+            self._send_waiting()
             return
         assert feed.connection is not None, "join returns feeds that are open"
         self._feed = feed
         self._sender = self._backend.sender(
             feed.connection, self._account, self._read, self._holder
         )
-        feed.add(self)
-        while self._waiting:
-            message, done, charge = self._waiting.popleft()
+        feed.add(self)  # a feed that has ended meanwhile says so before this returns
+        self._send_waiting()
+        if self._closing and self._sender is not None:
+            self._sender.after(self._leave)
+
+    def _send_waiting(self) -> None:
+        """Send what waited for the function, or fail it where there is none."""
+        waiting, self._waiting = self._waiting, deque()
+        for message, done, charge in waiting:
             octets = charge.octets
             charge.release()
+            if self._failure is not None:
+                done(self._failure)
+                continue
             try:
                 self.publish(message, done, octets)
             except UoarmError as error:
                 done(error)
-        if self._closing and self._sender is not None:
-            self._sender.after(self._leave)
+
+    def _fail(self, error: BaseException) -> None:
+        self._failure = error
+        self._leave()
+        self._on_ended(error)
 
     def _leave(self) -> None:
         sender, self._sender = self._sender, None
