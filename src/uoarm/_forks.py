@@ -17,7 +17,7 @@ from collections.abc import Callable, Collection, Iterable
 from functools import partial
 from typing import Any, Protocol
 
-__all__ = ["at_exit", "close_in_children", "default_in_children"]
+__all__ = ["at_exit", "close_in_children", "default_in_children", "generation"]
 
 
 class _Closable(Protocol):
@@ -33,6 +33,15 @@ class _Forking(threading.local):
 
 
 _forking = _Forking()
+_forks: list[None] = []
+
+
+def generation() -> int:
+    """Return how many forks led to this process: what was made in another one is a parent's.
+
+    Instead of the number of the process, which is a call of the system: a request asks many times.
+    """
+    return len(_forks)
 
 
 def at_exit(call: Callable[[], object]) -> Callable[[], None]:
@@ -40,7 +49,7 @@ def at_exit(call: Callable[[], object]) -> Callable[[], None]:
 
     A child that is forked does not call it. Returns what takes it back.
     """
-    run = partial(_run_in, os.getpid(), call)
+    run = partial(_run_in, generation(), call)
     atexit.register(run)
     return partial(atexit.unregister, run)
 
@@ -63,7 +72,7 @@ def default_in_children(numbers: Iterable[int]) -> None:
 
 
 def _run_in(process: int, call: Callable[[], object]) -> None:
-    if os.getpid() == process:
+    if generation() == process:
         call()
 
 
@@ -77,6 +86,7 @@ def _let_signals_through() -> None:
 
 
 def _forsake() -> None:
+    _forks.append(None)
     for closable in tuple(_closable):
         closable.close()
     _closable.clear()

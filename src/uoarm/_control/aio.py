@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import logging
-import os
 import time
 from abc import abstractmethod
 from collections.abc import AsyncIterator, Callable, Coroutine
@@ -21,6 +20,7 @@ from uoarm._arguments import arguments
 from uoarm._control.connection import Connection
 from uoarm._control.robot_manager import RobotManager
 from uoarm._dataplane import Clock
+from uoarm._forks import generation
 from uoarm._hints.applications import T
 from uoarm._raised import foreign
 from uoarm._renewal import HeldCommand
@@ -61,7 +61,7 @@ class _Twin(Generic[Threaded]):
     def __init__(self, threaded: Threaded, executor: ThreadPoolExecutor) -> None:
         self._threaded = threaded
         self._executor = executor
-        self._process = os.getpid()
+        self._process = generation()
 
     @abstractmethod
     async def close(self) -> None: ...
@@ -78,7 +78,9 @@ class _Twin(Generic[Threaded]):
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        if os.getpid() == self._process:  # a forked child has none of the threads, and owns nothing
+        if (
+            generation() == self._process
+        ):  # a forked child has none of the threads, and owns nothing
             await self.close()
 
     def __repr__(self) -> str:

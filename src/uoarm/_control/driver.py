@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import itertools
 import logging
-import os
 import threading
 import time
 from collections import deque
@@ -34,6 +33,7 @@ from uoarm._control.live.safety import EmergencyStop
 from uoarm._control.revisions import Revisions, StagedRevision, check_preferred, seek_replacement
 from uoarm._control.threads import EventDispatcher, Job, Lanes, Timer, keep_newest
 from uoarm._dataplane import Clock
+from uoarm._forks import generation
 from uoarm._interrupts import Uninterrupted
 from uoarm._raised import foreign
 from uoarm._resolve import keep_candidates
@@ -84,7 +84,7 @@ class Driver:
         clock: Clock,
         emergency_stop: EmergencyStop,
     ) -> None:
-        self._process = os.getpid()
+        self._process = generation()
         self.state = state
         self.live = LiveParts(state, bridges, clock, self._judged, emergency_stop, events.post)
         self.deaths: dict[str, int] = {}
@@ -179,7 +179,7 @@ class Driver:
     @property
     def is_foreign(self) -> bool:
         """Whether this is a forked child: what is open is its parent's, and locks may be held."""
-        return os.getpid() != self._process
+        return generation() != self._process
 
     def kill(self, identity: str, cause: str = "", *, is_failure: bool = False) -> None:
         """End a connection, and close in this thread what only it used. Idempotent."""

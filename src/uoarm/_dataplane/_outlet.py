@@ -186,15 +186,13 @@ class Outlet:
         """
         with self._lock:
             self.retains = retains
-            turns = tuple(self._turns.values())
             if not retains:
-                self._turns, self._last = {}, (0, None)
-                self._standing = _Standing()
+                self._turns, self._last, self._standing = {}, (0, None), _Standing()
+                return
+            turns = tuple(self._turns.values())
             self._standing.limit(max(1, depth))
             standing = self._standing
             kept = [(n, standing.newest_of(w), m) for n, (w, m, _) in standing.messages.items()]
-        if not retains:
-            return
         # Outside of the lock, since turns come first in the order of locks, and routes may block.
         for turn in turns:
             with turn.lock:

@@ -20,7 +20,7 @@ from typing import IO, Any
 
 from attrs import field, frozen
 
-from uoarm._forks import at_exit, close_in_children
+from uoarm._forks import at_exit, close_in_children, generation
 from uoarm._host.transport import keys
 from uoarm._host.transport.frames import LinkSockets
 from uoarm._host.transport.liveness import Heartbeat, LivenessMonitor
@@ -332,7 +332,7 @@ class ProcessConnection:
         self._name = spec.name
         self._memory = settings.memory
         self._given_up = ""
-        self._process = os.getpid()
+        self._process = generation()
         self._forget_exit: Callable[[], None] = lambda: None
         self._liveness = LivenessMonitor(spec.name, on_doubt, on_death)
         self._transport: SocketTransport | None = None
@@ -412,7 +412,7 @@ class ProcessConnection:
             UoarmError: the bridge in the host failed while closing; the host has ended anyway.
             BridgeError: its process does not end.
         """
-        if os.getpid() != self._process:
+        if generation() != self._process:
             return  # in a child that was forked: the host is its parent's
         self._forget_exit()
         self._liveness.expect_end()

@@ -9,6 +9,7 @@ from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager
 from typing import TypeVar, final
 
+from uoarm._forks import generation
 from uoarm._raised import foreign
 from uoarm._support import deadlines
 from uoarm._support.deadlines import BoundedStep
@@ -83,7 +84,7 @@ class Bridge(BridgeSteps):
         self._lock = threading.Lock()
         self._open: set[Channel] = set()
         self._is_closed = False
-        self._process = os.getpid()
+        self._process = generation()
         self._listener: Callable[[HealthEvent], None] | None = None
         self._pending_calls = CallsUnderWay()
 
@@ -348,7 +349,7 @@ class Bridge(BridgeSteps):
         Raises:
             BridgeError: something failed while closing; the rest was closed all the same.
         """
-        if os.getpid() != self._process:
+        if generation() != self._process:
             return  # in a child that was forked: it is its parent's
         with self._lock:
             if self._is_closed:
@@ -422,12 +423,7 @@ class Bridge(BridgeSteps):
         keeps_time: Callable[[], bool] | None = None,
         grace: float = 0.0,
     ) -> T:
-        if self._is_closed:
-            raise BridgeError(f"bridge {self.name!r} is closed: {what}", FailureReason.CLOSED)
-        if os.getpid() != self._process:
-            text = f"bridge {self.name!r} belongs to the parent of this process: {what}"
-            raise BridgeError(text, FailureReason.CLOSED)
-        step = BoundedStep(f"bridge {self.name!r}: ", what)
+        step = self._begun(what)
         with translated(step):
             return deadlines.run(
                 step,
@@ -438,6 +434,15 @@ class Bridge(BridgeSteps):
                 keeps_time=keeps_time is not None and keeps_time(),
                 grace=grace,
             )
+
+    def _begun(self, what: str | BoundedStep) -> BoundedStep:
+        """Return the name of a step that this bridge may begin."""
+        if self._is_closed:
+            raise BridgeError(f"bridge {self.name!r} is closed: {what}", FailureReason.CLOSED)
+        if generation() != self._process:
+            text = f"bridge {self.name!r} belongs to the parent of this process: {what}"
+            raise BridgeError(text, FailureReason.CLOSED)
+        return BoundedStep(f"bridge {self.name!r}: ", what)
 
     def _opened(
         self,
@@ -450,17 +455,15 @@ class Bridge(BridgeSteps):
         *,
         is_quick: bool = False,
     ) -> C:
-        def opened() -> C:
-            channel = action()
-            if isinstance(channel, Channel):
-                channel._gate, channel._is_quick = gate, is_quick  # noqa: SLF001 - its one owner
-            return channel
-
         def put_away(channel: Channel) -> None:
-            _put_away(channel, on_late)
+            _put_away(channel, on_late, gate)
 
-        channel = self._step(what, timeout, opened, on_late=put_away, keeps_time=lambda: is_quick)
-        return self._adopt(kind, what, channel, on_late)
+        if is_quick:  # which needs neither a limit nor a thread, and is never late
+            with translated(self._begun(what)):
+                channel = action()
+        else:
+            channel = self._step(what, timeout, action, on_late=put_away)
+        return self._adopt(kind, what, channel, on_late, gate, is_quick=is_quick)
 
     def _adopt(
         self,
@@ -468,9 +471,13 @@ class Bridge(BridgeSteps):
         what: str | BoundedStep,
         channel: C,
         on_late: Callable[[Channel], object] | None = None,
+        gate: Gate | None = None,
+        *,
+        is_quick: bool = False,
     ) -> C:
         if not isinstance(channel, kind):
             raise self._broken(what, f"a {kind.__name__}", channel)
+        channel._gate, channel._is_quick = gate, is_quick  # noqa: SLF001 - its one owner
         with self._lock:
             keep = not self._is_closed
             if keep:
@@ -498,10 +505,16 @@ class Bridge(BridgeSteps):
         return BridgeError(text, FailureReason.CONTRACT)
 
 
-def _put_away(channel: Channel | None, on_late: Callable[[Channel], object] | None = None) -> None:
-    """Close a channel that nobody waits for any more, then tell of it."""
+def _put_away(
+    channel: Channel | None,
+    on_late: Callable[[Channel], object] | None = None,
+    gate: Gate | None = None,
+) -> None:
+    """Close a channel that is not waited for any more, then report it."""
     if not isinstance(channel, Channel):
         return
+    if gate is not None:
+        channel._gate = gate  # noqa: SLF001 - its one owner
     try:
         channel.close()
     except BridgeError:

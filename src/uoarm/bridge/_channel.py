@@ -5,13 +5,13 @@ A `ReceiveQueue` stands between a framework's thread and one of the channel: bou
 
 from __future__ import annotations
 
-import os
 import threading
 import time
 from collections import deque
 from collections.abc import Callable, Mapping
 from typing import Generic, TypeVar, final
 
+from uoarm._forks import generation
 from uoarm._support import deadlines
 from uoarm._support.deadlines import BoundedStep
 from uoarm.bridge._border import translated
@@ -49,7 +49,7 @@ class Channel:
         self._close_given = close
         self._closing = threading.Lock()
         self._closed = False
-        self._process = os.getpid()
+        self._process = generation()
         self._let_go = False
         self._when_closed: Callable[[Channel], None] | None = None
         self._gate: Gate | None = None
@@ -80,7 +80,7 @@ class Channel:
             BridgeTimeoutError: the framework did not let go within `timeout` seconds.
             BridgeError: the framework failed while closing.
         """
-        if os.getpid() != self._process:
+        if generation() != self._process:
             return  # in a child that was forked: it is its parent's
         with self._closing:
             if self._closed:

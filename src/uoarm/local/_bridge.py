@@ -198,10 +198,10 @@ class PythonBridge(Bridge):
     ) -> Source:
         del structure
         target = self._of_address(endpoint.address)
+        port = target.port(endpoint)
         slot, instance = self._enter(endpoint, target)
         try:
-            is_fed = target.port(endpoint).takes_messages
-            source = None if is_fed else instance.source(endpoint)
+            source = None if port.takes_messages else instance.source(port)
         except BaseException:
             self._leave(slot)
             raise
@@ -288,6 +288,8 @@ class PythonBridge(Bridge):
             if slot is None or (before is not None and before.is_dead):
                 slot = self._slots[key] = _Slot(key, before)
             slot.users += 1
+            if slot.instance is not None:  # it stays what it is
+                return slot, slot.instance
         try:
             with slot.building:
                 if slot.instance is None:

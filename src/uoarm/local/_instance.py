@@ -185,14 +185,14 @@ class Instance:
         """Whether its source raised."""
         return self._source is not None and self._source.failure is not None
 
-    def source(self, endpoint: Endpoint) -> IteratedSource:
+    def source(self, port: TargetPort) -> IteratedSource:
         """Return what iterates over the component, which takes no messages.
 
         Raises:
             HintError: the hint of its messages cannot be converted.
         """
         if self._source is None:
-            write = self._target.port(endpoint).writer
+            write = port.writer
             name = f"uoarm-{self._target.name}"
             emitter = partial(self._emitter, write)
             self._source = IteratedSource(self._iterator, emitter, name, self._workers)

@@ -167,7 +167,8 @@ class Target:
 
     def port(self, endpoint: Endpoint) -> TargetPort:
         """Return what is made once for a port, with these parameters: they fill others."""
-        key = endpoint.role, endpoint.port, frozenset(endpoint.parameters)
+        given = endpoint.parameters
+        key = endpoint.role, endpoint.port, frozenset(given) if given else ()
         found = self._ports.get(key)
         if found is None:
             found = self._ports[key] = TargetPort(self, endpoint)

@@ -7,6 +7,7 @@ done now. Which plan is wanted is found outside, by a search whose result is an 
 from __future__ import annotations
 
 from collections.abc import Collection
+from itertools import filterfalse
 from typing import NamedTuple
 
 from uoarm._control.engine.move import MovePhase
@@ -76,8 +77,10 @@ def _missing(state: State, parts: tuple[Part, ...]) -> tuple[tuple[Part, ...], t
     """Return which parts are not open, and the batches that open some of these already."""
     # Where another batch opens some of it, even the rest waits: opened beside it, an output might
     # come before an edge that it feeds. What that batch fails at is asked for again here.
-    open_by, batches = state.parts, state.batches
-    found = [(part, open_by.get(part)) for part in parts]
+    opened_by, batches = state.parts, state.batches
+    if not batches:  # mostly; then what has a number is open
+        return tuple(filterfalse(opened_by.__contains__, parts)), ()
+    found = [(part, opened_by.get(part)) for part in parts]
     left = [(part, batch) for part, batch in found if batch is None or batch in batches]
     return (
         tuple(part for part, _ in left),

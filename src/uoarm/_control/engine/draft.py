@@ -375,13 +375,11 @@ class Draft(State):
             Kind.SEND: ports,
         }
         done = frozenset(done)
-        unused: list[Part] = []
-        for part in batch.parts:
-            if part in done:
-                if part.id in used[part.kind]:
-                    continue  # it is open from now on, as its batch is over
-                unused.append(part)
+        # What was done and has a user is open from now on, as its batch is over.
+        left = [part for part in batch.parts if part not in done or part.id not in used[part.kind]]
+        for part in left:
             self.parts = self.parts.remove(part)
+        unused = [part for part in left if part in done]
         return Parts(
             tuple(part.id for part in unused if part.kind is Kind.COMPONENT),
             tuple(part.id for part in unused if part.kind is Kind.EDGE),
@@ -392,14 +390,9 @@ class Draft(State):
         """Return the connections that use a part of a batch and so waited for it, oldest first."""
         # Its own first: it waits also where all its parts are ports.
         users = {batch.user}
-        records = {
-            part.id: self.edges.get(part.id)
-            if part.kind is Kind.EDGE
-            else self.components.get(part.id)
-            for part in batch.parts
-            if part.kind not in PORTS  # which are one connection's own
-        }
-        for record in records.values():
+        # Of ports, which are one connection's own, there are no records.
+        for number in {part.id for part in batch.parts}:
+            record = self.components.get(number) or self.edges.get(number)
             # Mostly it is the only one.
             if record is not None and (len(record.users) > 1 or batch.user not in record.users):
                 users.update(record.users)

@@ -212,11 +212,8 @@ class EdgeRecord(NamedTuple):
     @property
     def strictest(self) -> ValidationMode:
         """The mode that satisfies every user."""
-        return max(
-            (mode for mode, count in zip(_STRICTNESS, self.counts, strict=True) if count),
-            key=_STRICTNESS.index,
-            default=ValidationMode.OFF,
-        )
+        counted = zip(reversed(_STRICTNESS), reversed(self.counts), strict=True)
+        return next((mode for mode, count in counted if count), ValidationMode.OFF)
 
     def used_by(self, user: str, mode: ValidationMode | None) -> EdgeRecord:
         """Return the edge with a user that wishes this mode; None: it uses it no more."""
@@ -224,9 +221,11 @@ class EdgeRecord(NamedTuple):
         if before is not None:
             counts[_STRICTNESS.index(before)] -= 1
         if mode is None:
-            return self._replace(users=self.users.remove(user), counts=tuple(counts))
-        counts[_STRICTNESS.index(mode)] += 1
-        return self._replace(users=self.users.insert(user, mode), counts=tuple(counts))
+            users = self.users.remove(user)
+        else:
+            counts[_STRICTNESS.index(mode)] += 1
+            users = self.users.insert(user, mode)
+        return EdgeRecord(*self[:4], users, tuple(counts), self.is_held)
 
 
 class Placement(NamedTuple):

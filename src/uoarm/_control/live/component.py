@@ -74,10 +74,10 @@ class LiveComponent:
         self._replaced = self._of_my_function(replaced)
         self._are_replaced_stopped = not self._replaced
         self.bridge = bridge
-        self.outlets = {
-            output.name: Outlet(OutputWatch(failures, output.name))
-            for output in self.component.outputs
+        self._output_watches = {
+            output.name: OutputWatch(failures, output.name) for output in self.component.outputs
         }
+        self.outlets = {name: Outlet(watch) for name, watch in self._output_watches.items()}
         self.structures = step.structures
         self.failures = failures
         self.leases = {
@@ -280,7 +280,7 @@ class LiveComponent:
     ) -> Callable[[Message], None] | None:
         """Return what checks messages of an output for one route, and blames this component."""
         place = f"{self.component.name}.{output}"
-        watch = OutputWatch(self.failures, output)
+        watch = self._output_watches[output]
         return make_check(structure, mode, place, watch, is_suspected=is_suspected)
 
     def judge(self, output: str, structure: MessageStructure, message: Message) -> None:

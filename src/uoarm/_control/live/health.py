@@ -130,7 +130,7 @@ class FailureWatch:
     def __init__(self, name: str, limits: FailureLimits, clock: Clock, notify: Notify) -> None:
         self._name = name
         self._limits = limits
-        self._rules: dict[Hashable, FailureRule] = {_TAKING: FailureRule(limits)}
+        self._rules: dict[Hashable, FailureRule] = {}
         self._clock = clock
         self._notify = notify
         # Guards counts and rules, and the order of verdicts: messages pass in several threads.
@@ -145,7 +145,7 @@ class FailureWatch:
     def health(self) -> Health:
         """The verdict."""
         rules = tuple(self._rules.values())
-        return max((rule.health for rule in rules), key=_ORDER.index)
+        return max((rule.health for rule in rules), key=_ORDER.index, default=Health.OK)
 
     def raised(self, place: str, error: BaseException) -> None:
         """Take in that the component raised, and log it."""

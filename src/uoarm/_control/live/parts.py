@@ -230,23 +230,22 @@ class LiveParts:
         replaced = self._replaced_by(action)
         for live in _there(self.components, action.recalled):
             live.recall(replaced, self.components.copy().values())
-        for part in action.parts:
-            if action.batch in cancelled:
-                raise ConnectionClosedError(f"{action.connection} was given up")
-            try:
-                if part.kind is Kind.COMPONENT:
-                    self._enter(state.components[part.id], replaced)
-                elif part.kind is Kind.OUTPUT:
-                    self._open_output(part)
-                elif part.kind is Kind.EDGE:
-                    self._connect(state.edges[part.id])
-                elif part.kind is Kind.RECEIVE:
-                    self._receive(action)
-                else:
-                    self._send(action)
-            except KeyError as error:
-                raise ConnectionClosedError(f"{action.connection} was given up") from error
-            done.append(part)
+        opening: Mapping[Kind, Callable[[Part], None]] = {
+            Kind.COMPONENT: lambda part: self._enter(state.components[part.id], replaced),
+            Kind.RECEIVE: lambda _: self._receive(action),
+            Kind.OUTPUT: self._open_output,
+            Kind.EDGE: lambda part: self._connect(state.edges[part.id]),
+            Kind.SEND: lambda _: self._send(action),
+        }
+        batch = action.batch
+        try:
+            for part in action.parts:
+                if batch in cancelled:
+                    raise ConnectionClosedError(f"{action.connection} was given up")
+                opening[part.kind](part)
+                done.append(part)
+        except KeyError as error:  # what it needs was taken out meanwhile
+            raise ConnectionClosedError(f"{action.connection} was given up") from error
 
     def close(self, ending: Ending, *, ends: bool) -> None:
         """Close what has no user, and account for it.
