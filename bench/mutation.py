@@ -68,7 +68,7 @@ SUBJECTS = {
             "tests/control/test_every_order.py",
         ),
         "not greater_depth and not TestWalk",
-        ("step", "difference", "draft", "failover", "switchover", "state"),
+        ("step", "draft", "failover", "switchover", "state"),
     ),
 }
 _OUTCOMES = {

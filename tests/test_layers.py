@@ -67,10 +67,8 @@ RANK = {name: rank for rank, names in enumerate(LAYERS) for name in names}
 BY_MODULE = {"_control"}
 WITHIN = {
     "_control": [
-        {"engine", "discovery", "offered_function", "threads"},
+        {"engine", "discovery", "offered_function"},
         {"live"},
-        {"revisions"},
-        {"driver"},
         {"offers", "candidates", "connection"},
         {"requests", "configuration_changes"},
         {"robot_manager"},

@@ -7,10 +7,9 @@ from tests.control.world import FACE, Plans, World
 
 from uoarm._control.engine import actions as act
 from uoarm._control.engine import events as ev
-from uoarm._control.engine.difference import desired, difference
 from uoarm._control.engine.move import MovePhase
 from uoarm._control.engine.state import Kind, State
-from uoarm._control.engine.step import step
+from uoarm._control.engine.step import desired, difference, step
 from uoarm.model import ConnectionState, FailoverPolicy, PortRef, ValidationMode
 
 SEEKING, OPENING, SWITCHING = MovePhase.SEEKING, MovePhase.OPENING, MovePhase.SWITCHING

@@ -14,8 +14,8 @@ from uoarm import RobotManager
 from uoarm._control.engine.move import forget_earlier
 from uoarm._control.engine.state import listed
 from uoarm._control.live import parts
-from uoarm._control.revisions import Revision
-from uoarm._control.threads import EventDispatcher, Job, Lanes, keep_newest
+from uoarm._control.live.revisions import Revision
+from uoarm._control.live.threads import EventDispatcher, Job, Lanes, keep_newest
 from uoarm._support.ordered import OrderedMap
 from uoarm.config import loads
 from uoarm.model import ConnectionState, Health, StatusEvent

@@ -14,7 +14,7 @@ from uoarm._control.engine import actions as act
 from uoarm._control.engine import events as ev
 from uoarm._control.engine.state import State
 from uoarm._control.engine.step import step
-from uoarm._control.revisions import find_replacement
+from uoarm._control.live.revisions import find_replacement
 from uoarm.errors import ResolutionError
 from uoarm.model import FailoverPolicy, Health, Plan, PortRef, ValidationMode
 

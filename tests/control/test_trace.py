@@ -17,13 +17,14 @@ from tests.control.world import FACE, Plans
 
 import uoarm
 from uoarm import RobotManager
-from uoarm._control import candidates, driver
+from uoarm._control import candidates
 from uoarm._control.engine import actions as act
 from uoarm._control.engine import events as ev
 from uoarm._control.engine.draft import InputInUseError
 from uoarm._control.engine.events import read_event, write_event
-from uoarm._control.engine.state import State, names
+from uoarm._control.engine.state import State
 from uoarm._control.engine.step import step
+from uoarm._control.live import driver
 from uoarm._resolve import NoPlanError
 from uoarm.client import ServerError
 from uoarm.config import loads
@@ -166,7 +167,7 @@ def test_what_is_discovered_is_in_the_log_and_replays(
         begun.append(state)
         plan = getattr(event, "plan", None)
         if plan is not None:
-            plans[names(plan)] = plan
+            plans[plan.names] = plan
         after, actions = step(state, event, now)
         done.append(actions)
         return after, actions

@@ -20,7 +20,7 @@ from tests.control.world import FACE, NAME, OTHERS, PORTS, Plans, World, discove
 
 from uoarm._control.engine import actions as act
 from uoarm._control.engine import events as ev
-from uoarm._control.engine.state import ConnectionRecord, Part, Parts, Placement, names
+from uoarm._control.engine.state import ConnectionRecord, Part, Parts, Placement
 from uoarm._support.ordered import OrderedMap
 from uoarm.model import FailoverPolicy, Health, Plan, PortRef, ValidationMode
 
@@ -214,7 +214,7 @@ def describe(action: act.Action) -> str:
 def plain(value: Any) -> str:
     """Return a value as short as it can be told from another."""
     if isinstance(value, Plan):
-        return f"{value.function}({','.join(names(value))})"
+        return f"{value.function}({','.join(value.names)})"
     if isinstance(value, Placement):
         return value.user
     if isinstance(value, ConnectionRecord):

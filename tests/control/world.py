@@ -15,11 +15,10 @@ from attrs import evolve
 from uoarm._adapt import check_edge
 from uoarm._control.engine import actions as act
 from uoarm._control.engine import events as ev
-from uoarm._control.engine.difference import desired, difference
 from uoarm._control.engine.move import MovePhase, MoveReason
-from uoarm._control.engine.state import ConnectionRecord, Kind, Part, Parts, Placement, State, names
-from uoarm._control.engine.step import step
-from uoarm._control.revisions import find_replacement
+from uoarm._control.engine.state import ConnectionRecord, Kind, Part, Parts, Placement, State
+from uoarm._control.engine.step import desired, difference, step
+from uoarm._control.live.revisions import find_replacement
 from uoarm._resolve import Resolver, StructureCache
 from uoarm.config import compare, loads
 from uoarm.errors import BridgeError, ResolutionError
@@ -449,7 +448,7 @@ class World:
     def _is_chosen(self, plan: Plan) -> bool:
         """Say whether a request would get this plan now, as `check_preferred` does."""
         try:
-            return names(self.plans(plan.function, self.dead)) == names(plan)
+            return self.plans(plan.function, self.dead).names == plan.names
         except ResolutionError:
             return False
 
@@ -462,7 +461,7 @@ class World:
             self.replies += (action.waiter,)
         elif isinstance(action, act.HandOver):
             assert action.before.plan != action.after.plan or action.cause
-            self.handed += ((action.connection, names(action.after.plan)),)
+            self.handed += ((action.connection, action.after.plan.names),)
         elif isinstance(action, act.Adopt):
             assert action.revision == self.state.revision
             self.before, self.plans, self.earlier = self.plans, self.next, None

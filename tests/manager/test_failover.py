@@ -12,10 +12,10 @@ import pytest
 from attrs import evolve
 
 from uoarm import ConnectionClosedError, RobotManager
-from uoarm._control import driver
 from uoarm._control.engine import actions as act
 from uoarm._control.engine import events as ev
-from uoarm._control.engine.state import State, names
+from uoarm._control.engine.state import State
+from uoarm._control.live import driver
 from uoarm._control.live.connection_runtime import LossAccount
 from uoarm._support import deadlines
 from uoarm.bridge import Channel
@@ -195,7 +195,7 @@ def test_a_takeover_that_comes_too_late_takes_over_nothing(
     opens, run = driver.Driver._open, deadlines.run
 
     def open_batch(made: driver.Driver, action: act.Open, state: State) -> ev.Event:
-        limits.seconds = 0.2 if "next" in names(action.placement.plan) else patience()
+        limits.seconds = 0.2 if "next" in action.placement.plan.names else patience()
         return opens(made, action, state)
 
     def run_limited(step: str, _: float, action: Callable[[], object]) -> object:

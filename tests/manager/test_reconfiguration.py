@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from tests.manager import stage
 
 from uoarm import RobotManager
-from uoarm._control import revisions
+from uoarm._control.live import revisions
 from uoarm._control.live.application_ports import ApplicationPorts
 from uoarm.bridge import BridgeType, Registry
 from uoarm.config import loads

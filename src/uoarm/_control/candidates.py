@@ -11,8 +11,8 @@ from functools import partial
 from attrs import define, field
 
 from uoarm._control.discovery import Discovery
-from uoarm._control.driver import Driver
-from uoarm._control.revisions import Revisions
+from uoarm._control.live.driver import Driver
+from uoarm._control.live.revisions import Revisions
 from uoarm._dataplane import Clock
 from uoarm._resolve import Proofs, Structures, Unavailable, add_candidates
 from uoarm.bridge import Bridge, BridgeType

@@ -11,9 +11,9 @@ from pathlib import Path
 from attrs import evolve
 
 from uoarm import config
-from uoarm._control.driver import Driver
+from uoarm._control.live.driver import Driver
+from uoarm._control.live.revisions import Revisions
 from uoarm._control.offers import Offers
-from uoarm._control.revisions import Revisions
 from uoarm._resolve import without_candidates
 from uoarm._support import deadlines
 from uoarm._support.files import written_beside

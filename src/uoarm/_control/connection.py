@@ -12,10 +12,10 @@ from attrs import asdict
 from typing_extensions import Self
 
 from uoarm._arguments import arguments
-from uoarm._control.driver import Driver
 from uoarm._control.engine.state import ConnectionRecord
 from uoarm._control.live.application_ports import ApplicationPorts
 from uoarm._control.live.connection_runtime import ConnectionRuntime
+from uoarm._control.live.driver import Driver
 from uoarm._dataplane import QueueClosed
 from uoarm._hints.applications import MessageType, T, as_message
 from uoarm._renewal import HeldCommand, renewal_period, renewed
@@ -81,7 +81,7 @@ class Connection(Generic[T]):
     @property
     def ended(self) -> bool:
         """Whether the connection is closed, for whatever reason."""
-        return self._record.is_over
+        return self._record.state.is_over
 
     @arguments(timeout="connection.get(timeout=5.0) waits five seconds")
     def get(self, timeout: float | None = None) -> T:
@@ -328,7 +328,7 @@ class Connection(Generic[T]):
         return record
 
     def __repr__(self) -> str:
-        components = " -> ".join(step.component.name for step in self.plan.steps)
+        components = " -> ".join(self.plan.names)
         return f"<Connection {self.id} to {self.plan.function!r}: {self.state.value}, {components}>"
 
     def __enter__(self) -> Self:

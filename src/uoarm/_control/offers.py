@@ -15,11 +15,11 @@ from enum import Enum
 from attrs import define
 
 from uoarm._backoff import Backoff
-from uoarm._control.driver import Driver
 from uoarm._control.live.bridges import BridgeSet
+from uoarm._control.live.driver import Driver
+from uoarm._control.live.revisions import Revisions
+from uoarm._control.live.threads import EventDispatcher
 from uoarm._control.offered_function import Functions, OfferedFunction
-from uoarm._control.revisions import Revisions
-from uoarm._control.threads import EventDispatcher
 from uoarm._dataplane import Clock
 from uoarm._interrupts import Uninterrupted
 from uoarm.bridge import Bridge, HealthEvent

@@ -10,13 +10,13 @@ from typing import Any
 
 from uoarm._control.candidates import CandidateWatch
 from uoarm._control.connection import Connection
-from uoarm._control.driver import Driver
 from uoarm._control.engine.events import Requested
 from uoarm._control.engine.move import recently
 from uoarm._control.live.connection_runtime import ConnectionRuntime
+from uoarm._control.live.driver import Driver
 from uoarm._control.live.health import FailureWatch
-from uoarm._control.revisions import Revision, Revisions
-from uoarm._control.threads import EventDispatcher, keep_newest
+from uoarm._control.live.revisions import Revision, Revisions
+from uoarm._control.live.threads import EventDispatcher, keep_newest
 from uoarm._dataplane import Clock, make_check
 from uoarm._hints.applications import MessageType, as_message
 from uoarm._raised import is_raised
@@ -109,6 +109,7 @@ class Requests:
         if on_message is not None:
             take = on_message if wanted_type is None else wanted_type.callback(on_message)
             runtime.receiver.inbox.subscribe(take)
+        connection = Connection(runtime, self._driver, wanted_type)
         event = Requested(
             runtime.id,
             wanted,
@@ -119,7 +120,6 @@ class Requests:
             revision=revision.number,
             candidates=revision.candidates,
         )
-        connection = Connection(runtime, self._driver, wanted_type)
         self._driver.request(runtime, event, f"request for {name!r}", left)
         if wanted_type is not None:
             try:  # of the plan that was opened, which may be another one than was found above

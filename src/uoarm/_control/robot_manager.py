@@ -21,16 +21,16 @@ from uoarm._control.candidates import CandidateWatch
 from uoarm._control.configuration_changes import ConfigurationChanges, KeptFile
 from uoarm._control.connection import Connection
 from uoarm._control.discovery import Discovery, check_availability, with_rates
-from uoarm._control.driver import Driver
 from uoarm._control.engine.state import State
 from uoarm._control.live.bridges import BridgeSet
+from uoarm._control.live.driver import Driver
+from uoarm._control.live.revisions import Revisions
 from uoarm._control.live.safety import EmergencyStop, StopFile
 from uoarm._control.live.staleness import StalenessWatch
+from uoarm._control.live.threads import EventDispatcher
 from uoarm._control.offered_function import offered_structures
 from uoarm._control.offers import Offers
 from uoarm._control.requests import Requests, Services
-from uoarm._control.revisions import Revisions
-from uoarm._control.threads import EventDispatcher
 from uoarm._dataplane import Clock
 from uoarm._hints.applications import MessageType, T
 from uoarm._interrupts import Uninterrupted

@@ -115,6 +115,11 @@ class Plan:
         return self.steps[-1]
 
     @property
+    def names(self) -> tuple[str, ...]:
+        """The names of its components, producers first."""
+        return tuple(step.component.name for step in self.steps)
+
+    @property
     def managers(self) -> tuple[str, ...]:
         """Identities of the other managers through which its messages pass."""
         return tuple(dict.fromkeys(name for step in self.steps for name in step.managers))
@@ -150,7 +155,7 @@ class Plan:
         return "\n".join(lines)
 
     def __repr__(self) -> str:
-        return f"<Plan {self.function}: {' -> '.join(step.component.name for step in self.steps)}>"
+        return f"<Plan {self.function}: {' -> '.join(self.names)}>"
 
 
 def format_rejections(rejections: tuple[Rejection, ...]) -> str:

@@ -233,6 +233,11 @@ class ConnectionState(Enum):
 
     __hash__ = object.__hash__  # members are singletons; by name it costs ten times as much
 
+    @property
+    def is_over(self) -> bool:
+        """Whether the connection has ended, for whatever reason."""
+        return self in {ConnectionState.CLOSED, ConnectionState.FAILED}
+
 
 @frozen
 class BridgeStatus:

@@ -29,7 +29,6 @@ from uoarm._control.engine.state import (
     Parts,
     Placement,
     State,
-    names,
     oldest_first,
 )
 from uoarm._support.ordered import OrderedMap
@@ -150,7 +149,7 @@ class Draft(State):
         if missed > len(self.replaced):
             return True
         since = self.replaced[-missed:] if missed > 0 else ()
-        return any(name in others for others in since for name in names(plan))
+        return any(name in others for others in since for name in plan.names)
 
     def place(
         self, record: ConnectionRecord, plan: Plan, user: str, *, beside: bool = False
@@ -197,7 +196,8 @@ class Draft(State):
         # Last: what the application sends finds all that it leads to.
         parts.append(Part(Kind.SEND, ports))
         self.concerned.append(record.id)
-        return Placement(user, plan, ids, tuple(chain(*edges.values())), ports, tuple(parts))
+        fed = tuple(chain(*edges.values()))
+        return Placement(user, plan, ids, ids[provider], fed, ports, tuple(parts))
 
     def unplace(self, placement: Placement, *, ports: bool = True) -> Parts:
         """Use the parts of a plan no more; return those that are without a user now.

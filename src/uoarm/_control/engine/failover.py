@@ -32,7 +32,6 @@ from uoarm._control.engine.state import (
     Placement,
     Preference,
     listed,
-    names,
     oldest_first,
 )
 from uoarm._support.ordered import OrderedMap
@@ -514,7 +513,7 @@ def hand_over(draft: Draft, record: ConnectionRecord) -> None:
     preferred = None
     if draft.policy.return_after is not None and rule.remembers:
         preferred = (record.preferred or Preference(before.plan)).unseen()
-        if names(after.plan) == names(preferred.plan):
+        if after.plan.names == preferred.plan.names:
             preferred = None
     # What is set is not taken back, and is drained already.
     finished = "" if record.finished else _finished_in(draft, after)
@@ -541,8 +540,8 @@ def hand_over(draft: Draft, record: ConnectionRecord) -> None:
     ]
     if waited:
         draft.announce(record, record.state.value)
-    new = [n for n in names(after.plan) if after.components[n] != before.components.get(n)]
-    successors = f"{', '.join(new or names(after.plan)[-1:])} {'go' if len(new) > 1 else 'goes'} on"
+    new = [n for n in after.plan.names if after.components[n] != before.components.get(n)]
+    successors = f"{', '.join(new or after.plan.names[-1:])} {'go' if len(new) > 1 else 'goes'} on"
     draft.announce(record, rule.announced, f"{cause}; {successors}")
     # In the lane of the handing over, and after it: nothing of the old plan is closed before the
     # application receives from the new one.
@@ -561,8 +560,8 @@ def _changes(draft: Draft, record: ConnectionRecord) -> tuple[float, ...]:
 
 def _added(record: ConnectionRecord, plan: Plan) -> frozenset[str]:
     """Return what a plan would have added, or at least its provider."""
-    unfit = names(plan)
-    return frozenset(unfit).difference(names(record.placement.plan)) or frozenset(unfit[-1:])
+    unfit = plan.names
+    return frozenset(unfit).difference(record.placement.plan.names) or frozenset(unfit[-1:])
 
 
 def _seek_without(draft: Draft, record: ConnectionRecord, more: frozenset[str]) -> None:

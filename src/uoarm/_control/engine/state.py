@@ -43,7 +43,6 @@ __all__ = [
     "State",
     "Switchover",
     "listed",
-    "names",
     "oldest_first",
 ]
 
@@ -184,6 +183,7 @@ class EdgeRecord(NamedTuple):
     """One edge between two instances, with what each of its users wishes to be checked.
 
     Attributes:
+        strictest: the mode that satisfies every user.
         is_held: whether messages wait for a switchover, since another edge feeds the input.
     """
 
@@ -195,6 +195,7 @@ class EdgeRecord(NamedTuple):
     # many wish for each is counted, so that no change looks at all users.
     users: HashTrieMap[str, ValidationMode] = _NOTHING
     counts: tuple[int, ...] = (0,) * len(_STRICTNESS)
+    strictest: ValidationMode = ValidationMode.OFF
     # A held edge is in `State.beside` and no other is; it moves to `feeding` in one step with the
     # end of the one before, so that an input never has two edges that let messages through.
     is_held: bool = False
@@ -209,12 +210,6 @@ class EdgeRecord(NamedTuple):
         """The output that feeds it."""
         return self.edge.producer, self.edge.output
 
-    @property
-    def strictest(self) -> ValidationMode:
-        """The mode that satisfies every user."""
-        counted = zip(reversed(_STRICTNESS), reversed(self.counts), strict=True)
-        return next((mode for mode, count in counted if count), ValidationMode.OFF)
-
     def used_by(self, user: str, mode: ValidationMode | None) -> EdgeRecord:
         """Return the edge with a user that wishes this mode; None: it uses it no more."""
         counts, before = list(self.counts), self.users.get(user)
@@ -225,7 +220,9 @@ class EdgeRecord(NamedTuple):
         else:
             counts[_STRICTNESS.index(mode)] += 1
             users = self.users.insert(user, mode)
-        return EdgeRecord(*self[:4], users, tuple(counts), self.is_held)
+        counted = zip(reversed(_STRICTNESS), reversed(counts), strict=True)
+        strictest = next((mode for mode, count in counted if count), ValidationMode.OFF)
+        return EdgeRecord(*self[:4], users, tuple(counts), strictest, self.is_held)
 
 
 class Placement(NamedTuple):
@@ -234,6 +231,7 @@ class Placement(NamedTuple):
     Attributes:
         user: the name under which it uses parts: the connection's id, for later plans `c1#2`.
         components: ids by name.
+        provider: id of the component that the application asked for.
         edges: ids, those of the first producers first.
         ports: id of the application ports.
         parts: everything it needs, in the order in which that opens.
@@ -242,6 +240,7 @@ class Placement(NamedTuple):
     user: str
     plan: Plan
     components: Mapping[str, int]
+    provider: int
     edges: tuple[int, ...]
     # The same number as in the plan before where the provider stays: the application's inbox and
     # its inputs then go through the change untouched.
@@ -249,11 +248,6 @@ class Placement(NamedTuple):
     # Consumers open before what feeds them, so that a first message finds its input open; the
     # application's inputs come last, when all that their messages lead to is there.
     parts: tuple[Part, ...]
-
-    @property
-    def provider(self) -> int:
-        """Id of the component that the application asked for."""
-        return self.components[self.plan.provider.component.name]
 
 
 class Batch(NamedTuple):
@@ -429,11 +423,6 @@ class ConnectionRecord(NamedTuple):
         return move is not None and bool(move.killer) and move.outcome is ConnectionState.CLOSED
 
     @property
-    def is_over(self) -> bool:
-        """Whether it has ended, for whatever reason."""
-        return self.state in {ConnectionState.CLOSED, ConnectionState.FAILED}
-
-    @property
     def is_active(self) -> bool:
         """Whether it runs, or waits for what can take over."""
         return self.state in {ConnectionState.RUNNING, ConnectionState.WAITING}
@@ -457,7 +446,7 @@ class ConnectionRecord(NamedTuple):
         waits = self.state is ConnectionState.WAITING
         ids = self.placement.components
         return tuple(
-            name for name in names(self.placement.plan) if not (waits and ids[name] in lost)
+            name for name in self.placement.plan.names if not (waits and ids[name] in lost)
         )
 
 
@@ -565,11 +554,6 @@ class State:
         """Return the instances that new users share, without those that only drain."""
         records = (self.components[number] for number in sorted(self.serving.values()))
         return tuple(record for record in records if not record.only_drains)
-
-
-def names(plan: Plan) -> tuple[str, ...]:
-    """Return the names of a plan's components, producers first."""
-    return tuple(step.component.name for step in plan.steps)
 
 
 def oldest_first(records: Iterable[ConnectionRecord]) -> list[ConnectionRecord]:

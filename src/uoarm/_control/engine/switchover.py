@@ -49,7 +49,6 @@ from uoarm._control.engine.state import (
     Move,
     Switchover,
     listed,
-    names,
     oldest_first,
 )
 from uoarm._support.ordered import OrderedMap
@@ -115,7 +114,7 @@ def found(draft: Draft, record: ConnectionRecord, event: ReplacementSought) -> N
             draft.put(record, move=None)
         if event.plan is None and not _is_superseded(draft, record):
             draft.actions.append(Warn(record.id, f"stays where it is: {event.error}"))
-    elif event.plan is None or names(event.plan) == names(record.placement.plan):
+    elif event.plan is None or event.plan.names == record.placement.plan.names:
         abandon(draft, group, event.error or "its preferred components are gone again")
         return
     # An input that this plan takes from another connection would stop that one's messages; so it
@@ -273,7 +272,7 @@ def _joining_with(draft: Draft, identity: str) -> tuple[str, ...]:
 
 def _serves(draft: Draft, record: ConnectionRecord, plan: Plan) -> bool:
     """Say whether the plan that runs is the one that was found, and all of it may stay."""
-    is_same = names(plan) == names(record.placement.plan)
+    is_same = plan.names == record.placement.plan.names
     return is_same and not _is_superseded(draft, record)
 
 

@@ -11,7 +11,7 @@ from weakref import WeakSet
 from attrs import evolve
 
 from uoarm._control.engine.actions import HandOver
-from uoarm._control.engine.state import ConnectionRecord, names
+from uoarm._control.engine.state import ConnectionRecord
 from uoarm._control.live.application_ports import ApplicationPorts, OutputReceiver
 from uoarm._control.live.component import LiveComponent
 from uoarm._control.live.edge import LiveEdge
@@ -193,10 +193,10 @@ class ConnectionRuntime:
         self.context: Any = None
         self._uncounted: dict[str, Gap] = {}
 
-    def publish(self, record: ConnectionRecord, *, is_over: bool) -> None:
+    def publish(self, record: ConnectionRecord) -> None:
         """Show the connection as it is now; at its end, its inbox closes."""
         self.record = record
-        if is_over:
+        if record.state.is_over:
             self.receiver.inbox.close(discard=record.is_killed)
             self.handle = None  # which refers to this
 
@@ -223,8 +223,8 @@ class ConnectionRuntime:
             position=self.receiver.arrived if stays else self.receiver.began,
             seconds=action.time - action.since,
             lost=0,
-            before=names(before.plan),
-            after=names(after.plan),
+            before=before.plan.names,
+            after=after.plan.names,
             cause=action.cause,
             counted=False,
         )
@@ -277,6 +277,6 @@ def record_takeover(action: HandOver, runtime: ConnectionRuntime) -> None:
         connection=action.connection,
         function=action.after.plan.function,
         cause=action.cause,
-        before=" -> ".join(names(action.before.plan)),
-        after=" -> ".join(names(action.after.plan)),
+        before=" -> ".join(action.before.plan.names),
+        after=" -> ".join(action.after.plan.names),
     )

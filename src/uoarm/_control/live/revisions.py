@@ -22,7 +22,7 @@ from uoarm._adapt import check_edge
 from uoarm._control.engine import actions as act
 from uoarm._control.engine import events as ev
 from uoarm._control.engine.move import forget_earlier, recently
-from uoarm._control.engine.state import ConnectionRecord, State, names
+from uoarm._control.engine.state import ConnectionRecord, State
 from uoarm._control.live.bridges import BridgeSet, StagedBridges
 from uoarm._dataplane import Clock
 from uoarm._resolve import Hold, Resolver, StructureCache, Unavailable, without_candidates
@@ -119,10 +119,10 @@ def _in_order(times: OrderedMap[str, float], names: Collection[str]) -> tuple[st
 
 def check_preferred(action: act.CheckPreferred, revision: Resolving) -> ev.PreferredChecked:
     """See whether a plan is what a request would get now."""
-    wanted = names(action.plan)
+    wanted = action.plan.names
     revision.forget(wanted)
     try:
-        found = names(revision.resolve(action.plan.function, avoided=action.avoided))
+        found = revision.resolve(action.plan.function, avoided=action.avoided).names
     except Exception as error:  # noqa: BLE001 - the state learns of it whatever it is
         if not isinstance(error, UoarmError):
             _log.exception("looking for a preferred plan failed")
@@ -513,7 +513,7 @@ class Revisions:
         avoided: frozenset[str],
         cut: frozenset[str],
     ) -> ConnectionEffect | None:
-        before = names(record.placement.plan)
+        before = record.placement.plan.names
         is_cut = not cut.isdisjoint(before)
         is_superseded = is_cut or not difference.superseded.isdisjoint(before)
         if record.wanted.function not in difference.functions and not is_superseded:
@@ -539,7 +539,7 @@ class Revisions:
             if is_cut:
                 cause = f"{_ANEW}: {cause}"
             return ConnectionEffect(record.id, function, Effect.ENDS, before, cause=cause)
-        after = names(plan)
+        after = plan.names
         if after == before and not is_superseded:
             return None
         return ConnectionEffect(record.id, record.wanted.function, Effect.MOVES, before, after)

@@ -17,21 +17,26 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterable
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, nullcontext
 from functools import partial
 
 from uoarm._control.engine import actions as act
 from uoarm._control.engine import events as ev
 from uoarm._control.engine.events import write_event
-from uoarm._control.engine.state import Part, State, names
+from uoarm._control.engine.state import Part, State
 from uoarm._control.engine.step import step
 from uoarm._control.live.bridges import BridgeSet
 from uoarm._control.live.connection_runtime import ConnectionRuntime, LetThrough, record_takeover
 from uoarm._control.live.edge import LiveEdge
 from uoarm._control.live.parts import LiveParts
+from uoarm._control.live.revisions import (
+    Revisions,
+    StagedRevision,
+    check_preferred,
+    seek_replacement,
+)
 from uoarm._control.live.safety import EmergencyStop
-from uoarm._control.revisions import Revisions, StagedRevision, check_preferred, seek_replacement
-from uoarm._control.threads import EventDispatcher, Job, Lanes, Timer, keep_newest
+from uoarm._control.live.threads import EventDispatcher, Job, Lanes, Timer, keep_newest
 from uoarm._dataplane import Clock
 from uoarm._forks import generation
 from uoarm._interrupts import Uninterrupted
@@ -43,7 +48,7 @@ from uoarm._support.workers import WorkerPool
 from uoarm.bridge import HealthEvent
 from uoarm.config import compare
 from uoarm.errors import BridgeTimeoutError, UoarmError
-from uoarm.model import Component, Health, Robot
+from uoarm.model import Component, Health, Plan, Robot
 
 __all__ = ["Driver"]
 
@@ -463,11 +468,10 @@ class Driver:
         if runtime is None:
             return
         # Ports first: who reads the new record at the handle sends into the plan that it shows.
-        is_over = record.is_over
-        if record.has_plan and not is_over:
-            runtime.ports = self.live.ports.get(record.placement.ports, runtime.ports)
-        runtime.publish(record, is_over=is_over)
-        if is_over:
+        if record.current is not None and not record.state.is_over:
+            runtime.ports = self.live.ports.get(record.current.ports, runtime.ports)
+        runtime.publish(record)
+        if record.state.is_over:
             # After it was published: a handle keeps its runtime and reads the end there. What comes
             # for it later, as a gap, finds none.
             del self.live.runtimes[record.id]
@@ -521,8 +525,7 @@ class Driver:
         done: list[Part] = []
         open_parts = partial(self.live.open, action, state, done, self._cancelled)
         try:
-            components = " -> ".join(names(action.placement.plan))
-            with self._span("open", action.connection, components=components):
+            with self._span("open", action.connection, plan=action.placement.plan):
                 if action.placement.user == action.connection:
                     open_parts()
                 else:
@@ -534,10 +537,14 @@ class Driver:
         return ev.Opened(action.batch, tuple(done))
 
     def _span(
-        self, name: str, connection: str, **attributes: str
+        self, name: str, connection: str, *, plan: Plan | None = None, **attributes: str
     ) -> AbstractContextManager[object]:
         runtime = self.live.runtimes.get(connection)
         context = None if runtime is None else runtime.context
+        if context is None:  # no spans are recorded
+            return nullcontext()
+        if plan is not None:
+            attributes["components"] = " -> ".join(plan.names)
         return span(name, context, connection=connection, **attributes)
 
     def _resolve(self, action: act.Resolve) -> ev.Event:
