@@ -11,21 +11,20 @@ import functools
 import json
 from collections.abc import Callable
 
-from uoarm.errors import ControlMessageError, MessageError, UoarmError
-from uoarm.model import QueuePolicy, Spending
+from uoarm.errors import ControlMessageError, UoarmError
+from uoarm.model import Spending
 from uoarm.server.front_end import (
     TEXT_FORM,
     Backend,
     Client,
-    Envelope,
-    Feed,
     FeedKey,
     FrontEnd,
-    Lane,
     MakeSession,
     MemoryUse,
+    MessageForm,
     Operation,
     Session,
+    Subscription,
     code_of,
     error_text,
     hookimpl,
@@ -52,8 +51,12 @@ class Lines:
     def __init__(self, client: Client, backend: Backend) -> None:
         self._client = client
         self._backend = backend
-        self._lane = Lane(QueuePolicy(client.limits.queue_messages), text=True)
-        self._feed: Feed | None = None
+        self._subscription = Subscription(
+            client,
+            MessageForm("lines", _write, text=True),
+            on_refused=self._fail,
+            on_end=self._ended,
+        )
         self._tasks: set[asyncio.Task[None]] = set()
 
     def octets(self, frame: str | bytes) -> int:
@@ -72,21 +75,15 @@ class Lines:
     def close(self) -> None:
         for task in self._tasks:
             task.cancel()
-        if self._feed is not None:
-            self._feed.remove(self)
-            self._backend.leave(self._feed)
+        feed = self._subscription.feed
+        self._subscription.close()
+        if feed is not None:
+            feed.remove(self._subscription)
+            self._backend.leave(feed)
 
-    def offer(self, envelope: Envelope) -> None:
-        if envelope.message in FATAL:
-            raise MISTAKES["raise" if envelope.message == FATAL[0] else "quit"]
-        self._client.outbox.put(self._lane, envelope.written("lines", _write))
-
-    def refuse(self, envelope: Envelope, error: MessageError) -> None:
-        if self._lane.refuse(error):
-            self._fail(error)
-
-    def ended(self, state: str, cause: str) -> None:
-        self._client.outbox.finish(self._lane, f"ended {state}".encode())
+    def _ended(self, state: str, cause: str) -> None:
+        del cause
+        self._client.outbox.finish(self._subscription.lane, f"ended {state}".encode())
 
     def _act(self, verb: str, name: str, message: object) -> None:
         if verb in MISTAKES:
@@ -116,18 +113,20 @@ class Lines:
     async def _open(self, name: str) -> None:
         try:
             self._client.require(Operation.REQUEST, name)
-            self._feed = await self._backend.join(FeedKey(name))
+            feed = await self._backend.join(FeedKey(name))
         except Exception as error:  # noqa: BLE001 - told to the client
             self._fail(error)
         else:
             self._client.outbox.reply(b"open", text=True)
-            self._feed.add(self)
+            self._subscription.begin(feed)
 
     def _fail(self, error: BaseException) -> None:
         self._client.outbox.reply(f"{code_of(error)}: {error_text(error)}".encode(), text=True)
 
 
 def _write(number: int, message: object) -> bytes:
+    if message in FATAL:
+        raise MISTAKES["raise" if message == FATAL[0] else "quit"]
     return f"{number} {json.dumps(message)}".encode()
 
 

@@ -17,11 +17,10 @@ from tests.server.robot import script
 from tests.server.talk import Talk, eventually
 from tests.server.test_bounds import url
 
-from uoarm.errors import MessageError
 from uoarm.model import message_octets
 from uoarm.server import Limits
 from uoarm.server.streams import _feed_registry
-from uoarm.server.streams._feed import Envelope, Feed, FeedBacklog
+from uoarm.server.streams._feed import Encoder, Envelope, Feed, FeedBacklog
 from uoarm.server.streams._workers import LoopMailbox
 from uoarm.testing import patience
 
@@ -155,9 +154,6 @@ class Reader:
     def offer(self, envelope: Envelope) -> None:
         self.took.append(envelope.number)
 
-    def refuse(self, envelope: Envelope, error: MessageError) -> None:
-        raise AssertionError((envelope, error))
-
     def ended(self, state: str, cause: str) -> None:
         self.took.append(-1)
 
@@ -172,7 +168,9 @@ class Clock:
 def work(act: Callable[[Feed, Clock], None], limits: Limits = Limits()) -> None:  # noqa: B008
     async def run() -> None:
         clock = Clock()
-        act(Feed(LoopMailbox(asyncio.get_running_loop()), limits, clock), clock)
+        feed = Feed(LoopMailbox(asyncio.get_running_loop()), limits, Encoder(), clock)
+        act(feed, clock)
+        feed.encoder.close()
 
     asyncio.run(run())
 
@@ -280,9 +278,9 @@ def test_a_client_that_named_a_queue_loses_nothing_while_the_loop_is_busy(
     clock, feeds, gate = Clock(), list[Feed](), threading.Event()
     mailboxes: list[LoopMailbox] = []
 
-    def make(mailbox: LoopMailbox, limits: Limits) -> Feed:
+    def make(mailbox: LoopMailbox, limits: Limits, encoder: Encoder) -> Feed:
         mailboxes.append(mailbox)
-        feeds.append(Feed(mailbox, limits, clock))
+        feeds.append(Feed(mailbox, limits, encoder, clock))
         return feeds[-1]
 
     def busy() -> None:

@@ -11,7 +11,6 @@ from typing import Any
 import cbor2
 import numpy as np
 import pytest
-from attrs import define, field
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -19,8 +18,9 @@ from uoarm._wire import BINARY_FORM, TEXT_FORM
 from uoarm.errors import MessageError
 from uoarm.model import Message
 from uoarm.server import Limits
-from uoarm.server.streams._encoder import Encoder, takes_long
-from uoarm.server.streams._feed import Envelope, Feed
+from uoarm.server.streams import Account, MessageForm, Outbox, Subscription
+from uoarm.server.streams._feed import Encoder, Envelope, Feed, takes_long
+from uoarm.server.streams._memory import ServerMemory
 from uoarm.server.streams._workers import LoopMailbox
 from uoarm.testing import patience
 
@@ -51,31 +51,36 @@ def test_what_takes_long_is_known_beforehand(message: Message, *, expected: bool
     assert takes_long(message) is expected
 
 
-@define(eq=False)
-class Reader:
-    """Takes down what it is handed, and in which thread that was written."""
+class Reader(Subscription):
+    """A subscription that takes down what it is handed, and in which thread that was written."""
 
-    encoder: Encoder
-    took: list[int | str] = field(factory=list)
-    threads: list[threading.Thread] = field(factory=list)
+    def __init__(self) -> None:
+        self.account: Account = ServerMemory(10**9, 10**9).open()
+        self.limits = Limits()
+        self.outbox = Outbox(10**6, 10, self.account)
+        self.took: list[int | str] = []
+        self.threads: list[threading.Thread] = []
+        form = MessageForm("one form", self._form, text=True, frames=self._take)
+        super().__init__(self, form, on_refused=lambda _: None, on_end=self._ended)
 
-    def write(self, number: int, message: Message) -> bytes:
+    def offer(self, envelope: Envelope) -> None:
+        lost = self.lane.dropped
+        super().offer(envelope)
+        if self.lane.dropped > lost:
+            self.took.append(envelope.number)
+
+    def _form(self, number: int, message: Message) -> bytes:
         self.threads.append(threading.current_thread())
         if isinstance(message, list) and message[-1] is LOST:
             raise MessageError("it has no form")
         return str(number).encode()
 
-    def prepare(self, envelope: Envelope) -> asyncio.Future[object] | None:
-        return envelope.prepare("one form", self.write, self.encoder)
+    def _take(self, frame: bytes, number: int) -> list[bytes]:
+        assert int(frame) == number
+        self.took.append(number)
+        return []
 
-    def offer(self, envelope: Envelope) -> None:
-        self.took.append(int(envelope.written("one form", self.write)))
-
-    def refuse(self, envelope: Envelope, error: MessageError) -> None:
-        assert str(error) == "it has no form"
-        self.took.append(envelope.number)
-
-    def ended(self, state: str, cause: str) -> None:
+    def _ended(self, state: str, cause: str) -> None:
         self.took.append(f"{state} {cause}")
 
 
@@ -89,9 +94,9 @@ STEPS = st.lists(
 def test_every_listener_gets_every_message_in_order_and_the_end_last(steps: list[str]) -> None:
     async def run() -> None:
         encoder = Encoder()
-        feed = Feed(LoopMailbox(asyncio.get_running_loop()), Limits())
-        first = Reader(encoder)
-        feed.add(first, first.prepare)
+        feed = Feed(LoopMailbox(asyncio.get_running_loop()), Limits(), encoder)
+        first = Reader()
+        first.begin(feed)
         others: list[Reader] = []
         gone: list[tuple[Reader, int]] = []
         for step in steps:
@@ -100,8 +105,8 @@ def test_every_listener_gets_every_message_in_order_and_the_end_last(steps: list
             elif step == "turn":
                 await asyncio.sleep(0)
             elif step == "add":
-                others.append(Reader(encoder))
-                feed.add(others[-1], others[-1].prepare)
+                others.append(Reader())
+                others[-1].begin(feed)
             elif others:
                 feed.remove(others[-1])
                 gone.append((others.pop(), 0))
@@ -116,8 +121,8 @@ def test_every_listener_gets_every_message_in_order_and_the_end_last(steps: list
         for reader in others:
             assert reader.took == first.took[len(first.took) - len(reader.took) :]
         assert all(len(reader.took) == count for reader, count in gone)
-        late = Reader(encoder)
-        feed.add(late, late.prepare)
+        late = Reader()
+        late.begin(feed)
         assert late.took == ["closed kill"]
 
     asyncio.run(run())
@@ -126,10 +131,10 @@ def test_every_listener_gets_every_message_in_order_and_the_end_last(steps: list
 def test_a_long_message_is_written_once_for_each_form_and_beside_the_loop() -> None:
     async def run() -> None:
         encoder, loop = Encoder(), asyncio.get_running_loop()
-        feed = Feed(LoopMailbox(loop), Limits())
-        readers = [Reader(encoder) for _ in range(3)]
+        feed = Feed(LoopMailbox(loop), Limits(), encoder)
+        readers = [Reader() for _ in range(3)]
         for reader in readers:
-            feed.add(reader, reader.prepare)
+            reader.begin(feed)
         feed.take(LONG)
         end = loop.time() + patience()
         while not all(reader.took for reader in readers):

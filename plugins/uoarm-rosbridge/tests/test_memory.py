@@ -13,7 +13,7 @@ from ros import Enter, Ros, Serve, eventually, frame, open_socket, opened, url
 from uoarm import RobotManager
 from uoarm.server import Limits, Server
 from uoarm.server.streams import _feed_registry
-from uoarm.server.streams._feed import Feed
+from uoarm.server.streams._feed import Encoder, Feed
 from uoarm.server.streams._workers import LoopMailbox
 from uoarm.testing import patience
 
@@ -116,8 +116,8 @@ def test_what_stood_before_a_busy_loop_is_let_go_of(
 ) -> None:
     now, feeds, gate = [0.0], list[tuple[LoopMailbox, Feed]](), threading.Event()
 
-    def make(mailbox: LoopMailbox, limits: Limits) -> Feed:
-        feeds.append((mailbox, Feed(mailbox, limits, lambda: now[0])))
+    def make(mailbox: LoopMailbox, limits: Limits, encoder: Encoder) -> Feed:
+        feeds.append((mailbox, Feed(mailbox, limits, encoder, lambda: now[0])))
         return feeds[-1][1]
 
     def busy() -> None:

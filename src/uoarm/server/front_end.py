@@ -82,9 +82,13 @@ from uoarm.server.streams import (
     Listener,
     Make,
     MemoryUse,
+    MessageForm,
+    Outbox,
     Read,
     Shares,
     StreamRunner,
+    Subscription,
+    Throttle,
     Watcher,
     check_message,
     is_action,
@@ -130,6 +134,7 @@ __all__ = [
     "Make",
     "MakeSession",
     "MemoryUse",
+    "MessageForm",
     "Operation",
     "Outbox",
     "Read",
@@ -139,7 +144,9 @@ __all__ = [
     "Session",
     "Shares",
     "StreamRunner",
+    "Subscription",
     "Supervision",
+    "Throttle",
     "UnknownError",
     "check_message",
     "code_of",
@@ -165,42 +172,6 @@ T = TypeVar("T")
 
 CONTRACT_VERSION = 1
 """Of the contract of this module; that of bridges has a number of its own."""
-
-
-class Outbox(Protocol):
-    """Frames that wait to be written to one client.
-
-    A reply never waits behind data. Where a client reads too little, data is dropped, the oldest of
-    the stream that holds most, and counted; a client that leaves too many replies is cut off.
-    """
-
-    @property
-    def max_bytes(self) -> int:
-        """Octets of data that may wait, and as many of replies."""
-
-    def has_room(self, size: int) -> bool:
-        """Say whether a reply of so many octets can be added without cutting the client off."""
-
-    def reply(self, frame: bytes, *, text: bool) -> None:
-        """Add a reply or an event as a text or a binary frame; it is never dropped."""
-
-    async def room(self, size: int) -> None:
-        """Wait until a reply of so many octets can be added: for one that grows with the robot."""
-
-    def put(self, lane: Lane, *frames: bytes) -> None:
-        """Add one data message of a stream; several frames are its pieces, sent or dropped whole.
-
-        Older messages of the stream are dropped as its policy says.
-        """
-
-    def miss(self, lane: Lane) -> None:
-        """Count a message of a stream that was let go of before it came here; see `Feed.add`."""
-
-    def finish(self, lane: Lane, *frames: bytes) -> None:
-        """Add the last message of a stream, after all that waits of it; it is never dropped."""
-
-    def discard(self, lane: Lane) -> None:
-        """Forget what waits of a stream. Idempotent."""
 
 
 class Client(Protocol):

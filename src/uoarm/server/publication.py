@@ -106,9 +106,6 @@ class InputPublication:
     def offer(self, envelope: object) -> None:
         """Take nothing: this connection only sends."""
 
-    def refuse(self, envelope: object, error: Exception) -> None:
-        """Take nothing: this connection only sends."""
-
     def ended(self, state: str, cause: str) -> None:
         """Give the function back, whose provider has gone."""
         self._fail(UoarmError(f"{self._name} has {state}: {cause or 'killed'}"))

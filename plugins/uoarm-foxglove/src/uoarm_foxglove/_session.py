@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import functools
 import logging
+import time
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from typing import Any
@@ -17,9 +18,12 @@ from uoarm.server.front_end import (
     BusyError,
     Charge,
     Client,
+    FeedKey,
     LimitError,
     MemoryUse,
+    MessageForm,
     Operation,
+    Subscription,
     error_text,
     without_frames,
 )
@@ -28,6 +32,7 @@ from uoarm_foxglove._catalogue import (
     NOTHING,
     ChannelCatalogue,
     ListingQuestion,
+    OutputChannel,
     RobotService,
     VisibleListing,
 )
@@ -40,13 +45,13 @@ from uoarm_foxglove._protocol import (
     ServiceRequest,
     StatusLevel,
     list_of,
+    message_data,
     number_of,
     read_frame,
     service_response,
     text_of,
     write,
 )
-from uoarm_foxglove._subscription import ChannelSubscription
 
 __all__ = ["FoxgloveSession"]
 
@@ -78,7 +83,7 @@ class FoxgloveSession:
         # What comes before the first listing waits for it: a viewer that connects again advertises
         # at once what it publishes. None: there is a listing.
         self._early: list[tuple[ClientFrame, Charge]] | None = []
-        self._subscriptions: dict[int, ChannelSubscription] = {}
+        self._subscriptions: dict[int, Subscription] = {}
         self._publications: dict[int, InputPublication] = {}
         self._calls: set[asyncio.Task[None]] = set()
         self._acts: dict[str, Callable[[Fields], None]] = {
@@ -195,21 +200,38 @@ class FoxgloveSession:
             if len(self._subscriptions) >= self._client.limits.streams:
                 raise LimitError(f"{self._client.limits.streams} channels are subscribed already")
             self._client.require(Operation.REQUEST, channel.function)
-            topic = channel.topic
-            self._subscriptions[number] = ChannelSubscription(
-                number,
-                channel,
-                self._client,
-                self._backend,
-                warn=functools.partial(self._warn, topic),
-                on_end=functools.partial(self._subscription_ended, number, topic),
-            )
+            self._subscriptions[number] = self._subscription(number, channel)
 
-    def _subscription_ended(self, number: int, topic: str, cause: str) -> None:
-        subscription = self._subscriptions.pop(number, None)
-        if subscription is not None:
-            subscription.close()
-            self._status(StatusLevel.ERROR, f"{topic} {cause}", topic)
+    def _subscription(self, number: int, channel: OutputChannel) -> Subscription:
+        """Return a subscription; viewers of one channel share all but the head of a frame."""
+        topic, codec = channel.topic, channel.codec
+        warn = functools.partial(self._warn, topic)
+
+        def on_end(text: str) -> None:
+            ended = self._subscriptions.pop(number, None)
+            if ended is not None:
+                ended.close()
+                self._status(StatusLevel.ERROR, f"{topic} {text}", topic)
+
+        form = MessageForm(
+            f"foxglove:{channel.number}",
+            lambda _, message: codec.write(message),
+            text=False,
+            frames=lambda payload, _: (message_data(number, time.time_ns(), payload),),
+        )
+        subscription = Subscription(
+            self._client,
+            form,
+            on_refused=lambda error: warn(str(error)),
+            on_end=lambda state, cause: on_end(f"has {state}: {cause or 'killed'}"),
+        )
+        subscription.follow(
+            self._backend,
+            FeedKey(channel.wanted),
+            on_waiting=warn,
+            on_failed=lambda error: on_end(error_text(error)),
+        )
+        return subscription
 
     def _unsubscribe(self, fields: Fields) -> None:
         for asked in list_of(fields, "subscriptionIds", int):

@@ -92,9 +92,6 @@ class HeldStream:
         for watcher in tuple(self.watchers.values()):
             watcher()
 
-    def refuse(self, envelope: Envelope, error: Exception) -> None:
-        """Never called: nothing is written here."""
-
     def ended(self, state: str, cause: str) -> None:
         """Take in that no more will come."""
         self.end = f"{state}: {cause}" if cause else state

@@ -260,7 +260,7 @@ class Latched:
 
     def offer(self, listener: Listener) -> None:
         """Hand it to a listener; its written forms are kept where the publisher has room."""
-        _offer(listener, self.envelope)
+        listener.offer(self.envelope)
         self.charge.resize(self.envelope.octets)
         if not self.account.has_room(0):
             self.envelope.forget_written()
@@ -390,7 +390,7 @@ class Hub:
             topic.latched[publisher] = Latched(envelope, charge, latch)
         topic.number += 1
         for listener in tuple(topic.listeners):
-            _offer(listener, envelope)
+            listener.offer(envelope)
 
     def listen(self, name: str, kind: str, listener: Listener, owner: object) -> None:
         """Hand a topic's messages to a listener, first those that are latched.
@@ -514,10 +514,3 @@ class Hub:
         if not topic.publishers and not topic.listeners and topic.name in self._topics:
             del self._topics[topic.name]
             self._named.take(topic.owner, -1)
-
-
-def _offer(listener: Listener, envelope: Envelope) -> None:
-    try:
-        listener.offer(envelope)
-    except MessageError as error:
-        listener.refuse(envelope, error)

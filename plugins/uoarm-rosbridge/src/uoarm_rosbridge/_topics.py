@@ -2,12 +2,8 @@
 
 from __future__ import annotations
 
-import asyncio
-import time
 from collections.abc import Callable, Mapping
 from typing import Any
-
-from attrs import define
 
 from uoarm.errors import ControlMessageError, MessageError, UoarmError, UsageError
 from uoarm.model import MessageStructure, Role
@@ -23,32 +19,14 @@ from uoarm.server.publication import InputPublication
 from uoarm_rosbridge._hub import Hub
 from uoarm_rosbridge._names import Addresses, NamedPort, find_place
 from uoarm_rosbridge._publication import SharedPublication, publish_into
-from uoarm_rosbridge._subscription import SubscribeOptions, Subscription, read_options
+from uoarm_rosbridge._subscription import RosbridgeSubscription, SubscribeOptions, read_options
 from uoarm_rosbridge._types import check_type
 
 __all__ = ["Topics"]
 
 Fields = Mapping[str, Any]
-_FAILED = "failed"
-_AGAIN_SECONDS = 1.0
 _WISHES = 256  # of one topic; all are looked at when one changes
 _WISHES_PER_STREAM = 64
-
-
-@define
-class _Listening:
-    """A subscription and where its messages come from; `last_warning` is the last warning of it."""
-
-    subscription: Subscription
-    feed: Feed | None = None
-    opening: asyncio.Task[None] | None = None
-    last_warning: str = ""
-
-    def warn(self, warn: Callable[[Fields, str], None], fields: Fields, text: str) -> None:
-        """Tell the client, unless this was the last that it was told."""
-        if text != self.last_warning:
-            self.last_warning = text
-            warn(fields, f"{text}; it is waited for")
 
 
 class Topics:
@@ -80,7 +58,7 @@ class Topics:
         self._warn = warn
         self._publications: dict[str, InputPublication | SharedPublication] = {}
         self._latched: set[str] = set()
-        self._listening: dict[str, _Listening] = {}
+        self._subscriptions: dict[str, RosbridgeSubscription] = {}
 
     def advertise(self, fields: Fields) -> None:
         """Open a topic for publishing; a function's input, or a topic between clients."""
@@ -116,25 +94,25 @@ class Topics:
         self._client.require(Operation.REQUEST, place.right)
         stated = _identity(fields)
         identity = place.name if stated is None else stated
-        listening = self._listening.get(place.name)
-        if listening is None:
-            if len(self._listening) >= self._client.limits.streams:
+        subscription = self._subscriptions.get(place.name)
+        if subscription is None:
+            if len(self._subscriptions) >= self._client.limits.streams:
                 raise LimitError(f"{self._client.limits.streams} topics are subscribed already")
             self._admit_subscription()
-            listening = self._listen(place, options, fields)
-        elif identity not in listening.subscription.asked:
-            if len(listening.subscription.asked) >= _WISHES:
+            subscription = self._listen(place, options, fields)
+        elif identity not in subscription.asked:
+            if len(subscription.asked) >= _WISHES:
                 raise LimitError(f"{place.name!r} has {_WISHES} subscriptions of this client")
             self._admit_subscription()
-        listening.subscription.set_options(identity, options)
+        subscription.set_options(identity, options)
 
     def unsubscribe(self, fields: Fields) -> None:
         """End one subscription of a topic by its id, or all without one."""
         place = find_place(fields["topic"])
-        listening = self._listening.get(place.name)
-        if listening is None:
+        subscription = self._subscriptions.get(place.name)
+        if subscription is None:
             raise UsageError(f"this client has not subscribed {place.name!r}")
-        if listening.subscription.drop(_identity(fields)):
+        if subscription.drop(_identity(fields)):
             self._stop(place)
 
     def close(self) -> None:
@@ -142,13 +120,13 @@ class Topics:
         for publication in self._publications.values():
             publication.abandon()
         self._publications.clear()
-        for name in list(self._listening):
+        for name in list(self._subscriptions):
             self._stop(find_place(name))
 
     def _admit_subscription(self) -> None:
         """Refuse one more subscription where the client has as many as it may, on all topics."""
         most = _WISHES_PER_STREAM * self._client.limits.streams
-        if sum(len(listening.subscription.asked) for listening in self._listening.values()) >= most:
+        if sum(len(subscription.asked) for subscription in self._subscriptions.values()) >= most:
             raise LimitError(f"{most} subscriptions are held already; end one first")
 
     def _open(self, place: NamedPort, fields: Fields) -> None:
@@ -182,80 +160,50 @@ class Topics:
         self._publications.pop(place.name, None)
         self._fail(fields, error)
 
-    def _listen(self, place: NamedPort, options: SubscribeOptions, fields: Fields) -> _Listening:
-        subscription = Subscription(
+    def _listen(
+        self, place: NamedPort, options: SubscribeOptions, fields: Fields
+    ) -> RosbridgeSubscription:
+        def on_end(state: str, cause: str) -> None:
+            on_failed(UoarmError(f"{place.name} has {state}: {cause or 'killed'}"))
+
+        def on_failed(error: BaseException) -> None:
+            if place.name in self._subscriptions:
+                self._stop(place)
+                self._fail(fields, error)
+
+        def check(feed: Feed) -> None:
+            structure = _structure_of(place, feed)
+            check_type(f"topic {place.name!r}", _type_in(fields), structure.native_type)
+            subscription.check_form()
+
+        subscription = RosbridgeSubscription(
             place.name if fields["topic"].startswith("/") else fields["topic"],
             options,
             self._client,
-            structure=lambda: _structure_of(place, listening.feed),
-            clock=time.monotonic,
+            structure=lambda: _structure_of(place, subscription.feed),
             on_refused=lambda error: self._fail(fields, error),
-            on_end=lambda state, cause: self._ended(place, fields, state, cause or "killed"),
+            on_end=on_end,
         )
-        listening = _Listening(subscription)
-        if not place.function:
-            subscription.prepare()
         if place.function:
-            listening.opening = asyncio.ensure_future(self._join(place, listening, fields))
+            subscription.follow(
+                self._backend,
+                FeedKey(place.wanted),
+                on_open=check,
+                on_waiting=lambda text: self._warn(fields, f"{place.name} {text}"),
+                on_failed=on_failed,
+            )
         else:
+            subscription.check_form()
             self._hub.listen(place.name, _type_in(fields), subscription, self._client.account)
             self._hint(place, Role.OUTPUT, fields)
-        self._listening[place.name] = listening
-        return listening
-
-    async def _join(
-        self, place: NamedPort, listening: _Listening, fields: Fields, pause: float = 0.0
-    ) -> None:
-        def notify(cause: str) -> None:
-            listening.warn(self._warn, fields, f"{place.name} cannot be had yet: {cause}")
-
-        try:
-            await asyncio.sleep(pause)
-            feed = await self._backend.join(FeedKey(place.wanted), notify)
-        except Exception as error:  # noqa: BLE001 - told to the one who listens
-            self._listening.pop(place.name, None)
-            self._fail(fields, error)
-            return
-        listening.feed, listening.opening = feed, None
-        try:
-            actual = _structure_of(place, feed).native_type
-            check_type(f"topic {place.name!r}", _type_in(fields), actual)
-            listening.subscription.prepare()
-        except MessageError as error:
-            self._stop(place)
-            self._fail(fields, error)
-            return
-        feed.add(listening.subscription, missed=listening.subscription.miss)
-
-    def _ended(self, place: NamedPort, fields: Fields, state: str, cause: str) -> None:
-        """Wait for a provider that failed to come back; what ended in another way has ended."""
-        listening = self._listening.get(place.name)
-        if listening is None:
-            return
-        if state != _FAILED:
-            self._stop(place)
-            self._fail(fields, UoarmError(f"{place.name} has {state}: {cause}"))
-            return
-        self._give_back(listening)
-        listening.warn(self._warn, fields, f"{place.name} has failed: {cause}")
-        joining = self._join(place, listening, fields, _AGAIN_SECONDS)
-        listening.opening = asyncio.ensure_future(joining)
+        self._subscriptions[place.name] = subscription
+        return subscription
 
     def _stop(self, place: NamedPort) -> None:
-        listening = self._listening.pop(place.name)
-        listening.subscription.close()
+        subscription = self._subscriptions.pop(place.name)
+        subscription.close()
         if not place.function:
-            self._hub.leave(place.name, listening.subscription)
-        elif listening.opening is not None:
-            listening.opening.cancel()
-        else:
-            self._give_back(listening)
-
-    def _give_back(self, listening: _Listening) -> None:
-        feed, listening.feed = listening.feed, None
-        if feed is not None:
-            feed.remove(listening.subscription)
-            self._backend.leave(feed)
+            self._hub.leave(place.name, subscription)
 
     def _done(self, fields: Fields, error: BaseException | None) -> None:
         if error is not None:

@@ -112,14 +112,16 @@ def write_ros(message: Message) -> bytes:
     return b"".join(_write_parts(message))
 
 
-def write_publish(topic: str, message: Message) -> bytes:
-    """Return a publish message, the same bytes for every client; raises as `write_ros`."""
+def write_publish(topic: str, number: int, message: Message) -> bytes:
+    """Return a publish message, which has no number; raises as `write_ros`."""
+    del number
     head = b'{"op":"publish","topic":' + orjson.dumps(topic) + b',"msg":'
     return b"".join((head, *_write_parts(message), b"}"))
 
 
-def write_publish_cbor(topic: str, message: Message) -> bytes:
+def write_publish_cbor(topic: str, number: int, message: Message) -> bytes:
     """Return a publish message in CBOR with typed arrays, as `compression: cbor` asks for."""
+    del number
     return write_binary({"op": "publish", "topic": topic, "msg": message})
 
 
@@ -273,9 +275,9 @@ _PIXEL = 3
 _FASTEST = 1
 
 
-def write_publish_png(topic: str, message: Message) -> bytes:
+def write_publish_png(topic: str, number: int, message: Message) -> bytes:
     """Return a png message that holds a publish message; raises as `write_publish`."""
-    picture = _picture(write_publish(topic, message))
+    picture = _picture(write_publish(topic, number, message))
     return b'{"op":"png","data":"' + b64encode(picture) + b'"}'
 
 

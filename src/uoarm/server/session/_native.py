@@ -111,10 +111,8 @@ class NativeSession:
         self._holder = LeaseHolder(f"session {client.identity}", client.role.name)
         self._streams = ClientStreams(
             registry,
-            client.outbox,
-            client.account,
+            client,
             form,
-            client.limits,
             self._holder,
             lambda connection, error: self._fail(None, connection, error),
             lambda text: self._view.text(text),  # noqa: PLW0108 - of the revision at that time

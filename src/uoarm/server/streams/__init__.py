@@ -19,6 +19,7 @@ from uoarm.server.streams._feed_registry import (
 from uoarm.server.streams._input_sender import Done, InputSender, check_message, read_message
 from uoarm.server.streams._memory import Account, Charge, MemoryUse, Shares, acting
 from uoarm.server.streams._outbox import Lane, Outbox
+from uoarm.server.streams._subscription import MessageForm, Subscription, Throttle
 from uoarm.server.streams._workers import Make
 
 __all__ = [
@@ -39,10 +40,13 @@ __all__ = [
     "Listener",
     "Make",
     "MemoryUse",
+    "MessageForm",
     "Outbox",
     "Read",
     "Shares",
     "StreamRunner",
+    "Subscription",
+    "Throttle",
     "Watcher",
     "acting",
     "check_message",

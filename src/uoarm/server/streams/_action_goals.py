@@ -353,9 +353,6 @@ class _Part:
         """Pass one message on."""
         self._receive(self._name, envelope.message)
 
-    def refuse(self, envelope: Envelope, error: Exception) -> None:
-        """Never called: nothing is written here."""
-
 
 def _ignore(error: BaseException | None) -> None:
     """Let a cancellation that failed pass: the result says what became of the goal."""

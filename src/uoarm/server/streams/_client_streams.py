@@ -5,132 +5,41 @@ from __future__ import annotations
 import asyncio
 import functools
 import math
-import time
 from collections import deque
 from collections.abc import Callable, Mapping
 from typing import Any
 
+from attrs import frozen
+
 from uoarm._control import Connection
-from uoarm._dataplane import Clock
 from uoarm._support.aio_deadlines import result_within
 from uoarm._wire import Form
 from uoarm.errors import BridgeTimeoutError, MessageError, UsageError
 from uoarm.model import LeaseHolder, Message, OverflowPolicy, QueuePolicy, ValidationMode
 from uoarm.server._failures import LimitError, UnknownError
-from uoarm.server._limits import Limits
-from uoarm.server.streams._encoder import Encoder
-from uoarm.server.streams._feed import Envelope, Feed, FeedKey, Write
+from uoarm.server.streams._feed import Feed, FeedKey
 from uoarm.server.streams._feed_registry import FeedRegistry
 from uoarm.server.streams._input_sender import Done, InputSender, read_message
-from uoarm.server.streams._memory import Account
-from uoarm.server.streams._outbox import Lane, Outbox
+from uoarm.server.streams._outbox import Lane
 from uoarm.server.streams._pending_feeds import OnAbsent
+from uoarm.server.streams._subscription import MessageForm, Subscriber, Subscription, Throttle
 
 __all__ = ["ClientStreams", "Stream", "feed_key"]
 
 
+@frozen(eq=False)
 class Stream:
-    """Hands the messages of a feed to one client.
+    """A connection that a client has.
 
-    Args:
-        feed: an open feed.
-        outbox: the client's.
-        form: in which messages are written.
-        lane: the client's own queue for this feed.
-        every: least seconds between two messages; those between are left out.
-        clock: seconds.
-        on_refused: called once for each reason for which a message could not be written.
-        on_end: called when the feed has ended, with state and cause.
+    Attributes:
+        connection: open.
+        feed: its messages.
+        subscription: what hands them to the client.
     """
 
-    def __init__(
-        self,
-        feed: Feed,
-        outbox: Outbox,
-        form: Form,
-        lane: Lane,
-        *,
-        every: float,
-        clock: Clock,
-        on_refused: Callable[[MessageError], None],
-        on_end: Callable[[str, str], None],
-    ) -> None:
-        assert feed.connection is not None, "a stream is made when its feed is open"
-        self.feed = feed
-        self.connection = feed.connection
-        self.lane = lane
-        self.skipped = 0
-        self._outbox = outbox
-        self._key = form.name
-        self._write = functools.partial(form.write_data, feed.connection.id)
-        self._write_standing = functools.partial(self._write, standing=True)
-        self._pace = Pace(every) if every else None
-        self._clock = clock
-        self._on_refused = on_refused
-        self._on_end = on_end
-
-    def prepare(self, encoder: Encoder, envelope: Envelope) -> asyncio.Future[object] | None:
-        """Have a long message written beside the loop, unless it comes too soon anyway."""
-        if (
-            self._pace is not None
-            and envelope.joiner is None
-            and not self._pace.is_due(self._clock())
-        ):
-            return None
-        return envelope.prepare(*self._form_of(envelope), encoder)
-
-    def offer(self, envelope: Envelope) -> None:
-        """Take one message unless it comes too soon after the last."""
-        if self._pace is not None and envelope.joiner is None:
-            now = self._clock()
-            if not self._pace.is_due(now):
-                self.skipped += 1
-                return
-            self._pace.take(now)
-        self._outbox.put(self.lane, envelope.written(*self._form_of(envelope)))
-
-    def _form_of(self, envelope: Envelope) -> tuple[str, Write]:
-        """Return in which form a message is written; one that is for this client alone stood."""
-        return self._key, self._write if envelope.joiner is None else self._write_standing
-
-    def miss(self) -> None:
-        """Count a message that was let go of before it came here."""
-        self._outbox.miss(self.lane)
-
-    def refuse(self, envelope: Envelope, error: MessageError) -> None:
-        """Count a message that has no form, and report why."""
-        del envelope
-        if self.lane.refuse(error):
-            self._on_refused(error)
-
-    def ended(self, state: str, cause: str) -> None:
-        """Pass the end on."""
-        self._on_end(state, cause)
-
-
-class Pace:
-    """Says which messages to pass on, so that as many a second pass as are asked for; no clock.
-
-    Each is due one period after the last one was due, not after it came: of a source of 12 a second
-    10 pass, and not every other one. What is left out is made up for by no burst: one that was
-    slower than a period begins anew.
-
-    Args:
-        every: the period in seconds.
-    """
-
-    def __init__(self, every: float) -> None:
-        self._every = every
-        self._due = -math.inf
-
-    def is_due(self, now: float) -> bool:
-        """Say whether a message that comes now passes."""
-        return now >= self._due
-
-    def take(self, now: float) -> None:
-        """Count one that passes."""
-        late = now - self._due
-        self._due = now + self._every - (late if late < self._every else 0.0)
+    connection: Connection
+    feed: Feed
+    subscription: Subscription
 
 
 class ClientStreams:
@@ -138,10 +47,8 @@ class ClientStreams:
 
     Args:
         registry: where feeds are shared.
-        outbox: the client's.
-        account: the client's.
+        client: whose they are.
         form: in which its messages are.
-        limits: bounds.
         holder: as whom it commands inputs that have a lease.
         on_refused: called with the connection, and why one of its messages could not be written.
         shown: returns a text as the client may read it.
@@ -150,19 +57,16 @@ class ClientStreams:
     def __init__(
         self,
         registry: FeedRegistry,
-        outbox: Outbox,
-        account: Account,
+        client: Subscriber,
         form: Form,
-        limits: Limits,
         holder: LeaseHolder,
         on_refused: Callable[[str, MessageError], None],
         shown: Callable[[str], str],
     ) -> None:
         self._registry = registry
-        self._outbox = outbox
-        self._account = account
+        self._client = client
         self._form = form
-        self._limits = limits
+        self._limits = client.limits
         self._holder = holder
         self._on_refused = on_refused
         self._shown = shown
@@ -170,7 +74,7 @@ class ClientStreams:
         self._sendings: dict[str, InputSender] = {}
         # The last ends, for a client that comes back: those of more streams than it may have are
         # old.
-        self._ends: deque[tuple[Lane, bytes]] = deque(maxlen=limits.streams)
+        self._ends: deque[tuple[Lane, bytes]] = deque(maxlen=client.limits.streams)
         # By connection, who waits for its end; set before the kill begins, so that a second one
         # joins it.
         self._killing: dict[str, list[Callable[[], None]]] = {}
@@ -247,8 +151,7 @@ class ClientStreams:
 
     def begin(self, stream: Stream) -> None:
         """Let the messages of a stream come, first those that wait."""
-        prepare = functools.partial(stream.prepare, self._registry.encoder)
-        stream.feed.add(stream, prepare, None if stream.lane.wants_all else stream.miss)
+        stream.subscription.begin(stream.feed)
 
     def own(self, identity: str) -> Stream:
         """Return the client's stream of a connection.
@@ -284,7 +187,7 @@ class ClientStreams:
         if sending is None:
             read = functools.partial(read_message, self._form)
             sending = self._sendings[identity] = self._registry.sender(
-                stream.connection, self._account, read, self._holder
+                stream.connection, self._client.account, read, self._holder
             )
         return sending
 
@@ -306,7 +209,7 @@ class ClientStreams:
 
         def end() -> None:
             self._remove(identity, f"killed by {self._holder}, who used it last")
-            self._outbox.discard(stream.lane)
+            self._client.outbox.discard(stream.subscription.lane)
             for report in self._killing.pop(identity):
                 report()
 
@@ -330,10 +233,10 @@ class ClientStreams:
             {
                 "connection": identity,
                 "received": stream.feed.number,
-                "sent": stream.lane.sent,
-                "waiting": len(stream.lane.waiting),
-                "dropped": stream.lane.dropped,
-                "left_out": stream.skipped,
+                "sent": stream.subscription.lane.sent,
+                "waiting": len(stream.subscription.lane.waiting),
+                "dropped": stream.subscription.lane.dropped,
+                "left_out": stream.subscription.skipped,
             }
             for identity, stream in self._streams.items()
         ]
@@ -343,31 +246,32 @@ class ClientStreams:
         for lane, frame in self._ends:
             # One whose end waits still will be sent anyway, and must not be sent twice.
             if not lane.waiting:
-                self._outbox.finish(lane, frame)
+                self._client.outbox.finish(lane, frame)
 
     def _stream(self, feed: Feed, connection: Connection, options: Mapping[str, Any]) -> Stream:
-        return Stream(
-            feed,
-            self._outbox,
-            self._form,
-            self._lane(options.get("queue")),
-            every=options.get("every", 0),
-            clock=time.monotonic,
+        write = functools.partial(self._form.write_data, connection.id)
+        standing = functools.partial(write, standing=True)
+        subscription = Subscription(
+            self._client,
+            MessageForm(self._form.name, write, self._form.text, standing),
+            lane=self._lane(options.get("queue")),
+            throttle=Throttle(options.get("every", 0), is_even=True),
             on_refused=lambda error: self._on_refused(connection.id, error),
             on_end=lambda state, cause: self._ended(connection.id, state, cause),
         )
+        return Stream(connection, feed, subscription)
 
-    def _lane(self, options: Mapping[str, Any] | None) -> Lane:
+    def _lane(self, options: Mapping[str, Any] | None) -> Lane | None:
         """Return the queue that a client asks for; one that names its length wants all of it."""
-        limits, text = self._limits, self._form.text
         if options is None:
-            return Lane(QueuePolicy(limits.queue_messages), text, limits.queue_seconds)
+            return None
+        limits = self._limits
         queue = QueuePolicy(
             min(options.get("length", limits.queue_messages), limits.queue_messages),
             options.get("policy", OverflowPolicy.DROP_OLDEST),
         )
         wants_all = queue.policy is not OverflowPolicy.LATEST
-        return Lane(queue, text, options.get("age", math.inf), wants_all=wants_all)
+        return Lane(queue, self._form.text, options.get("age", math.inf), wants_all=wants_all)
 
     def _ended(self, identity: str, state: str, cause: str) -> None:
         """Send the end after the last message, and free the name."""
@@ -377,8 +281,9 @@ class ClientStreams:
             fields = {"connection": identity, "state": state, "cause": self._shown(cause)}
             frame = self._form.write({"op": "Status", "type": "connection", "jsonMessage": fields})
             # Through the stream's own queue: the end comes after its last message.
-            self._outbox.finish(stream.lane, frame)
-            self._ends.append((stream.lane, frame))
+            lane = stream.subscription.lane
+            self._client.outbox.finish(lane, frame)
+            self._ends.append((lane, frame))
 
     def _remove(self, identity: str, cause: str = "") -> Stream | None:
         stream = self._streams.pop(identity, None)
@@ -388,7 +293,7 @@ class ClientStreams:
         if sending is not None:
             sending.close()
         if stream is not None:
-            stream.feed.remove(stream)
+            stream.feed.remove(stream.subscription)
             self._registry.leave(stream.feed, cause)
         return stream
 

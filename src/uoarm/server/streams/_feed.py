@@ -8,21 +8,22 @@ import math
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
-from typing import Protocol, TypeAlias
+from typing import Any, Protocol, TypeAlias, TypeVar
 
 from attrs import define, field, frozen
 
 from uoarm._control import Connection
 from uoarm._dataplane import Clock, Outlet
 from uoarm._raised import contained, foreign
+from uoarm._wire import is_octets
 from uoarm.errors import MessageError
 from uoarm.model import Message, ValidationMode, message_octets
 from uoarm.server._limits import Limits
-from uoarm.server.streams._encoder import Encoder, takes_long
 from uoarm.server.streams._workers import LoopMailbox
 
-__all__ = ["Envelope", "Feed", "FeedBacklog", "FeedKey", "Listener", "Prepare", "Write"]
+__all__ = ["Encoder", "Envelope", "Feed", "FeedBacklog", "FeedKey", "Listener", "takes_long"]
 
 _FRESH = 16
 _LATE_SECONDS = 0.1
@@ -69,13 +70,69 @@ class FeedBacklog:
         self._stands = False
 
 
+T = TypeVar("T")
+# A number takes at most some 0.5 us to write, and 256 octets less: so some 2 ms.
+_QUICK = 4096
+_OCTETS_SHIFT = 8
+_SCALARS = frozenset({int, float, bool, type(None)})
+_TEXTS = frozenset({str, bytes, bytearray, memoryview})
+
+
+def takes_long(message: Message) -> bool:
+    """Say whether a message takes more than some 2 ms to write in any form; quick to say."""
+    left = _QUICK
+    waiting: list[Any] = [message]
+    for item in waiting:
+        kind = type(item)
+        if kind in _SCALARS:
+            continue
+        if kind is dict or kind is list or kind is tuple:
+            left -= len(item)
+            if left >= 0:
+                waiting += item.values() if kind is dict else item
+        elif kind in _TEXTS:
+            left -= len(item) >> _OCTETS_SHIFT
+        elif is_octets(item):
+            left -= item.nbytes >> _OCTETS_SHIFT
+        else:  # an array of numbers, of the standard library or of numpy
+            left -= getattr(item, "size", 0) or (len(item) if hasattr(item, "__len__") else 0)
+        if left < 0:
+            return True
+    return False
+
+
+class Encoder:
+    """One thread in which long messages are written.
+
+    One, because writers hold the interpreter's lock: several would keep the loop waiting for it,
+    and take memory for as many messages at a time.
+    """
+
+    def __init__(self) -> None:
+        self._thread = ThreadPoolExecutor(1, thread_name_prefix="uoarm-encode")
+        self._closed = False
+
+    def start(self, write: Callable[[], object]) -> asyncio.Future[object] | None:
+        """Begin to write, from the loop's thread; None after `close`."""
+        if self._closed:
+            return None
+        return asyncio.get_running_loop().run_in_executor(self._thread, write)
+
+    def wait(self, message: Message, write: Callable[[], T]) -> T:
+        """Return what `write` makes of a message, in a worker: it waits for its turn."""
+        if self._closed or not takes_long(message):
+            return write()
+        return self._thread.submit(write).result()
+
+    def close(self) -> None:
+        """Begin with nothing more; does not wait for what is under way."""
+        self._closed = True
+        self._thread.shutdown(wait=False)
+
+
 _log = logging.getLogger("uoarm.server")
 _TURN_SECONDS = 0.001
 _UNCOUNTED = 16  # messages: to count the octets of each would cost more than to hand it out
-
-
-Write: TypeAlias = Callable[[int, Message], bytes]
-"""Makes the form of a message that has a number."""
 
 
 @frozen
@@ -109,6 +166,10 @@ class Envelope:
         came: when, in seconds of the feed's clock.
         joiner: who alone gets it, since it stood when that one joined; None: it is for all.
         is_late: whether only those get it who want all.
+        forms: what was written of it, by form. A message that has none keeps its error: each client
+            is refused, and it is tried once. The encoder's thread sets an entry, the loop reads it
+            after the future of that is done.
+        writing: what is being written beside the loop, by form.
     """
 
     number: int
@@ -117,49 +178,8 @@ class Envelope:
     came: float = 0.0
     joiner: Listener | None = None
     is_late: bool = field(default=False, init=False)
-    _long: bool | None = field(default=None, init=False)
-    # By form. A message that has none keeps its error: each client is refused, and it is tried
-    # once. The encoder's thread sets an entry, the loop reads it after the future of that is done.
-    _written: dict[str, bytes | MessageError] = field(factory=dict, init=False)
-    _writing: dict[str, asyncio.Future[object]] = field(factory=dict, init=False)
-
-    def written(self, key: str, write: Write) -> bytes:
-        """Return the message as `write` makes it, made once for each key.
-
-        Raises:
-            MessageError: it has no such form.
-        """
-        made = self._written.get(key)
-        if made is None:
-            self._make(key, write)
-            # `written` is asked without `prepare` for what is short, and after its future for what
-            # is long: in neither case does the encoder write the same key at the same time.
-            made = self._written[key]
-        if isinstance(made, MessageError):
-            raise made.with_traceback(None)
-        return made
-
-    def prepare(self, key: str, write: Write, encoder: Encoder) -> asyncio.Future[object] | None:
-        """Have a long message written beside the loop; None when `written` need not wait for that.
-
-        The future never fails: `written` raises what went wrong.
-        """
-        if key in self._written:
-            return None
-        if key not in self._writing:
-            future = encoder.start(lambda: self._make(key, write))
-            if future is None:
-                return None
-            # Kept, so that clients of the same form wait for one writing, not one each.
-            self._writing[key] = future
-        return self._writing[key]
-
-    @property
-    def takes_long(self) -> bool:
-        """Whether it is written beside the loop; looked at once."""
-        if self._long is None:
-            self._long = takes_long(self.message)
-        return self._long
+    forms: dict[str, bytes | MessageError] = field(factory=dict, init=False)
+    writing: dict[str, asyncio.Future[object]] = field(factory=dict, init=False)
 
     @property
     def message_octets(self) -> int:
@@ -171,19 +191,13 @@ class Envelope:
     @property
     def octets(self) -> int:
         """Memory that the message and its written forms hold."""
-        frames = (item for item in self._written.values() if isinstance(item, bytes))
+        frames = (item for item in self.forms.values() if isinstance(item, bytes))
         return self.message_octets + sum(map(len, frames))
 
     def forget_written(self) -> None:
         """Let its written forms go; they are made again for the next client."""
-        self._written.clear()
-        self._writing.clear()
-
-    def _make(self, key: str, write: Write) -> None:
-        try:
-            self._written[key] = write(self.number, self.message)
-        except MessageError as error:
-            self._written[key] = error.with_traceback(None)
+        self.forms.clear()
+        self.writing.clear()
 
 
 Prepare: TypeAlias = Callable[[Envelope], "asyncio.Future[object] | None"]
@@ -198,10 +212,7 @@ class Listener(Protocol):
     """What a client has on a feed. Called in the loop's thread; must not wait."""
 
     def offer(self, envelope: Envelope) -> None:
-        """Take one message; MessageError when it cannot be written."""
-
-    def refuse(self, envelope: Envelope, error: MessageError) -> None:
-        """Called for a message that could not be written."""
+        """Take one message."""
 
     def ended(self, state: str, cause: str) -> None:
         """Called once: no more will come, and why."""
@@ -212,7 +223,7 @@ class _Place:
     """What the feed knows of a listener.
 
     Attributes:
-        prepare: asked about each message first.
+        prepare: asked about each long message first.
         missed: called instead for what is late.
         first: the number of its first message; what stood before it gets apart.
     """
@@ -235,15 +246,24 @@ class Feed:
         mailbox: the way into the loop.
         limits: of these, how many messages wait for the loop, and what memory they hold; with more
             the oldest are lost, as a gap in the numbers.
+        encoder: writes long messages.
         clock: seconds.
 
     Attributes:
+        encoder: as it was given.
         connection: the one whose messages these are; None until it is open.
         lost: messages lost before the loop got to them.
         end: state and cause, once no more will come.
     """
 
-    def __init__(self, mailbox: LoopMailbox, limits: Limits, clock: Clock = time.monotonic) -> None:
+    def __init__(
+        self,
+        mailbox: LoopMailbox,
+        limits: Limits,
+        encoder: Encoder,
+        clock: Clock = time.monotonic,
+    ) -> None:
+        self.encoder = encoder
         self._mailbox = mailbox
         self._limits = limits
         self._clock = clock
@@ -354,7 +374,7 @@ class Feed:
 
         Args:
             listener: takes them.
-            prepare: asked about each message first; what it begins is waited for.
+            prepare: asked about each long message first; what it begins is waited for.
             missed: called instead for each message that comes to be late while the loop is busy,
                 so that what is new is there sooner; None: the listener gets all.
         """
@@ -436,7 +456,7 @@ class Feed:
         envelope = self._next() if self._can_hand() else None
         if envelope is None:
             return False
-        if envelope.takes_long and self._begin_writing(envelope):
+        if takes_long(envelope.message) and self._begin_writing(envelope):
             return False
         self._hand_one(envelope)
         return True
@@ -498,7 +518,7 @@ class Feed:
                 if envelope.is_late and place.missed is not None:
                     place.missed()
                 else:
-                    _offer(listener, envelope)
+                    listener.offer(envelope)
             # As `foreign`, without its call for each message and listener.
             except BaseException as error:  # noqa: BLE001 - a listener may raise anything
                 contained(error)
@@ -516,7 +536,7 @@ class Feed:
 
     def _drop(self, listener: Listener) -> None:
         """Hand a listener that fails nothing more, so that the others go on."""
-        _log.exception("a listener of %s failed", type(listener).__module__)
+        _log.exception("a listener of %s failed", _module_of(listener))
         self._listeners.pop(listener, None)
         _end(listener, "failed", "the server failed; its log says more")
 
@@ -537,15 +557,13 @@ def _of_those(
     return found[::-1]
 
 
-def _offer(listener: Listener, envelope: Envelope) -> None:
-    try:
-        listener.offer(envelope)
-    except MessageError as error:
-        listener.refuse(envelope, error)
-
-
 def _end(listener: Listener, state: str, cause: str) -> None:
     try:
         foreign(listener.ended, state, cause)
     except Exception:  # noqa: BLE001 - a listener of a front end may raise anything
-        _log.exception("a listener of %s failed", type(listener).__module__)
+        _log.exception("a listener of %s failed", _module_of(listener))
+
+
+def _module_of(listener: Listener) -> str:
+    module: str = getattr(listener, "module", type(listener).__module__)
+    return module

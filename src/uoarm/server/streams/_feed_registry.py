@@ -43,8 +43,7 @@ from uoarm.server.access import (
     Supervision,
 )
 from uoarm.server.streams._action_goals import ActionRunners
-from uoarm.server.streams._encoder import Encoder
-from uoarm.server.streams._feed import Feed, FeedKey
+from uoarm.server.streams._feed import Encoder, Feed, FeedKey
 from uoarm.server.streams._input_sender import InputSender, Read, read_message
 from uoarm.server.streams._known import KnownStructures, KnownTypes
 from uoarm.server.streams._memory import Account, ServerMemory
@@ -206,7 +205,7 @@ class FeedRegistry:
                 raise BusyError(
                     f"{_CLOSINGS} earlier connections to {wanted.function!r} are being closed still"
                 )
-            feed = self._feeds[wanted] = Feed(self.mailbox, self.limits)
+            feed = self._feeds[wanted] = Feed(self.mailbox, self.limits, self.encoder)
             self._keys[feed] = wanted
             opening = asyncio.ensure_future(self._open(wanted, feed))
             # Reads the error also when every client has gone: asyncio would report it as never

@@ -208,7 +208,7 @@ class TopicSink(Sink):
 
     def _send(self, message: Message) -> None:
         head = f'{{"id":"{self._identity}",'
-        octets = write_publish(self._topic, self._write(message))
+        octets = write_publish(self._topic, self._sent, self._write(message))
         self._connection.send_text(head + octets[1:].decode())
         self._sent += 1
 

@@ -5,16 +5,16 @@ from __future__ import annotations
 from hypothesis import given
 from hypothesis import strategies as st
 
-from uoarm.server.streams._client_streams import Pace
+from uoarm.server.streams import Throttle
 
 
 def passed(period: float, every: float, count: int) -> list[float]:
     """Return when messages pass of so many that come in a period."""
-    pace, times = Pace(every), []
+    throttle, times = Throttle(every, is_even=True), []
     for number in range(count):
         now = number * period
-        if pace.is_due(now):
-            pace.take(now)
+        if throttle.is_due(now):
+            throttle.take(now)
             times.append(now)
     return times
 
@@ -29,8 +29,8 @@ def test_as_many_pass_as_are_asked_for_whatever_the_source_has(period: float) ->
 
 
 def test_a_pause_is_made_up_for_by_no_burst() -> None:
-    pace = Pace(0.1)
-    pace.take(0.0)
-    pace.take(50.0)
-    assert not pace.is_due(50.05)
-    assert pace.is_due(50.1)
+    throttle = Throttle(0.1, is_even=True)
+    throttle.take(0.0)
+    throttle.take(50.0)
+    assert not throttle.is_due(50.05)
+    assert throttle.is_due(50.1)
