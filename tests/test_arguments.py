@@ -156,3 +156,26 @@ def test_it_is_for_classes_of_attrs_too() -> None:
     assert Point(1).x == 1
     with pytest.raises(UsageError, match="Point: x: expected a number, got the text '1'"):
         Point("1")  # type: ignore[arg-type]
+
+
+def test_a_method_is_named_with_the_class_that_its_caller_knows() -> None:
+    class Counter:
+        @arguments()
+        def __init__(self, start: int = 0) -> None: ...
+
+        @arguments()
+        def count(self, most: int) -> None: ...
+
+        @classmethod
+        @arguments()
+        def to(cls, most: int) -> None: ...
+
+    class SlowCounter(Counter): ...
+
+    wrong: Any = "many"
+    with pytest.raises(UsageError, match=r"Counter: start: expected"):
+        Counter(wrong)
+    with pytest.raises(UsageError, match=r"SlowCounter\.count: most: expected"):
+        SlowCounter().count(wrong)
+    with pytest.raises(UsageError, match=r"SlowCounter\.to: most: expected"):
+        SlowCounter.to(wrong)

@@ -71,6 +71,7 @@ WITHIN = {
         {"live"},
         {"offers", "candidates", "connection"},
         {"requests", "configuration_changes"},
+        {"robot_view"},
         {"robot_manager"},
         {"aio"},
         {"__init__"},

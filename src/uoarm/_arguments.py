@@ -94,7 +94,6 @@ class _Checker:
         self._kinds: dict[str, _Kinds] = {}
         self._known: tuple[str, ...] = ()
         self._takes_more = False, False  # by position, by name
-        self._name = function.__qualname__.removesuffix(".__init__")
         self._positional: list[str] | None = None  # written last: others then read all the rest
 
     def check(self, args: tuple[Any, ...], kwargs: Mapping[str, Any]) -> None:
@@ -103,22 +102,38 @@ class _Checker:
         Raises:
             UsageError: there is one; the text has what was expected and what came.
         """
+        mistake = self._mistake(args, kwargs)
+        if mistake:
+            raise UsageError(f"{self._called_as(args)}: {mistake}")
+
+    def _mistake(self, args: tuple[Any, ...], kwargs: Mapping[str, Any]) -> str:
+        """Return what is wrong with a call, first of all; empty: nothing."""
         positional = self._positional
         if positional is None:
             positional = self._read()
         kinds = self._kinds
         if len(args) > len(positional) and not self._takes_more[0]:
-            raise UsageError(self._beyond(args[len(positional)]))
+            return self._beyond(args[len(positional)])
         for name, value in zip(positional, args, strict=False):
             if name in kinds and not _is(value, kinds[name]):
-                raise self._wrong(name, value)
+                return self._wrong(name, value)
         for name, value in kwargs.items():
             if name in kinds and not _is(value, kinds[name]):
-                raise self._wrong(name, value)
+                return self._wrong(name, value)
             if name not in self._known and not self._takes_more[1]:
                 close = difflib.get_close_matches(name, self._known, n=1)
                 hint = f"; did you mean {close[0]!r}?" if close else ""
-                raise UsageError(f"{self._name}: there is no argument {name!r}{hint}")
+                return f"there is no argument {name!r}{hint}"
+        return ""
+
+    def _called_as(self, args: tuple[Any, ...]) -> str:
+        """Return the function's name; of a method with the class that its caller knows."""
+        owner, _, name = self._function.__qualname__.rpartition(".")
+        if args and self._positional and self._positional[0] in {"self", "cls"}:
+            of = args[0] if isinstance(args[0], type) else type(args[0])
+            owner = of.__qualname__
+        called = f"{owner}.{name}" if owner else name
+        return called.removesuffix(".__init__")
 
     def _read(self) -> list[str]:
         parameters = inspect.signature(self._function).parameters.values()
@@ -147,13 +162,13 @@ class _Checker:
         taken = ", ".join(name for name in self._positional if name != "self") or "nothing"
         more = f", by name {', '.join(named)}" if named else ""
         hint = f"; {self._instead['more']}" if "more" in self._instead else ""
-        return f"{self._name}: takes {taken} by position{more}; got {_shown(value)} too{hint}"
+        return f"takes {taken} by position{more}; got {_shown(value)} too{hint}"
 
-    def _wrong(self, name: str, value: object) -> UsageError:
+    def _wrong(self, name: str, value: object) -> str:
         words = [_WORDS.get(kind) or _article(kind.__name__) for kind in self._kinds[name]]
         expected = words[0] if len(words) == 1 else f"{', '.join(words[:-1])} or {words[-1]}"
         hint = f"; {self._instead[name]}" if name in self._instead else ""
-        return UsageError(f"{self._name}: {name}: expected {expected}, got {_shown(value)}{hint}")
+        return f"{name}: expected {expected}, got {_shown(value)}{hint}"
 
 
 def _is(value: object, kinds: _Kinds) -> bool:

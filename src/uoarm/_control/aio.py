@@ -44,13 +44,14 @@ from uoarm.model import (
 __all__ = ["AsyncConnection", "AsyncRobotManager"]
 
 Result = TypeVar("Result")
-Threaded = TypeVar("Threaded")
+# Covariant: methods that a manager inherits are those of a twin of what it is more generally.
+Threaded_co = TypeVar("Threaded_co", covariant=True)
 P = ParamSpec("P")
 _AT_ONCE = 32
 _log = logging.getLogger("uoarm")
 
 
-class _Twin(Generic[Threaded]):
+class _Twin(Generic[Threaded_co]):
     """What has the methods of something that blocks, awaited; closed at the end of `async with`.
 
     Args:
@@ -58,7 +59,7 @@ class _Twin(Generic[Threaded]):
         executor: its threads wait.
     """
 
-    def __init__(self, threaded: Threaded, executor: ThreadPoolExecutor) -> None:
+    def __init__(self, threaded: Threaded_co, executor: ThreadPoolExecutor) -> None:
         self._threaded = threaded
         self._executor = executor
         self._process = generation()
@@ -88,27 +89,27 @@ class _Twin(Generic[Threaded]):
 
 
 def _awaited(
-    method: Callable[Concatenate[Threaded, P], Result],
-) -> Callable[Concatenate[_Twin[Threaded], P], Coroutine[Any, Any, Result]]:
+    method: Callable[Concatenate[Threaded_co, P], Result],
+) -> Callable[Concatenate[_Twin[Threaded_co], P], Coroutine[Any, Any, Result]]:
     """Return the twin of a method that blocks: it runs outside the loop's thread, and is awaited.
 
     Parameters, result and text are those of the method, for type checkers and documentation too.
     """
 
     @wraps(method)
-    async def twin(self: _Twin[Threaded], /, *args: P.args, **kwargs: P.kwargs) -> Result:
+    async def twin(self: _Twin[Threaded_co], /, *args: P.args, **kwargs: P.kwargs) -> Result:
         return await self._outside(partial(method, self._threaded, *args, **kwargs))
 
     return twin
 
 
 def _at_once(
-    method: Callable[Concatenate[Threaded, P], Result],
-) -> Callable[Concatenate[_Twin[Threaded], P], Result]:
+    method: Callable[Concatenate[Threaded_co, P], Result],
+) -> Callable[Concatenate[_Twin[Threaded_co], P], Result]:
     """Return the twin of a method that does not block, which is called as it is."""
 
     @wraps(method)
-    def twin(self: _Twin[Threaded], /, *args: P.args, **kwargs: P.kwargs) -> Result:
+    def twin(self: _Twin[Threaded_co], /, *args: P.args, **kwargs: P.kwargs) -> Result:
         return method(self._threaded, *args, **kwargs)
 
     return twin

@@ -20,7 +20,7 @@ from uoarm._arguments import arguments
 from uoarm._control.candidates import CandidateWatch
 from uoarm._control.configuration_changes import ConfigurationChanges, KeptFile
 from uoarm._control.connection import Connection
-from uoarm._control.discovery import Discovery, check_availability, with_rates
+from uoarm._control.discovery import Discovery
 from uoarm._control.engine.state import State
 from uoarm._control.live.bridges import BridgeSet
 from uoarm._control.live.driver import Driver
@@ -31,32 +31,24 @@ from uoarm._control.live.threads import EventDispatcher
 from uoarm._control.offered_function import offered_structures
 from uoarm._control.offers import Offers
 from uoarm._control.requests import Requests, Services
+from uoarm._control.robot_view import RobotView
 from uoarm._dataplane import Clock
 from uoarm._hints.applications import MessageType, T
 from uoarm._interrupts import Uninterrupted
 from uoarm._mistakes import choose
-from uoarm._resolve import Unavailable
 from uoarm._support import deadlines
 from uoarm.bridge import Bridge, HealthEvent, Registry
 from uoarm.errors import (
-    ConnectionClosedError,
-    ResolutionError,
     UsageError,
 )
 from uoarm.model import (
-    BridgeFindings,
-    ConfigurationChange,
     Deliver,
-    FunctionStatus,
     Message,
-    MessageStructure,
     Offer,
     OfferStatus,
     Plan,
     QueuePolicy,
     Robot,
-    StatusEvent,
-    StatusMap,
     StopReport,
     ValidationMode,
 )
@@ -65,13 +57,12 @@ __all__ = ["RobotManager"]
 
 _log = logging.getLogger("uoarm")
 _INBOX = QueuePolicy(length=64)
-_DISCOVERY_SECONDS = 60.0
 _ENDED_RECORDINGS = 32
 """That are kept, to be looked at."""
 
 
 @final
-class RobotManager:
+class RobotManager(RobotView):
     """Bridges, connections and status of one robot. A context manager; several may live at once.
 
     All methods may be called from any thread, callbacks and listeners included.
@@ -137,7 +128,6 @@ class RobotManager:
             ),
         )
         self._discovery = Discovery(self._bridges.get)
-        # Guards the discovery that is kept between looks, which is for one thread at a time.
         self._discovering = threading.Lock()
         self._candidates = CandidateWatch(
             self._revisions, self._driver, self._bridges.get, self.registry.types, clock
@@ -180,19 +170,6 @@ class RobotManager:
         """What other managers know this one by: random, and as long as the manager lives."""
         return self._identity
 
-    @property
-    def config(self) -> Robot:
-        """The configuration in force, with the options that uoarm chose filled in.
-
-        Functions with needs have the candidates that were discovered, behind those named.
-        """
-        return self._revisions.current.robot
-
-    @property
-    def revision(self) -> int:
-        """How many changes of the configuration led to the one in force."""
-        return self._revisions.current.number
-
     @classmethod
     @arguments(path="RobotManager(robot) takes a Robot")
     def from_file(
@@ -212,20 +189,6 @@ class RobotManager:
         registry = registry or Registry()
         robot = config.load(path, registry.types)
         return cls(robot, registry=registry, clock=clock, stop_file=stop_file)
-
-    @arguments()
-    def resolve(self, name: str, *, timeout: float = 60.0) -> Plan:
-        """Return the plan that `request` would open, without opening anything.
-
-        Asks bridges for structures that are not known yet; one that does not answer within half
-        a minute is passed over.
-
-        Raises:
-            ResolutionError: nothing fits; the text says for every candidate why.
-            BridgeTimeoutError: no plan within `timeout` seconds; the text says what hung.
-        """
-        self._require_open()
-        return self._requests.resolve(name, timeout)
 
     @overload
     def request(
@@ -470,93 +433,6 @@ class RobotManager:
         )
         return deadlines.run(f"playback of {bridge!r}", timeout, move)
 
-    def connections(self) -> tuple[Connection, ...]:
-        """Return the connections that have not ended, oldest first, of every caller."""
-        runtimes = self._driver.live.connections()
-        return tuple(runtime.handle for runtime in runtimes if runtime.handle is not None)
-
-    def status(self) -> StatusMap:
-        """Return the whole system as it is at this moment."""
-        connections = self.connections()
-        guard = self._revisions.current.guard
-        shared = (edge.status() for edge in self._driver.live.feeding())
-        own = (route for connection in connections for route in connection.routes())
-        return StatusMap(
-            bridges=self._bridges.statuses(),
-            components=(*self._driver.live.statuses(), *self._services.statuses()),
-            connections=tuple(connection.status() for connection in connections),
-            routes=(
-                *(route for route in shared if route is not None),
-                *own,
-                *self._offers.routes(),
-            ),
-            machines=self._bridges.machines.statuses(),
-            deaths=tuple(sorted(self._driver.deaths.copy().items())),
-            takeovers=tuple(sorted(self._driver.takeovers.copy().items())),
-            offers=self._offers.statuses(),
-            held=self._driver.live.emergency_stop.held(),
-            lock=() if guard is None else guard.status(),
-        )
-
-    @arguments()
-    def structures(
-        self, component: str, *, timeout: float = 60.0
-    ) -> Mapping[str, MessageStructure]:
-        """Return the structures of a component's ports, as its bridge or the configuration has it.
-
-        They are keyed `input.NAME` and `output.NAME`; a service has `request` and `reply`. Asks the
-        bridge where that is not known yet, and opens nothing. An offer, `BRIDGE:FUNCTION`, has
-        those that its framework knows: what it gives there is an input of the framework.
-
-        Raises:
-            ResolutionError: the configuration has no such component, or it is not there now.
-            BridgeTimeoutError: the bridge did not answer within `timeout` seconds.
-        """
-        self._require_open()
-        revision = self._revisions.current
-        offer = next((item for item in revision.robot.offers if item.name == component), None)
-        if offer is not None:
-            what = f"asking for the structures of the offer {component!r}"
-            get = self._bridges.get
-            return deadlines.run(
-                what, timeout, lambda: offered_structures(offer, get(offer.bridge))
-            )
-        found = next((item for item in revision.robot.components() if item.name == component), None)
-        if found is None:
-            text = f"there is no component {component!r} in the configuration"
-            raise ResolutionError(text, error_code="UOA-202")
-        what = f"asking for the structures of {component!r}"
-        answer = deadlines.run(what, timeout, lambda: revision.structures.structures(found))
-        if isinstance(answer, Unavailable):
-            text = f"component {component!r} is not there: {answer.sentence}"
-            raise ResolutionError(text, error_code="UOA-212")
-        return answer.by_port
-
-    @arguments()
-    def structure_of_type(self, name: str, *, timeout: float = 5.0) -> MessageStructure | None:
-        """Return what messages of a native type are like, such as `std_msgs/msg/String`.
-
-        Asks the plugins of the bridges in the configuration, in its order, and starts none of them;
-        not those of bridges in hosts, whose types are those of another environment. None where no
-        plugin knows the type.
-
-        Args:
-            name: of the type, as its framework spells it.
-            timeout: seconds for each plugin.
-
-        Raises:
-            BridgeError: a plugin failed.
-            BridgeTimeoutError: a plugin did not answer in time.
-        """
-        self._require_open()
-        for spec in self.config.bridges.values():
-            if spec.host is not None:
-                continue
-            found = self.registry.structure_of_type(spec, name, timeout)
-            if found is not None:
-                return found
-        return None
-
     @arguments(more="what is offered stands in the configuration, under `offer`")
     def offer(self, *, timeout: float = 60.0) -> tuple[OfferStatus, ...]:
         """Open what the configuration offers in frameworks, and keep it open until `close`.
@@ -574,170 +450,6 @@ class RobotManager:
         """
         self._require_open()
         return self._offers.begin(timeout)
-
-    def check_availability(self) -> tuple[FunctionStatus, ...]:
-        """Return which functions and components can be had now; opens nothing.
-
-        Blocks while bridges are asked, several components at once, each within its limit.
-        """
-        self._require_open()
-        self._candidates.wait(_DISCOVERY_SECONDS)
-        revision = self._revisions.current
-        revision.forget([component.name for component in revision.robot.components()])
-        return check_availability(revision.robot, revision.structures, self.resolve)
-
-    @arguments()
-    def discover(
-        self, *, timeout: float = 10.0, grace: float | None = None
-    ) -> tuple[BridgeFindings, ...]:
-        """Return what every bridge sees now, configured or not; opens nothing.
-
-        Args:
-            timeout: seconds for each bridge, its start included; all are asked at once.
-            grace: seconds that the others have after the first answer. A slower bridge is listed as
-                it answered the last call with a grace, or as one that has not answered yet; what
-                it answers is in a later such call. None: every bridge is waited for.
-        """
-        self._require_open()
-        base = self._revisions.current.base
-        if grace is not None:
-            with self._discovering:
-                return self._with_rates(self._discovery.look(base, timeout, grace))
-        discovery = Discovery(self._bridges.get)
-        try:
-            return self._with_rates(discovery.look(base, timeout))
-        finally:
-            discovery.close()
-
-    @arguments()
-    def listen(self, listener: Callable[[StatusEvent], None]) -> Callable[[], None]:
-        """Notify a listener of every change from now on, in order; returns what ends that.
-
-        Listeners run in one thread of the manager, never in a thread that moves messages.
-        """
-        return self._events.listen(listener)
-
-    @arguments(robot="reload(path) reads a file, uoarm.config.load(path) too")
-    def apply(
-        self,
-        robot: Robot,
-        *,
-        dry_run: bool = False,
-        force: bool = False,
-        revision: int | None = None,
-        keep: bool = False,
-        reload_code: bool = False,
-        timeout: float = 60.0,
-    ) -> ConfigurationChange:
-        """Change the configuration while the manager runs; one change at a time.
-
-        Connections whose plan stays as it is notice nothing. The others go on with their new
-        plans as after a failover, with a gap noted: what is new opens beside what runs, and takes
-        its place. Where that cannot be (a device that can be open once only), what the new
-        configuration has no more is closed first. Takeovers of that kind are not counted for
-        `failover.limit`.
-
-        Args:
-            robot: the configuration, as `uoarm.config.load` returns it.
-            dry_run: whether to say only what would happen. Bridges that are new or others are
-                started for that, asked for structures and closed again.
-            force: whether connections may end for it that find no other plan.
-            revision: of the configuration that the change was made for; None: any.
-            keep: whether it is written to the file of the configuration in force, whose comments
-                and order stay; else the file stays as it is.
-            reload_code: whether the code of Python components is read again. Each is then a new
-                instance, which takes the place of the one that runs. Where one cannot be had with
-                its new code, nothing changes.
-            timeout: seconds, for finding out what would happen, and once more for moving.
-
-        Raises:
-            ConfigurationError: connections would end, a component cannot be had with its new code,
-                or other machines cannot join at the address that it has for them. Or the file
-                cannot be written. Nothing has changed, unless the text says that it is in force.
-            UsageError: another revision is in force. Or it cannot be kept: nothing was read from a
-                file, or another writer has changed the file. Nothing has changed, unless likewise.
-            BridgeTimeoutError: a bridge hangs. Nothing has changed, unless the text says that
-                connections were changing already.
-        """
-        self._require_open()
-        return self._changes.apply(
-            robot,
-            is_dry_run=dry_run,
-            is_forced=force,
-            revision=revision,
-            keeps=keep,
-            reloads_code=reload_code,
-            timeout=timeout,
-        )
-
-    @arguments(path="apply(robot) takes a Robot")
-    def reload(
-        self,
-        path: str | PathLike[str] | None = None,
-        *,
-        dry_run: bool = False,
-        force: bool = False,
-        reload_code: bool = False,
-        timeout: float = 60.0,
-    ) -> ConfigurationChange:
-        """Read a configuration file and `apply` it; None: the file that is in force, again.
-
-        The code of Python components goes on as it is, unless `reload_code` asks for it anew.
-
-        Raises:
-            UsageError: the configuration in force is of no file, and no other is named.
-            ConfigurationError: the file has mistakes, all of which the text lists, or as `apply`.
-        """
-        path = path or self.config.origin
-        if not path:
-            raise UsageError("the configuration was not read from a file: name one")
-        robot = config.load(path, self.registry.types)
-        change = self.apply(
-            robot, dry_run=dry_run, force=force, reload_code=reload_code, timeout=timeout
-        )
-        if change.is_applied:
-            self._changes.note(robot)
-        return change
-
-    @arguments()
-    def rollback(
-        self,
-        to: int,
-        *,
-        dry_run: bool = False,
-        force: bool = False,
-        revision: int | None = None,
-        keep: bool = False,
-        timeout: float = 60.0,
-    ) -> ConfigurationChange:
-        """Apply the configuration of an earlier revision again, as a revision of its own.
-
-        Args:
-            to: the number of the revision.
-            dry_run: as `apply` has it, and so `force`, `revision`, `keep` and `timeout`.
-            force: likewise.
-            revision: likewise.
-            keep: likewise.
-            timeout: likewise.
-
-        Raises:
-            UsageError: there is no such revision, or it was too long ago; or as `apply`.
-            ConfigurationError: as `apply`.
-        """
-        kept = {change.revision: change.robot for change in self.history()}
-        robot = kept.get(to)
-        if robot is None:
-            raise UsageError(f"revision {to} is not kept: {min(kept)} to {max(kept)} are")
-        return self.apply(
-            robot, dry_run=dry_run, force=force, revision=revision, keep=keep, timeout=timeout
-        )
-
-    def history(self) -> tuple[ConfigurationChange, ...]:
-        """Return the last revisions of the configuration, the one in force last.
-
-        A hundred, or fewer of large ones: about 32 MiB in all, and at least the one before.
-        """
-        return self._revisions.history()
 
     @arguments()
     def stop_all(self, *, timeout: float = 2.0) -> StopReport:
@@ -791,18 +503,6 @@ class RobotManager:
                 _log.warning("%s", failure)
             self._events.close()
 
-    def _with_rates(self, findings: tuple[BridgeFindings, ...]) -> tuple[BridgeFindings, ...]:
-        shared = [
-            route for edge in self._driver.live.feeding() if (route := edge.status()) is not None
-        ]
-        own = [route for connection in self.connections() for route in connection.routes()]
-        rates = {
-            route_status.producer: route_status.rate
-            for route_status in (*shared, *own)
-            if route_status.rate is not None
-        }
-        return with_rates(findings, rates, self.config)
-
     def _watch_rates(self, robot: Robot) -> None:
         if any(output.expect for component in robot.components() for output in component.outputs):
             self._staleness.start()
@@ -818,13 +518,6 @@ class RobotManager:
         guard = self._revisions.current.guard
         if guard is not None:
             guard.hold_offer(offer.name, offered_structures(offer, bridge))
-
-    def _require_open(self) -> None:
-        if self._driver.is_foreign:
-            text = "the robot manager belongs to the process that made it, of which this is a child"
-            raise ConnectionClosedError(f"{text}: make another one here")
-        if self._driver.state.is_closing:
-            raise ConnectionClosedError("the robot manager is closed")
 
     def __repr__(self) -> str:
         name = self.config.origin or "in memory"
