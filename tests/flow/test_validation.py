@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+import time
 from array import array
 
 import numpy as np
@@ -12,7 +13,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from jsonschema import Draft202012Validator
 
-from uoarm._dataplane import make_check
+from uoarm._dataplane import Route, make_check
 from uoarm.errors import MessageError
 from uoarm.model import Message, MessageStructure, ValidationMode
 
@@ -153,16 +154,14 @@ def test_sampled_checks_the_first_every_128th_and_those_after_one_that_does_not_
     checker = make_check(IMAGE, ValidationMode.SAMPLED, "x")
     assert checker is not None
 
+    route = Route("a", "b", lambda _: None, clock=time.monotonic, check=checker)
+
     def is_found() -> bool:
-        try:
-            checker("wrong")
-        except MessageError:
-            return True
-        return False
+        return isinstance(route.deliver("wrong"), MessageError)
 
     def pass_by(count: int) -> None:
         for _ in range(count):
-            checker({"width": 1, "data": b""})
+            assert route.deliver({"width": 1, "data": b""}) is None
 
     pass_by(1)
     assert not any(is_found() for _ in range(127)), "between two samples"
@@ -170,7 +169,7 @@ def test_sampled_checks_the_first_every_128th_and_those_after_one_that_does_not_
     pass_by(127)
     assert is_found(), "within 128 of the last"
     pass_by(128)
-    assert [is_found() for _ in range(124)] == [False] * 123 + [True], "the 513th"
+    assert [is_found() for _ in range(128)] == [False] * 127 + [True], "128 after the last"
 
 
 TEXTS = MessageStructure(

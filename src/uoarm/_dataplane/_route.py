@@ -12,13 +12,14 @@ from uoarm._raised import LimitedLog, contained, is_raised, text_of
 from uoarm.errors import CommandRefusedError, MessageError, UoarmError
 from uoarm.model import Deliver, Message, QueuePolicy, RouteStatus
 
-__all__ = ["Clock", "Consumer", "Judge", "Route", "Watched"]
+__all__ = ["SAMPLE_EVERY", "Check", "Clock", "Consumer", "Judge", "Route", "Watched"]
 
 Clock = Callable[[], float]
 """Returns a monotonic clock, in seconds."""
 Judge = Callable[[Message, bool], None]
 """Raises MessageError for a message that is not what it should be, as it came or adapted."""
 
+SAMPLE_EVERY = 128
 _WINDOW_SECONDS = 1.0
 _LATE_INTERVALS = 3  # after which a source that was regular is said to stand still
 _WORKER_SECONDS = 1.0
@@ -49,6 +50,44 @@ class Consumer(Protocol):
         """Take in what a message came to; say whether it is accounted for and logged there."""
 
 
+class Check:
+    """Looks whether messages match their structure: at all of them, or at samples.
+
+    Where one does not match, the 128 that come after it are looked at. Not thread safe: an output
+    has one thread at a time.
+
+    Args:
+        test: raises MessageError for a message that does not match.
+        rest: how many messages pass unseen between two samples.
+        is_suspected: whether one that did not match came before: the first 128 are looked at.
+
+    Attributes:
+        rest: how many messages pass before the next that is looked at; who calls this counts them.
+    """
+
+    __slots__ = ("_between", "_suspected", "_test", "rest")
+
+    def __init__(
+        self, test: Callable[[Message], None], rest: int = 0, *, is_suspected: bool = False
+    ) -> None:
+        self._test = test
+        self._between = rest
+        self._suspected = SAMPLE_EVERY if is_suspected else 0
+        self.rest = 0
+
+    def __call__(self, message: Message) -> None:
+        """Look at a message; raises MessageError where it does not match."""
+        try:
+            self._test(message)
+        except MessageError:
+            self._suspected = SAMPLE_EVERY
+            raise
+        if self._suspected:
+            self._suspected -= 1
+        if not self._suspected:
+            self.rest = self._between
+
+
 class Route:
     """Takes messages from one output and hands them to one consumer.
 
@@ -58,8 +97,8 @@ class Route:
         hand: the consumer; what it raises is counted here.
         clock: seconds.
         transfer: compiled adapter, None when messages pass unchanged.
-        check: raises MessageError for a message that does not match; None: not checked. May
-            be replaced at any time, as `check`.
+        check: looks at messages before they are handed over; None: not checked. May be replaced at
+            any time, as `check`.
         queue: None to call the consumer in the producer's thread; else a bounded queue with
             one worker stands between.
         watch: called with what became of messages, and what the adapter raised; None: not watched.
@@ -114,7 +153,7 @@ class Route:
         *,
         clock: Clock,
         transfer: Callable[[Message], Message] | None = None,
-        check: Callable[[Message], None] | None = None,
+        check: Check | None = None,
         queue: QueuePolicy | None = None,
         watch: Consumer | None = None,
     ) -> None:
@@ -171,7 +210,10 @@ class Route:
         try:
             check = self.check  # read once: it may be replaced at any time
             if check is not None:
-                check(message)
+                if check.rest:  # counted here, without a call
+                    check.rest -= 1
+                else:
+                    check(message)
             is_checked = True
             if self._transfer is not None:
                 message = self._transfer(message)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import reprlib
+import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import lru_cache
 from itertools import islice
@@ -11,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 from attrs import define, field
 
 from uoarm._dataplane._compiled_check import Accepts, compile_check
-from uoarm._dataplane._route import Watched
+from uoarm._dataplane._route import SAMPLE_EVERY, Check, Watched
 from uoarm._mistakes import mistakes
 from uoarm._spelling import Speller
 from uoarm._support.yaml import Path, clip
@@ -24,7 +25,6 @@ if TYPE_CHECKING:
 
 __all__ = ["make_check"]
 
-_SAMPLE_EVERY = 128
 _LOOKED_AT = 50  # mistakes; those of other items of a list that are alike are said once
 _SHOWN = 10
 _LONG = 10**40  # of these Python writes no more than 4,300 digits
@@ -51,8 +51,8 @@ def make_check(
     watch: Producer | None = None,
     *,
     is_suspected: bool = False,
-) -> Callable[[Message], None] | None:
-    """Return a function that raises MessageError for a message of another structure.
+) -> Check | None:
+    """Return what raises MessageError for a message of another structure.
 
     Args:
         structure: what the messages must match.
@@ -68,9 +68,9 @@ def make_check(
     if watch is not None:
         check = _reporting(check, watch)
     if mode is ValidationMode.ALWAYS:
-        return check
-    suspected = _SAMPLE_EVERY if is_suspected else 0
-    return _sampling(check, suspected, samples=mode is ValidationMode.SAMPLED)
+        return Check(check)
+    rest = SAMPLE_EVERY - 1 if mode is ValidationMode.SAMPLED else sys.maxsize
+    return Check(check, rest, is_suspected=is_suspected)
 
 
 def _make_whole_check(structure: MessageStructure, place: str) -> Callable[[Message], None]:
@@ -102,26 +102,6 @@ def _reporting(check: Callable[[Message], None], watch: Producer) -> Callable[[M
             watch.took()
 
     return check_and_report
-
-
-def _sampling(
-    check: Callable[[Message], None], suspected: int, *, samples: bool
-) -> Callable[[Message], None]:
-    # Written by the thread that brings the messages alone; no two are checked at a time.
-    count = -1
-
-    def check_sample(message: Message) -> None:
-        nonlocal count, suspected
-        count += 1
-        if suspected or (samples and count % _SAMPLE_EVERY == 0):
-            suspected = suspected and suspected - 1
-            try:
-                check(message)
-            except MessageError:
-                suspected = _SAMPLE_EVERY
-                raise
-
-    return check_sample
 
 
 @define(eq=False)

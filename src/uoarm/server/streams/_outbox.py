@@ -268,7 +268,12 @@ class Outbox:
         for held, size in self._written.items():
             held.grow(-size)
         self._written.clear()
-        while not (self._may_go() or self._is_stuck()):
+        # Asked less of a free window, which is never full or stuck.
+        while not (
+            self._replies or self._turns or self._pieces
+            if self._window.is_free
+            else self._may_go() or self._window.is_stuck(self._clock())
+        ):
             # Cleared before the wait and after the look: what is added in between sets it, and
             # wakes.
             self._filled.clear()
@@ -299,9 +304,6 @@ class Outbox:
         if self._replies or not (self._turns or self._pieces):
             return bool(self._replies)
         return self._window.is_free or not self._window.is_full(self._clock())
-
-    def _is_stuck(self) -> bool:
-        return not self._window.is_free and self._window.is_stuck(self._clock())
 
     def _take_frame(self) -> tuple[bytes, bool]:
         held = self._data_held
