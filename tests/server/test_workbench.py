@@ -60,6 +60,8 @@ functions:
   speed: {components: [{name: speed, bridge: memory, output: {endpoint: [speed]}}]}
   camera: {components: [{name: camera, bridge: memory, output: {endpoint: [camera]}}]}
   faces: {components: [{name: faces, bridge: memory, output: {endpoint: [faces]}}]}
+  eye: {components: [{name: eye, bridge: memory, output: {endpoint: [eye]}}]}
+  found: {components: [{name: found, bridge: memory, output: {endpoint: [found]}}]}
   laser: {components: [{name: laser, bridge: memory, output: {endpoint: [laser]}}]}
   map: {components: [{name: map, bridge: memory, output: {endpoint: [map]}}]}
 """
@@ -78,18 +80,22 @@ class Senses(MemoryBridge):
         super().__init__()
         whole, numbers = {"type": "integer"}, {"type": "array", "items": NUMBER}
         box = record_of(x=whole, y=whole, width=whole, height=whole, name={"type": "string"})
+        stamp = record_of(sec=whole, nanosec=whole)
+        pixels = {
+            "width": whole,
+            "height": whole,
+            "encoding": {"const": "rgb8"},
+            "data": {
+                "type": "array",
+                "items": {"type": "integer", "minimum": 0, "maximum": 255},
+                "x-octets": True,
+            },
+        }
         kinds = {
+            "eye": record_of(stamp=stamp, **pixels),
+            "found": record_of(stamp=stamp, faces={"type": "array", "items": box}),
             "speed": record_of(forward={**NUMBER, "x-unit": "m/s"}, turn=NUMBER, still=NUMBER),
-            "camera": record_of(
-                width=whole,
-                height=whole,
-                encoding={"const": "rgb8"},
-                data={
-                    "type": "array",
-                    "items": {"type": "integer", "minimum": 0, "maximum": 255},
-                    "x-octets": True,
-                },
-            ),
+            "camera": record_of(**pixels),
             "faces": record_of(faces={"type": "array", "items": box}),
             "laser": record_of(
                 angle_min=NUMBER, angle_max=NUMBER, angle_increment=NUMBER, ranges=numbers
@@ -125,6 +131,14 @@ class TestSenses:
         browser.click(f"{panel} .button.main", "Watch")
         browser.until(says(panel, "No message yet"))
 
+    def overlay(self, browser: Browser, name: str) -> None:
+        browser.js(
+            f"(s => {{ s.value = '{name}';"
+            "s.dispatchEvent(new Event('change', { bubbles: true })); })"
+            "([...document.querySelectorAll('.panel .bar label')]"
+            ".find((label) => label.textContent.startsWith('Overlay')).querySelector('select'))"
+        )
+
     def test_numbers_are_plotted_by_unit_with_values_under_the_cursor(
         self, browser: Browser, visit: Visit, senses: Senses
     ) -> None:
@@ -157,11 +171,7 @@ class TestSenses:
         picture = {"width": 40, "height": 30, "encoding": "rgb8", "data": bytes(3600)}
         senses.of["camera"].emit(picture)
         browser.until("document.querySelector('.picture canvas')")
-        browser.js(
-            "(s => { s.value = 'faces'; s.dispatchEvent(new Event('change', { bubbles: true })); })"
-            "([...document.querySelectorAll('.panel .bar label')]"
-            ".find((label) => label.textContent.startsWith('Overlay')).querySelector('select'))"
-        )
+        self.overlay(browser, "faces")
         states = ["running", "running"]
         wait(lambda: [link.state.value for link in robot.status().connections] == states)
         senses.of["faces"].emit(
@@ -176,6 +186,50 @@ class TestSenses:
         assert height == pytest.approx(high / 2, abs=6)
         browser.click(".panel .button", "Stop")
         wait(lambda: robot.status().connections == ())
+
+    def test_an_overlay_lies_over_the_picture_that_it_was_made_of(
+        self, browser: Browser, visit: Visit, senses: Senses, robot: RobotManager
+    ) -> None:
+        shown = (
+            "[document.querySelector('.picture canvas').getContext('2d')"
+            ".getImageData(0, 0, 1, 1).data[0],"
+            " document.querySelector('.shapes text')?.textContent ?? ''].join(' ')"
+        )
+
+        def take(second: int) -> None:
+            senses.of["eye"].emit(
+                {
+                    "stamp": {"sec": second, "nanosec": 0},
+                    "width": 4,
+                    "height": 3,
+                    "encoding": "rgb8",
+                    "data": bytes([second]) * 36,
+                }
+            )
+
+        def find(second: int) -> None:
+            face = {"x": 1, "y": 1, "width": 2, "height": 1, "name": f"at {second}"}
+            senses.of["found"].emit({"stamp": {"sec": second, "nanosec": 0}, "faces": [face]})
+
+        visit("#/graph/function/eye/use")
+        self.watch(browser, "eye")
+        take(10)
+        browser.until(f"document.querySelector('.picture canvas') && {shown} === '10 '")
+        self.overlay(browser, "found")
+        states = ["running", "running"]
+        wait(lambda: [link.state.value for link in robot.status().connections] == states)
+        for second in (11, 12, 13):
+            take(second)
+        browser.until(f"{shown} === '13 '")
+        find(12)
+        browser.until(f"{shown} === '12 at 12'")
+        take(14)
+        find(13)
+        browser.until(f"{shown} === '13 at 13'")
+        for second in range(100, 120):
+            take(second)
+        browser.until(f"{shown} === '119 at 13'")  # what it was made of is gone
+        browser.until(says(".panel .bar .hint", "found is 2 min older than the picture"))
 
     def test_a_scan_and_a_map_are_drawn(
         self, browser: Browser, visit: Visit, senses: Senses

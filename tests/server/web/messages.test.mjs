@@ -1,11 +1,11 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
 import { findGrid, findScan, gridPixels, ringOf } from "../../../src/uoarm/server/static/app/plane.js";
-import { shapesOf } from "../../../src/uoarm/server/static/app/shapes.js";
+import { pairOf, shapesOf } from "../../../src/uoarm/server/static/app/shapes.js";
 import {
   readAddress, withMove, withOptions, withoutPanel, withPanel, writeAddress,
 } from "../../../src/uoarm/server/static/app/address.js";
-import { pretty, rate, short, span, stamp } from "../../../src/uoarm/server/static/app/format.js";
+import { pretty, rate, short, span, stamp, timeOf } from "../../../src/uoarm/server/static/app/format.js";
 import { byUnit, numbersOf, Series } from "../../../src/uoarm/server/static/app/numbers.js";
 import { findPicture, pixelsOf } from "../../../src/uoarm/server/static/app/picture.js";
 
@@ -48,6 +48,33 @@ test("no line is drawn of a time, and a time is shown as one", () => {
   assert.ok(pretty(message).includes('"stamp": "2026-11-26 17:54:07.250 UTC"'));
   assert.deepEqual(JSON.parse(pretty(message)).lasts, { secs: 2, nsecs: 0 });
   assert.deepEqual([stamp(null), stamp({ sec: 1795715647 }), stamp({ sec: 5, nanosec: 0 })], [null, null, null]);
+});
+
+test("a message says when it is of as its framework does", () => {
+  const of = (seconds, parts) => ({ sec: seconds, nanosec: parts });
+  assert.deepEqual([{ header: { stamp: of(2, 5e8) } }, { stamp: of(2, 0) }, { timestamp: of(0, 1e6) }, { tm: { sec: 3, nsec: 0 } }]
+    .map(timeOf), [2.5, 2, 0.001, 3]);
+  assert.deepEqual([null, 3, {}, { stamp: 4 }, { stamp: of(0, 0) }].map(timeOf), [null, null, null, null, null]);
+});
+
+test("a picture is shown with the overlay that was made of it", () => {
+  const at = (...times) => times.map((time) => ({ time, message: `of ${time}` }));
+  const pictures = at(1, 2, 3, 4);
+  assert.deepEqual(pairOf(pictures, at(1, 2)), { picture: "of 2", overlay: "of 2", apart: 0 });
+  assert.deepEqual(pairOf(pictures, at(2.75)), { picture: "of 3", overlay: "of 2.75", apart: -0.25 });
+  assert.deepEqual(pairOf(pictures, at(-9, -3)), { picture: "of 4", overlay: "of -3", apart: -7 }, "what it was made of is gone");
+  assert.deepEqual(pairOf(at(7), at(6, 7.5, 9)), { picture: "of 7", overlay: "of 7.5", apart: 0.5 });
+  assert.deepEqual([pairOf([], at(1)), pairOf(at(1), [])], [null, null]);
+});
+
+test("a tile of a map of OpenRTM lies where its column and row say", () => {
+  const config = { xScale: 0.5, yScale: 0.5, width: 9, height: 9, origin: { position: { x: -1, y: 2 }, heading: 0 } };
+  const map = { column: 4, row: 2, width: 2, height: 1, cells: base64(0, 255) };
+  const grid = findGrid({ tm: { sec: 1, nsec: 0 }, config, map });
+  assert.deepEqual([grid.width, grid.height, grid.resolution, grid.origin], [2, 1, 0.5, { x: 1, y: 3 }]);
+  assert.deepEqual([...gridPixels(grid)], [24, 32, 44, 255, 246, 248, 250, 255]);
+  assert.equal(findGrid({ config, map: { ...map, cells: base64(0) } }), null);
+  assert.deepEqual(findGrid({ config, map: { ...map, cells: [0, 255] } }).cells, grid.cells);
 });
 
 test("a line keeps its last points only", () => {

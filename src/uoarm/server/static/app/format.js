@@ -30,16 +30,25 @@ export const noun = (count, word) => (count === 1 ? word : `${word}s`);
 /** A number of things: plural(1, "drop") is "1 drop". */
 export const plural = (count, word) => `${short(count)} ${noun(count, word)}`;
 
-/** Whether a value is a time or a duration of ROS, of which no line is drawn. */
+/** Whether a value is a time or a duration of ROS or OpenRTM, of which no line is drawn. */
 export function isTime(value) {
   if (value === null || typeof value !== "object" || Object.keys(value).length !== 2) return false;
-  return ("sec" in value && "nanosec" in value) || ("secs" in value && "nsecs" in value);
+  return ("sec" in value && ("nanosec" in value || "nsec" in value)) || ("secs" in value && "nsecs" in value);
 }
 
-/** A time of ROS as "2026-11-26 18:02:03.250 UTC"; null: it is none, or a duration. */
+const parted = (value) => [value.sec ?? value.secs, value.nanosec ?? value.nsec ?? value.nsecs];
+
+/** When a message says it is of, in seconds; null: it does not say. */
+export function timeOf(message) {
+  const found = [message?.header?.stamp, message?.stamp, message?.timestamp, message?.tm].find(isTime);
+  const [seconds, parts] = found ? parted(found).map(Number) : [];
+  return seconds > 0 || parts > 0 ? seconds + parts / 1e9 : null;
+}
+
+/** A time as "2026-11-26 18:02:03.250 UTC"; null: it is none, or a duration. */
 export function stamp(value) {
   if (!isTime(value)) return null;
-  const [seconds, parts] = [value.sec ?? value.secs, value.nanosec ?? value.nsecs];
+  const [seconds, parts] = parted(value);
   if (!(seconds >= SINCE) || !(parts >= 0)) return null;
   return `${new Date(seconds * 1000 + parts / 1e6).toISOString().replace("T", " ").replace("Z", "")} UTC`;
 }

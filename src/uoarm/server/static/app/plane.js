@@ -8,7 +8,7 @@ const [FREE, TAKEN, UNKNOWN] = [[246, 248, 250], [24, 32, 44], [178, 190, 205]];
 export const findScan = (message) => find(message, scanOf);
 
 /** The first occupancy grid inside: { width, height, resolution, origin: { x, y }, cells }; or null. */
-export const findGrid = (message) => find(message, gridOf);
+export const findGrid = (message) => find(message, (value) => gridOf(value) ?? tileOf(value));
 
 function find(message, of, depth = 0) {
   if (message === null || typeof message !== "object" || Array.isArray(message) || depth > DEEPEST) return null;
@@ -53,6 +53,18 @@ function gridOf({ info, data }) {
   if (!Array.isArray(data) && typeof data !== "string") return null;
   const { x = 0, y = 0 } = info.origin?.position ?? {};
   return cells.length >= width * height ? { width, height, resolution, origin: { x, y }, cells } : null;
+}
+
+/** A tile of a map of OpenRTM. Its cells are octets without a meaning that is written down: 0 is drawn dark, 255 light. */
+function tileOf({ config, map }) {
+  const { xScale, yScale, origin } = config ?? {};
+  const { column, row, width, height, cells: given } = map ?? {};
+  if (!(xScale > 0) || !(yScale > 0) || !(column >= 0) || !(row >= 0) || given === undefined) return null;
+  const { x = 0, y = 0 } = origin?.position ?? {};
+  const data = typeof given === "string" ? Array.from(octetsOf(given)) : given;
+  const cells = Array.isArray(data) ? data.map((cell) => 100 - (cell & 255) / 2.55) : null;
+  const position = { x: x + column * xScale, y: y + row * yScale };
+  return cells && gridOf({ info: { width, height, resolution: xScale, origin: { position } }, data: cells });
 }
 
 function octetsOf(base64) {

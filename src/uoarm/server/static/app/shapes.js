@@ -23,6 +23,25 @@ export function shapesOf(message, { width, height }) {
     ...(shape.kind === "box" ? { width: shape.width * width, height: shape.height * height } : {}) }));
 }
 
+/**
+ * Which picture is shown with which overlay, of those that came last, oldest first, as { time, message }: the picture that
+ * the newest overlay was made of, where it is still there; else the newest picture with what is nearest to it in time.
+ * Returns { picture, overlay, apart } with the messages, and how many seconds the overlay is after the picture; or null.
+ */
+export function pairOf(pictures, overlays) {
+  if (pictures.length === 0 || overlays.length === 0) return null;
+  const [first, last] = [pictures[0], pictures.at(-1)];
+  const every = pictures.length > 1 ? Math.abs(last.time - first.time) / (pictures.length - 1) : 0;
+  const newest = overlays.at(-1);
+  const own = nearest(pictures, newest.time);
+  const isOwn = Math.abs(own.time - newest.time) <= every / 2;
+  const [picture, overlay] = isOwn ? [own, newest] : [last, nearest(overlays, last.time)];
+  return { picture: picture.message, overlay: overlay.message, apart: overlay.time - picture.time };
+}
+
+const nearest = (items, time) =>
+  items.reduce((found, item) => (Math.abs(item.time - time) <= Math.abs(found.time - time) ? item : found));
+
 function walk(value, key, label, depth, found) {
   if (value === null || typeof value !== "object" || depth > DEEPEST || found.length >= MOST) return;
   if (Array.isArray(value)) {

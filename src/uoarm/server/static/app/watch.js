@@ -2,11 +2,12 @@
 
 import { useEffect, useState } from "../vendor/htm-preact.js";
 import { keyOf, withOptions } from "./address.js";
-import { plural, pretty, rate, short } from "./format.js";
+import { plural, pretty, rate, short, span } from "./format.js";
 import { findPicture } from "./picture.js";
 import { Grid, Picture, Scan } from "./pixels.js";
 import { findGrid, findScan } from "./plane.js";
 import { Plots } from "./plot.js";
+import { pairOf } from "./shapes.js";
 import { Facts, html, Icon, Notice } from "./ui.js";
 
 const PACES = [[0, "every message"], [0.1, "10 a second"], [0.5, "2 a second"], [2, "1 in 2 s"]];
@@ -95,10 +96,13 @@ function Overlaid({ store, watch, picture, chosen, choose }) {
     store.watches.overlay(watch.name, names.includes(chosen) ? chosen : "").catch((error) => setRefusal(error.message));
   }, [watch, chosen]);
   const over = store.watches.byName.get(chosen);
+  const pair = over ? pairOf(watch.recent, over.recent) : null;
+  const messages = pair ? [pair.picture, pair.overlay] : [watch.latest, ...(over?.latest === undefined ? [] : [over.latest])];
+  const apart = Math.abs(pair?.apart ?? 0) > 0.0005 ? `${chosen} is ${span(Math.abs(pair.apart))} ${pair.apart < 0 ? "older" : "newer"} than the picture` : "";
   return html`
     <div class="bar"><label>Overlay <select value=${chosen} onChange=${(event) => choose({ overlay: event.target.value })}>
       <option value="">none</option>
-      ${names.filter((name) => name !== watch.name).map((name) => html`<option value=${name}>${name}</option>`)}</select></label></div>
+      ${names.filter((name) => name !== watch.name).map((name) => html`<option value=${name}>${name}</option>`)}</select></label>${apart && html`<span class="hint">${apart}</span>`}</div>
     ${refusal && html`<${Notice} kind="bad" title=${`${chosen} cannot be drawn`}>${refusal}</${Notice}>`}
-    <${Picture} picture=${picture} over=${[watch.latest, ...(over?.latest === undefined ? [] : [over.latest])]} />`;
+    <${Picture} picture=${pair ? findPicture(pair.picture) ?? picture : picture} over=${messages} />`;
 }

@@ -1,10 +1,14 @@
 // The functions that this page has open: their latest messages, and lines of their numbers.
 
+import { timeOf } from "./format.js";
 import { numbersOf, Series } from "./numbers.js";
+import { findPicture } from "./picture.js";
 
 const MOST_LINES = 48; // names may differ from message to message
 const RATE_OVER = 5; // seconds
 const SILENT = 1; // seconds without a message, and
+const MOST_RECENT = 16; // messages of what lies over a picture, and of the picture, while one lies over the other
+const MOST_LETTERS = 32e6; // of these pictures
 const LATE = 3; // messages that are late: then a rate is 0
 
 export class Watches {
@@ -14,6 +18,7 @@ export class Watches {
     this.now = now;
     this.byName = new Map();
     this.byConnection = new Map();
+    this.pairs = new Map(); // by picture: what lies over it
     this.overlays = new Map(); // by the picture that they lie over: what was opened for that alone
   }
 
@@ -23,6 +28,7 @@ export class Watches {
       name,
       options,
       latest: undefined,
+      recent: [], // { time, message, letters } of those that say when they are of, oldest first
       taken: 0,
       arrivals: [],
       series: new Map(),
@@ -46,8 +52,10 @@ export class Watches {
 
   /** Has one function's messages lie over the pictures of another; opens it where it is not watched. */
   async overlay(picture, name) {
+    if (name) this.pairs.set(picture, name);
+    else this.pairs.delete(picture);
     if (this.overlays.get(picture) === name) return;
-    await this.closeOverlay(picture);
+    await this.#giveBack(picture);
     if (!name || this.byName.has(name)) return;
     this.overlays.set(picture, name);
     try {
@@ -60,6 +68,11 @@ export class Watches {
 
   /** Gives back what was opened to lie over a picture, unless it lies over another one, too. */
   async closeOverlay(picture) {
+    this.pairs.delete(picture);
+    await this.#giveBack(picture);
+  }
+
+  async #giveBack(picture) {
     const name = this.overlays.get(picture);
     this.overlays.delete(picture);
     if (name && ![...this.overlays.values()].includes(name)) await this.close(name);
@@ -71,6 +84,7 @@ export class Watches {
     const now = this.now();
     watch.latest = message;
     watch.taken += 1;
+    this.#keep(watch, message);
     watch.arrivals.push(now);
     while (watch.arrivals[0] < now - RATE_OVER) watch.arrivals.shift();
     for (const [path, value] of numbersOf(message)) {
@@ -78,6 +92,21 @@ export class Watches {
       watch.series.get(path)?.add(now, value);
     }
     this.changed();
+  }
+
+  #keep(watch, message) {
+    const isPaired = [...this.pairs].some((names) => names.includes(watch.name));
+    const time = isPaired ? timeOf(message) : null;
+    if (time === null) {
+      watch.recent = [];
+      return;
+    }
+    const picture = findPicture(message);
+    watch.recent.push({ time, message, letters: (picture?.data ?? picture?.url ?? "").length });
+    let letters = watch.recent.reduce((sum, item) => sum + item.letters, 0);
+    while (watch.recent.length > MOST_RECENT || (letters > MOST_LETTERS && watch.recent.length > 1)) {
+      letters -= watch.recent.shift().letters;
+    }
   }
 
   ended({ connection, state, cause }) {
