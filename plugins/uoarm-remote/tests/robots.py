@@ -52,7 +52,7 @@ functions:
     components:
       - name: base
         bridge: python
-        input: {endpoint: ["parts:drive"], lifetime: 0.5, stop: {message: {speed: 0.0}}}
+        input: {endpoint: ["parts:drive"], lifetime: 2.0, stop: {message: {speed: 0.0}}}
 """
 
 

@@ -156,8 +156,20 @@ class Connection(Generic[T]):
             UsageError: there is no such input for the application.
             ConnectionClosedError: the connection has ended.
         """
+        self._send(message, port, self._as(sender), take_over=take_over)
+
+    def _send(
+        self,
+        message: Message,
+        port: str | None,
+        sender: LeaseHolder,
+        *,
+        take_over: bool,
+        sent: float | None = None,
+    ) -> None:
+        """As `send`; where it left its sender before, `sent` says when, by `boot_seconds`."""
         way = self._ports().sender(port)
-        way.send(as_message(message, way.place), self._as(sender), take_over=take_over)
+        way.send(as_message(message, way.place), sender, take_over=take_over, sent=sent)
 
     @arguments()
     def stop(

@@ -43,6 +43,7 @@ _OF_ROSBRIDGE = {
     "send_action_goal", "subscribe",
 }  # fmt: skip
 _QUICK = {"op", "type", "id", "jsonMessage"}
+_TIMED = _QUICK | {"x-sent"}
 _MAX_ID = 128
 _MAX_NAME = 256
 _SHOWN = 200
@@ -250,7 +251,10 @@ def _is_plain_data(fields: Mapping[str, Any]) -> bool:
     """Say quickly whether a Data message is right: they come by the thousand."""
     kind = fields.get("type")
     return (
-        fields.keys() == _QUICK
+        (
+            fields.keys() == _QUICK
+            or (fields.keys() == _TIMED and type(fields["x-sent"]) in {float, int})
+        )
         and isinstance(kind, str)
         and 0 < len(kind) <= _MAX_NAME
         and salvage_id(fields) is not None

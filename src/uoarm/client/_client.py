@@ -22,6 +22,7 @@ from uoarm._arguments import arguments
 from uoarm._hints.applications import MessageType, T, as_message
 from uoarm._support.aio_deadlines import result_within
 from uoarm._wire import BINARY_FORM, TEXT_FORM, Form
+from uoarm.bridge import boot_seconds
 from uoarm.client._link import LARGEST, Link, Open
 from uoarm.client._questions import ServerQuestions
 from uoarm.client._stream import RemoteStream
@@ -460,7 +461,9 @@ class RemoteRobot(ServerQuestions):
         asked = _Asked(fields, asyncio.get_running_loop().create_future(), renewed)
         self._asked[identity] = asked
         try:
-            await self._link.send(fields | {"id": identity})
+            # Of a request always, so that it is known of commands by how much they are later.
+            timed = {"x-sent": boot_seconds()} if op == "Request" else {}
+            await self._link.send({**fields, **timed, "id": identity})
             return await asked.answer
         finally:
             self._asked.pop(identity, None)

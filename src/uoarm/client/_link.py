@@ -23,6 +23,7 @@ from websockets.frames import CloseCode
 from uoarm._backoff import Backoff
 from uoarm._support.aio_deadlines import result_within
 from uoarm._wire import Form
+from uoarm.bridge import boot_seconds
 from uoarm.errors import ConnectionClosedError, ControlMessageError, UsageError
 from uoarm.model import Budget, Spending
 
@@ -102,7 +103,7 @@ class Link:
         self._ready.set()
         self._resume = resume
         if resume:
-            await self._write(self._socket, {"op": "Resume", "id": _KEEP})
+            await self._write(self._socket, _timed(_KEEP))
 
     async def send(self, fields: Mapping[str, Any]) -> None:
         """Send one message that will be answered; waits while the connection is renewed.
@@ -217,7 +218,7 @@ class Link:
         try:
             self._receive(self._form.read(await socket.recv(), Spending(LARGEST)))
             if self._resume:
-                await self._write(socket, {"op": "Resume", "id": _KEEP})
+                await self._write(socket, _timed(_KEEP))
         except BaseException:
             socket.transport.abort()
             raise
@@ -267,7 +268,7 @@ class Link:
         waiting, beyond = unanswered[:_MOST_WAITING], unanswered[_MOST_WAITING:]
         await socket.recv()  # the greeting of a new session
         options = {"key": self._key, "waiting": waiting}
-        await self._write(socket, {"op": "Resume", "id": _RESUME, "jsonMessage": options})
+        await self._write(socket, {**_timed(_RESUME), "jsonMessage": options})
         while (report := self._form.read(await socket.recv(), Spending(LARGEST))).get(
             "id"
         ) != _RESUME:
@@ -292,6 +293,11 @@ class Link:
 
     async def _write(self, socket: ClientConnection, fields: Mapping[str, Any]) -> None:
         await socket.send(self._form.write(fields), text=self._form.text)
+
+
+def _timed(identity: str) -> dict[str, Any]:
+    """Return a question about the session, by whose time that of commands is known."""
+    return {"op": "Resume", "id": identity, "x-sent": boot_seconds()}
 
 
 def _strange(error: Exception) -> str:

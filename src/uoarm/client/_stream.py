@@ -16,6 +16,7 @@ from uoarm._arguments import arguments
 from uoarm._hints.applications import MessageType, T, as_message
 from uoarm._renewal import HeldCommand, renewal_period, renewed_in_task
 from uoarm._support.aio_deadlines import event_by
+from uoarm.bridge import boot_seconds
 from uoarm.errors import ConnectionClosedError
 from uoarm.model import Message
 
@@ -149,7 +150,9 @@ class RemoteStream(Generic[T]):
             ConnectionClosedError: the function has ended.
         """
         kind = self._there(port)
-        more = {"x-take-over": True} if take_over else {}
+        more: dict[str, Any] = {"x-take-over": True} if take_over else {}
+        if self.lifetimes:  # one that comes too late is refused there
+            more["x-sent"] = boot_seconds()
         await self._ask("Data", kind, jsonMessage=as_message(message, kind), **more)
 
     @arguments()

@@ -183,8 +183,15 @@ class Sender:
         watch = live.watch(name)
         self._route = Route(user, place, send, clock=clock, queue=queue, watch=watch)
 
-    def send(self, message: Message, sender: LeaseHolder, *, take_over: bool = False) -> None:
-        """Hand one message over.
+    def send(
+        self,
+        message: Message,
+        sender: LeaseHolder,
+        *,
+        take_over: bool = False,
+        sent: float | None = None,
+    ) -> None:
+        """Hand one message over, which left its sender when `sent` says; None: now.
 
         Raises:
             CommandRefusedError: the emergency stop holds the input, or another client its lease.
@@ -201,7 +208,8 @@ class Sender:
             self._lease.ask(sender, take_over=take_over)
             self._last_sender = sender
         # Its number before its time: what is numbered after a stop was sent after it.
-        command = _Command(message, sender, next(self._numbers), boot_seconds())
+        number = next(self._numbers)
+        command = _Command(message, sender, number, boot_seconds() if sent is None else sent)
         self._require_taken(self._route.deliver(command))
 
     def _require_taken(self, failure: Exception | None) -> None:

@@ -15,7 +15,7 @@ from uoarm._control import Connection
 from uoarm._resolve import NoPlanError
 from uoarm._version import __version__
 from uoarm._wire import Form, check_asked, salvage_id, write_or_error
-from uoarm.bridge import asking, refuse_loop
+from uoarm.bridge import asking, boot_seconds, refuse_loop
 from uoarm.config import completed_schema
 from uoarm.errors import ConnectionClosedError, ControlMessageError, UoarmError, UsageError
 from uoarm.model import (
@@ -50,6 +50,7 @@ from uoarm.server.streams import (
     ChangeNotice,
     Charge,
     ClientStreams,
+    CommandAges,
     FeedRegistry,
     MemoryUse,
     feed_key,
@@ -119,6 +120,7 @@ class NativeSession:
         )
         self._discoveries = Discoveries(registry)
         self._shared = shared
+        self._ages = CommandAges()
         self._stops: set[asyncio.Task[None]] = set()
         self._tasks: dict[asyncio.Task[None], Op] = {}
         self._quick: Mapping[Op, Callable[[ControlMessage], None]] = {
@@ -203,6 +205,8 @@ class NativeSession:
         What it asked and was not kept or never came gets an error. Ends are sent again: a client
         that missed one would wait for messages for ever.
         """
+        self._ages = CommandAges()  # of the connection that this came by
+        self._age(asked)
         self._reply(asked, {"session": self._client.identity, "own": self._streams.counters()})
         assert self._replies is not None, "only a session that is kept can go on"
         for identity in dict.fromkeys((asked.jsonMessage or {}).get("waiting", ())):
@@ -251,7 +255,12 @@ class NativeSession:
         except Exception as error:  # noqa: BLE001 - every message gets its answer
             self._failed(asked, error)
 
+    def _age(self, asked: ControlMessage) -> float:
+        """Return how old a message is, as far as its client says when it was sent."""
+        return self._ages.age(asked.extensions.get("x-sent"), boot_seconds())
+
     async def _request(self, asked: ControlMessage) -> None:
+        self._age(asked)  # by which those of its commands are known
         options = asked.jsonMessage or {}
         wanted = feed_key(str(asked.type), options)
         self._client.require(
@@ -453,6 +462,7 @@ class NativeSession:
         options = asked.jsonMessage
         limits = self._client.limits
         if options is None:
+            self._age(asked)
             key = self._store.keep(self._client, self)
             account = self._client.account
             self._replies = ReplyCache(limits.control_messages, limits.queue_bytes, account)
@@ -473,6 +483,7 @@ class NativeSession:
             lambda error: self._done(asked, error),
             self._client.in_hand,
             take_over=bool(asked.extensions.get("x-take-over")),
+            age=self._age(asked),
         )
 
     def _kill(self, asked: ControlMessage) -> None:

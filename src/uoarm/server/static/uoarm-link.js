@@ -13,6 +13,9 @@ const FINAL = new Set([1000, 1002, 1003, 1007, 1008, 1009, 1010]);
 const REFUSED =
   "nothing listens there, its certificate is not trusted, or it refused the token or the origin";
 
+/** Seconds of a clock that is never set: when a message was sent, by which the server knows its age. */
+export const seconds = () => performance.now() / 1000;
+
 /** What the server refused, or why the connection ended; `code` is that of the protocol. */
 export class UoarmError extends Error {
   constructor(code, text) {
@@ -69,7 +72,7 @@ export class Link {
   #greet(socket, received, greeted) {
     this.#socket = socket;
     this.#take(received);
-    if (this.#resume) this.#write(socket, { op: "Resume", id: KEEP });
+    if (this.#resume) this.#write(socket, { op: "Resume", id: KEEP, "x-sent": seconds() });
     greeted();
   }
 
@@ -191,7 +194,7 @@ export class Link {
         const waiting = [...this.#unanswered].slice(0, MOST_WAITING);
         beyond = [...this.#unanswered].slice(MOST_WAITING);
         const jsonMessage = { key: this.#key, waiting };
-        this.#write(socket, { op: "Resume", id: RESUME, jsonMessage });
+        this.#write(socket, { op: "Resume", id: RESUME, "x-sent": seconds(), jsonMessage });
         return;
       }
       this.#socket = socket;

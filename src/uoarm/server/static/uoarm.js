@@ -1,6 +1,6 @@
 // A client of `uoarm serve` for browsers and Node, without dependencies. Types: uoarm.d.ts.
 import { decode, encode } from "./uoarm-cbor.js";
-import { Link, UoarmError } from "./uoarm-link.js";
+import { Link, UoarmError, seconds } from "./uoarm-link.js";
 
 export { UoarmError };
 
@@ -134,6 +134,7 @@ export class Stream {
   /** Hand one message to an input; resolves when the server has taken it. */
   async send(message, input, { takeOver = false } = {}) {
     const more = takeOver ? { "x-take-over": true } : {};
+    if (Object.keys(this.lifetimes).length) more["x-sent"] = seconds(); // too late, it is refused there
     await this.#ask({ op: "Data", type: this.#there(input), jsonMessage: message, ...more });
   }
 

@@ -16,7 +16,13 @@ from uoarm.server.streams._feed_registry import (
     Watcher,
     shown_event,
 )
-from uoarm.server.streams._input_sender import Done, InputSender, check_message, read_message
+from uoarm.server.streams._input_sender import (
+    CommandAges,
+    Done,
+    InputSender,
+    check_message,
+    read_message,
+)
 from uoarm.server.streams._memory import Account, Charge, MemoryUse, Shares, acting
 from uoarm.server.streams._outbox import Lane, Outbox
 from uoarm.server.streams._subscription import MessageForm, Subscription, Throttle
@@ -28,6 +34,7 @@ __all__ = [
     "ChangeNotice",
     "Charge",
     "ClientStreams",
+    "CommandAges",
     "Done",
     "Envelope",
     "Feed",

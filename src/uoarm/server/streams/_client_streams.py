@@ -173,9 +173,11 @@ class ClientStreams:
         octets: int,
         *,
         take_over: bool = False,
+        age: float = 0.0,
     ) -> None:
         """Hand one message to an input; raises as `InputSender.send`."""
-        self._sending(stream).send(message, port, done, octets, take_over=take_over)
+        sending = self._sending(stream)
+        sending.send(message, port, done, octets, take_over=take_over, age=age)
 
     def stop(self, stream: Stream, port: str | None, done: Done) -> None:
         """Stop an input; raises as `InputSender.stop`."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import logging
+import math
 from collections import deque
 from collections.abc import Callable
 from functools import lru_cache
@@ -15,21 +16,51 @@ from uoarm._control import Connection
 from uoarm._dataplane import make_check
 from uoarm._raised import foreign
 from uoarm._wire import Form
+from uoarm.bridge import boot_seconds
 from uoarm.errors import CommandRefusedError, ConnectionClosedError, MessageError, UsageError
 from uoarm.model import LeaseHolder, Message, MessageStructure, ValidationMode
 from uoarm.server._failures import BusyError
 from uoarm.server.streams._memory import Account, Charge, MemoryUse
 from uoarm.server.streams._workers import Workers
 
-__all__ = ["Done", "InputSender", "Read", "check_message", "read_message"]
+__all__ = ["CommandAges", "Done", "InputSender", "Read", "check_message", "read_message"]
 
 _log = logging.getLogger("uoarm.server")
 _BATCH = 256
 _BATCH_OCTETS = 1_048_576
 _FLUSH_SECONDS = 2.0
+_DRIFT = 1e-3  # seconds in a second by which two clocks may differ; far more than any do
 _numbers = itertools.count(1)
 Done: TypeAlias = Callable[[BaseException | None], None]
 Read: TypeAlias = Callable[[MessageStructure, Message], Message]
+
+
+class CommandAges:
+    """Says how old a client's messages are, of one connection, by when it says it sent them.
+
+    The clocks of both need not agree: the quickest message so far is taken to have come at once.
+    So an age is never more than the true one, and less by what that quickest one took.
+
+    It knows no clock: times are seconds of one clock here, and of one there.
+    """
+
+    def __init__(self) -> None:
+        self._quickest, self._at = math.inf, 0.0  # the least difference of both clocks, and when
+
+    def age(self, sent: object, now: float) -> float:
+        """Return the age of a message that has come now; 0 where its client does not say.
+
+        Args:
+            sent: when, by the client's clock, as it says.
+            now: the time here.
+        """
+        if not isinstance(sent, int | float) or not math.isfinite(sent):
+            return 0.0
+        difference = now - sent
+        # What it was grows, or a clock that is slow there would make everything old in the end.
+        quickest = self._quickest + (now - self._at) * _DRIFT
+        self._quickest, self._at = min(quickest, difference), now
+        return difference - self._quickest
 
 
 @define
@@ -39,6 +70,7 @@ class _QueuedMessage:
     done: Done
     charge: Charge
     take_over: bool
+    sent: float
     is_stopped: bool = False
 
 
@@ -92,6 +124,7 @@ class InputSender:
         octets: int,
         *,
         take_over: bool = False,
+        age: float = 0.0,
     ) -> None:
         """Hand one message over, after those before it; `done` is called with how it went.
 
@@ -101,6 +134,7 @@ class InputSender:
             done: called once.
             octets: of memory that the message holds.
             take_over: whether to take the lease of the input, as `Connection.send` has it.
+            age: seconds since it left its sender, as far as that is known.
 
         Raises:
             BusyError: too many wait already, or every worker is taken.
@@ -110,7 +144,8 @@ class InputSender:
             raise BusyError(f"{self._limit} messages to {self._connection.id} wait already")
         # Charged before it is kept: a refusal leaves nothing behind.
         charge = self._account.charge(MemoryUse.SENDING, octets)
-        self._waiting.append(_QueuedMessage(message, port, done, charge, take_over))
+        sent = boot_seconds() - age
+        self._waiting.append(_QueuedMessage(message, port, done, charge, take_over, sent))
         if not self._running:
             try:
                 self._run()
@@ -274,8 +309,8 @@ class InputSender:
             structure = self.structure(queued.port)
             place = f"{self._connection.plan.provider.component.name}.{queued.port or 'input'}"
             message = check_message(structure, queued.message, self._read, place)
-            self._connection.send(
-                message, queued.port, sender=self._holder, take_over=queued.take_over
+            self._connection._send(  # noqa: SLF001 - the server is within the house
+                message, queued.port, self._holder, take_over=queued.take_over, sent=queued.sent
             )
         except Exception as error:  # noqa: BLE001 - reported to the one who sent it
             return error
