@@ -33,7 +33,10 @@ def main() -> int:
 
 
 def _round_trips() -> None:
-    rows = [row("bare codec: request and reply written and read", microseconds(_codec()))]
+    rows = [
+        row("bare codec: request and reply written and read", microseconds(_codec())),
+        row("bare codec: 200 numbers, checked at both ends", microseconds(_numbers())),
+    ]
     for kind in ("tcp", "pty"):
         with _echoing(kind) as ask:
             rows.append(row(f"bare line, {kind}: the same octets there and back", _timed(ask)))
@@ -69,6 +72,28 @@ def _codec() -> Callable[[], object]:
     def once() -> None:
         codec.read(codec.write(CallMessage(1, 1, "echo", values)))
         codec.read(codec.write(ResultMessage(1, 1, values)))
+
+    return once
+
+
+def _numbers() -> Callable[[], object]:
+    from uoarm_rocos import XmlCodec  # noqa: PLC0415
+    from uoarm_rocos._catalogue import (  # noqa: PLC0415
+        DataMessage,
+        ListField,
+        NamedField,
+        NumberField,
+    )
+    from uoarm_rocos._structure import fit  # noqa: PLC0415
+
+    codec, fields = XmlCodec(), {"ranges": NamedField(ListField(NumberField()))}
+    scan = {"ranges": [0.37 * number for number in range(200)]}
+
+    def once() -> None:
+        written = codec.write(DataMessage(1, 1, fit(fields, scan, "sent"), None))
+        read = codec.read(written)
+        assert isinstance(read, DataMessage)
+        fit(fields, read.values, "received")
 
     return once
 

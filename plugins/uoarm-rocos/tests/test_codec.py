@@ -6,6 +6,7 @@ import math
 import os
 import re
 from pathlib import Path
+from typing import Any
 
 import pytest
 import uoarm_rocos
@@ -70,6 +71,36 @@ def test_a_changed_octet_gives_a_message_or_a_wire_error(
     except WireError:
         return
     CODEC.write(read)
+
+
+NUMBERS = [0.5, -1e300, float("inf"), 3.0]
+
+
+@pytest.mark.parametrize(
+    "values",
+    [NUMBERS, [NUMBERS, NUMBERS], [*NUMBERS, "text"], [*NUMBERS, 1], [0.5, NUMBERS], [[], NUMBERS]],
+    ids=str,
+)
+def test_numbers_in_lists_are_read_at_once_and_among_others_too(values: list[Any]) -> None:
+    written = CODEC.write(DataMessage(1, 1, {"a": values, "b": values}, None))
+    read = WrittenForm(MessageLimits()).read(written)
+    assert isinstance(read, DataMessage)
+    assert repr(read.values) == repr({"a": values, "b": values})
+
+
+def test_the_numbers_of_a_list_count_as_elements() -> None:
+    written = CODEC.write(DataMessage(1, 1, {"a": NUMBERS}, None))
+    fitting, most = MessageLimits(elements=6), MessageLimits(elements=5)
+    assert WrittenForm(fitting).read(written) is not None
+    with pytest.raises(WireError, match="elements"):
+        XmlCodec(most).read(written)
+
+
+@pytest.mark.parametrize("number", ["1_0", " 1", "0x1", "1e999", "nan"])
+def test_what_is_no_number_of_the_profile_is_none_in_a_list_either(number: str) -> None:
+    text = f'<data id="1" seq="1"><list name="a"><number>1</number><number>{number}</number></list>'
+    with pytest.raises(WireError):
+        CODEC.read(f"{text}</data>".encode())
 
 
 @given(messages)

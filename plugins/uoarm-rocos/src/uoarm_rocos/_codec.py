@@ -54,6 +54,7 @@ _VALUE = re.compile(
     rf'|<(struct|list)(?: name="({NAME.pattern})")?>'
     "|</(struct|list)>"
 )
+_NUMBER, _NUMBER_END = "<number>", "</number>"
 _READ: dict[str, Callable[[str], Any]] = {
     "integer": read_whole,
     "number": read_real,
@@ -131,8 +132,14 @@ class WrittenForm:
             value: Any
             if tag is not None:
                 value = read[tag](written)
+            elif opened == "struct":
+                value, name = {}, opened_name
             else:
-                value, name = ({} if opened == "struct" else []), opened_name
+                value, name = [], opened_name
+                end_of_list = text.find("</list>", start, stop)
+                numbers = _numbers(text, start, end_of_list)
+                if numbers:  # often many: read at once
+                    value, start, left = numbers, end_of_list, left - len(numbers)
             if left < 0:
                 return None
             if name is None:
@@ -149,6 +156,16 @@ class WrittenForm:
                 if len(outer) + 2 > self._limits.depth:
                     return None
         return values if not outer and start == stop and text.endswith(end) else None
+
+
+def _numbers(text: str, start: int, end: int) -> list[float]:
+    """Return the numbers from a place to the end of a list; nothing where others are in it."""
+    if not text.startswith(_NUMBER, start) or not text.endswith(_NUMBER_END, start, end):
+        return []
+    parts = text[start + len(_NUMBER) : end - len(_NUMBER_END)].split(_NUMBER_END + _NUMBER)
+    if text.count("<", start, end) != 2 * len(parts):
+        return []
+    return [read_real(written) for written in parts]
 
 
 def _heartbeat(text: str) -> HeartbeatMessage | None:

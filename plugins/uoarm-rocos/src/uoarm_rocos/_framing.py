@@ -183,9 +183,12 @@ class LengthFramer:
             WireError: a length is 0 or beyond the limit.
         """
         kept = self._buffer
+        size = len(data) - _LENGTH
+        if not kept and 0 < size <= self._limit and size == int.from_bytes(data[:_LENGTH], "big"):
+            return [bytes(data[_LENGTH:])]  # most often: one message, and nothing else
         if kept:
             kept += data
-        came = kept or data  # most often the one message that is there: nothing is kept of it
+        came = kept or data
         found, start, there = [], 0, len(came)
         while there - start >= _LENGTH:
             size = int.from_bytes(came[start : start + _LENGTH], "big")

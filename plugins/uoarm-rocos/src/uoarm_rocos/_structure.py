@@ -99,6 +99,14 @@ _SHOWN = 40
 _OBJECT = (dict, Mapping)  # a dict is recognised without the slow check of an abstract class
 
 
+class _UnfitError(Exception):
+    """A value that does not fit; each container on its way out puts its step before the path."""
+
+    def __init__(self, text: str, path: str = "") -> None:
+        super().__init__()
+        self.text, self.path = text, path
+
+
 def fit(fields: Fields, message: object, where: str) -> dict[str, Any]:
     """Return a message as values of exactly these fields; `where` begins the path in errors.
 
@@ -109,105 +117,120 @@ def fit(fields: Fields, message: object, where: str) -> dict[str, Any]:
         WireError: with the path of the first field that does not fit, what was expected and what
             came.
     """
+    try:
+        return _members(fields, message)
+    except _UnfitError as error:
+        raise WireError(f"{where}{error.path}: {error.text}") from None
+
+
+def _members(fields: Fields, message: object) -> dict[str, Any]:
     if not isinstance(message, _OBJECT):
-        raise _wrong(where, "an object", message)
-    for name in message:
-        if name not in fields:
-            known = ", ".join(fields) or "none"
-            raise WireError(f"{where}: there is no field {str(name)[:_SHOWN]!r}; there are {known}")
+        raise _wrong("an object", message)
+    if not message.keys() <= fields.keys():
+        name = next(name for name in message if name not in fields)
+        known = ", ".join(fields) or "none"
+        raise _UnfitError(f"there is no field {str(name)[:_SHOWN]!r}; there are {known}")
     values = {}
     for name, member in fields.items():
         if name in message:
             kind = member.type
-            values[name] = _FITTERS[type(kind)](kind, message[name], f"{where}.{name}")
+            try:
+                values[name] = _FITTERS[type(kind)](kind, message[name])
+            except _UnfitError as error:
+                error.path = f".{name}{error.path}"
+                raise
         elif member.required:
-            raise WireError(f"{where}: the field {name!r} is missing")
+            raise _UnfitError(f"the field {name!r} is missing")
     return values
 
 
-def _fit(kind: Field, value: Any, where: str) -> Any:
-    return _FITTERS[type(kind)](kind, value, where)
-
-
-def _boolean(kind: BooleanField, value: Any, where: str) -> bool:
+def _boolean(kind: BooleanField, value: Any) -> bool:
     del kind
     if isinstance(value, bool):
         return value
     if type(value).__name__ in {"bool", "bool_"} and hasattr(value, "item"):
         return bool(value)
-    raise _wrong(where, "true or false", value)
+    raise _wrong("true or false", value)
 
 
-def _integer(kind: IntegerField, value: Any, where: str) -> int:
+def _integer(kind: IntegerField, value: Any) -> int:
     if isinstance(value, bool):
-        raise _wrong(where, "an integer", value)
+        raise _wrong("an integer", value)
     if isinstance(value, float) and value.is_integer():
         value = int(value)
     try:
         number = operator.index(value)
     except TypeError:
-        raise _wrong(where, "an integer", value) from None
+        raise _wrong("an integer", value) from None
     if not kind.minimum <= number <= kind.maximum:
-        raise _wrong(where, f"{kind.minimum} to {kind.maximum}", value)
+        raise _wrong(f"{kind.minimum} to {kind.maximum}", value)
     return number
 
 
-def _number(kind: NumberField, value: Any, where: str) -> float:
+def _number(kind: NumberField, value: Any) -> float:
     if isinstance(value, bool | str | bytes) or not hasattr(value, "__float__"):
-        raise _wrong(where, "a number", value)
+        raise _wrong("a number", value)
     try:
         number = float(value)
     except (OverflowError, TypeError, ValueError):
-        raise _wrong(where, "a number of 64-bit float", value) from None
-    if not math.isfinite(number) and not kind.nonfinite:
-        raise _wrong(where, "a finite number", value)
+        raise _wrong("a number of 64-bit float", value) from None
+    if not kind.nonfinite and not math.isfinite(number):
+        raise _wrong("a finite number", value)
     low = kind.minimum is not None and number < kind.minimum
     high = kind.maximum is not None and number > kind.maximum
     if low or high:
         bounds = ("any" if item is None else f"{item:g}" for item in (kind.minimum, kind.maximum))
-        raise _wrong(where, " to ".join(bounds), value)
+        raise _wrong(" to ".join(bounds), value)
     return number
 
 
-def _string(kind: StringField, value: Any, where: str) -> str:
+def _string(kind: StringField, value: Any) -> str:
     if not isinstance(value, str):
-        raise _wrong(where, "text", value)
+        raise _wrong("text", value)
     if kind.choices and value not in kind.choices:
-        raise _wrong(where, f"one of {', '.join(kind.choices)}", value)
+        raise _wrong(f"one of {', '.join(kind.choices)}", value)
     if kind.max_length is not None and len(value) > kind.max_length:
-        raise _wrong(where, f"at most {kind.max_length} characters", f"{len(value)} of them")
+        raise _wrong(f"at most {kind.max_length} characters", f"{len(value)} of them")
     return value
 
 
-def _octets(kind: OctetsField, value: Any, where: str) -> bytes:
+def _octets(kind: OctetsField, value: Any) -> bytes:
     if isinstance(value, str | Integral | float | Mapping) or value is None:
-        raise _wrong(where, "octets", value)
+        raise _wrong("octets", value)
     try:
         octets = bytes(value)
     except (TypeError, ValueError):
-        raise _wrong(where, "octets", value) from None
+        raise _wrong("octets", value) from None
     if kind.max_length is not None and len(octets) > kind.max_length:
-        raise _wrong(where, f"at most {kind.max_length} octets", f"{len(octets)} of them")
+        raise _wrong(f"at most {kind.max_length} octets", f"{len(octets)} of them")
     return octets
 
 
-def _list(kind: ListField, value: Any, where: str) -> list[Any]:
+def _list(kind: ListField, value: Any) -> list[Any]:
     items = value.tolist() if hasattr(value, "tolist") else value
     if isinstance(items, bytes | bytearray):
         items = list(items)
     if not isinstance(items, list | tuple):
-        raise _wrong(where, "a list", value)
+        raise _wrong("a list", value)
     most = math.inf if kind.max_items is None else kind.max_items
     if not kind.min_items <= len(items) <= most:
-        raise _wrong(where, f"{kind.min_items} to {most} items", f"{len(items)} of them")
-    return [_fit(kind.items, item, f"{where}[{n}]") for n, item in enumerate(items)]
+        raise _wrong(f"{kind.min_items} to {most} items", f"{len(items)} of them")
+    kind_of_items, fitted = kind.items, list[Any]()
+    fitter = _FITTERS[type(kind_of_items)]
+    try:
+        for item in items:
+            fitted.append(fitter(kind_of_items, item))
+    except _UnfitError as error:
+        error.path = f"[{len(fitted)}]{error.path}"
+        raise
+    return fitted
 
 
-def _struct(kind: StructField, value: Any, where: str) -> dict[str, Any]:
-    return fit(kind.members, value, where)
+def _struct(kind: StructField, value: Any) -> dict[str, Any]:
+    return _members(kind.members, value)
 
 
-_FITTERS: dict[type, Callable[[Any, Any, str], Any]] = {
+_FITTERS: dict[type, Callable[[Any, Any], Any]] = {
     BooleanField: _boolean,
     IntegerField: _integer,
     NumberField: _number,
@@ -218,10 +241,10 @@ _FITTERS: dict[type, Callable[[Any, Any, str], Any]] = {
 }
 
 
-def _wrong(where: str, expected: str, got: object) -> WireError:
+def _wrong(expected: str, got: object) -> _UnfitError:
     shown = repr(got)
     shown = shown if len(shown) <= _SHOWN else f"{shown[:_SHOWN]}..."
-    return WireError(f"{where}: expected {expected}, got {shown} ({type(got).__name__})")
+    return _UnfitError(f"expected {expected}, got {shown} ({type(got).__name__})")
 
 
 class ApiRecord:

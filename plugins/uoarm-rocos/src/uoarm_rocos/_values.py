@@ -67,7 +67,7 @@ def attribute(value: str) -> str:
 def real(value: float) -> str:
     """Write a float so that it is read back exactly."""
     if math.isfinite(value):
-        return repr(float(value))
+        return float.__repr__(value)
     return "NaN" if math.isnan(value) else ("INF" if value > 0 else "-INF")
 
 
@@ -127,7 +127,10 @@ def write_values(values: Mapping[str, Any]) -> str:
     Raises:
         WireError: a name or value is none of the profile; the text names its path.
     """
-    return "".join([_named(name, value, "", 1) for name, value in values.items()])
+    try:
+        return _members(values, 1)
+    except _UnwritableError as error:
+        raise WireError(f"{error.path.lstrip('.') or 'message'}{error.text}") from error.__cause__
 
 
 def read_values(parent: ET.Element) -> dict[str, Any]:
@@ -162,10 +165,25 @@ def _check(value: str) -> None:
         )
 
 
-def _named(name: object, value: Any, path: str, depth: int) -> str:
-    if not isinstance(name, str) or len(name) > _LONGEST or not (shown := _name(name)):
-        raise WireError(f"{path or 'message'}: {str(name)[:_SHOWN]!r} is no name of the profile")
-    return _write(shown, value, f"{path}.{name}" if path else name, depth)
+class _UnwritableError(Exception):
+    """A value that is none of the profile; each container puts its step before the path."""
+
+    def __init__(self, text: str, path: str = "") -> None:
+        super().__init__()
+        self.text, self.path = text, path
+
+
+def _members(values: Mapping[Any, Any], depth: int) -> str:
+    written = []
+    for name, value in values.items():
+        if not isinstance(name, str) or len(name) > _LONGEST or not (shown := _name(name)):
+            raise _UnwritableError(f": {str(name)[:_SHOWN]!r} is no name of the profile")
+        try:
+            written.append(_write(shown, value, depth))
+        except _UnwritableError as error:
+            error.path = f".{name}{error.path}"
+            raise
+    return "".join(written)
 
 
 @lru_cache(1024)
@@ -174,35 +192,41 @@ def _name(name: str) -> str:
     return f' name="{name}"' if NAME.fullmatch(name) else ""
 
 
-def _write(name: str, value: Any, path: str, depth: int) -> str:
+def _write(name: str, value: Any, depth: int) -> str:
     if depth >= _DEPTH:
-        raise WireError(f"{path[:_SHOWN]}...: values stand {_DEPTH} deep inside each other")
+        raise _UnwritableError(f"...: values stand {_DEPTH} deep inside each other")
     if isinstance(value, str):
         if not _UNLIKE_XML.search(value):
             return f"<string{name}>{value}</string>"
-        return _odd_string(name, value, path)
+        return _odd_string(name, value)
     if isinstance(value, float):
         return f"<number{name}>{real(value)}</number>"
     if isinstance(value, bool):
         return f"<boolean{name}>{'true' if value else 'false'}</boolean>"
     if isinstance(value, int):
         if abs(value) >= _TWENTY_DIGITS:
-            raise WireError(f"{path}: an integer has more than 20 digits")
+            raise _UnwritableError(": an integer has more than 20 digits")
         return f"<integer{name}>{value}</integer>"
+    if isinstance(value, list | tuple):
+        if value and depth + 1 < _DEPTH and all(type(item) is float for item in value):
+            numbers = "</number><number>".join(map(real, value))
+            return f"<list{name}><number>{numbers}</number></list>"
+        items = list[str]()
+        try:
+            for item in value:
+                items.append(_write("", item, depth + 1))
+        except _UnwritableError as error:
+            error.path = f"[{len(items)}]{error.path}"
+            raise
+        return f"<list{name}>{''.join(items)}</list>"
     if isinstance(value, bytes | bytearray | memoryview):
         return f"<octets{name}>{base64.b64encode(value).decode()}</octets>"
     if isinstance(value, Mapping):
-        inner = "".join([_named(key, item, path, depth + 1) for key, item in value.items()])
-        return f"<struct{name}>{inner}</struct>"
-    if isinstance(value, list | tuple):
-        inner = "".join(
-            [_write("", item, f"{path}[{n}]", depth + 1) for n, item in enumerate(value)]
-        )
-        return f"<list{name}>{inner}</list>"
-    raise WireError(f"{path}: a {type(value).__name__} cannot be sent: {str(value)[:_SHOWN]}")
+        return f"<struct{name}>{_members(value, depth + 1)}</struct>"
+    raise _UnwritableError(f": a {type(value).__name__} cannot be sent: {str(value)[:_SHOWN]}")
 
 
-def _odd_string(name: str, value: str, path: str) -> str:
+def _odd_string(name: str, value: str) -> str:
     """Write text escaped, or as base64 of its UTF-8 where XML cannot hold it."""
     if not _FORBIDDEN.search(value):
         return f"<string{name}>{value.translate(_TEXT)}</string>"
@@ -210,7 +234,7 @@ def _odd_string(name: str, value: str, path: str) -> str:
         octets = value.encode("utf-8")
     except UnicodeEncodeError as error:
         where = f"character {error.start} of the text"
-        raise WireError(f"{path}: {where} is half of a surrogate pair") from error
+        raise _UnwritableError(f": {where} is half of a surrogate pair") from error
     return f'<string{name} base64="true">{base64.b64encode(octets).decode()}</string>'
 
 

@@ -272,6 +272,7 @@ class _Way:
     def __init__(self, end: LineEnd, faults: LineFaults) -> None:
         self._end = end
         self._faults = faults
+        self._is_faultless = not (faults.drop or faults.garble or faults.delay)
         self._dice = random.Random(faults.seed)  # noqa: S311 - faults to be repeated, no secrets
         self._late: list[tuple[float, bytes]] = []
 
@@ -281,6 +282,10 @@ class _Way:
 
     def send(self, frames: list[bytes], now: float) -> None:
         """Send frames, and those whose delay is over."""
+        if self._is_faultless:
+            for frame in frames:
+                self._end.write(frame)
+            return
         for frame in frames:
             if self._dice.random() >= self._faults.drop:
                 self._late.append((now + self._faults.delay, self._garbled(frame)))
