@@ -80,10 +80,13 @@ def markdown() -> str:
 def _page() -> Iterator[str]:
     yield "# Error codes"
     yield ""
-    yield "Every refusal, failure and mistake has a code that keeps its meaning. It stands in the"
-    yield "last line of a command's error, and in `error_code` of exceptions, events and JSON."
-    yield "`uoarm explain CODE` prints an entry, `uoarm explain` lists all. Examples are texts as"
-    yield "they come, with names of some robot. This page is made by `uoarm explain --markdown`."
+    yield "Every refusal, failure and mistake has a code that keeps its meaning. It is the last line"
+    yield "of a command's error, and `error_code` of exceptions, events and JSON."
+    yield "`uoarm explain CODE` prints an entry, `uoarm explain` lists all. Each entry has the cause, a"
+    yield "real text with names of some robot, and what to do. [Troubleshooting](troubleshooting.md)"
+    yield "begins with symptoms."
+    yield ""
+    yield "This page is made by `uoarm explain --markdown`."
     group = ""
     for entry in _TABLE:
         if entry.code[4] != group:
