@@ -43,8 +43,7 @@ class Waiting(World):
         while self.wake_at is not None and self.wake_at <= time:
             self.pass_time(max(0.0, self.wake_at - self.now))
             self.settle_now()
-        self.pass_time(max(0.0, time - self.now))
-        self.settle_now()
+        self.now = max(self.now, time)  # without an event: nothing has asked for one
 
 
 def test_it_looks_at_once_and_then_after_an_eighth_of_what_it_has_waited() -> None:
@@ -92,3 +91,14 @@ def test_the_end_of_the_wait_is_noticed_on_time() -> None:
     assert world.state.connections["c1"].state is ConnectionState.WAITING
     world.wait_until(30.0)
     assert "c1" not in world.state.connections
+
+
+def test_what_died_long_ago_is_forgotten_also_where_nothing_is_sought() -> None:
+    world = World(PLANS, FailoverPolicy(enabled=False))
+    for identity, name in (("c1", "best"), ("c2", "spare")):
+        world.request(identity, "camera")
+        world.settle()
+        world.die(name)
+        world.settle()
+        world.pass_time(HOUR)
+    assert set(world.state.failed) == {"spare"}

@@ -196,7 +196,7 @@ def health_reported(draft: Draft, event: HealthReported) -> None:
         # one before was reported late.
         if number is None or event.instance not in {0, number}:
             continue
-        if is_lost and number in event.spared:
+        if number in event.spared:
             continue
         record = _note(draft, draft.components[number], event)
         if event.health is Health.FINISHED:
