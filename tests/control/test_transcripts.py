@@ -182,6 +182,14 @@ class Player(World):
         plan = self.plans(action.plan.function, frozenset(components))
         self.post(ev.ReplacementSought(action.connection, action.attempt, plan))
 
+    def play_nothing(self, lane: str) -> None:
+        """Let a search find nothing: what was there as it was looked at is gone again."""
+        action, *rest = self.lanes.pop(lane := self._lane(lane))
+        assert isinstance(action, act.FindReplacement)
+        self.lanes |= {lane: tuple(rest)} if rest else {}
+        asked = action.connection, action.attempt
+        self.post(ev.ReplacementSought(*asked, None, "it is gone", action.switchover))
+
     def play_rest(self) -> None:
         """Do all that waits, well."""
         while self.lanes:
