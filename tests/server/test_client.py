@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import threading
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,8 +26,26 @@ from uoarm import (
     RobotManager,
     UsageError,
 )
+from uoarm.bridge import (
+    Bridge,
+    Capabilities,
+    Delivery,
+    Description,
+    Registry,
+    ServiceStructures,
+    Sink,
+    Source,
+)
 from uoarm.client import RemoteRobot, RemoteStream, ServerError, connect
-from uoarm.server import Limits, Server, hash_token
+from uoarm.config import loads
+from uoarm.model import Endpoint, Message, MessageStructure
+from uoarm.server import (
+    Limits,
+    Server,
+    ServerOptions,
+    hash_token,
+    serve_in_thread,
+)
 from uoarm.testing import patience, slowness, wait
 
 Work = Callable[[RemoteRobot], Awaitable[None]]
@@ -208,6 +227,61 @@ def test_a_request_that_is_given_up_is_given_back(server: Server, robot: RobotMa
         await asyncio.to_thread(wait, lambda: not robot.status().connections)
 
     run(server, work)
+
+
+class Reaching(Bridge):
+    """A bridge whose one service can be cancelled, and ends in no other way."""
+
+    capabilities = Capabilities(call=True)
+
+    def __init__(self) -> None:
+        super().__init__("arm", {})
+        self.called, self.over = threading.Event(), threading.Event()
+
+    def _describe(self, endpoint: Endpoint) -> Description:
+        return Description(
+            request=MessageStructure(schema=True), reply=MessageStructure(schema=True)
+        )
+
+    def _open_source(
+        self, endpoint: Endpoint, structure: MessageStructure, deliver: Delivery
+    ) -> Source:
+        raise NotImplementedError
+
+    def _open_sink(self, endpoint: Endpoint, structure: MessageStructure) -> Sink:
+        raise NotImplementedError
+
+    def _call(
+        self, endpoint: Endpoint, structures: ServiceStructures, message: Message, timeout: float
+    ) -> Message:
+        with self.cancelling(self.over.set):
+            self.called.set()
+            assert self.over.wait(patience())
+            raise BridgeError("it was cancelled")
+
+    def _close(self) -> None:
+        self.over.set()
+
+
+def test_a_call_that_is_given_up_is_cancelled_there() -> None:
+    text = """
+version: 1
+bridges: {arm: {plugin: python}}
+functions: {reach: {components: [{name: arm, bridge: arm, service: {endpoint: [reach]}}]}}
+"""
+    arm = Reaching()
+
+    async def work(client: RemoteRobot) -> None:
+        calling = asyncio.ensure_future(client.call("reach", {}, timeout=patience()))
+        await asyncio.to_thread(arm.called.wait, patience())
+        calling.cancel()
+        with pytest.raises(asyncio.CancelledError):
+            await calling
+        assert await asyncio.to_thread(arm.over.wait, patience())
+
+    robot = RobotManager(loads(text), registry=Registry(()), bridges={"arm": arm})
+    with robot, serve_in_thread(robot, ServerOptions(port=0)) as server:
+        run(server, work)
 
 
 def test_when_the_server_closes_everything_that_waits_fails(serve: Serve) -> None:

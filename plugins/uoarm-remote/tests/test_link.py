@@ -5,18 +5,21 @@ from __future__ import annotations
 import json
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, closing
 from pathlib import Path
 
 import pytest
+from attrs import evolve
 from parts import stage
 from robots import ROBOT, ServedRobot, here
 
 from uoarm import RobotManager
+from uoarm.bridge import Bridge, Registry
 from uoarm.config import loads
 from uoarm.errors import BridgeError, ConfigurationError, ResolutionError
-from uoarm.server import hash_token, make_token
-from uoarm.testing import Proxy, patience, wait
+from uoarm.model import BridgeSpec, Endpoint, MessageStructure, Role
+from uoarm.server import ServerOptions, hash_token, make_token, serve_in_thread
+from uoarm.testing import Background, Collector, MemoryBridge, Proxy, patience, wait
 
 Desk = Callable[..., RobotManager]
 TOKEN, OTHER = make_token(), make_token()
@@ -202,6 +205,19 @@ def test_a_call_to_a_manager_that_is_gone_ends_with_its_grace(proxy: Proxy, desk
     thread.join(patience())
     (answer,) = answers
     assert "the link broke before the answer" in str(answer)
+
+
+def test_a_call_that_is_cancelled_here_waits_no_longer(robot: ServedRobot) -> None:
+    silent = Endpoint("far", "silent", Role.SERVICE, ("silent",))
+    bridge = Registry().create(BridgeSpec("far", "remote", {"url": robot.url}))
+    with closing(bridge):
+        calling = Background(
+            lambda: bridge.call(silent, {"value": 1}, timeout=patience(), number=7)
+        )
+        wait(stage.silent.is_set, "the call did not arrive")
+        bridge.cancel_call(7)
+        with pytest.raises(BridgeError, match="Call silent was cancelled"):
+            calling.result(patience())
 
 
 def test_where_something_died_is_said_in_one_sentence(robot: ServedRobot, desk: Desk) -> None:
@@ -395,6 +411,74 @@ def test_who_has_no_right_to_stop_there_stops_only_here(tmp_path: Path, desk: De
         robot.close()
 
 
+MEMORY = """
+version: 1
+bridges: {memory: {plugin: python}}
+export: {local: ["*"]}
+functions: {map: {components: [{name: map, bridge: memory, output: {endpoint: [map]}}]}}
+"""
+FAR_MAP = Endpoint("far", "map", Role.OUTPUT, ("map",))
+
+
+@pytest.fixture
+def memory() -> MemoryBridge:
+    return MemoryBridge()
+
+
+@pytest.fixture
+def far(memory: MemoryBridge) -> Iterator[Callable[[], Bridge]]:
+    """Make bridges to a manager whose `map` is an emitter of the memory bridge."""
+    with ExitStack() as stack:
+
+        def make() -> Bridge:
+            manager = RobotManager(loads(MEMORY), registry=Registry(()), bridges={"memory": memory})
+            options = ServerOptions(port=0)
+            server = stack.enter_context(serve_in_thread(stack.enter_context(manager), options))
+            url = f"ws://127.0.0.1:{server.ports[0]}/"
+            bridge = Registry().create(BridgeSpec("far", "remote", {"url": url}))
+            stack.callback(bridge.close)
+            return bridge
+
+        yield make
+
+
+def test_what_stands_there_is_given_to_each_that_joins_here(
+    memory: MemoryBridge, far: Callable[[], Bridge]
+) -> None:
+    latched = memory.emitter("map", {}, latched=True)
+    latched.emit("old")
+    bridge, structure = far(), MessageStructure(schema=True)
+    first, second = Collector(), Collector()
+    with closing(bridge.open_source(FAR_MAP, structure, first.deliver)) as source:
+        assert source.latched
+        assert first.wait(1) == ["old"]
+        latched.emit("new")
+        assert first.wait(2) == ["old", "new"]
+        with closing(bridge.open_source(FAR_MAP, structure, second.deliver)):
+            second.wait_for(lambda message: message == "new")
+            latched.emit("newer")
+            second.wait_for(lambda message: message == "newer")
+        assert first.wait(3) == ["old", "new", "newer"]
+
+
+def test_what_waits_for_a_consumer_is_bounded_in_octets(
+    memory: MemoryBridge, far: Callable[[], Bridge]
+) -> None:
+    emitter, collector = memory.emitter("map", {}), Collector()
+    bridge = far()
+    endpoint = evolve(FAR_MAP, options={"backlog_octets": 1000})
+    with closing(
+        bridge.open_source(endpoint, MessageStructure(schema=True), collector.deliver)
+    ) as source:
+        with collector.held():
+            emitter.emit(0)
+            collector.wait_begun(1)
+            for number in range(1, 10):
+                emitter.emit(f"{number}" * 1000)
+            wait(lambda: source.facts()["lost_on_link"] == 8, "they were not dropped")
+        assert collector.wait(2) == [0, "9" * 1000]
+
+
 def test_the_status_shows_the_other_manager_and_its_clock(robot: ServedRobot, desk: Desk) -> None:
     manager = desk(robot.url)
     assert manager.call("double", {"value": 1}, timeout=patience()) == {"value": 2}
@@ -414,8 +498,6 @@ def test_the_status_shows_the_other_manager_and_its_clock(robot: ServedRobot, de
     ],
 )
 def test_options_are_checked_without_a_connection(options: str, said: str) -> None:
-    from uoarm.bridge import Registry
-
     bridge = f"{{plugin: remote, options: {{{options}}}}}"
     text = f"version: 1\nbridges: {{far: {bridge}}}\nfunctions: {{}}\n"
     with pytest.raises(ConfigurationError, match=said):

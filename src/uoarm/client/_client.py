@@ -287,7 +287,10 @@ class RemoteRobot(ServerQuestions):
     async def call(
         self, name: str, message: Message, *, as_type: Any = None, timeout: float = 10.0
     ) -> Message:
-        """Call a service; raises as `RobotManager.call`, and ServerError."""
+        """Call a service; raises as `RobotManager.call`, and ServerError.
+
+        Where this is cancelled, the call is cancelled at the robot, too.
+        """
         wanted = await self._typed(as_type, name, f"the reply of {name!r}", "reply")
         sent = as_message(message, f"request to {name!r}")
         limit: dict[str, Any] = {"x-timeout": timeout}
@@ -393,6 +396,17 @@ class RemoteRobot(ServerQuestions):
                 self._away.discard(stream)
                 stream.finish("failed", f"after a restart of the server: {error}")
 
+    def _give_up(self, op: str, identity: str) -> None:
+        """Have the server end what was asked for, and is not waited for any more."""
+        if op == "Request":
+            self._abandoned.add(identity)
+        elif op == "Call":
+            self._begin(self._cancel(identity))
+
+    async def _cancel(self, call: str) -> None:
+        with suppress(errors.UoarmError):  # it has ended meanwhile
+            await self.ask("Kill", call, jsonMessage={"call": True})
+
     async def _give_back(self, connection: str) -> None:
         with suppress(errors.UoarmError):
             await self.ask("Kill", connection)
@@ -467,8 +481,8 @@ class RemoteRobot(ServerQuestions):
             return await asked.answer
         finally:
             self._asked.pop(identity, None)
-            if op == "Request" and self._link.is_unanswered(identity):
-                self._abandoned.add(identity)
+            if self._link.is_unanswered(identity) and not self._link.closed:
+                self._give_up(op, identity)
             if asked.answer.done() and not asked.answer.cancelled():
                 asked.answer.exception()  # it is seen, also where sending failed before
 

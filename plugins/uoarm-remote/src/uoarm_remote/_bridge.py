@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import ExitStack
 from typing import Any
 
 from uoarm.bridge import (
@@ -70,7 +71,14 @@ class RemoteManagerBridge(Bridge):
         del structures
         _options(endpoint)
         more: dict[str, Any] = {"jsonMessage": message, "x-timeout": timeout}
-        reply: Message = self._other.ask("Call", endpoint.address[0], timeout, **more)
+        with ExitStack() as stack:
+            reply: Message = self._other.ask(
+                "Call",
+                endpoint.address[0],
+                timeout,
+                began=lambda cancel: stack.enter_context(self.cancelling(cancel)),
+                **more,
+            )
         return reply
 
     def _discover(self) -> tuple[Discovered, ...]:

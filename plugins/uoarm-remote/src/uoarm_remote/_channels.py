@@ -13,7 +13,7 @@ from typing import Any, TypeAlias
 from uoarm.bridge import ChannelHealth, ChannelMonitor, Delivery, ReceiveQueue, Sink, Source
 from uoarm.client import RemoteRobot, RemoteStream
 from uoarm.errors import BridgeTimeoutError, ConnectionClosedError, UoarmError
-from uoarm.model import Endpoint, Health, Message
+from uoarm.model import Endpoint, Health, Message, message_octets
 from uoarm_remote._discovery import wanted_name
 from uoarm_remote._link import ManagerLink
 from uoarm_remote._options import FunctionOptions
@@ -186,7 +186,11 @@ class FunctionSource(Source):
         self._link, self._deliver = link, deliver
         self._streams: FunctionStreams | None = None
         self._queue: ReceiveQueue[_Arrival] = ReceiveQueue(
-            f"uoarm-remote {self.key[0]}", self._hand_on, options.backlog
+            f"uoarm-remote {self.key[0]}",
+            self._hand_on,
+            options.backlog,
+            most_size=options.backlog_octets,
+            size=_size_of,
         )
 
     def open(self, streams: FunctionStreams, timeout: float) -> None:
@@ -234,6 +238,10 @@ class FunctionSource(Source):
         self._queue.close()
         if self._streams is not None:
             self._streams.close(self)
+
+
+def _size_of(arrived: _Arrival) -> int:
+    return message_octets(arrived[0]) if len(arrived) == 1 else 0
 
 
 class FunctionSink(Sink):

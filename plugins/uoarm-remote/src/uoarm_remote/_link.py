@@ -107,8 +107,18 @@ class ManagerLink:
         identity = self._identity()
         return {"x-managers": [*asking_managers(), identity]} if identity else {}
 
-    def ask(self, op: str, kind: str, timeout: float, **fields: Any) -> Any:
+    def ask(
+        self,
+        op: str,
+        kind: str,
+        timeout: float,
+        *,
+        began: Callable[[Callable[[], object]], object] = lambda _: None,
+        **fields: Any,
+    ) -> Any:
         """Ask the other manager, in any thread but the link's; returns the answer.
+
+        `began` is called with what cancels the question.
 
         Raises:
             BridgeError: it cannot be reached, or refused; the text says which manager did.
@@ -119,10 +129,14 @@ class ManagerLink:
         async def asking(robot: RemoteRobot) -> Any:
             return await robot.ask(op, kind, **asked)
 
-        return self.run(asking, timeout, f"{op} {kind}".strip())
+        return self.run(asking, timeout, f"{op} {kind}".strip(), began)
 
     def run(
-        self, work: Callable[[RemoteRobot], Coroutine[Any, Any, T]], timeout: float, what: str
+        self,
+        work: Callable[[RemoteRobot], Coroutine[Any, Any, T]],
+        timeout: float,
+        what: str,
+        began: Callable[[Callable[[], object]], object] = lambda _: None,
     ) -> T:
         """Run a coroutine in the loop; otherwise as `ask`."""
         self._begin()
@@ -130,6 +144,7 @@ class ManagerLink:
         # The first attempt is given the time that an answer may take.
         self._tried.wait(timeout)
         future = asyncio.run_coroutine_threadsafe(self._within(work), self._loop)
+        began(future.cancel)
         try:
             return future.result(max(0.0, deadline - time.monotonic()))
         except concurrent.futures.TimeoutError:
@@ -137,7 +152,9 @@ class ManagerLink:
             text = f"{self.place}: no answer to {what} within {timeout:g} s"
             raise BridgeTimeoutError(text) from None
         except concurrent.futures.CancelledError:
-            raise self._closed(what) from None
+            if self._is_closing:
+                raise self._closed(what) from None
+            raise BridgeError(f"{self.place}: {what} was cancelled") from None
         except UoarmError as error:
             raise translated(self.place, error) from error
 

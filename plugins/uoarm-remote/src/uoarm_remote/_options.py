@@ -68,6 +68,11 @@ class FunctionOptions(EndpointOptions):
         {"type": "integer", "minimum": 1, "maximum": 100_000},
         "messages that may wait",
     )
+    backlog_octets: int = option(
+        67_108_864,
+        {"type": "integer", "minimum": 1},
+        "octets that they may hold; the newest message is always kept",
+    )
 
 
 def mistake(address: tuple[str, ...], options: Options) -> str:

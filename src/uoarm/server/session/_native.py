@@ -87,6 +87,27 @@ class Shared:
         self.sessions: dict[NativeSession, None] = {}
 
 
+class _CallUnderWay:
+    """A call of a client's, which may be cancelled: before it has begun, too."""
+
+    def __init__(self) -> None:
+        # `began` comes in the worker, `cancel` in the loop's thread: each says its own first and
+        # then looks for the other's, so that one of them, or both, cancel it.
+        self._cancel: Callable[[], bool] | None = None
+        self._is_cancelled = False
+
+    def began(self, cancel: Callable[[], bool]) -> None:
+        """Take in what cancels it."""
+        self._cancel = cancel
+        if self._is_cancelled:
+            cancel()
+
+    def cancel(self) -> Callable[[], bool] | None:
+        """Have it end early; returns what to do about that outside of the loop, None: nothing."""
+        self._is_cancelled = True
+        return self._cancel
+
+
 class NativeSession:
     """One client that speaks the native protocol.
 
@@ -121,6 +142,7 @@ class NativeSession:
         self._discoveries = Discoveries(registry)
         self._shared = shared
         self._ages = CommandAges()
+        self._calls: dict[str | None, _CallUnderWay] = {}  # by the id of the question
         self._stops: set[asyncio.Task[None]] = set()
         self._tasks: dict[asyncio.Task[None], Op] = {}
         self._quick: Mapping[Op, Callable[[ControlMessage], None]] = {
@@ -301,7 +323,13 @@ class NativeSession:
         assert isinstance(limit, int | float), "the schema says so"
         read = functools.partial(read_message, self._form)
         act = functools.partial(self._written, asked)
-        frame = await self._registry.call_and(act, name, asked.jsonMessage, read, float(limit))
+        under_way = self._calls[asked.id] = _CallUnderWay()
+        try:
+            frame = await self._registry.call_and(
+                act, name, asked.jsonMessage, read, float(limit), under_way.began
+            )
+        finally:
+            self._calls.pop(asked.id, None)
         self._emit_frame(asked.id, frame)
 
     async def _resolve(self, asked: ControlMessage) -> None:
@@ -487,11 +515,23 @@ class NativeSession:
         )
 
     def _kill(self, asked: ControlMessage) -> None:
-        if (asked.jsonMessage or {}).get("everyone"):
+        options = asked.jsonMessage or {}
+        if options.get("everyone"):
             self._kill_for_everyone(asked)
+        elif options.get("call"):
+            under_way = self._calls.get(str(asked.type))
+            if under_way is None:
+                raise UnknownError(f"this client has no call {asked.type!r:.100} under way")
+            self._begin(asked, self._cancel(asked, under_way))
         else:
             stream = self._streams.own(str(asked.type))
             self._streams.kill(stream, lambda: self._reply(asked, None))
+
+    async def _cancel(self, asked: ControlMessage, under_way: _CallUnderWay) -> None:
+        cancel = under_way.cancel()
+        if cancel is not None:
+            await self._registry.in_worker(cancel)
+        self._reply(asked, None)
 
     def _kill_for_everyone(self, asked: ControlMessage) -> None:
         connection = self._registry.connection(str(asked.type))

@@ -294,6 +294,7 @@ class FeedRegistry:
         message: Message,
         read: Read,
         timeout: float,
+        began: Callable[[Callable[[], bool]], None] = lambda _: None,
     ) -> T:
         """Call a service in a worker, and do something with its answer there, too.
 
@@ -303,20 +304,14 @@ class FeedRegistry:
             message: the request as it came.
             read: makes its logical value, by the service's structure.
             timeout: seconds; the limit for all clients holds as well.
+            began: called in the worker with what cancels the call.
 
         Raises:
             UsageError: the function is a stream.
             UoarmError: as `RobotManager.call`, and BusyError.
         """
         limit = min(timeout, self.limits.call_seconds)
-
-        def work() -> T:
-            structure = self.robot.resolve(name).provider.structures.get("request")
-            if structure is None:
-                raise UsageError(f"function {name!r} is a stream, not a service")
-            return act(self.robot.call(name, read(structure, message), timeout=limit))
-
-        return await self.workers.start(work)
+        return await self.call_planned(name, None, message, read, limit, began, act)
 
     async def call_planned(
         self,
