@@ -158,7 +158,7 @@ def test_what_waits_fails_and_is_released_with_the_client_though_the_component_h
     async def work() -> None:
         workers = Workers(4, 4, LoopMailbox(asyncio.get_running_loop()))
         account = ServerMemory(MANY, MANY).open()
-        one = sending(SimpleNamespace(send=take), workers, account)
+        one = sending(SimpleNamespace(_send=take), workers, account)
         received: list[BaseException | None] = []
         for _ in range(4):
             one.send({"data": "x" * size}, None, received.append, size)
