@@ -56,10 +56,12 @@ class SocketTransport(Transport):
         # Guards `_tokens` and `_watching` together, from the thread that reads against callers: a
         # token that comes as its watcher does is reported by one of them, and one that goes once.
         self._lock = threading.Lock()
-        # The other tables are changed in single steps (set, pop), which need no lock: an answer and
-        # the end of its wait may both take an entry, and only one gets it.
+        # The tables of waits are changed in single steps (set, pop), which need no lock: an answer
+        # and the end of its wait may both take an entry, and only one gets it.
         self._asked: dict[int, Callable[[Frame | None], object]] = {}
         self._late: dict[int, float] = {}
+        # Read without a lock by the thread that reads; entries come and go under it, or of two that
+        # end at once, or an end and the next declaration of a key, one would undo the other.
         self._answering: dict[str, Callable[[Any, Reply], None]] = {}
         self._listening: dict[str, Callable[[bytes], None]] = {}
         self._tokens: set[str] = set()
@@ -104,13 +106,15 @@ class SocketTransport(Transport):
         for old in [name for name, until in self._late.copy().items() if until < now]:
             self._late.pop(old, None)
             self._asked.pop(old, None)
+        # Both before it is sent. Where that fails, the next such request forgets it in time.
         number = self._expect(hand)
         self._late[number] = now + timeout
         self._write(_ASK, key, number, b"", pack(request), _MUST_ARRIVE_SECONDS)
 
     def answer(self, key: str, take: Callable[[Any, Reply], None]) -> Callable[[], None]:
         """Have requests at a key handed to `take`, in the transport's thread."""
-        self._answering[key] = take
+        with self._lock:
+            self._answering[key] = take
         return lambda: self._end(self._answering, key, take)
 
     def publish(
@@ -139,7 +143,8 @@ class SocketTransport(Transport):
 
     def listen(self, key: str, take: Callable[[bytes], None]) -> Callable[[], None]:
         """Have headers that are sent to a key handed to `take`, in the transport's thread."""
-        self._listening[key] = take
+        with self._lock:
+            self._listening[key] = take
         return lambda: self._end(self._listening, key, take)
 
     def show_alive(self, key: str) -> None:
@@ -170,10 +175,10 @@ class SocketTransport(Transport):
         self._writer.shut()
         self._flows.shut()
 
-    @staticmethod
-    def _end(table: dict[str, Any], key: str, kept: object) -> None:
-        if table.get(key) is kept:
-            del table[key]
+    def _end(self, table: dict[str, Any], key: str, kept: object) -> None:
+        with self._lock:
+            if table.get(key) is kept:  # else another one has its place
+                del table[key]
 
     def _expect(self, take: Callable[[Frame | None], object]) -> int:
         number = next(self._numbers) & 0xFFFF_FFFF

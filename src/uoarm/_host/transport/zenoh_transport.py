@@ -73,6 +73,8 @@ class ZenohTransport(Transport):
             )
             self._session = zenoh.open(settings)
         self._prefix = ""
+        # What was declared and not ended. Changed in single steps, from any thread: of an `end` and
+        # a `close` that come at once, one takes an entry.
         self._kept: list[Any] = []
 
     def part(self, prefix: str) -> ZenohTransport:
@@ -89,6 +91,8 @@ class ZenohTransport(Transport):
         """Send a request and return the answer."""
         begun = time.monotonic()
         key = self._prefix + key
+        # Zenoh ends the replies when the limit is over, and at once where no one answers at the
+        # key: only the time that has passed tells one from the other.
         with _wrapped(f"asking {key}"):
             replies = list(self._session.get(key, payload=pack(request), timeout=timeout))
         late = time.monotonic() - begun >= timeout
@@ -104,6 +108,7 @@ class ZenohTransport(Transport):
         """Send a request, and have the answer handed to `take` in Zenoh's thread."""
         key = self._prefix + key
 
+        # In a thread that also brings signs of life: `take` must not wait for anything.
         def handle(reply: zenoh.Reply) -> None:
             try:
                 answer = _answer_in(reply, key)
@@ -147,6 +152,8 @@ class ZenohTransport(Transport):
             ring: Any = zenoh.handlers.RingChannel(length)
             subscriber = self._session.declare_subscriber(self._prefix + key, ring)
         undeclare = self._keep(subscriber)
+        # Looked at after each wait: what was in the ring as `end` was called is not handed over. A
+        # thread of its own, as `take` may block and Zenoh's threads serve all subscriptions.
         ended = threading.Event()
 
         def run() -> None:
@@ -209,13 +216,13 @@ class ZenohTransport(Transport):
 
     def close(self) -> None:
         """End everything of this end, or of this part of it. Idempotent."""
-        kept = list(self._kept)
-        self._kept.clear()
         if self._prefix:
-            for declared in kept:
-                with suppress(zenoh.ZError):  # the session was closed before
-                    declared.undeclare()
+            while self._kept:
+                with suppress(zenoh.ZError, IndexError):  # closed before, or ended just now
+                    self._kept.pop().undeclare()
             return
+        # With the session all that was declared ends; the other end sees the tokens go.
+        self._kept.clear()
         with _wrapped("closing the link"):
             self._session.close()  # type: ignore[no-untyped-call] # zenoh's stub says no more
 
@@ -223,10 +230,12 @@ class ZenohTransport(Transport):
         self._kept.append(declared)
 
         def end() -> None:
-            if declared in self._kept:
+            try:
                 self._kept.remove(declared)
-                with _wrapped("ending a subscription"):
-                    declared.undeclare()
+            except ValueError:  # it was ended before
+                return
+            with _wrapped("ending a subscription"):
+                declared.undeclare()
 
         return end
 
@@ -251,6 +260,8 @@ def _reply_to(query: zenoh.Query) -> Reply:
     def reply(value: Any) -> None:
         try:
             query.reply(key, answer_of(value))
+            # The other end waits until this one lets go of the query, which the last reference to
+            # it might do much later.
             query.drop()  # type: ignore[no-untyped-call] # zenoh's stub says no more
         except zenoh.ZError as error:
             _log.debug("no one waits for the answer at %s any more: %s", key, error)
