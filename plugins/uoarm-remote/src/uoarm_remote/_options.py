@@ -71,7 +71,7 @@ class FunctionOptions(EndpointOptions):
     backlog_octets: int = option(
         67_108_864,
         {"type": "integer", "minimum": 1},
-        "octets that they may hold; the newest message is always kept",
+        "bytes that they may hold; the newest message is always kept",
     )
 
 
