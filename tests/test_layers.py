@@ -40,6 +40,7 @@ LAYERS = [
     {"_mistakes"},
     {"schema"},
     {"model"},
+    {"_figures"},
     {"_wire", "cdr"},
     {"_renewal"},
     {"_meaning"},

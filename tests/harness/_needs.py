@@ -70,6 +70,7 @@ NEEDS = {
         packages=("rclpy",),
         systems=ROS,
     ),
+    "otlp": Need("pip install -e '.[dev]'", packages=("opentelemetry.exporter",)),
     "diagnostic_msgs": Need(
         "pip install -e 'plugins/uoarm-ros2[dev]'", packages=("diagnostic_msgs",), systems=ROS
     ),
@@ -128,6 +129,7 @@ HEALTHBOT = ("ros2", "rtm", "rocos", "records", "vision")
 MODULES = {
     "tests/examples/test_vision_*.py": ("vision",),
     "tests/examples/test_records.py": ("records",),
+    "tests/server/test_telemetry.py": ("otlp",),
     "tests/record/*": ("record",),
     "tests/examples/test_recording.py": ("record",),
     "tests/cli/test_record.py": ("record",),

@@ -19,6 +19,7 @@ from uoarm._control.live.driver import Driver
 from uoarm._dataplane import QueueClosed
 from uoarm._hints.applications import MessageType, T, as_message
 from uoarm._renewal import HeldCommand, renewal_period, renewed
+from uoarm._spans import span
 from uoarm.errors import ConnectionClosedError, UsageError
 from uoarm.model import (
     ConnectionState,
@@ -283,7 +284,8 @@ class Connection(Generic[T]):
 
     def _kill(self, cause: str = "") -> None:
         """As `kill`; the cause says who did it, where that is not the application."""
-        self._driver.kill(self.id, cause)
+        with span("kill", self._runtime.context, connection=self.id, cause=cause):
+            self._driver.kill(self.id, cause)
 
     @property
     def _is_killed(self) -> bool:

@@ -33,6 +33,7 @@ from uoarm._control.offers import Offers
 from uoarm._control.requests import Requests, Services
 from uoarm._control.robot_view import RobotView
 from uoarm._dataplane import Clock
+from uoarm._figures import observe
 from uoarm._hints.applications import MessageType, T
 from uoarm._interrupts import Uninterrupted
 from uoarm._mistakes import choose
@@ -163,6 +164,7 @@ class RobotManager(RobotView):
         # Those that run still end with the manager, whose connections they hold.
         self._recordings: dict[str, recorder.Recording] = {}
         self._recording_numbers = itertools.count(1)
+        self._unobserve = observe(self._identity[:8], self.status)
         self._bridges.machines.begin()
 
     @property
@@ -492,6 +494,7 @@ class RobotManager(RobotView):
         with Uninterrupted():
             if self._driver.is_foreign:
                 return
+            self._unobserve()
             for recording in tuple(self._recordings.values()):
                 recording.close()
             self._discovery.close()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import hashlib
 import logging
+import os
 import signal
 import socket
 import sys
@@ -19,6 +20,7 @@ import click
 from uoarm import RobotManager
 from uoarm._forks import default_in_children
 from uoarm._support.files import stamp_of
+from uoarm._version import __version__
 from uoarm.cli._file import takes_configuration
 from uoarm.cli._shared import (
     fail,
@@ -35,6 +37,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "cannot_listen",
+    "exporting",
     "listening_options",
     "say",
     "serve",
@@ -118,6 +121,11 @@ def listening_options(command: Callable[..., Any]) -> Callable[..., Any]:
     help="File that the audit log is appended to; only this user may read it.",
 )
 @click.option(
+    "--otlp",
+    metavar="URL",
+    help="OpenTelemetry collector that gets spans and figures, such as http://127.0.0.1:4318.",
+)
+@click.option(
     "--watch-config", is_flag=True, help="Read the configuration again whenever the file changes."
 )
 def serve(
@@ -127,6 +135,7 @@ def serve(
     tls: str | None,
     front_end_ports: list[tuple[str, int]],
     rosbridge_port: int | None,
+    otlp: str | None,
     **settings: Any,
 ) -> None:
     """Serve a robot to WebSocket clients and browsers.
@@ -143,7 +152,7 @@ def serve(
     if rosbridge_port is not None:
         ports["rosbridge"] = rosbridge_port
     stop_file = stop_file_of(file)
-    with open_robot(file, stop_file) as manager:
+    with exporting(otlp), open_robot(file, stop_file) as manager:
         with needing("server"):
             from uoarm.server import ServerOptions, run  # noqa: PLC0415 - an extra, and slow
         chosen = ServerOptions(own_certificate=tls is not None, front_end_ports=ports, **settings)
@@ -160,6 +169,49 @@ def serve(
                 run(manager, chosen, lambda server: say(server, chosen))
         except OSError as error:
             cannot_listen(error)
+
+
+@contextmanager
+def exporting(url: str | None) -> Iterator[None]:
+    """Send the spans and figures of the block to a collector by OTLP over HTTP; None: nowhere.
+
+    What the standard variables of OpenTelemetry say besides holds: headers, intervals, resource.
+    Nothing of it is imported where there is no collector.
+    """
+    if url is None:
+        yield
+        return
+    if not url.startswith(("http://", "https://")):
+        raise click.BadParameter(f"expected http:// or https://, got {url!r}", param_hint="--otlp")
+    with reporting(), needing("otlp"):
+        from opentelemetry import metrics, trace  # noqa: PLC0415 - of an extra
+        from opentelemetry.exporter.otlp.proto.http.metric_exporter import (  # noqa: PLC0415
+            OTLPMetricExporter,
+        )
+        from opentelemetry.exporter.otlp.proto.http.trace_exporter import (  # noqa: PLC0415
+            OTLPSpanExporter,
+        )
+        from opentelemetry.sdk.metrics import MeterProvider  # noqa: PLC0415 - as above
+        from opentelemetry.sdk.metrics.export import (  # noqa: PLC0415 - as above
+            PeriodicExportingMetricReader,
+        )
+        from opentelemetry.sdk.resources import Resource  # noqa: PLC0415 - as above
+        from opentelemetry.sdk.trace import TracerProvider  # noqa: PLC0415 - as above
+        from opentelemetry.sdk.trace.export import BatchSpanProcessor  # noqa: PLC0415 - as above
+    name = os.environ.get("OTEL_SERVICE_NAME", "uoarm")
+    resource = Resource.create({"service.name": name, "service.version": __version__})
+    base = url.rstrip("/")
+    spans = TracerProvider(resource=resource)
+    spans.add_span_processor(BatchSpanProcessor(OTLPSpanExporter(endpoint=f"{base}/v1/traces")))
+    figures = OTLPMetricExporter(endpoint=f"{base}/v1/metrics")
+    meters = MeterProvider([PeriodicExportingMetricReader(figures)], resource=resource)
+    trace.set_tracer_provider(spans)
+    metrics.set_meter_provider(meters)
+    try:
+        yield
+    finally:
+        spans.shutdown()
+        meters.shutdown()
 
 
 def cannot_listen(error: OSError) -> NoReturn:

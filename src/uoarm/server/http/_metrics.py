@@ -6,7 +6,6 @@ import re
 import sys
 import threading
 import time
-from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator
 from contextlib import suppress
 
@@ -14,6 +13,7 @@ from attrs import define, frozen
 from prometheus_client import CollectorRegistry, generate_latest
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
 
+from uoarm._figures import status_figures
 from uoarm.model import StatusMap
 from uoarm.server.session import ConnectedClient, SessionStore
 from uoarm.server.streams import FeedRegistry
@@ -160,84 +160,12 @@ def thread_metrics() -> Metric:
 
 def status_metrics(status: StatusMap) -> Iterator[Metric]:
     """Yield the figures of a status map."""
-    yield from _routes(status)
-    yield from _health(status)
-    yield from _channels(status)
-
-
-def _routes(status: StatusMap) -> Iterator[Metric]:
-    labels = ["producer", "consumer"]
-    received = CounterMetricFamily("uoarm_route_received", "messages that arrived", labels=labels)
-    delivered = CounterMetricFamily("uoarm_route_delivered", "messages taken", labels=labels)
-    dropped = CounterMetricFamily(
-        "uoarm_route_dropped", "messages lost", labels=[*labels, "reason"]
-    )
-    for route in status.routes:
-        ends = [route.producer, route.consumer]
-        received.add_metric(ends, route.received)
-        delivered.add_metric(ends, route.delivered)
-        for reason, count in route.dropped:
-            dropped.add_metric([*ends, reason], count)
-    yield from (received, delivered, dropped)
-
-
-def _health(status: StatusMap) -> Iterator[Metric]:
-    """Yield who is how, 1 for the health of this moment, and what has failed so far."""
-    bridges = GaugeMetricFamily("uoarm_bridge_health", "how it is", labels=["bridge", "health"])
-    facts = GaugeMetricFamily(
-        "uoarm_bridge_fact", "what it knows of its own work", labels=["bridge", "fact"]
-    )
-    for bridge in status.bridges:
-        bridges.add_metric([bridge.name, bridge.health.value], 1)
-        for fact, value in bridge.facts:
-            if isinstance(value, int | float):
-                facts.add_metric([bridge.name, fact], value)
-    labels = ["component", "function"]
-    components = GaugeMetricFamily(
-        "uoarm_component_health", "how it is", labels=[*labels, "health"]
-    )
-    failed = CounterMetricFamily(
-        "uoarm_component_failed", "messages and calls that it raised on", labels=labels
-    )
-    for component in status.components:
-        names = [component.name, component.function]
-        components.add_metric([*names, component.health.value], 1)
-        failed.add_metric(names, component.failed)
-    deaths = CounterMetricFamily(
-        "uoarm_component_deaths", "how often it was lost", labels=["component"]
-    )
-    for name, count in status.deaths:
-        deaths.add_metric([name], count)
-    takeovers = CounterMetricFamily(
-        "uoarm_takeovers", "how often another plan took over", labels=["function"]
-    )
-    for name, count in status.takeovers:
-        takeovers.add_metric([name], count)
-    states = GaugeMetricFamily("uoarm_connections", "connections, by state", labels=["state"])
-    for state, count in Counter(
-        connection.state.value for connection in status.connections
-    ).items():
-        states.add_metric([state], count)
-    yield from (bridges, facts, components, failed, deaths, takeovers, states)
-
-
-def _channels(status: StatusMap) -> Iterator[Metric]:
-    """Yield what is known of open channels: each fact that is a number."""
-    labels = ["component", "port"]
-    lost = CounterMetricFamily(
-        "uoarm_channel_lost", "messages that will never arrive", labels=labels
-    )
-    facts = GaugeMetricFamily(
-        "uoarm_channel_fact", "what its framework reports", labels=[*labels, "fact"]
-    )
-    for component in status.components:
-        for channel in component.channels:
-            ends = [component.name, channel.port]
-            lost.add_metric(ends, channel.lost)
-            for fact, value in channel.facts:
-                if isinstance(value, int | float):
-                    facts.add_metric([*ends, fact], value)
-    yield from (lost, facts)
+    for figure in status_figures(status):
+        family = CounterMetricFamily if figure.is_counter else GaugeMetricFamily
+        metric = family(f"uoarm_{figure.name}", figure.text, labels=figure.labels)
+        for labels, value in figure.values.items():
+            metric.add_metric(labels, value)
+        yield metric
 
 
 def _gauge(name: str, text: str, value: float) -> Metric:
