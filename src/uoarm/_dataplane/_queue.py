@@ -56,8 +56,9 @@ class BoundedQueue(Generic[T]):
         # is held for a few lines only, apart from waits, which give it up, and from measuring.
         self._lock = threading.Lock()
         # One condition for all that is waited for (an item, room, the end of work): there are few
-        # who wait, and each looks at its own condition again when it is woken.
-        self._changed = threading.Condition(self._lock)
+        # who wait, and each looks at its own condition again when it is woken. Made, under the
+        # lock, as the first waits: most queues of a connection never see one who does.
+        self._changed: threading.Condition | None = None
         # How many wait. A message that no thread waits for costs no notification; it is counted
         # under the lock, so no waiter can be missed.
         self._waiting = 0
@@ -94,7 +95,7 @@ class BoundedQueue(Generic[T]):
             # From here, and not from `get` on: else a drain could end between the two.
             self._unfinished += 1
             if self._waiting:
-                self._changed.notify_all()
+                self._wake()
 
     def get(self, timeout: float | None = None) -> T:
         """Take the oldest item, waiting `timeout` seconds at most (None: for ever).
@@ -110,7 +111,7 @@ class BoundedQueue(Generic[T]):
                 raise QueueClosed if self._closed else Empty
             item = self._pop()
             if self._waiting:
-                self._changed.notify_all()
+                self._wake()
             return item
 
     def done(self) -> None:
@@ -118,7 +119,7 @@ class BoundedQueue(Generic[T]):
         with self._lock:
             self._unfinished -= 1
             if self._waiting:
-                self._changed.notify_all()
+                self._wake()
 
     def drain(self, timeout: float) -> bool:
         """Wait until every item was dealt with or the queue closed; False when time ran out."""
@@ -135,9 +136,13 @@ class BoundedQueue(Generic[T]):
                 self._items.clear()
                 self._sizes.clear()
                 self._octets = 0
-            self._changed.notify_all()  # always: a producer or a reader may wait, and `drain` too
+            self._wake()  # always: a producer or a reader may wait, and `drain` too
 
     # The methods below are called with the lock held.
+
+    def _wake(self) -> None:
+        if self._changed is not None:
+            self._changed.notify_all()
 
     def _pop(self) -> T:
         if len(self._sizes) == len(self._items):
@@ -173,6 +178,8 @@ class BoundedQueue(Generic[T]):
 
     def _wait_for(self, ready: Callable[[], bool], timeout: float | None) -> bool:
         deadline = None if timeout is None else time.monotonic() + timeout
+        if self._changed is None:
+            self._changed = threading.Condition(self._lock)
         self._waiting += 1
         try:
             # In a loop: all who wait are woken for anything, and another may have been faster.

@@ -7,6 +7,7 @@ import os
 import threading
 from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager
+from functools import partial
 from typing import TypeVar, final
 
 from uoarm._forks import generation
@@ -179,7 +180,7 @@ class Bridge(BridgeSteps):
                 Source,
                 BoundedStep("opening ", endpoint),
                 timeout,
-                lambda: self._open_source(endpoint, structure, gate),
+                partial(self._open_source, endpoint, structure, gate),
                 gate,
                 on_late,
                 is_quick=self.is_quick(endpoint),
@@ -202,7 +203,7 @@ class Bridge(BridgeSteps):
             Sink,
             BoundedStep("opening ", endpoint),
             timeout,
-            lambda: self._open_sink(endpoint, structure),
+            partial(self._open_sink, endpoint, structure),
             is_quick=self.is_quick(endpoint),
         )
         if endpoint.command is not None and self._is_last_hop:
@@ -455,13 +456,11 @@ class Bridge(BridgeSteps):
         *,
         is_quick: bool = False,
     ) -> C:
-        def put_away(channel: Channel) -> None:
-            _put_away(channel, on_late, gate)
-
         if is_quick:  # which needs neither a limit nor a thread, and is never late
             with translated(self._begun(what)):
                 channel = action()
         else:
+            put_away = partial(_put_away, on_late=on_late, gate=gate)
             channel = self._step(what, timeout, action, on_late=put_away)
         return self._adopt(kind, what, channel, on_late, gate, is_quick=is_quick)
 
