@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Iterator
 from typing import Any
 
@@ -14,10 +13,9 @@ from uoarm_ros2._discovery import Ros2Graph
 from uoarm_ros2._middleware import Participant, Peer
 from uoarm_ros2._options import Ros2Address, Ros2Options
 from uoarm_ros2._qos import Policies
-from uoarm_ros2._services import ServiceServer
 from uoarm_ros2._types import import_type
 
-from uoarm.model import Endpoint, Role
+from uoarm.model import Role
 from uoarm.testing import patience
 
 SET_BOOL = "std_srvs/srv/SetBool"
@@ -51,24 +49,6 @@ def test_the_client_of_a_node_goes_once_it_is_unused(
     shared.tick()
     assert not waited_for
     assert ask() == {"success": True, "message": ""}
-
-
-def test_waiting_requests_are_dropped_when_their_channel_closes(
-    participant: Participant,
-) -> None:
-    """A handler that looks whether something waits, and then takes it, must find it."""
-    runner = participant.start_node("serving")
-    at = Endpoint("ros", "thing", Role.SERVICE, ("/served", SET_BOOL))
-    served = ServiceServer(runner, at, "/served", SET_BOOL, lambda _: {}, 1, lambda *_: None)
-    locked: list[bool] = []
-
-    class Waiting(deque[Any]):
-        def clear(self) -> None:
-            locked.append(served._lock.locked())
-
-    served._waiting = Waiting()
-    served.close()
-    assert locked == [True]
 
 
 class Vanishing:

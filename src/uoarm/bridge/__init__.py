@@ -39,6 +39,7 @@ from uoarm.bridge._registry import (
     asking_managers,
     refuse_loop,
 )
+from uoarm.bridge._serving import ServedRequests
 from uoarm.bridge._watchdog import boot_seconds
 
 __all__ = [
@@ -66,6 +67,7 @@ __all__ = [
     "PluginProblem",
     "ReceiveQueue",
     "Registry",
+    "ServedRequests",
     "ServiceStructures",
     "Sink",
     "Source",

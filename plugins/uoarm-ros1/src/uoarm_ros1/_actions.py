@@ -6,14 +6,15 @@ import threading
 import time
 from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager
+from functools import partial
 from itertools import count
 from typing import Any
 
 from attrs import define, field
 
-from uoarm.bridge import Channel, Description, Handler
+from uoarm.bridge import Channel, Description, Handler, ServedRequests
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, MessageError
-from uoarm.model import Endpoint, Message
+from uoarm.model import Endpoint, Health, Message
 from uoarm_ros1._definitions import Listing, RosRecord, Scalar, Shape, Text
 from uoarm_ros1._discovery import Graph
 from uoarm_ros1._master import GraphState
@@ -294,20 +295,23 @@ class ServedAction(Channel):
         kinds: ActionType,
         handler: Handler,
         at_once: int,
+        report: Callable[[Channel, Health, str], None],
     ) -> None:
         super().__init__(endpoint)
         self._node, self._handler = node, handler
+        self._requests: ServedRequests[tuple[_Served, Message]] = ServedRequests(
+            f"action {name}", self._run, self._abort, at_once, partial(report, self)
+        )
         budget = node.options.budget
         goal_id, status = types.require(_GOAL_ID), types.require(_STATUS_ARRAY)
         self._read_goal, self._read_cancel = reader(kinds.goal, budget), reader(goal_id, budget)
         self._write_result = framed_writer(kinds.result)
         self._write_status = framed_writer(status)
-        self._turns = threading.BoundedSemaphore(at_once)
         # Guards the goals, and the order in which their states are published.
         self._lock = threading.Lock()
         self._goals: dict[str, _Served] = {}
         self._numbers = count(1)
-        self._answered = self._failed = self._refused = 0
+        self._refused = 0
         self._publications: list[TopicPublication] = []
         self._subscriptions: list[TopicSubscription] = []
         self._stopped = threading.Event()
@@ -339,12 +343,7 @@ class ServedAction(Channel):
 
     def facts(self) -> Mapping[str, object]:
         """Return counters of goals."""
-        return {
-            "answered": self._answered,
-            "failed": self._failed,
-            "refused": self._refused,
-            "goals": len(self._goals),
-        }
+        return {**self._requests.facts(), "refused": self._refused, "goals": len(self._goals)}
 
     def _take_goal(self, frame: bytes | bytearray, _: str) -> None:
         try:
@@ -371,12 +370,7 @@ class ServedAction(Channel):
             self._refused += 1
             self._end(served, REJECTED, None, f"{_MOST_GOALS} goals are under way already")
         else:
-            threading.Thread(
-                target=self._run,
-                args=(served, message["goal"]),
-                name=f"uoarm-ros1-goal-{identity}",
-                daemon=True,
-            ).start()
+            self._requests.put((served, message["goal"]))
 
     def _take_cancel(self, frame: bytes | bytearray, _: str) -> None:
         try:
@@ -396,25 +390,22 @@ class ServedAction(Channel):
                 if is_meant and served.status in {PENDING, ACTIVE}:
                     served.status = RECALLING if served.status == PENDING else PREEMPTING
 
-    def _run(self, served: _Served, goal: Message) -> None:
-        with self._turns:
-            with self._lock:
-                is_cancelled = served.status != PENDING
-                if not is_cancelled:
-                    served.status = ACTIVE
-            if is_cancelled or self._stopped.is_set():
-                self._end(served, RECALLED, None, "it was cancelled before it began")
-                return
-            self._say_status()
-            try:
-                result = self._handler(goal)
-            except Exception as error:  # noqa: BLE001 - of the handler: the client gets it
-                self._failed += 1
-                self._end(served, ABORTED, None, f"{type(error).__name__}: {error}"[:1000])
-                return
-            was_cancelled = served.status == PREEMPTING
-            self._answered += 1
-            self._end(served, PREEMPTED if was_cancelled else SUCCEEDED, result, "")
+    def _run(self, request: tuple[_Served, Message]) -> None:
+        served, goal = request
+        with self._lock:
+            is_cancelled = served.status != PENDING
+            if not is_cancelled:
+                served.status = ACTIVE
+        if is_cancelled:
+            self._end(served, RECALLED, None, "it was cancelled before it began")
+            return
+        self._say_status()
+        result = self._handler(goal)
+        was_cancelled = served.status == PREEMPTING
+        self._end(served, PREEMPTED if was_cancelled else SUCCEEDED, result, "")
+
+    def _abort(self, request: tuple[_Served, Message], error: Exception) -> None:
+        self._end(request[0], ABORTED, None, f"{type(error).__name__}: {error}"[:1000])
 
     def _end(self, served: _Served, status: int, result: Message | None, text: str) -> None:
         with self._lock:
@@ -422,18 +413,7 @@ class ServedAction(Channel):
             served.until = time.monotonic() + _KEEP_SECONDS
             value = self._empty_result() if result is None else result
             message = {"header": self._header(), "status": served.message, "result": value}
-            try:
-                frame = self._write_result(message)
-            except MessageError as error:
-                self._failed += 1
-                served.status, served.text = ABORTED, str(error)[:1000]
-                frame = self._write_result(
-                    {
-                        "header": self._header(),
-                        "status": served.message,
-                        "result": self._empty_result(),
-                    }
-                )
+            frame = self._write_result(message)
             self._publications[0].send(frame)
         self._say_status()
 
@@ -458,6 +438,7 @@ class ServedAction(Channel):
 
     def _close(self) -> None:
         self._stopped.set()
+        self._requests.close()
         for subscription in self._subscriptions:
             self._node.unsubscribe(subscription)
         for publication in self._publications:

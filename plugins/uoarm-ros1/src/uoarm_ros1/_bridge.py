@@ -324,7 +324,14 @@ class Ros1Bridge(Bridge):
         if address.is_action:
             kinds = self._types.action(address.type)
             return ServedAction(
-                endpoint, self._node, self._types, name, kinds, handler, port.at_once
+                endpoint,
+                self._node,
+                self._types,
+                name,
+                kinds,
+                handler,
+                port.at_once,
+                self._report_channel,
             )
         kind = self._types.require_service(address.type, port.definition)
         return ServedService(endpoint, self._node, name, kind, handler, port.at_once)

@@ -10,19 +10,19 @@ from __future__ import annotations
 import threading
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any, Protocol
 
 from attrs import define
 
-from uoarm.bridge import Channel, Handler, Sink, Source
+from uoarm.bridge import Channel, Handler, ServedRequests, Sink, Source
 from uoarm.errors import BridgeError, FailureReason, MessageError
 from uoarm.model import Deliver, Endpoint, Message
 from uoarm_ros2._conversion import reader, writer
 from uoarm_ros2._health import Report
 from uoarm_ros2._middleware import GoalRequest, NodeRunner
 from uoarm_ros2._schema import action_records
-from uoarm_ros2._services import ServiceWorkers
 from uoarm_ros2._types import import_type
 
 __all__ = ["GoalTable", "OfferedAction", "OfferedCall", "OfferedSink", "OfferedSource"]
@@ -382,7 +382,7 @@ class OfferedSink(Sink):
         self._action.leave(self._part)
 
 
-class OfferedCall(ServiceWorkers):
+class OfferedCall(Channel):
     """A service of a function as an action: its reply is the result, and there is no feedback.
 
     Goals are accepted while there is room. One that fails is aborted; a call cannot be cancelled.
@@ -407,10 +407,17 @@ class OfferedCall(ServiceWorkers):
         at_once: int,
         report: Report,
     ) -> None:
-        super().__init__(endpoint, name, handler, at_once, report)
+        super().__init__(endpoint)
+        self._handler = handler
+        self._requests: ServedRequests[tuple[bytes, Message]] = ServedRequests(
+            f"serving {name}", self._answer, self._refuse, at_once, partial(report, self)
+        )
         goal, _, result = action_records(type_name)
         self._read = reader(goal)
         self._write = writer(result)
+        # Guards the goals that run, between the runner's thread, those that handle, and `close`:
+        # each is ended once.
+        self._lock = threading.Lock()
         self._running: set[bytes] = set()
         self._runner = runner
         self._server = runner.goal_server(
@@ -421,26 +428,31 @@ class OfferedCall(ServiceWorkers):
             cancel=lambda _: None,
         )
 
+    def facts(self) -> Mapping[str, object]:
+        """Return counters of goals."""
+        return self._requests.facts()
+
     def _close(self) -> None:
-        self._forget_waiting()
+        self._requests.close()
         for goal_id in list(self._running):
             self._end(goal_id, "aborted")
         self._runner.discard(self._server)
 
     def _ask(self, request: GoalRequest) -> None:
-        if self._closed or self.is_full:
+        if self._closed or self._requests.is_full:
             self._server.reject(request)
             return
         self._server.accept(request)
         self._running.add(request.id)
-        self._take(request.id, self._read(request.goal))
+        self._requests.put((request.id, self._read(request.goal)))
 
-    def _reply(self, asked: bytes, reply: Message) -> None:
-        self._end(asked, "succeeded", self._write(reply))
+    def _answer(self, request: tuple[bytes, Message]) -> None:
+        goal_id, goal = request
+        self._end(goal_id, "succeeded", self._write(self._handler(goal)))
 
-    def _refuse(self, asked: bytes, error: Exception) -> None:
+    def _refuse(self, request: tuple[bytes, Message], error: Exception) -> None:
         del error  # ROS 2 has no word for it; the status of the offer has
-        self._end(asked, "aborted")
+        self._end(request[0], "aborted")
 
     def _end(self, goal_id: bytes, status: str, result: Any = None) -> None:
         with self._lock:

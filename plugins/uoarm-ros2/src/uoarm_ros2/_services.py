@@ -10,16 +10,15 @@ from __future__ import annotations
 import logging
 import threading
 import time
-from abc import abstractmethod
-from collections import deque
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
+from functools import partial
 from typing import Any
 
 from attrs import frozen
 
-from uoarm.bridge import Channel, Handler
+from uoarm.bridge import Channel, Handler, ServedRequests
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason
-from uoarm.model import Endpoint, Health, Message
+from uoarm.model import Endpoint, Message
 from uoarm_ros2._conversion import reader, writer
 from uoarm_ros2._discovery import Ros2Graph, ServerPresence
 from uoarm_ros2._health import Report
@@ -32,7 +31,6 @@ __all__ = [
     "Disagreement",
     "ServiceClient",
     "ServiceServer",
-    "ServiceWorkers",
     "answered",
     "require_agreement",
 ]
@@ -208,110 +206,7 @@ class ServiceClient:
         self._is_matched = True
 
 
-class ServiceWorkers(Channel):
-    """What is asked of a function, handled by several threads at once; the rest waits.
-
-    Must implement: `_reply` and `_refuse`, which are called by any thread.
-
-    Args:
-        endpoint: as it was configured.
-        name: the full name.
-        handler: called by `at_once` threads at most.
-        at_once: how many.
-        report: takes changes of health.
-    """
-
-    def __init__(
-        self,
-        endpoint: Endpoint,
-        name: str,
-        handler: Handler,
-        at_once: int,
-        report: Report,
-    ) -> None:
-        super().__init__(endpoint)
-        self._name = name
-        self._handler = handler
-        self._at_once = at_once
-        self._report = report
-        # Guards queue, counters and `_working`, between the runner's thread, which adds requests,
-        # and the workers. A worker that finds none leaves under the lock under which the next
-        # request looks for workers, so that no request waits without one.
-        self._lock = threading.Lock()
-        self._waiting: deque[tuple[Any, Message]] = deque()
-        self._working = 0
-        self._failing = False
-        self.failures = 0
-        self.count = 0
-
-    @abstractmethod
-    def _reply(self, asked: Any, reply: Message) -> None:
-        """Send a client its reply; raises MessageError for one that does not fit."""
-
-    @abstractmethod
-    def _refuse(self, asked: Any, error: Exception) -> None:
-        """Report to a client that there is no reply, as far as its protocol can."""
-
-    def facts(self) -> dict[str, object]:
-        """Return how many requests came, how many wait, and how many the handler failed."""
-        waiting = len(self._waiting)
-        return {"requests": self.count, "waiting": waiting, "failures": self.failures}
-
-    @property
-    def is_full(self) -> bool:
-        """Whether as much waits as may."""
-        return len(self._waiting) >= _MOST_WAITING
-
-    def _take(self, asked: Any, message: Message) -> None:
-        """Have a request handled; in the runner's thread alone."""
-        with self._lock:
-            self.count += 1
-            is_full = self.is_full
-            if not is_full:
-                self._waiting.append((asked, message))
-            starts = not is_full and self._working < self._at_once
-            self._working += starts
-        if is_full:
-            self._failed(asked, RuntimeError(f"{_MOST_WAITING} requests wait already"))
-        elif starts:
-            threading.Thread(target=self._work, name=f"serves {self._name}", daemon=True).start()
-
-    def _work(self) -> None:
-        """Handle requests until none waits."""
-        while True:
-            with self._lock:
-                if not self._waiting:
-                    self._working -= 1
-                    return
-                asked, message = self._waiting.popleft()
-            try:
-                self._reply(asked, self._handler(message))
-            except Exception as error:  # noqa: BLE001 - reported, to the client too
-                self._failed(asked, error)
-                continue
-            if self._failing:
-                self._failing = False
-                self._report(self, Health.OK, f"serving {self._name} works again")
-
-    def _forget_waiting(self) -> None:
-        """Drop waiting requests; a handler that is at work may be the one that closes."""
-        with self._lock:
-            self._waiting.clear()
-
-    def _failed(self, asked: Any, error: Exception) -> None:
-        with self._lock:
-            self.failures += 1
-            self._failing = True
-        cause = f"serving {self._name} failed: {type(error).__name__}: {error}"
-        _log.warning("%s", cause)
-        self._report(self, Health.DEGRADED, cause)
-        try:
-            self._refuse(asked, error)
-        except Exception as another:  # noqa: BLE001 - rclpy's; the thread has more to handle
-            _log.warning("a client of %s could not be refused: %s", self._name, another)
-
-
-class ServiceServer(ServiceWorkers):
+class ServiceServer(Channel):
     """A service offered to ROS.
 
     When the handler fails, a reply type with `success` and `message` says so; any other client is
@@ -338,7 +233,12 @@ class ServiceServer(ServiceWorkers):
         at_once: int,
         report: Report,
     ) -> None:
-        super().__init__(endpoint, name, handler, at_once, report)
+        super().__init__(endpoint)
+        self._name, self._handler = name, handler
+        requests: ServedRequests[tuple[Any, Message]] = ServedRequests(
+            f"serving {name}", self._answer, self._refuse, at_once, partial(report, self)
+        )
+        self._requests = requests
         native: Any = import_type(type_name)
         request, reply = service_records(native, type_name)
         read = reader(request)
@@ -347,19 +247,24 @@ class ServiceServer(ServiceWorkers):
         self._refusable = {"success", "message"} <= {field.name for field in reply.fields}
         self._runner = runner
         self._service = runner.server(
-            native, name, lambda asked, answer: self._take(answer, read(asked))
+            native, name, lambda asked, answer: requests.put((answer, read(asked)))
         )
 
+    def facts(self) -> Mapping[str, object]:
+        """Return counters of requests."""
+        return self._requests.facts()
+
     def _close(self) -> None:
-        self._forget_waiting()
+        self._requests.close()
         self._runner.discard(self._service)
 
-    def _reply(self, asked: Any, reply: Message) -> None:
-        self._send(asked, self._write(reply))
+    def _answer(self, request: tuple[Any, Message]) -> None:
+        answer, message = request
+        self._send(answer, self._write(self._handler(message)))
 
-    def _refuse(self, asked: Any, error: Exception) -> None:
+    def _refuse(self, request: tuple[Any, Message], error: Exception) -> None:
         if self._refusable:
-            self._send(asked, self._native.Response(success=False, message=str(error)))
+            self._send(request[0], self._native.Response(success=False, message=str(error)))
 
     def _send(self, answer: Callable[[Any], None], native: Any) -> None:
         """Send a reply; a client that is gone, or a channel that was closed, gets none."""
