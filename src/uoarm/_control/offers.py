@@ -11,6 +11,7 @@ import threading
 import time
 from collections.abc import Callable
 from enum import Enum
+from functools import partial
 
 from attrs import define
 
@@ -336,12 +337,17 @@ class Offers:
         hold: Hold,
     ) -> None:
         self._revisions = revisions
-        self._functions = functions
-        self._bridges = bridges
         self._events = events
-        self._clock = clock
         self._driver = driver
-        self._hold = hold
+        self._keep = partial(
+            _KeptOffer,
+            functions=functions,
+            bridges=bridges,
+            events=events,
+            clock=clock,
+            driver=driver,
+            hold=hold,
+        )
         # Guards which offers are kept: a change of configuration adds some while the manager
         # closes.
         self._lock = threading.Lock()
@@ -415,17 +421,6 @@ class Offers:
         deadline = time.monotonic() + _CLOSE_SECONDS
         for kept in kept_offers:
             kept.join(max(0.0, deadline - time.monotonic()))
-
-    def _keep(self, offer: Offer) -> _KeptOffer:
-        return _KeptOffer(
-            offer,
-            self._functions,
-            self._bridges,
-            self._events,
-            self._clock,
-            self._driver,
-            self._hold,
-        )
 
     def _time_reached(self) -> None:
         for kept in self._kept:
