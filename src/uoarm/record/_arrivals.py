@@ -165,12 +165,14 @@ class Arrivals(Generic[T]):
 
     def take_waiting(self) -> list[tuple[T, int, int, Message, int]]:
         """Return what came; waits for nothing."""
-        items: list[tuple[T, int, int, Message, int]] = []
         with self._lock:
-            for _ in range(len(self._items)):
-                items.append(self._items.popleft())  # noqa: PERF401 - sources append meanwhile
-            for item in items:
-                item[0].taken += 1
+            take = self._items.popleft  # one by one, as sources append meanwhile
+            items = [take() for _ in range(len(self._items))]
+            if len(self._tracks) == 1:
+                self._tracks[0].taken += len(items)
+            else:
+                for item in items:
+                    item[0].taken += 1
             self._room.notify_all()
         return items
 
