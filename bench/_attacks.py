@@ -37,7 +37,7 @@ class Attack:
     """One attack.
 
     Attributes:
-        row: of the list of what was found, for whoever compares.
+        row: of the list of what was found, for a comparison.
         sent: what is sent, in words.
         run: does it; returns how the server answered. May raise ConnectionClosed and OSError.
         functions: that are open meanwhile, `f0` and on.
@@ -171,7 +171,7 @@ def wrong_type(url: str) -> str:
 
 
 def plain(url: str, *, deflate: bool = False) -> socket.socket:
-    """Return a socket after a handshake, which nobody reads."""
+    """Return a socket after a handshake, which is never read."""
     more = "Sec-WebSocket-Extensions: permessage-deflate\r\n" if deflate else ""
     parts = urlsplit(url)
     made = socket.create_connection((str(parts.hostname), int(parts.port or 0)), timeout=SECONDS)

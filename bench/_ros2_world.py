@@ -1,6 +1,6 @@
 """A ROS 2 process that rosbridge servers are measured on: sources, an echo, a service.
 
-Sources publish only while somebody listens to them. As many further topics as the argument says
+Sources publish only while they have subscribers. As many further topics as the argument says
 have one latched message each. Texts begin with their number and the time at which they left, in
 nanoseconds of the monotonic clock.
 """

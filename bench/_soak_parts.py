@@ -29,14 +29,14 @@ def _journal(name: str) -> int:
 
 def numbers() -> Iterator[int]:
     """Emit some hundred numbers a second, until there are enough."""
-    begun, undelivered = _journal("begun"), _journal("unheard")
+    begun, undelivered = _journal("begun"), _journal("undelivered")
     number = 0
     while not (_folder() / "enough").exists():
         for _ in range(_EACH):
             os.write(begun, b"x")  # before, as it may wait long in the sending
             try:
                 yield number
-            except GeneratorExit:  # it came when nobody listened any more
+            except GeneratorExit:  # it came when its consumer had ended
                 os.write(undelivered, b"x")
                 raise
             number += 1

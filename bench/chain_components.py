@@ -40,5 +40,5 @@ def detect(picture: Picture) -> Faces:
 
 
 def recognise(faces: Faces) -> Person:
-    """Recognise everybody as the same."""
+    """Recognise all people as the same."""
     return {"name": f"person {faces['count']}"}

@@ -24,7 +24,7 @@ RELAYS = (
     "uoarm native link",
     "uoarm manager, adapted route",
 )
-DEPTH = 100  # more than is ever under way; of octets a bridge keeps five unless told otherwise
+DEPTH = 100  # more than is ever under way; of octets a bridge keeps five by itself
 SILENCE_SECONDS = 20.0
 KIND = "std_msgs/msg/UInt8MultiArray"
 

@@ -5,7 +5,7 @@
 there, which must be in the same ROS_DOMAIN_ID. With `--process PID` of that server its memory
 beside a client that never reads is measured, too. All are measured in turns, row by row, as often
 as `--rounds` says. FASTDDS_BUILTIN_TRANSPORTS, where it is set, should be the same for all; it is
-told in the title.
+shown in the title.
 """
 
 from __future__ import annotations

@@ -163,7 +163,7 @@ class Soak:
 @click.option(
     "--events",
     type=click.Path(dir_okay=False, path_type=Path),
-    help="Write what the control plane was told: a test plays it again.",
+    help="Write the events of the control plane: a test plays them again.",
 )
 def main(minutes: float, deaths: int, seed: int, silence: float, events: Path | None) -> None:
     """Harm hosts under a connection for some minutes."""
@@ -270,7 +270,7 @@ def _settle(robot: RobotManager, soak: Soak, folder: Path) -> int:
         now = time.monotonic()
         status = robot.status()
         counted = soak.arrived + _journal(folder, "refused") + losses(status).total()
-        sent = _journal(folder, "begun") - _journal(folder, "unheard")
+        sent = _journal(folder, "begun") - _journal(folder, "undelivered")
         unaccounted = sent + copies(status) - counted
         if (soak.arrived, unaccounted) != before:
             before, since = (soak.arrived, unaccounted), now

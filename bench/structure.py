@@ -23,6 +23,7 @@ from bench.tables import print_table
 __all__ = [
     "class_names",
     "loop_variables",
+    "prose_of",
     "python_files",
     "structure_figures",
     "words_of_names",
@@ -97,7 +98,7 @@ def words_of_prose(text: str) -> Counter[str]:
     return Counter(word for word in found if word)
 
 
-def _prose(source: str) -> str:
+def prose_of(source: str) -> str:
     """Return the comments and texts of a module, docstrings among them."""
     kinds = {tokenize.COMMENT, tokenize.STRING, getattr(tokenize, "FSTRING_MIDDLE", -1)}
     tokens = tokenize.generate_tokens(io.StringIO(source).readline)
@@ -160,7 +161,7 @@ def structure_figures(root: Path = ROOT) -> dict[str, float]:
             total += source.count("\n")
             loops += sum(1 for _ in loop_variables(source))
             names += words_of_names(source)
-            prose += words_of_prose(_prose(source))
+            prose += words_of_prose(prose_of(source))
         figures[f"lines of {area}"] = total
     trees = {}
     for path in python_files("src", "plugins/*/src", root=root):

@@ -151,7 +151,7 @@ def _stage(before: Stamp, after: Stamp, last: Stamp | None) -> Stage:
 
 
 def watched(recorder: Recorder) -> None:
-    """Have the data plane tell where messages are."""
+    """Have the data plane report where messages are."""
 
     def before(kind: type, name: str, point: Callable[[Any], str]) -> None:
         inner = getattr(kind, name)

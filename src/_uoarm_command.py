@@ -18,10 +18,10 @@ def run(module: str) -> None:
     """Import a module and call its `main`.
 
     Until it has been imported nothing is open, so that SIGINT may end the process as SIGTERM does,
-    by itself: an exception could be lost, or told as another one, within any module's import.
+    by itself: an exception could be lost, or reported as another one, within any module's import.
     """
     if sys.stderr is not None and not faulthandler.is_enabled():
-        faulthandler.enable(all_threads=False)  # a crash in C is told with the line that called it
+        faulthandler.enable(all_threads=False)  # a crash in C shows the line that called it
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # not where it is ignored
         signal.signal(signal.SIGINT, signal.SIG_DFL)
     command = import_module(module).main

@@ -1,4 +1,4 @@
-"""What the kernel tells of a process whose threads come and go. Linux."""
+"""What the kernel reports of a process whose threads come and go. Linux."""
 
 from collections.abc import Iterator
 from pathlib import Path

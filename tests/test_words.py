@@ -13,8 +13,10 @@ from bench.structure import (
     WORDS,
     class_names,
     loop_variables,
+    prose_of,
     python_files,
     words_of_names,
+    words_of_prose,
 )
 
 # How many names of an area hold a word of the table: lower a number with what it counts, and
@@ -24,6 +26,14 @@ LIMITS: dict[str, dict[str, int]] = {
     "plugins": {"pulse": 31},
     "tests": {"pulse": 19},
     "examples": {"told": 1, "pulse": 5},
+}  # fmt: skip
+# The same of comments, docstrings and other texts. Pulses are of hearts, shelves of the warehouse.
+PROSE_LIMITS: dict[str, dict[str, int]] = {
+    "core": {"told": 1},
+    "plugins": {"pulse": 15},
+    "tests": {"pulse": 38, "shelf": 27},
+    "benches": {"pulse": 1, "vain": 1},
+    "examples": {"pulse": 21, "shelf": 12},
 }  # fmt: skip
 # How many loop variables are `one` or `each`; the same holds.
 LOOPS: dict[str, int] = {}
@@ -58,6 +68,14 @@ def test_names_are_terms_and_no_figures_of_speech(area: str) -> None:
             places[word][path] = count
     more = excess(counts, LIMITS.get(area, {}))
     where = {word: places[word] for word in more}
+    assert not more, f"use the term that an engineer would search for: {where}"
+
+
+@pytest.mark.parametrize("area", AREAS)
+def test_texts_use_the_terms_too(area: str) -> None:
+    found = {path: words_of_prose(prose_of(source)) for path, source in _sources(area)}
+    more = excess(sum(found.values(), Counter()), PROSE_LIMITS.get(area, {}))
+    where = {word: {path: n[word] for path, n in found.items() if n[word]} for word in more}
     assert not more, f"use the term that an engineer would search for: {where}"
 
 

@@ -1,4 +1,4 @@
-"""Runs every tier of tests that this machine can run, and tells in a table what it ran.
+"""Runs every tier of tests that this machine can run, and prints in a table what it ran.
 
     python -m tests.tiers [TIER ...]     run these tiers, or all that do not take hours
     python -m tests.tiers long           run those that do

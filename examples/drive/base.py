@@ -1,6 +1,6 @@
-"""A simulated base, as any ROS 2 node: drives as /cmd_vel says, and tells /odom where it is.
+"""A simulated base, as any ROS 2 node: drives as /cmd_vel says, and publishes on /odom where it is.
 
-Like many a real one it has no timeout of its own: it goes on until it is told to stop.
+Like many a real one it has no timeout of its own: it goes on until a command stops it.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ _SECONDS = 0.05
 
 
 class Base(Node):  # type: ignore[misc]  # rclpy has no types
-    """A base that does at once what it is told."""
+    """A base that follows each command at once."""
 
     def __init__(self) -> None:
         super().__init__("base")

@@ -1,4 +1,4 @@
-"""The whole HealthBot: starts every part, tells what runs where, and ends them all.
+"""The whole HealthBot: starts every part, shows what runs where, and ends them all.
 
 Run `python examples/healthbot/scene.py --help`. Exit codes: 0 interrupted, or the visit of --visit
 is over; 1 the robot died, or the visit failed; 2 a part could not be started.
@@ -46,7 +46,7 @@ def main() -> int:
 
 def _run(options: argparse.Namespace) -> int:
     try:
-        from healthbot_scene.needs import missing, node  # noqa: PLC0415 - or it is told
+        from healthbot_scene.needs import missing, node  # noqa: PLC0415 - or it is reported
     except ModuleNotFoundError as error:
         print(f"{error.name} is not installed: see examples/healthbot/README.md", file=sys.stderr)
         return 2

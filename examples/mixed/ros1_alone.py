@@ -133,7 +133,7 @@ class Master(Server):
 
 
 def update(uri: str, topic: str, uris: list[str]) -> None:
-    """Tell a subscriber who publishes; it may be gone."""
+    """Notify a subscriber of its publishers; it may be gone."""
     try:
         ServerProxy(uri).publisherUpdate("/master", topic, uris)
     except OSError:

@@ -20,7 +20,7 @@ def main() -> None:
     def show(message: String) -> None:
         nonlocal left
         left -= 1
-        print(f"{name} heard: {message.data}", flush=True)
+        print(f"{name} received: {message.data}", flush=True)
 
     node.create_subscription(String, "/chatter", show, 10)
     while left > 0:

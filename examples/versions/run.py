@@ -1,4 +1,4 @@
-"""Jazzy says something, Kilted hears it: two versions of ROS 2 side by side, from one command.
+"""Jazzy publishes, Kilted receives: two versions of ROS 2 side by side, from one command.
 
 Makes both environments when they are missing; that takes a minute or two and some 600 MB.
 """
@@ -23,7 +23,7 @@ PATIENCE_SECONDS = 60.0
 
 
 def main() -> int:
-    """Make what is missing, play, and return 0 when Kilted heard everything."""
+    """Make what is missing, play, and return 0 when Kilted received everything."""
     for version in DOMAINS:
         if version not in {environment.name for environment in environments.listed()}:
             plugin = f"{ROOT / 'plugins' / 'uoarm-ros2'}[{version}]"

@@ -1,6 +1,6 @@
 """An application asks for faceRecognition, and gets it from whatever is installed.
 
-Run `python examples/vision/demo.py --help`. Exit codes: 0 everybody was recognised; 1 somebody
+Run `python examples/vision/demo.py --help`. Exit codes: 0 everyone was recognised; 1 a person
 was not, or pictures were lost; 2 it could not run; 130 interrupted.
 """
 
@@ -23,7 +23,7 @@ def main() -> int:
     parser.add_argument("--output", type=Path, default=ROOT / "demo-output", metavar="FOLDER")
     options = parser.parse_args()
     try:
-        from rich.console import Console  # noqa: PLC0415 - what is missing is told below
+        from rich.console import Console  # noqa: PLC0415 - what is missing is reported below
         from vision_demo.packages import FootageError  # noqa: PLC0415
         from vision_demo.run import run  # noqa: PLC0415
 

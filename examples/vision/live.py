@@ -30,7 +30,7 @@ def main() -> int:
     parser.add_argument("--port", type=int, default=9080)
     options = parser.parse_args()
     try:
-        from rich.console import Console  # noqa: PLC0415 - what is missing is told below
+        from rich.console import Console  # noqa: PLC0415 - what is missing is reported below
         from vision_demo.packages import FootageError  # noqa: PLC0415
 
         from uoarm import UoarmError  # noqa: PLC0415
@@ -90,7 +90,7 @@ def ignore(message: Message) -> None:
 
 def endless(file: Path) -> Robot:
     """Return the robot of a configuration whose recordings play again and again, evenly."""
-    import yaml  # noqa: PLC0415 - told above where it is missing
+    import yaml  # noqa: PLC0415 - reported above where it is missing
 
     from uoarm.config import loads  # noqa: PLC0415
 

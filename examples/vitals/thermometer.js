@@ -101,7 +101,7 @@ class Thermometer {
     }
     if (Date.now() - this.spoken >= HEARTBEAT) this.say((seq) => `<heartbeat seq="${seq}"/>`);
   }
-  hear(data) {
+  take(data) {
     for (const frame of this.frames.feed(data)) this.answer(frame.toString('utf8'));
   }
   answer(text) {
@@ -137,7 +137,7 @@ if (kind === '--tcp') {
   const server = net.createServer((socket) => {
     socket.setNoDelay(true);
     const device = new Thermometer(new LengthFrames(), (octets) => socket.write(octets), false);
-    socket.on('data', (data) => { try { device.hear(data); } catch { socket.destroy(); } });
+    socket.on('data', (data) => { try { device.take(data); } catch { socket.destroy(); } });
     socket.on('close', () => device.end());
     socket.on('error', () => socket.destroy());
   });
@@ -145,7 +145,7 @@ if (kind === '--tcp') {
 } else if (kind === '--serial') {
   const port = fs.openSync(where, fs.constants.O_RDWR | fs.constants.O_NOCTTY);
   const device = new Thermometer(new StuffedFrames(), (octets) => fs.writeSync(port, octets), true);
-  fs.createReadStream('', { fd: port }).on('data', (data) => device.hear(data)).on('error', () => process.exit(0));
+  fs.createReadStream('', { fd: port }).on('data', (data) => device.take(data)).on('error', () => process.exit(0));
   console.log(where);
 } else {
   console.error('say --tcp PORT or --serial PATH');

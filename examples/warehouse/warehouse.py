@@ -1,4 +1,4 @@
-"""The whole warehouse: starts every part, tells what runs where, and ends them all.
+"""The whole warehouse: starts every part, shows what runs where, and ends them all.
 
 Run `python examples/warehouse/warehouse.py --help`. Exit codes: 0 interrupted, or all orders of
 --orders are done; 1 the robot died, or orders were not done in time; 2 a part could not be started.

@@ -454,14 +454,14 @@ from uoarm._adapt import check_edge
 from uoarm.model import MessageStructure
 def structure(**fields):
     return MessageStructure({"type": "object", "properties": fields, "required": [*fields]})
-def told(producer, consumer):
+def said(producer, consumer):
     print([one.sentence for one in check_edge(producer, consumer).reasons])
 number = {"type": "number"}
-told(structure(fahrenheit=number), structure(celsius=number))
-told(structure(fahrenheit=number), structure(temperature={**number, "x-unit": "Cel"}))
-told(structure(angle={**number, "x-unit": "deg"}), structure(angle={**number, "x-unit": "rad"}))
-told(structure(fahrenheit=number), structure(colour={"type": "string"}))
-told(structure(celsius=number), structure(celsius={"type": "string"}))
+said(structure(fahrenheit=number), structure(celsius=number))
+said(structure(fahrenheit=number), structure(temperature={**number, "x-unit": "Cel"}))
+said(structure(angle={**number, "x-unit": "deg"}), structure(angle={**number, "x-unit": "rad"}))
+said(structure(fahrenheit=number), structure(colour={"type": "string"}))
+said(structure(celsius=number), structure(celsius={"type": "string"}))
 """
 
 

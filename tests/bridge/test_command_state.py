@@ -21,7 +21,7 @@ class AnyOrder(RuleBasedStateMachine):
     """One input, whose commands and stops are sent, overtake each other, and fail, in any order.
 
     What the sink took stands in `taken`: of a command and a stop that are sent at the same time
-    nobody knows which one arrives last, so that both count as last.
+    it is not known which one arrives last, so that both count as last.
     """
 
     def __init__(self) -> None:
@@ -62,7 +62,7 @@ class AnyOrder(RuleBasedStateMachine):
         due = self.state.is_due(self.now)
         if due and not self.held_since_release:
             assert self.renewed is not None
-            assert self.now >= self.renewed + LIFETIME, "nobody is stopped before time"
+            assert self.now >= self.renewed + LIFETIME, "nothing is stopped before time"
         if due and self.state.begin_stop(self.now):
             self.stopping, self.crossed = True, self.sending
 
@@ -111,7 +111,7 @@ class AnyOrder(RuleBasedStateMachine):
             assert self.state.wake_at() <= self.now + 0.5
 
     def teardown(self) -> None:
-        """When nobody sends any more, the sink took the stop last, if it took anything."""
+        """When no client sends any more, the sink took the stop last, if it took anything."""
         self.now += 9
         if self.sending:
             self.sent()

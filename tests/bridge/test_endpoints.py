@@ -1,4 +1,4 @@
-"""What a bridge finds wrong with an endpoint is told with the endpoint's name."""
+"""What a bridge finds wrong with an endpoint is reported with the endpoint's name."""
 
 from __future__ import annotations
 

@@ -205,7 +205,7 @@ def test_a_machine_that_was_suspended_lets_no_command_through_before_its_stop() 
     now, resumed, sender = [100.0], threading.Event(), threading.current_thread()
 
     def clock() -> float:
-        """Tell the watchdog's own thread of the suspension last: else its stop may be first."""
+        """Notify the watchdog's own thread of the suspension last: else its stop may be first."""
         return now[0] if resumed.is_set() or threading.current_thread() is sender else 100.0
 
     watchdog = Watchdog(POLICY, taken.append, "base", clock=clock)

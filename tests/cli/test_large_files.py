@@ -1,4 +1,4 @@
-"""Who waits at a terminal for a large file is told so; nobody else is."""
+"""Who waits at a terminal for a large file gets a notice; no one else does."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`uoarm offer`: what is offered is told, a line each, and whether it could be."""
+"""`uoarm offer`: what is offered is printed, a line each, and whether it could be."""
 
 from __future__ import annotations
 

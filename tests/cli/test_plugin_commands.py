@@ -1,4 +1,4 @@
-"""Plugins bring commands; a broken one hurts nobody else."""
+"""Plugins bring commands; a broken one hurts no other."""
 
 from __future__ import annotations
 

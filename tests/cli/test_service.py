@@ -18,7 +18,7 @@ from uoarm.errors import UsageError
 from uoarm.testing import patience
 
 ROOT = Path(__file__).parents[2]
-NOBODY = next(entry for entry in pwd.getpwall() if entry.pw_uid not in {0, os.getuid()})
+OTHER_USER = next(entry for entry in pwd.getpwall() if entry.pw_uid not in {0, os.getuid()})
 BRIDGE = 4
 ROBOT = """
 version: 1
@@ -28,7 +28,7 @@ functions: {}
 
 
 class Machine:
-    """A unit with its files, as if root owned all of them, whoever runs the test."""
+    """A unit with its files, as if root owned all of them, by any user who runs the test."""
 
     def __init__(self, folder: Path) -> None:
         self._rights: dict[Path, int] = {}
@@ -42,8 +42,8 @@ class Machine:
         text = text.replace("/opt/uoarm/bin/uoarm", sys.executable + " -m uoarm")
         text = text.replace("/etc/uoarm/robot.yaml", str(self.configuration))
         text = text.replace("SupplementaryGroups=dialout", "SupplementaryGroups=0")
-        text = text.replace("User=uoarm", f"User={NOBODY.pw_name}")
-        self.text = text.replace("Group=uoarm", f"Group={NOBODY.pw_gid}")
+        text = text.replace("User=uoarm", f"User={OTHER_USER.pw_name}")
+        self.text = text.replace("Group=uoarm", f"Group={OTHER_USER.pw_gid}")
 
     def file(self, name: str, text: str, rights: int) -> Path:
         path = self.folder / name
@@ -89,9 +89,14 @@ def test_the_unit_of_this_repository_has_nothing_wrong(machine: Machine) -> None
 @pytest.mark.parametrize(
     ("change", "check", "level", "text"),
     [
-        ((f"User={NOBODY.pw_name}\n", ""), "user", Level.ERROR, "runs as root"),
-        ((f"User={NOBODY.pw_name}", "User=root"), "user", Level.ERROR, "is root"),
-        ((f"User={NOBODY.pw_name}", "User=not-there"), "user", Level.ERROR, "no user 'not-there'"),
+        ((f"User={OTHER_USER.pw_name}\n", ""), "user", Level.ERROR, "runs as root"),
+        ((f"User={OTHER_USER.pw_name}", "User=root"), "user", Level.ERROR, "is root"),
+        (
+            (f"User={OTHER_USER.pw_name}", "User=not-there"),
+            "user",
+            Level.ERROR,
+            "no user 'not-there'",
+        ),
         (("Type=notify", "Type=simple"), "readiness", Level.ERROR, "before it listens"),
         (("WatchdogSec=10", ""), "readiness", Level.WARNING, "WatchdogSec is missing"),
         (("WatchdogSec=10", "WatchdogSec=500ms"), "readiness", Level.WARNING, "kills a server"),

@@ -1,4 +1,4 @@
-"""Threads that compute have short turns in commands, and as long as before in whoever runs one."""
+"""Threads that compute have short turns in commands, and turns as before in their callers."""
 
 from __future__ import annotations
 

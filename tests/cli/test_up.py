@@ -1,4 +1,4 @@
-"""`uoarm up`: functions for what is there, fed by proof, without a line that anybody wrote."""
+"""`uoarm up`: functions for what is there, fed by proof, without a line of configuration."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def follower(
 
 
 def look_until(looking: _up._Follower, lines: list[str], expected: str) -> None:
-    """Look again until a line tells something; candidates come in rounds of their own."""
+    """Look again until a line says something; candidates come in rounds of their own."""
 
     def is_printed() -> bool:
         looking.look()

@@ -1,4 +1,4 @@
-"""Who waits at a terminal for bridges is told so."""
+"""Who waits at a terminal for bridges gets a notice."""
 
 from __future__ import annotations
 

@@ -14,7 +14,7 @@ HEAD = "version: 1\nbridges: {python: {}}\nfunctions:\n"
 
 @frozen
 class Bad:
-    """A configuration, and what must be told of it."""
+    """A configuration, and what must be reported of it."""
 
     text: str
     line: int

@@ -1,4 +1,4 @@
-"""Cycles: what can be grounded, and that the cycle told is one."""
+"""Cycles: what can be grounded, and that the cycle in the report is one."""
 
 from __future__ import annotations
 

@@ -99,7 +99,7 @@ def test_of_two_that_differ_in_parameters_the_one_that_is_named_is_used() -> Non
 
 
 def test_a_subscriber_of_a_topic_is_not_fed_by_its_publisher() -> None:
-    """It hears that already, and each message would come back without end."""
+    """It receives that already, and each message would come back without end."""
     number = MessageStructure({"type": "integer"})
 
     def node(name: str, role: Role, topic: str) -> FoundComponent:

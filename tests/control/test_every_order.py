@@ -107,7 +107,7 @@ def explore(first: World, depth: int, most: int, *, candidates: bool = False) ->
 
 @contextmanager
 def saying(path: tuple[str, ...]) -> Iterator[None]:
-    """Tell how a world was reached in which something does not hold."""
+    """Show how a world was reached in which something does not hold."""
     try:
         yield
     except Exception as error:

@@ -44,7 +44,7 @@ class Model:
         if has:
             self.holding = sender, self.now + DURATION
         else:
-            assert str(holder) in refused, "who is refused is told who has it"
+            assert str(holder) in refused, "the refusal names who has it"
 
     def give_back(self, sender: LeaseHolder) -> None:
         held = self.holder() == sender

@@ -165,7 +165,7 @@ class Player(World):
         self.discover(PLANS[self.robot])
 
     def play_replaced(self, name: str) -> None:
-        """Have another component of this name for a candidate, while nobody uses it."""
+        """Have another component of this name for a candidate, while it is not used."""
         number, bridges = self.state.candidates + 1, self.state.bridges
         self.post(ev.CandidatesChanged(bridges, "so it is", number, frozenset({name})))
         self.earlier, self.plans = self.plans, Plans(self.plans.text)
@@ -220,7 +220,7 @@ def describe(action: act.Action) -> str:
 
 
 def plain(value: Any) -> str:
-    """Return a value as short as it can be told from another."""
+    """Return a value as short as it can be to differ from another."""
     if isinstance(value, Plan):
         return f"{value.function}({','.join(value.names)})"
     if isinstance(value, Placement):

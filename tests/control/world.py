@@ -201,7 +201,7 @@ class World:
         self._report(name, Health.LOST)
 
     def revive(self, name: str) -> None:
-        """Let a component be there again; nobody is told."""
+        """Let a component be there again, without an event."""
         self.dead -= {name}
 
     def finish(self, name: str) -> None:
@@ -312,7 +312,7 @@ class World:
         raise AssertionError("it never comes to rest")
 
     def key(self) -> Hashable:
-        """Return what tells two worlds apart."""
+        """Return what distinguishes two worlds."""
         plans = self.plans.text, self.earlier and self.earlier.text
         opened = sorted(map(str, self.open))
         return repr((self.state, self.lanes, sorted(self.dead), opened, plans))
@@ -382,7 +382,7 @@ class World:
             assert move.reason is MoveReason.DEATH
 
     def check_at_rest(self) -> None:
-        """Raise where something is open that nobody wants, or the other way round."""
+        """Raise where something is open that is not wanted, or the other way round."""
         state = self.state
         assert not state.batches
         assert not state.draining

@@ -226,7 +226,7 @@ def test_commands_within_sentences_exist(page: Path) -> None:
 
 @pytest.mark.parametrize("page", INSTALLING, ids=lambda page: str(page.relative_to(ROOT)))
 def test_what_a_page_installs_of_ours_comes_from_the_checkout(page: Path) -> None:
-    """Nothing of ours is on an index yet, so that its names there are nobody's or a stranger's."""
+    """Nothing of ours is on an index yet, so that its names there are free or a stranger's."""
     for line in page.read_text(encoding="utf-8").splitlines():
         named = re.findall(r"pip install ([^`#]*)", line)
         wanted = [

@@ -95,7 +95,7 @@ def test_the_base_drives_while_a_button_is_held(drive: Drive) -> None:
         assert drive.moves() == ["standing still", "driving at 0.30 m/s"]
         browser.command("Input.dispatchMouseEvent", type="mouseReleased", **press)
         wait(lambda: drive.moves() == ["standing still", "driving at 0.30 m/s", "standing still"])
-        assert browser.js("document.getElementById('told').textContent") == ""
+        assert browser.js("document.getElementById('notice').textContent") == ""
     driven = subprocess.run([*terminal, "--seconds", "0.5"], check=False)
     assert driven.returncode == 0
     wait(lambda: drive.moves()[-2:] == ["driving at 0.20 m/s", "standing still"])

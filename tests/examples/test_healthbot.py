@@ -121,7 +121,7 @@ def test_a_line_of_needs_for_each_function_chooses_what_the_written_file_chooses
 
 
 def written_name(component: Component, written: Robot) -> str:
-    """Return the name that the written file has for a component that nobody named."""
+    """Return the name that the written file has for a component without a name."""
     return next(item.name for item in written.components() if ports(item) == ports(component))
 
 
@@ -180,7 +180,7 @@ def test_a_spare_takes_over_in_mid_stream(scene: Scene) -> None:
             report = json.loads(socket.recv(timeout=patience()))
             assert report["op"] == "Data", report
             numbers.append(report["x-number"])
-    wait(lambda: "detector ended" in scene.output, "the scene does not tell of the death")
+    wait(lambda: "detector ended" in scene.output, "the scene does not report the death")
 
 
 def test_ctrl_c_leaves_nothing_behind(scene: Scene) -> None:

@@ -1,4 +1,4 @@
-"""The examples use what is public only, so that they stay true for whoever starts from them."""
+"""The examples use what is public only, so that they stay true for who starts from them."""
 
 from __future__ import annotations
 

@@ -63,7 +63,7 @@ def test_path_may_name_a_variable(folder: Path, monkeypatch: pytest.MonkeyPatch)
 
 
 class Clock:
-    """Stands in for time, which passes only where somebody sleeps."""
+    """Stands in for time, which passes only where a thread sleeps."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.now = 100.0

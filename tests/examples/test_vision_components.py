@@ -123,8 +123,8 @@ def test_no_picture_is_both_enrolled_and_played(footage: Footage) -> None:
 @pytest.mark.parametrize("enrol", [resnet.enrol, lbph.enrol])
 def test_enrolling_refuses_photos_without_a_face(tmp_path: Path, enrol: Enrol) -> None:
     photos = tmp_path / "photos"
-    (photos / "Nobody").mkdir(parents=True)
-    assert cv2.imwrite(str(photos / "Nobody" / "grey.png"), as_picture(EMPTY))
+    (photos / "Stranger").mkdir(parents=True)
+    assert cv2.imwrite(str(photos / "Stranger" / "grey.png"), as_picture(EMPTY))
     with pytest.raises(ValueError, match=r"grey\.png shows 0 faces"):
         enrol(photos_in(photos), tmp_path / "gallery")
     assert not (tmp_path / "gallery").exists()
@@ -134,7 +134,7 @@ def test_enrolling_refuses_photos_without_a_face(tmp_path: Path, enrol: Enrol) -
 def test_recognisers_say_that_no_person_is_enrolled(
     tmp_path: Path, recogniser: Callable[[str], object]
 ) -> None:
-    with pytest.raises(FileNotFoundError, match="nobody is enrolled"):
+    with pytest.raises(FileNotFoundError, match="no one is enrolled"):
         recogniser(str(tmp_path))
 
 

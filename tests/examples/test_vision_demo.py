@@ -135,7 +135,7 @@ def test_a_photo_without_a_face_is_reported_and_leaves_no_thread(
     vision: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A thread of the progress bar that goes on keeps the whole program from ending."""
-    photo = tmp_path / "photos" / "Nobody" / "1.png"
+    photo = tmp_path / "photos" / "Stranger" / "1.png"
     photo.parent.mkdir(parents=True)
     cv2.imwrite(str(photo), np.zeros((64, 64, 3), np.uint8))
     monkeypatch.setenv("UOARM_VISION", str(tmp_path))
@@ -145,7 +145,7 @@ def test_a_photo_without_a_face_is_reported_and_leaves_no_thread(
     with pytest.raises(FootageError, match=r"1\.png shows 0 faces") as caught:
         enrol_persons(plan, Footage(tmp_path, {}), Console(quiet=True))
     assert caught.value.__cause__ is not None
-    wait(lambda: set(threading.enumerate()) <= before)  # rich tells its thread, and does not join
+    wait(lambda: set(threading.enumerate()) <= before)  # rich signals its thread, and does not join
 
 
 def message(source: str, *names: str | None) -> People:
@@ -224,6 +224,6 @@ def test_mistakes_are_forgiven_only_where_better_candidates_were_passed_over(
 ) -> None:
     perfect.tally.add(message("s", "Ann"))
     mistaken = evolve(perfect, sent=3)
-    assert mistaken.problems == ["somebody was mistaken in 1 pictures"]
+    assert mistaken.problems == ["a person was mistaken in 1 pictures"]
     rejected = (Rejection("faceRecognition", "resnet_recogniser", 20, ()),)
     assert evolve(mistaken, plan=evolve(mistaken.plan, rejected=rejected)).problems == []

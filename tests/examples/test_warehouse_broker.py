@@ -30,9 +30,9 @@ with Crew(places.run, places.environment()) as crew:
 
 def test_the_broker_ends_with_a_scene_that_is_killed(tmp_path: Path) -> None:
     command = [sys.executable, "-c", SCENE, str(tmp_path)]
-    # USER is what a container or sudo left there, and nobody whom the system knows.
-    variables = {"PYTHONPATH": os.pathsep.join(map(str, FOLDERS)), "USER": "nobody-here"}
-    environment = {**os.environ, **variables, "LOGNAME": "nobody-here"}
+    # USER is what a container or sudo left there, and no user whom the system knows.
+    variables = {"PYTHONPATH": os.pathsep.join(map(str, FOLDERS)), "USER": "stranger-here"}
+    environment = {**os.environ, **variables, "LOGNAME": "stranger-here"}
     with subprocess.Popen(command, stdout=subprocess.PIPE, env=environment, text=True) as scene:
         assert scene.stdout is not None
         pid = int(scene.stdout.readline())

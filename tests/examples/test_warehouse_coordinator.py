@@ -63,7 +63,7 @@ def test_who_has_the_box_has_the_order() -> None:
     (first,) = [note.vehicle for note in fleet.journal]
     fleet.kill(first)
     fleet.floor.deliveries["box"] = 0
-    fleet.floor.boxes["box"] = first  # it went on, unheard of, as far as it had been told to
+    fleet.floor.boxes["box"] = first  # it went on, without a report, as far as it had been sent
     fleet.floor.bodies[first].load = "box"
     fleet.run(20)
     assert fleet.journal[-1].vehicle not in {"", first}
@@ -167,7 +167,7 @@ def test_what_a_vehicle_was_ordered_is_its_own_until_it_says_that_it_stands() ->
     assert command.way[0] == "home1"
     assert len(command.way) > 2
     vehicle = coordinator.vehicles["one"]
-    assert not say(is_blocked=True).way  # it waits there with its order, and is told to stand
+    assert not say(is_blocked=True).way  # it waits there with its order, and is commanded to stand
     for _ in range(10):
         assert not say().way
         assert set(command.way) <= set(vehicle.held)

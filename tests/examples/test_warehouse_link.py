@@ -1,4 +1,4 @@
-"""The floor's process and its clients: an answer that came too late is nobody's."""
+"""The floor's process and its clients: an answer that came too late is dropped."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The warehouse's component for VDA 5050: one order at a time, given again until it is heard of."""
+"""The warehouse's component for VDA 5050: one order at a time, given again until it is reported."""
 
 from __future__ import annotations
 

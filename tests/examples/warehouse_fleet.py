@@ -25,7 +25,7 @@ DRIVES_ON = "vehicle2"
 class Fleet:
     """Vehicles 1 to `count`; the third moves sideways and carries little.
 
-    The second drives each order to its end, whoever dies meanwhile, and is slow to cancel one.
+    The second drives each order to its end, whatever dies meanwhile, and is slow to cancel one.
     Attributes:
         dead: vehicles whose program is not there.
         cut: vehicles whose connection is broken in both directions; their program goes on.

@@ -1,4 +1,4 @@
-"""Inboxes: one reader, by taking or by callback, and an end that is told."""
+"""Inboxes: one reader, by taking or by callback, and an end that is reported."""
 
 from __future__ import annotations
 

@@ -16,7 +16,7 @@ from uoarm.testing import Background, Hang, ManualClock, patience, wait
 
 
 class Consumer:
-    """A route that keeps what it was handed, or drops it while it is told to."""
+    """A route that keeps what it was handed, or drops it while it is to."""
 
     def __init__(self) -> None:
         self.got: list[Message] = []
@@ -289,7 +289,7 @@ def test_nothing_stands_of_a_writer_that_was_let_go(outlet: Outlet) -> None:
     outlet.deliver(1, "a")
     outlet.deliver(2, "b")
     outlet.let_go("a")
-    outlet.let_go("nobody")
+    outlet.let_go("stranger")
     consumer = Consumer()
     outlet.attach(consumer.route)
     with outlet.letting_through(consumer.route):

@@ -1,4 +1,4 @@
-"""Routes: planned once, counted always, closed without waiting for anybody for long."""
+"""Routes: planned once, counted always, closed without waiting for long."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import threading
 
 import pytest
 
-from uoarm._dataplane import Check, Outlet, Route
+from uoarm._dataplane import MessageCheck, Outlet, Route
 from uoarm.errors import MessageError
 from uoarm.model import Message, OverflowPolicy, QueuePolicy
 from uoarm.testing import patience
@@ -70,7 +70,7 @@ def test_an_invalid_message_is_not_forwarded() -> None:
         if message < 0:
             raise MessageError("negative")
 
-    route = Route("a", "b", seen.append, clock=Clock(), check=Check(check))
+    route = Route("a", "b", seen.append, clock=Clock(), check=MessageCheck(check))
     for message in (1, -1, 2):
         route.deliver(message)
     assert seen == [1, 2]

@@ -1,6 +1,6 @@
 """What a test leaves behind: threads, processes, descriptors, temporary folders, changed settings.
 
-Linux tells of all of it; elsewhere processes and descriptors go unseen.
+Linux shows all of it; elsewhere processes and descriptors go unseen.
 """
 
 from __future__ import annotations
@@ -165,7 +165,7 @@ def end_processes(name: str = "") -> None:
             os.kill(pid, signal.SIGKILL)
         with suppress(OSError):
             os.waitpid(pid, 0)
-    with suppress(AssertionError):  # what hangs in the system is told of at the end of the run
+    with suppress(AssertionError):  # what hangs in the system is reported at the end of the run
         wait(lambda: not processes_of(name))  # those of other parents end when they come to run
 
 

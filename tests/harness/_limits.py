@@ -38,7 +38,7 @@ _LIMITS: dict[str, dict[str, tuple[str, ...]]] = {
     "websockets.asyncio.client": {"connect": ("open_timeout", "ping_timeout")},
     "websockets.sync.client": {"connect": ("open_timeout", "ping_timeout")},
 }
-# Of what nobody calls with a limit.
+# Of what is called without a limit.
 _CONSTANTS = {
     "uoarm._control.live.bridges": ("_START_SECONDS",),
     "uoarm._control.candidates": ("_ASK_SECONDS", "_GRACE_SECONDS"),
@@ -86,7 +86,7 @@ _IDLE_SECONDS = 0.1
 
 
 def lengthen(seconds: float) -> None:
-    """Have the limits that nobody states last so long, of what tests have imported."""
+    """Have the limits that are never stated last so long, of what tests have imported."""
     if (workers := sys.modules.get("uoarm._support.workers")) is not None:
         _set_default(workers.WorkerPool.__init__, "idle_seconds", _IDLE_SECONDS)
     for module, constants in _CONSTANTS.items():

@@ -158,7 +158,7 @@ MODULES = {
 
 
 KEEPS = {
-    # DDS keeps sockets, and the ORB connections and threads, for whoever comes next.
+    # DDS keeps sockets, and the ORB connections and threads, for what comes next.
     "plugins/uoarm-ros2/tests/*": ("descriptor",),
     "plugins/uoarm-rtm/tests/*": ("descriptor", "thread 'omniORB", "thread 'uoarm-rtm-end"),
 }

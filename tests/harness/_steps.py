@@ -18,7 +18,7 @@ __all__ = ["longest_step"]
 def longest_step(monkeypatch: pytest.MonkeyPatch) -> Callable[[str], float]:
     """Return the CPU seconds of the longest step, so far, of the loop in the thread of that name.
 
-    A step is what a loop does between two looks at its sockets: as long as it takes, nobody is
+    A step is what a loop does between two looks at its sockets: as long as it takes, no client is
     served. Neither what else the machine does nor how many steps wait before it makes it longer.
     """
     longest: dict[str, float] = defaultdict(float)
@@ -30,6 +30,6 @@ def longest_step(monkeypatch: pytest.MonkeyPatch) -> Callable[[str], float]:
         name = threading.current_thread().name
         longest[name] = max(longest[name], time.thread_time() - begin)
 
-    monkeypatch.setitem(sys.modules, "uvloop", None)  # its loop tells of no steps
+    monkeypatch.setitem(sys.modules, "uvloop", None)  # its loop reports no steps
     monkeypatch.setattr(Handle, "_run", timed)
     return longest.__getitem__

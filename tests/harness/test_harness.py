@@ -72,7 +72,7 @@ LEAKING = f"""
 """
 
 
-@pytest.mark.skipif(not Path("/proc/self/environ").exists(), reason="only Linux tells of them")
+@pytest.mark.skipif(not Path("/proc/self/environ").exists(), reason="only Linux shows them")
 def test_a_leak_fails_the_test_that_made_it_by_name(run: Run) -> None:
     found = run(
         LEAKING,
@@ -84,7 +84,7 @@ def test_a_leak_fails_the_test_that_made_it_by_name(run: Run) -> None:
     assert "processes left behind" not in found.stdout.str()
 
 
-@pytest.mark.skipif(not Path("/proc/self/environ").exists(), reason="only Linux tells of them")
+@pytest.mark.skipif(not Path("/proc/self/environ").exists(), reason="only Linux shows them")
 def test_the_maker_of_a_process_is_known_as_soon_as_it_is_started() -> None:
     for _ in range(300):
         with maker("a start"), subprocess.Popen(["sleep", "1000"]) as process:
@@ -240,24 +240,24 @@ before = threading.Thread.run, threading.Condition.wait, queue.SimpleQueue
 _delays.begin()
 slept = []
 _delays.time = SimpleNamespace(sleep=slept.append)
-told = []
+measured = []
 waits, items, ran = threading.Condition(), queue.SimpleQueue(), []
 with waits:
     for _ in range(100):
         waits.wait(0)
-told.append(slept.copy())
+measured.append(slept.copy())
 slept.clear()
 for number in range(100):
     items.put(number)
     assert items.get() == number
-told.append(slept.copy())
+measured.append(slept.copy())
 slept.clear()
 for number in range(100):
     threading.Thread.run(threading.Thread(target=ran.append, args=[number]))
 assert ran == list(range(100))
-told.append(slept)
+measured.append(slept)
 is_same = before == (threading.Thread.run, threading.Condition.wait, queue.SimpleQueue)
-print(json.dumps([is_same, told]))
+print(json.dumps([is_same, measured]))
 """
 
 
@@ -295,7 +295,7 @@ def test_nothing_of_the_shell_is_inherited(run: Run, tmp_path: Path) -> None:
         import os, tempfile, threading
         from pathlib import Path
 
-        def test_what_is_for_the_tests_themselves_is_heard():
+        def test_what_is_for_the_tests_themselves_is_reported():
             assert threading.Thread.run.__module__ == "tests.harness._delays"
 
         def test_places():

@@ -94,7 +94,7 @@ def test_the_first_machine_joins_a_second_one_and_then_none_has_a_bridge(there: 
         wait(lambda: far.state is ConnectionState.FAILED)
         assert manager.status().machines == ()
         assert near.gaps == ()
-        with socket.socket() as free:  # nobody listens there, once what used it has closed
+        with socket.socket() as free:  # no process listens there, once what used it has closed
             free.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             wait(lambda: _bound(free, place))
 

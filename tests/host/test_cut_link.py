@@ -34,7 +34,7 @@ class Cable:
 
     Runs beside this one, and what a killed one left, have numbers of their own: of two interfaces
     with the same addresses one gets the other's packets, so the kernel is asked for a name first
-    that nobody has.
+    that is free.
     """
 
     def __init__(self) -> None:
@@ -67,7 +67,7 @@ class Cable:
     def _lead_out(self) -> str:
         """Lead one end into a namespace of its own."""
         self._is_laid = True
-        _ip("netns", "del", self.namespace, check=False)  # nobody else has this number now
+        _ip("netns", "del", self.namespace, check=False)  # no other has this number now
         made = _ip("netns", "add", self.namespace, check=False)
         if made.returncode != 0:
             return f"no network namespace can be made: {made.stderr.strip()}"
@@ -79,7 +79,7 @@ class Cable:
         return ""
 
     def cut(self) -> None:
-        """Have no packet pass, and nobody told."""
+        """Have no packet pass, without an error."""
         _ip("-n", self.namespace, "link", "set", self._far, "down")
 
     def mend(self) -> None:
@@ -104,7 +104,7 @@ def cable() -> Iterator[Cable]:
 
 
 class EventLog:
-    """What a manager tells, and when: a listener hears of a change after it is in the status."""
+    """What a manager reports, and when: a listener gets a change after it is in the status."""
 
     def __init__(self, manager: RobotManager) -> None:
         self.all: list[tuple[float, StatusEvent]] = []

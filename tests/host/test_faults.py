@@ -30,7 +30,7 @@ def _lost(events: Events) -> list[str]:
 
 
 def _harmed(folder: Path, harm: Callable[[RemoteBridge], object], says: str) -> RemoteBridge:
-    """Have traffic both ways, harm the host, and hold that its death is told once."""
+    """Have traffic both ways, harm the host, and hold that its death is reported once."""
     bridge = hosted.bridge(folder)
     process, events = bridge.process, Events()
     bridge.watch(events)

@@ -301,7 +301,7 @@ def test_a_message_counts_as_taken_from_when_something_comes_of_it(
     taken, given = counters.counter(), counters.counter()
     assert taken is not None
     assert given is not None
-    onward = FlowSender(near, "flow/2", patience=patience())  # which nobody confirms
+    onward = FlowSender(near, "flow/2", patience=patience())  # which is never confirmed
     endpoint = Endpoint("memory", "finder", Role.OUTPUT, ("finder",))
     outbound = OutboundFlow(endpoint, onward, given)
     FlowReceiver(
@@ -451,7 +451,7 @@ HEADERS = [
 def test_frames_that_are_none_and_frames_that_came_before_change_nothing_but_a_count(
     ends: Ends,
 ) -> None:
-    """A recorded frame that is sent once more, or rubbish, by whoever may write to the flow."""
+    """A recorded frame that is sent once more, or rubbish, by a peer that may write to the flow."""
     near, far = ends
     taker = _Taker()
     incoming = taker.incoming(near)

@@ -165,7 +165,7 @@ def test_two_ends_that_take_by_writing_lose_nothing_on_a_full_link(
 
         end.subscribe("forth", count, give_back, "test")
         end.subscribe("back", count, note, "test")
-    # Only who writes finds out, nobody who looks from time to time.
+    # Only who writes finds out, no one who looks from time to time.
     monkeypatch.setattr(frame_flows, "_LOOK_SECONDS", 10 * patience())
 
     def send(end: FrameFlows) -> None:

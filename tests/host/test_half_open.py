@@ -1,4 +1,4 @@
-"""A link that stays open and carries nothing any more: the socket lives, nobody is heard."""
+"""A link that stays open and carries nothing any more: the socket lives, no frame arrives."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ pytestmark = pytest.mark.usefixtures("nothing_is_left")
 
 
 class Middleman:
-    """Stands between a host and its manager; passes everything on until it is told to stall.
+    """Stands between a host and its manager; passes everything on until it is to stall.
 
     Attributes:
         near: where the manager is to be connected.

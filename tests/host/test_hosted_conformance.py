@@ -19,7 +19,7 @@ TESTS = Path(__file__).parents[1]
 
 
 class HostedWorld(World):
-    """The components of the in-process suite, and two that are told through a file."""
+    """The components of the in-process suite, and two that are driven through a file."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder

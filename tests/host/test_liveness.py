@@ -20,7 +20,9 @@ from uoarm.testing import patience
 
 INTERVAL = liveness._INTERVAL_SECONDS
 
-moments = st.lists(st.tuples(st.sampled_from(["asked", "heard"]), st.floats(0, 100)), max_size=30)
+moments = st.lists(
+    st.tuples(st.sampled_from(["asked", "received"]), st.floats(0, 100)), max_size=30
+)
 
 
 @given(moments)
@@ -94,7 +96,7 @@ class Answers:
 
 
 class Patient:
-    """A condition that notes that somebody waited."""
+    """A condition that notes that a thread waited."""
 
     def __init__(self) -> None:
         self.waited = False

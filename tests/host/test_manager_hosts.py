@@ -1,4 +1,4 @@
-"""A robot whose bridge has a host, from its configuration: the same as without, and deaths told."""
+"""A robot whose bridge has a host, from its configuration: as without, and deaths reported."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Services that move something, in a host: who gives a call up has the framework told of it."""
+"""Services that move something, in a host: who gives a call up has the framework notified."""
 
 from __future__ import annotations
 

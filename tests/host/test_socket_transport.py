@@ -80,7 +80,7 @@ def test_frames_of_every_length_arrive_whole_and_in_order(sizes: list[tuple[int,
 
 
 def _fill(near: SocketTransport, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Begin a frame that the kernel takes only in part, while nobody reads."""
+    """Begin a frame that the kernel takes only in part, while it is not read."""
     monkeypatch.setattr(socket_transport, "_FULL_SECONDS", 0.0)
     near.publish("test/frames", LARGE, b"first")
 
@@ -254,7 +254,7 @@ def test_nothing_is_received_after_an_end(bare: tuple[SocketTransport, LinkSocke
         far.ask("test/ask", None, timeout=patience())
     far.notify("test/one", b"late")
     near.answer("test/ask", lambda request, reply: reply(request))
-    assert far.ask("test/ask", "told", timeout=patience()) == "told"
+    assert far.ask("test/ask", "echoed", timeout=patience()) == "echoed"
     assert seen == []
     far.close()
     wait(lambda: not far._thread.is_alive())

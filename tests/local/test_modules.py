@@ -211,7 +211,7 @@ def test_another_process_finds_the_module(kinds: Callable[[str], Any]) -> None:
 
 def test_a_traceback_shows_the_line_of_the_file(kinds: Callable[[str], Any]) -> None:
     with pytest.raises(BridgeError) as caught:
-        kinds("unheard of")
+        kinds("no such kind")
     text = "".join(traceback.format_exception(caught.value))
     assert "python_kinds.py" in text
     assert "raise LookupError(kind)" in text

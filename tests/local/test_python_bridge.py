@@ -185,10 +185,10 @@ def test_a_hint_that_takes_long_to_read_holds_up_no_other_port(
 def test_a_missing_package_makes_a_component_unavailable(
     tmp_path: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    (tmp_path / "needs_much.py").write_text("import a_package_nobody_has\n")
+    (tmp_path / "needs_much.py").write_text("import a_package_that_is_absent\n")
     monkeypatch.syspath_prepend(tmp_path)
     with pytest.raises(
-        BridgeError, match="'a_package_nobody_has', which is not installed"
+        BridgeError, match="'a_package_that_is_absent', which is not installed"
     ) as caught:
         describe("needs_much:x", Role.OUTPUT)
     assert caught.value.reason is FailureReason.UNAVAILABLE

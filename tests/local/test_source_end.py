@@ -93,7 +93,7 @@ def test_what_comes_of_a_message_that_was_taken_is_counted_when_its_output_is_cl
     free.set()
     sending.result()
     assert (got, source.refused) == ([], 1)
-    sink.send(2)  # nobody wants what comes of this, and its output was closed before
+    sink.send(2)  # what comes of this is not wanted, and its output was closed before
     assert source.refused == 1
     bridge.close()
 

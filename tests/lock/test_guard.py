@@ -1,4 +1,4 @@
-"""A robot held to its lock: what is described otherwise is told, or passed over."""
+"""A robot held to its lock: what is described otherwise is reported, or passed over."""
 
 from __future__ import annotations
 
@@ -86,11 +86,11 @@ def test_enforced_a_request_without_another_candidate_is_refused(changed: Path) 
 
 
 def test_a_component_that_the_lock_does_not_have_is_another(changed: Path) -> None:
-    text = changed.read_text().replace("name: spare", "name: unheard_of")
+    text = changed.read_text().replace("name: spare", "name: unknown_spare")
     changed.write_text(text, encoding="utf-8")
     with (
         RobotManager.from_file(changed) as robot,
-        pytest.raises(errors.ResolutionError, match=r"unheard_of.output.default is not in the"),
+        pytest.raises(errors.ResolutionError, match=r"unknown_spare.output.default is not in the"),
     ):
         robot.request("temperature")
 

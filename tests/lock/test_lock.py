@@ -1,4 +1,4 @@
-"""The lock: the same plans give the same text; what a difference breaks is told without a robot."""
+"""The lock: the same plans give the same text; what a difference breaks needs no robot."""
 
 from __future__ import annotations
 

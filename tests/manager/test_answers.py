@@ -38,7 +38,7 @@ class Fussy(MemoryBridge):
             if message == "away":
                 raise BridgeError("the broker is away", FailureReason.UNAVAILABLE)
             if message == "odd":
-                raise ValueError("nobody thought of it")
+                raise ValueError("no author thought of it")
 
         return Sink(endpoint, send, lambda: None, blocking=False)
 
@@ -71,7 +71,7 @@ def test_what_a_sink_discards_is_an_error_of_the_send(robot: RobotManager) -> No
         board.send("large")
     with pytest.raises(BridgeError, match=r"^the broker is away$"):
         board.send("away")
-    with pytest.raises(BridgeError, match=r"^board\.default raised ValueError: nobody thought"):
+    with pytest.raises(BridgeError, match=r"^board\.default raised ValueError: no author thought"):
         board.send("odd")
     [route] = board.routes()
     assert (route.delivered, route.dropped) == (1, (("failed", 2), ("invalid", 1)))

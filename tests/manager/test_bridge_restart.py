@@ -1,4 +1,4 @@
-"""A bridge that is lost holds up nobody as it ends, and the one that follows it is well."""
+"""A bridge that is lost holds up no other as it ends, and the one that follows it is well."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ functions:
 
 
 class Scene:
-    """A robot that makes its bridges itself, each with an emitter, and what it told."""
+    """A robot that makes its bridges itself, each with an emitter, and what it reported."""
 
     def __init__(self) -> None:
         self.made: dict[str, list[MemoryBridge]] = {"one": [], "two": []}
@@ -76,7 +76,7 @@ def test_what_a_lost_one_still_reports_is_not_about_the_next(scene: Scene) -> No
     (lost,) = scene.made["one"]
     slow = Collector()
     scene.robot.listen(slow.deliver)
-    with slow.held():  # so that nobody has come to close what is lost
+    with slow.held():  # so that no thread has come to close what is lost
         scene.made["two"][0].report(Health.DEGRADED, "hot")
         slow.wait_begun(1)
         lost.report(Health.LOST, "its process ended")

@@ -107,7 +107,7 @@ def test_a_long_detail_of_several_components_is_said_once() -> None:
 
 
 class Crowded(MemoryBridge):
-    """A bridge of a framework in which somebody advertises without end."""
+    """A bridge of a framework in which a node advertises without end."""
 
     def _discover(self) -> tuple[Discovered, ...]:
         hand = Endpoint("lab", "flood", Role.OUTPUT, ("hand",))

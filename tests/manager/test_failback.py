@@ -216,7 +216,7 @@ def test_every_message_is_received_or_counted_through_death_and_return(stage: St
         for route in (*stage.robot.status().routes, *status().ended)
         if route.consumer == "finder.default"
     )
-    assert 1500 <= fed <= emitted  # once its edge has ended, the spare is heard no more
+    assert 1500 <= fed <= emitted  # once its edge has ended, the spare is received no more
 
     def accounted() -> int:
         routes = (*stage.robot.status().routes, *status().ended)
@@ -257,7 +257,7 @@ def test_a_component_that_is_wanted_again_while_its_plan_runs_out_is_not_opened_
     got = list[int]()
     connection = stage.robot.request("face", on_message=got.append)
     gate = returned_while_the_spare_runs_out(stage, connection, monkeypatch)
-    stage.spare.emit(0)  # nobody takes it
+    stage.spare.emit(0)  # it is not taken
     stage.one.die("best", "it was unplugged again")
     wait(lambda: len(connection.gaps) == 3)
     assert cameras(stage) == ["spare"]
@@ -311,7 +311,7 @@ functions:
 def test_what_two_candidates_get_as_one_takes_over_counts_as_a_copy(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Both work until the inputs have changed hands: one of them is heard, the other one counts."""
+    """Both work until the inputs have changed hands: one is received, the other one counts."""
     one, two = MemoryBridge("one", {}), MemoryBridge("two", {})
     camera = two.emitter("camera", NUMBER)
     one.loop("near", NUMBER)
@@ -336,7 +336,7 @@ def test_what_two_candidates_get_as_one_takes_over_counts_as_a_copy(
         def emit_and_switch(edges: Iterable[tuple[int, int | None]]) -> None:
             for number in (3, 4, 5):
                 camera.emit(number)
-            # What near makes of them later is heard as well: what far had made of them is, too.
+            # What near makes of them later is received as well: what far had made of them is, too.
             wait(lambda: delivered("near") == 3 and delivered("far") == 4)
             switch(edges)
 

@@ -202,7 +202,7 @@ def test_what_the_application_sends_to_one_that_raises_degrades_it_too(scene: Sc
         assert not connection.flush(patience())
         throwing.raises.clear()
         connection.send({"value": 4})
-        assert connection.flush(patience()), "what failed was told"
+        assert connection.flush(patience()), "what failed was reported"
 
 
 def test_a_service_that_raises_is_shown_and_then_another_one_is_called(scene: Scene) -> None:

@@ -1,4 +1,4 @@
-"""When a provider dies the next one that fits goes on behind the same handle, and it is told."""
+"""When a provider dies the next that fits goes on behind the same handle, with an event."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ functions:
 
 
 class Stage:
-    """A robot with two bridges in memory, and what it told."""
+    """A robot with two bridges in memory, and what it reported."""
 
     def __init__(self, policy: FailoverPolicy, **schemas: object) -> None:
         self.one, self.two = MemoryBridge("one", {}), MemoryBridge("two", {})

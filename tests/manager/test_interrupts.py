@@ -97,7 +97,7 @@ def limit_begins() -> None:
 
 @pytest.fixture(autouse=True)
 def limit() -> Iterator[None]:
-    """Give what hangs in the main thread a limit: nobody else could end it there."""
+    """Give what hangs in the main thread a limit: no other thread could end it there."""
     former = signal.signal(signal.SIGALRM, give_up)
     limit_begins()
     try:
@@ -316,7 +316,7 @@ def test_what_hangs_in_the_thread_of_the_caller_is_left_by_a_second_signal(
 
 @pytest.fixture
 def called() -> Iterator[list[int]]:
-    """Return the signals of which an application's handlers were told."""
+    """Return the signals which an application's handlers received."""
     reports: list[int] = []
 
     def handle(number: int, frame: FrameType | None) -> None:
@@ -343,7 +343,7 @@ def test_the_handlers_of_an_application_are_called_at_the_end_and_stay(
     assert signal.getsignal(signal.SIGINT) is signal.getsignal(signal.SIGTERM) is handler
     with Uninterrupted():
         signal.signal(number, signal.SIG_IGN)
-    assert signal.getsignal(number) is signal.SIG_IGN, "set meanwhile, by somebody else"
+    assert signal.getsignal(number) is signal.SIG_IGN, "set meanwhile, by other code"
     with Uninterrupted():
         assert signal.getsignal(number) is signal.SIG_IGN
 

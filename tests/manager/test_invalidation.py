@@ -41,7 +41,7 @@ class SlowAnswers(MemoryBridge):
 
 
 class Scene:
-    """A chain over two bridges that describe slowly, and what is told."""
+    """A chain over two bridges that describe slowly, and what is reported."""
 
     def __init__(self) -> None:
         self.one, self.two = SlowAnswers("one"), SlowAnswers("two")
@@ -60,7 +60,7 @@ class Scene:
         self.two.die("face")
         self.two.loop("face", NEW)
         self.two.report(Health.DEGRADED, "it was started again")
-        self.events.wait_for(_is_about_two)  # told after everything about it was forgotten
+        self.events.wait_for(_is_about_two)  # reported after everything about it was forgotten
         hang, bridge.hang = bridge.hang, None
         hang.release()
         assert _is_new(sought.result())

@@ -1,4 +1,4 @@
-"""A latched output gives its last message to every consumer that joins, whoever opened it first."""
+"""A latched output gives its last message to every consumer that joins, not to the first alone."""
 
 from __future__ import annotations
 

@@ -70,7 +70,7 @@ class LostThree(Source):
 
 
 class Ended:
-    """A route that has ended, and drops another message each time somebody looks."""
+    """A route that has ended, and drops another message at each look."""
 
     dropped = 0
 

@@ -89,7 +89,7 @@ def test_who_leaves_gives_it_back_and_what_it_moved_is_stopped(memory: MemoryBri
         second.stop(timeout=patience())
         assert lease(manager).holder is None
         second.send(3, sender=SAFETY)
-        second.leave(LeaseHolder("somebody else"))
+        second.leave(LeaseHolder("another client"))
         assert lease(manager).holder == SAFETY
         second.leave(SAFETY)
         assert lease(manager).holder is None
@@ -166,7 +166,7 @@ def test_a_command_is_renewed_while_it_is_held_and_stopped_then(
         wait(lambda: held.error is not None)
         with pytest.raises(CommandRefusedError, match="holds its lease"):
             held_by_first.close()
-        assert base.taken.messages[-1] == 4, "who was taken over from stops nobody"
+        assert base.taken.messages[-1] == 4, "who was taken over from stops no other"
         with second.hold(5, period=3600):
             assert base.taken.messages[-1] == 5
     text = "commands live for 3600 s, and are renewed every 3600 s: it stops in between"

@@ -122,7 +122,7 @@ def test_a_call_under_way_is_cancelled_and_the_next_is_refused(
     with pytest.raises(CommandRefusedError, match="until the emergency stop is released"):
         robot.call("reach", 1.0)
     assert robot.call("think", 2.0, timeout=patience()) == 2.0, "it moves nothing"
-    assert robot.status().components == (), "nobody is to blame"
+    assert robot.status().components == (), "no component is to blame"
     robot.release(timeout=patience())
     while not arms.called["hand"].is_set():  # its time may be over before it has begun
         with pytest.raises(BridgeTimeoutError):

@@ -289,7 +289,7 @@ def test_a_chain_is_fed_by_what_fits(lab: Lab) -> None:
 
 
 def test_what_has_no_output_is_not_asked_what_it_could_feed_others_with(lab: Lab) -> None:
-    """A device that is not there would be waited for, by whoever asks for anything else."""
+    """A device that is not there would be waited for, by clients that ask for anything else."""
     lab.lab.emitter("head", NUMBER)
     lamp = "  lamp: {components: [{name: lamp, bridge: lab, input: {endpoint: [lamp]}}]}\n"
     with lab.manager(CAMERA + lamp) as manager:

@@ -62,7 +62,7 @@ class Stage:
         self.rolled = self.one.emitter("rolled", STATUS)
         self.raised = self.one.emitter("raised", STATUS)
         self.wanted = self.net.emitter("wanted", NUMBER)
-        self.reports = self.net.taker("told", STATUS)
+        self.reports = self.net.taker("reported", STATUS)
         self.one.service("doubler", NUMBER, {"type": "integer"}, lambda asked: 2 * asked)
         self.seen = self.net.taker("seen", NUMBER)
         self.wish = self.net.emitter("wish", {**NUMBER, "maximum": 10})
@@ -99,7 +99,7 @@ offer:
   net:
     carry:
       inputs: {goal: {endpoint: [wanted]}}
-      outputs: {status: {endpoint: [told]}}
+      outputs: {status: {endpoint: [reported]}}
 """
 STATUS = {
     "type": "object",
@@ -113,7 +113,7 @@ DOUBLE = "offer: {net: {double: {service: {endpoint: [twice]}}}}"
 
 
 def served(stage: Stage, message: Any) -> Any:
-    asked = Endpoint("net", "somebody", Role.SERVICE, ("twice",))
+    asked = Endpoint("net", "doubler", Role.SERVICE, ("twice",))
     return stage.net.call(asked, message, timeout=patience())
 
 
@@ -237,7 +237,7 @@ def test_a_channel_that_is_lost_is_opened_again(stage: Callable[[str], Stage]) -
     there = stage(CAMERA)
     there.offer()
     (sink,) = there.seen.channels()
-    there.net.report(Health.LOST, "somebody unplugged it", channel=sink)
+    there.net.report(Health.LOST, "it was unplugged", channel=sink)
     wait(lambda: there.seen.channels() not in {(), (sink,)}, "it was not opened again")
     wait(lambda: there.state() is OfferState.OPEN)
     there.best.emit(5)
@@ -279,7 +279,7 @@ def test_a_source_that_has_finished_is_reported_and_not_played_again(
     there.best.emit(1)
     assert there.seen.taken.wait(1)[-1] == 1
     there.one.report(Health.FINISHED, "the film is over", component="best")
-    wait(lambda: there.state() is OfferState.FINISHED, "the end was never told")
+    wait(lambda: there.state() is OfferState.FINISHED, "the end was never reported")
     status = there.robot.status().offers[0]
     assert (status.cause, status.connections) == ("component 'best' finished", ())
     assert not there.seen.channels()

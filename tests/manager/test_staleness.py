@@ -30,7 +30,7 @@ NUMBER = {"type": "integer"}
 
 
 class Stage:
-    """A robot whose clock stands, and a watch that looks when it is told to."""
+    """A robot whose clock stands, and a watch that looks when it is to."""
 
     def __init__(self) -> None:
         self.clock = ManualClock()

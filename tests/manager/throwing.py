@@ -1,4 +1,4 @@
-"""Components that raise when they are told to."""
+"""Components that raise when they are to."""
 
 from __future__ import annotations
 

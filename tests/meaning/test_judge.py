@@ -1,4 +1,4 @@
-"""The judgement of meaning: what agrees, what is converted, what is refused, what nobody says."""
+"""The judgement of meaning: what agrees, what is converted, what is refused, what is not stated."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What waits for the writer: in order, bounded, counted, whoever is slow."""
+"""What waits for the writer: in order, bounded, counted, whatever is slow."""
 
 from __future__ import annotations
 

@@ -306,7 +306,7 @@ def test_a_ring_is_written_on_demand_and_on_a_failure(
         for second in range(10):
             now[0] = Instant(10**18 + second * 10**9, second * 10**9)
             clicks.emit({"n": second})
-        path = recording.dump("someone wants to know")
+        path = recording.dump("a user wants to know")
         assert [item["n"] for item in read_json_of(path, "/counter")] == [4, 5, 6, 7, 8, 9]
         eye.emit({"n": 100})
         bridge.die("eye")

@@ -1,4 +1,4 @@
-"""Candidates that nobody named: the same for the same findings in any order, and not too many."""
+"""Candidates that are not in the file: the same for the same findings in any order, and few."""
 
 from __future__ import annotations
 

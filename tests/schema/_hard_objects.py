@@ -78,7 +78,7 @@ PATTERNS = (
     yes("two patterns that cover all names", {"type": "object", "patternProperties": {"^a": INTEGER, "^[^a]": INTEGER, "^$": INTEGER}}, record(additionalProperties=INTEGER)),
     no("two patterns that leave the empty name", {"type": "object", "patternProperties": {"^a": INTEGER, "^[^a]": INTEGER}}, record(additionalProperties=INTEGER), {"": ""}),
     yes("overlapping patterns both hold", {"type": "object", "patternProperties": {"a": ints(0, None), "b": ints(None, 9)}}, patterned("ab", ints(0, 9))),
-    yes("a pattern nobody matches", patterned("[]", False), OBJECT),
+    yes("a pattern without a match", patterned("[]", False), OBJECT),
     yes("closed by an empty pattern set", record(patternProperties={}, additionalProperties=False), {"maxProperties": 0}),
     yes("pattern false forbids names", patterned("^x", False), record(properties={"x1": INTEGER})),
     yes("pattern false against required", patterned("^x", False, required=["x1"]), False),

@@ -1,4 +1,4 @@
-"""Schemas of which one part is replaced by another one, or by one that nobody knows."""
+"""Schemas of which one part is replaced by another one, or by an unknown one."""
 
 from __future__ import annotations
 

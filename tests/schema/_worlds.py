@@ -3,7 +3,7 @@
 A schema's bits say which values of the world it allows; logic is logic of bits, and a producer that
 stays within the world is contained in a consumer exactly when no bit is set in the one and not in
 the other. It shares no code and no idea with the checker, follows dynamic scopes as the standard
-tells them, as a list of documents, and is told what lies behind references that lead out.
+lists them as documents, and is given what lies behind references that lead out.
 """
 
 from __future__ import annotations

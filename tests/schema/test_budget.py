@@ -135,7 +135,7 @@ def losing(fields: int) -> tuple[Any, Any]:
 
 
 def test_what_is_lost_is_reported_within_the_budget() -> None:
-    """Less of it is told where the budget ends; what was proven stays."""
+    """Less of it is reported where the budget ends; what was proven stays."""
     whole = check(*losing(200), budget=CheckBudget(seconds=PATIENT))
     assert whole.compatible
     assert len(whole.losses) == 200

@@ -86,7 +86,7 @@ def test_a_place_that_no_message_reaches_is_no_difference(
     producer: Any, consumer: Any, fits: bool
 ) -> None:
     verdict = check(producer, consumer)
-    if "000000000" not in str(producer):  # as long as nobody can build it
+    if "000000000" not in str(producer):  # as long as none can be built
         assert (verdict.compatible, verdict.undecided) == (fits, None)
     assert verdict.compatible <= fits
     if verdict.counterexample is not None:

@@ -1,4 +1,4 @@
-"""What a person is told: where, what may come, what is taken, and what is not kept whole."""
+"""What a person reads: where, what may come, what is taken, and what is not kept whole."""
 
 from __future__ import annotations
 

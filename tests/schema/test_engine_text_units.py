@@ -47,7 +47,7 @@ def test_containment_is_that_of_every_short_text(block: int) -> None:
         sample = [choices.item(TEXTS) for _ in range(4)]
         for text in sample:
             assert not takes(producer, text) or counted(producer, text), (seed, producer, text)
-        # Patterns tell no other characters apart, so that what refutes is among these.
+        # Patterns distinguish no other characters, so that what refutes is among these.
         verdict = check(producer, consumer)
         assert verdict.undecided is None, (seed, verdict)
         if verdict.compatible:

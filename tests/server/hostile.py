@@ -1,4 +1,4 @@
-"""Hostile inputs by name, for whoever attacks a running server.
+"""Hostile inputs by name, for tests that attack a running server.
 
 `HOSTILE` has what one client sends. The function `anything` of `tests.server.robot` takes values
 of any structure.
@@ -102,7 +102,7 @@ _BIG = 2**63 - 1
 _ONE = b"\x81\x01"
 
 HOSTILE: Mapping[str, Hostile] = {
-    # Arrays of many dimensions (CBOR tag 40): depth and numbers that nobody wrote.
+    # Arrays of many dimensions (CBOR tag 40): depth and numbers that were never written.
     "60,000 dimensions": _one("cbor", lambda: cbor_call(rows([1] * 60_000, _ONE))),
     "5,000 dimensions": _one("cbor", lambda: cbor_call(rows([1] * 5_000, _ONE))),
     "dimensions within dimensions": _one("cbor", lambda: cbor_call(rows_in_rows(30, [1] * 8))),

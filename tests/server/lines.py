@@ -105,7 +105,7 @@ class Lines:
             self._client.require(Operation.CALL, name)
             read = functools.partial(read_message, TEXT_FORM)
             reply = await self._backend.call(name, message, read, self._client.limits.call_seconds)
-        except Exception as error:  # noqa: BLE001 - told to the client
+        except Exception as error:  # noqa: BLE001 - reported to the client
             self._fail(error)
         else:
             self._client.outbox.reply(TEXT_FORM.write(reply), text=True)
@@ -114,7 +114,7 @@ class Lines:
         try:
             self._client.require(Operation.REQUEST, name)
             feed = await self._backend.join(FeedKey(name))
-        except Exception as error:  # noqa: BLE001 - told to the client
+        except Exception as error:  # noqa: BLE001 - reported to the client
             self._fail(error)
         else:
             self._client.outbox.reply(b"open", text=True)

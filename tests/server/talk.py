@@ -136,7 +136,7 @@ class Talk:
 
     @property
     def unanswered(self) -> list[str | None]:
-        """Ids of answers that came and that nobody asked for yet."""
+        """Ids of answers that came and that were not asked for yet."""
         return list(self._answers)
 
     def close(self) -> None:

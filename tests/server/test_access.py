@@ -36,17 +36,17 @@ roles:
   viewer: {{see: all, request: ["num*"]}}
   driver: {{see: ["echo"], request: ["echo"], send: ["echo"], call: ["add"]}}
   operator: {{see: all, kill: ["numbers"]}}
-  nobody: {{}}
+  rightless: {{}}
   guesser: {{see: ["echo"], request: ["*"], send: ["*"], call: ["*"], kill: ["*"]}}
 tokens:
   - {{name: screen, role: viewer, sha256: {viewer}}}
   - {{name: pad, role: driver, sha256: {driver}}}
   - {{name: desk, role: operator, sha256: {operator}}}
-  - {{name: dummy, role: nobody, sha256: {nobody}}}
+  - {{name: dummy, role: rightless, sha256: {rightless}}}
   - {{name: guess, role: guesser, sha256: {guesser}}}
   - {{name: old, role: viewer, sha256: {old}, expires: 2020-01-01T00:00:00Z}}
 """
-ROLES = ("viewer", "driver", "operator", "nobody", "guesser", "old")
+ROLES = ("viewer", "driver", "operator", "rightless", "guesser", "old")
 TOKENS = {name: make_token() for name in ROLES}
 
 
@@ -90,9 +90,9 @@ def test_a_token_can_be_shown_in_three_places(guarded: Server) -> None:
         assert client.hello["role"] == "viewer"
     with Talk(url(guarded, f"/?token={TOKENS['driver']}")) as client:
         assert client.hello["role"] == "driver"
-    offers = [JSON, Subprotocol(f"uoarm.token.{TOKENS['nobody']}")]
+    offers = [JSON, Subprotocol(f"uoarm.token.{TOKENS['rightless']}")]
     with Talk(url(guarded), subprotocols=offers) as client:
-        assert client.hello["role"] == "nobody"
+        assert client.hello["role"] == "rightless"
         assert client.socket.subprotocol == JSON
 
 
@@ -115,7 +115,7 @@ def test_a_role_may_do_what_is_named_and_nothing_else(guarded: Server) -> None:
 
 
 def test_a_role_without_rules_may_do_nothing(guarded: Server) -> None:
-    with enter(guarded, "nobody") as client:
+    with enter(guarded, "rightless") as client:
         assert client.ask("List") == {"functions": []}
         for op in ("Request", "Resolve", "Call"):
             assert client.refused(op, "numbers")["code"] == "denied"
@@ -277,7 +277,7 @@ def test_what_is_denied_is_in_the_audit_log(
     guarded: Server, caplog: pytest.LogCaptureFixture
 ) -> None:
     caplog.set_level(logging.INFO, "uoarm.audit")
-    with enter(guarded, "nobody") as client:
+    with enter(guarded, "rightless") as client:
         client.refused("Call", "add")
     text = caplog.text
     assert '"operation":"call","function":"add","allowed":false' in text
@@ -292,7 +292,7 @@ def test_the_audit_log_is_appended_to_a_file_that_may_be_moved(
     kept = tmp_path / "audit.jsonl"
     kept.write_text("what was there\n", encoding="utf-8")
     server = serve(access=access, audit=kept)
-    with enter(server, "nobody") as client:
+    with enter(server, "rightless") as client:
         client.refused("Call", "add")
         kept.rename(tmp_path / "audit.jsonl.1")
         client.refused("Call", "add")

@@ -31,7 +31,7 @@ VIEWS = {
     "#/graph/function/camera&function/hopeless/explain&function/drive/use": ".form .button.main",
     "#/list/function/faces&function/echo/use": ".form .button.main",
 }
-# Transitions end first: half of one has colours that nobody reads.
+# Transitions end first: half of one has colours that no one reads.
 FINDINGS = """
 Promise.all(document.getAnimations().map((animation) => animation.finished.catch(() => null)))
   .then(() => axe.run(document, { resultTypes: ["violations"] }))

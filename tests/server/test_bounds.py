@@ -1,4 +1,4 @@
-"""Clients that misbehave cost bounded memory and time, and hurt nobody else."""
+"""Clients that misbehave cost bounded memory and time, and hurt no other."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def test_a_client_that_never_reads_is_cut_off_in_time(serve: Serve, robot: Robot
 
 
 def test_a_client_that_answers_no_ping_gets_replies_only_until_it_does(serve: Serve) -> None:
-    """So what is to be new does not wait where nobody can drop it."""
+    """So what is to be new does not wait where it cannot be dropped."""
     for_ever = 100 * patience()
     server = serve(Limits(stall_seconds=for_ever, ping_seconds=for_ever))
     picture = {"width": 1, "data": bytes(100_000)}

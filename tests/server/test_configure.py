@@ -1,4 +1,4 @@
-"""Changing the configuration from outside: who may, what is told, and what is refused."""
+"""Changing the configuration from outside: who may, what is reported, and what is refused."""
 
 from __future__ import annotations
 
@@ -99,7 +99,7 @@ def test_discoveries_are_for_roles_that_see_all_and_taken_by_roles_that_may_conf
         (python, *others) = viewer.ask("Discover")["bridges"]
         assert (python["bridge"], python["configured"], python["cause"]) == ("python", True, "")
         assert not any(item["configured"] or item["components"] for item in others)
-        take = {"take": {"bridge": "python", "component": "nobody"}}
+        take = {"take": {"bridge": "python", "component": "absent"}}
         assert viewer.refused("Discover", message=take)["code"] == "denied"
     with enter(guarded, "keeper") as keeper:
         refused = keeper.refused("Discover", message=take)

@@ -152,7 +152,7 @@ def test_frames_of_every_length_arrive_whole_and_in_order(deflate: bool) -> None
 
 @pytest.mark.skipif(not hasattr(socket, "TCP_NOTSENT_LOWAT"), reason="the kernel has no such limit")
 def test_the_kernel_keeps_little_unsent_until_a_message_is_large() -> None:
-    """Else a client that reads slowly gets what was written seconds ago, which nobody can drop."""
+    """Else a client that reads slowly gets what was written seconds ago, too late to drop."""
     limits: list[int] = []
 
     async def send(connection: ServerConnection) -> None:

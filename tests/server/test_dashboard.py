@@ -366,7 +366,7 @@ EDITED = (
 
 
 class TestConfiguration:
-    """Somebody who may change it."""
+    """A user who may change it."""
 
     @pytest.fixture
     def lab(self) -> MemoryBridge:
@@ -397,7 +397,7 @@ class TestConfiguration:
         browser.write("right")
         browser.press("Enter")
         browser.until(f"{EDITED}.includes('# the only one')")
-        browser.complaints.clear()  # the refusal before the token: a browser tells it
+        browser.complaints.clear()  # the refusal before the token: a browser logs it
         return browser
 
     def test_what_appears_is_taken_into_a_function_and_written_to_the_file(
@@ -549,7 +549,7 @@ tokens:
     browser.write("right")
     browser.press("Enter")
     browser.until("document.querySelectorAll('.card.function').length === 5")
-    browser.complaints.clear()  # the refusals: a browser tells them all
+    browser.complaints.clear()  # the refusals: a browser logs them all
 
 
 def test_what_another_asks_for_is_approved_or_refused(
@@ -608,7 +608,7 @@ def test_the_page_comes_back_when_the_server_does(browser: Browser, robot: Robot
         browser.until(says(".panel", "No message yet"))
         assert not browser.js(says(".panel .facts", "interrupted"))
         browser.go("about:blank")
-    browser.complaints.clear()  # a browser tells every address that it could not reach
+    browser.complaints.clear()  # a browser logs every address that it could not reach
 
 
 class TestManyComponents:

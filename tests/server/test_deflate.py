@@ -52,7 +52,7 @@ def talking(server: Server, talk: Callable[[Counting], Awaitable[T]], **options:
 
 
 async def asked(socket: Counting, **message: Any) -> Any:
-    """Send a control message, and return what is told next."""
+    """Send a control message, and return what comes next."""
     await socket.send(json.dumps(message))
     return json.loads(await socket.recv())
 
@@ -135,10 +135,10 @@ def test_the_python_client_asks_for_it_where_it_speaks_json(serve: Serve) -> Non
 
 ASK = """new Promise((resolve) => {
   const socket = new WebSocket(`ws://${location.host}/`, "uoarm.v1.json");
-  let told = 0;
+  let count = 0;
   socket.onmessage = ({ data }) => {
-    told += 1;
-    if (told === 1) socket.send(JSON.stringify({ op: "List", id: "1" }));
+    count += 1;
+    if (count === 1) socket.send(JSON.stringify({ op: "List", id: "1" }));
     else resolve([socket.extensions, JSON.parse(data).op]);
   };
 })"""

@@ -1,4 +1,4 @@
-"""Long messages are written beside the loop, and everybody still gets them in order."""
+"""Long messages are written beside the loop, and every client still gets them in order."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from uoarm.testing import patience
 
 LONG = [0.5] * 5_000
 LOST = object()
-"""A long message without a form; `takes_long` is told so by its list."""
+"""A long message without a form; `takes_long` knows it by its list."""
 
 
 @pytest.mark.parametrize(

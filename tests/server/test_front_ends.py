@@ -1,4 +1,4 @@
-"""Front ends of plugins: found, refused, served on real sockets; a failing one hurts nobody."""
+"""Front ends of plugins: found, refused, served on real sockets; a failing one hurts no other."""
 
 from __future__ import annotations
 

@@ -114,7 +114,7 @@ def test_what_is_packed_is_unpacked_64_kib_at_a_time() -> None:
 def test_what_is_too_long_unpacked_is_unpacked_no_further(
     most: int, said: str, lengths: list[int]
 ) -> None:
-    """15 KB never become 16 MB: whoever makes the server work has to send something for it."""
+    """15 KB never become 16 MB: who makes the server work has to send something for it."""
     incoming = IncomingFrames(most)
     for piece in pieces(bytes(14 * MEGABYTE), lengths, deflate=True):
         incoming.add(piece)
@@ -236,7 +236,7 @@ def test_who_is_connected_goes_before_a_burst_of_those_who_come() -> None:
             return False
 
         known = Turn(partial(work, "known", 0.0001))
-        for _ in range(100):  # with nobody else there
+        for _ in range(100):  # with no other client there
             turns.ask(known)
             await asyncio.sleep(0)
         order.clear()

@@ -1,4 +1,4 @@
-"""Clients are read at a fair pace, and what is heavy to decode holds up nobody else."""
+"""Clients are read at a fair pace, and what is heavy to decode holds up no other."""
 
 from __future__ import annotations
 

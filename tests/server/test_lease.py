@@ -1,4 +1,4 @@
-"""Clients that command one input: who may, who is told, and that what a client held stops."""
+"""Clients that command one input: who may, who is notified, and that what a client held stops."""
 
 from __future__ import annotations
 

@@ -26,7 +26,7 @@ RESUMED = {"op": "Reply", "id": "resume"}
 
 
 class Socket:
-    """A connection that tells what it is given, then drops."""
+    """A connection that notes what it is given, then drops."""
 
     def __init__(self, *messages: Mapping[str, Any]) -> None:
         self.sent: list[dict[str, Any]] = []
@@ -48,7 +48,7 @@ class Socket:
 
 
 def _ignore(messages: Mapping[str, Any]) -> None:
-    """Take what the server tells."""
+    """Take what the server sends."""
 
 
 def begin(*sockets: Socket, again: asyncio.Future[None], take: Take = _ignore) -> Link:

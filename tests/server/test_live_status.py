@@ -77,7 +77,7 @@ def test_what_is_no_address_of_a_server_is_wrong_usage() -> None:
 def test_other_machines_are_shown_to_who_may_see_a_function_there(tmp_path: Path) -> None:
     file = machines.robot(tmp_path, free_port())
     guest = AccessRole("guest", {Operation.SEE: ("ticks",)})
-    stranger = AccessRole("nobody", {Operation.SEE: ("other",)})
+    stranger = AccessRole("stranger", {Operation.SEE: ("other",)})
     with RobotManager.from_file(file) as robot:
         status = robot.status()
         views = RoleViews(lambda: robot.config)

@@ -21,7 +21,7 @@ ROBOT = "version: 1\nbridges: {memory: {plugin: python}}\nfunctions:\n"
 
 @pytest.fixture
 def robot() -> Iterator[RobotManager]:
-    """Each function has one message, its number, for whoever opens it."""
+    """Each function has one message, its number, for each client that opens it."""
     memory = MemoryBridge()
     for number in range(COUNT):
         memory.emitter(f"c{number}", {"type": "integer"}, latched=True).emit(number)

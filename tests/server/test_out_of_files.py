@@ -57,7 +57,7 @@ def test_half_open_sockets_beyond_all_descriptors_are_logged_once_and_outlived(
         reports: list[str] = []
         reading = threading.Thread(target=lambda: reports.extend(process.stderr or ()))
         reading.start()
-        # Of its half it would refuse those that are too many: somebody else has the rest.
+        # Of its half it would refuse those that are too many: another process has the rest.
         used = sum(1 for _ in Path(f"/proc/{process.pid}/fd").iterdir())
         resource.prlimit(process.pid, resource.RLIMIT_NOFILE, (used + LEFT, FILES))
         with ExitStack() as half_open:
@@ -65,7 +65,7 @@ def test_half_open_sockets_beyond_all_descriptors_are_logged_once_and_outlived(
                 half_open.enter_context(
                     socket.create_connection(("127.0.0.1", port), timeout=patience())
                 )
-            eventually(lambda: reports, "what cannot be taken is told")
+            eventually(lambda: reports, "what cannot be taken is reported")
 
         def comes_in() -> bool:
             try:

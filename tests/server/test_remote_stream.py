@@ -16,7 +16,7 @@ async def _never(*_: object, **__: object) -> Any:
 
 
 async def _diagnose(connection: str) -> str:
-    return f"; nobody feeds {connection}"
+    return f"; nothing feeds {connection}"
 
 
 def _stream() -> RemoteStream:
@@ -26,7 +26,7 @@ def _stream() -> RemoteStream:
 
 def test_nothing_in_time_is_a_timeout() -> None:
     async def play() -> None:
-        with pytest.raises(TimeoutError, match=r"^no message within 0\.01 s; nobody feeds c1$"):
+        with pytest.raises(TimeoutError, match=r"^no message within 0\.01 s; nothing feeds c1$"):
             await _stream().get(0.01)
 
     asyncio.run(play())

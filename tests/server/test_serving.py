@@ -1,4 +1,4 @@
-"""`uoarm serve` as a process of its own: it starts, answers, and ends when it is told to."""
+"""`uoarm serve` as a process of its own: it starts, answers, and ends on a signal."""
 
 from __future__ import annotations
 
@@ -299,7 +299,7 @@ def test_the_switch_interval_is_short_while_it_serves(robot: RobotManager) -> No
 def test_a_signal_while_its_loop_closes_is_no_exception(
     robot: RobotManager, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """As `make` and a terminal both tell of the same Ctrl-C."""
+    """As `make` and a terminal both signal the same Ctrl-C."""
     close = BaseSelectorEventLoop.close
     reports: list[object] = []
 
@@ -324,7 +324,7 @@ def _torch(file: Path) -> None:
 
 
 def _until(process: subprocess.Popen[str], wanted: str) -> list[str]:
-    """Return what a server tells on standard error up to the wanted line."""
+    """Return what a server writes on standard error up to the wanted line."""
     assert process.stderr is not None
     reports: list[str] = []
     ends = threading.Timer(patience(), process.kill)
@@ -332,7 +332,7 @@ def _until(process: subprocess.Popen[str], wanted: str) -> list[str]:
     try:
         while not reports or wanted not in reports[-1]:
             reports.append(process.stderr.readline())
-            assert reports[-1], f"the server ended, or it never told {wanted!r}: {reports}"
+            assert reports[-1], f"the server ended, or it never wrote {wanted!r}: {reports}"
     finally:
         ends.cancel()
         ends.join()

@@ -1,4 +1,4 @@
-"""What all clients share is divided among them: whoever comes late finds a part of it."""
+"""What all clients share is divided among them: who comes late finds a part of it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The emergency stop from outside: who may, what is told, and that nothing stands before it."""
+"""The emergency stop from outside: who may, what is reported, and that nothing stands before it."""
 
 from __future__ import annotations
 

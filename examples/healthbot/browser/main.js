@@ -1,7 +1,7 @@
 // The visit, one screen after the other, and again for the next person.
 
 import { connect } from "./uoarm.js";
-import { newVisit, pressure, record, someone, steady, whoIsIt } from "./measuring.js";
+import { newVisit, pressure, record, faceShown, steady, whoIsIt } from "./measuring.js";
 import { choose, draw, progress, show, values } from "./screen.js";
 import { say } from "./voice.js";
 
@@ -16,7 +16,7 @@ const CLIP = {
 async function welcome(robot) {
   show({ step: 0, prompt: "Please step in front of me", more: "I am looking for a face." });
   progress("Looking");
-  draw(await someone(robot));
+  draw(await faceShown(robot));
   show({ step: 0, prompt: "I can see you", face: true });
   progress("Have we met?");
   const name = await whoIsIt(robot);
@@ -57,9 +57,9 @@ function finger(robot, who) {
     ready: "My finger is in",
     missing: [{ title: "Pulse", note: "" }, { title: "Oxygen", note: "" }],
     async measure() {
-      const tell = (quality) => progress(CLIP[quality] ?? "Please keep your hand still.");
-      const pulse = await steady(robot, "pulseRate", "pulse", tell);
-      const oxygen = await steady(robot, "bloodOxygen", "spo2", tell);
+      const show = (quality) => progress(CLIP[quality] ?? "Please keep your hand still.");
+      const pulse = await steady(robot, "pulseRate", "pulse", show);
+      const oxygen = await steady(robot, "bloodOxygen", "spo2", show);
       const savedPulse = await record(robot, who, { kind: "pulse", value: pulse });
       const savedOxygen = await record(robot, who, { kind: "spo2", value: oxygen });
       return [

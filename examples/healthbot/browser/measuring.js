@@ -19,8 +19,8 @@ async function until(robot, name, options, seen, patience = PATIENCE) {
   throw new Error(`${name} gave no result`);
 }
 
-/** Resolves to the picture of a face once somebody stays before the camera. */
-export function someone(robot) {
+/** Resolves to the picture of a face once a person stays before the camera. */
+export function faceShown(robot) {
   let looks = 0;
   return until(robot, "faceDetection", NEWEST, ({ boxes, face }) => {
     looks = boxes.length ? looks + 1 : 0;
@@ -28,7 +28,7 @@ export function someone(robot) {
   }, 0);
 }
 
-/** Resolves to a name, or to null for somebody the robot does not know. */
+/** Resolves to a name, or to null for a person whom the robot does not know. */
 export function whoIsIt(robot) {
   const votes = new Map();
   let asked = 0;
@@ -42,13 +42,13 @@ export function whoIsIt(robot) {
   });
 }
 
-/** Resolves to the mean of good readings, rounded; `tell` gets the clip's complaints. */
-export function steady(robot, name, field, tell) {
+/** Resolves to the mean of good readings, rounded; `report` gets the clip's complaints. */
+export function steady(robot, name, field, report) {
   let sum = 0;
   let count = 0;
   return until(robot, name, { every: 0.2 }, (message) => {
     const good = message.quality === "good" && message[field] !== undefined;
-    tell(good ? "good" : message.quality);
+    report(good ? "good" : message.quality);
     if (!good) return undefined;
     sum += message[field];
     count += 1;

@@ -1,4 +1,4 @@
-// The page as a set of sentences: show a step, offer choices, tell progress, show values.
+// The page as a set of sentences: show a step, offer choices, show progress and values.
 
 const part = (id) => document.getElementById(id);
 
@@ -18,7 +18,7 @@ export function show({ step, prompt, more = "", face = false }) {
   part("prompt").focus();
 }
 
-/** Tell what is going on, on the screen and to a screen reader. */
+/** Show what is going on, on the screen and to a screen reader. */
 export function progress(text) {
   part("progress").textContent = text;
   part("progress").classList.toggle("busy", text !== "");

@@ -28,7 +28,7 @@ async def look(url: str, held: Counter[str], most: Counter[str]) -> None:
 
 
 async def main() -> None:
-    """Run both applications twice: at the same time, beside somebody who looks."""
+    """Run both applications twice: at the same time, beside a client that watches."""
     held: Counter[str] = Counter()
     most: Counter[str] = Counter()
     with stage() as scene:

@@ -134,13 +134,13 @@ def requests(robot: RobotManager, name: str, count: int) -> list[float]:
 
 
 class Known:
-    """The structures that the bridges told of a plan's components."""
+    """The structures that the bridges described for a plan's components."""
 
     def __init__(self, plan: Plan) -> None:
         self._known = {step.component.name: Structures(step.structures) for step in plan.steps}
 
     def structures(self, component: Component) -> Structures:
-        """Return what was told of a component."""
+        """Return what was described of a component."""
         return self._known[component.name]
 
 

@@ -1,4 +1,4 @@
-"""Dynamic monitoring: kill each part in turn, and see who is told, what is lost, and what recovers.
+"""Dynamic monitoring: each part is killed in turn: who is notified, what is lost and recovers.
 
 A part is killed as a crash would kill it. Two applications are connected: one uses the function,
 one only watches. Then the part is started again.
@@ -25,7 +25,10 @@ _SETTLED = 3.0
 _WINDOW = 14.0
 _RETURN = 60.0
 _FIRST = 60.0
-_HEAD = ("killed", "seen through", "noticed after", "told", "lost", "went on with", "back after")
+_HEAD = (
+    *("killed", "seen through", "noticed after", "reported"),
+    *("lost", "went on with", "back after"),
+)
 _SAME = "the same components"
 
 
@@ -36,13 +39,13 @@ class Death:
     Attributes:
         killed: the part.
         function: through which it was seen.
-        noticed: seconds until somebody was told; None: nobody ever.
+        noticed: seconds until a client was notified; None: none ever was.
         notified: who, and what.
         silence: seconds without a message; None where nothing flows, or none came again.
         lost: what the user missed.
         went_on: what it went on with.
         back: seconds from the part's start until the user had it again; None: it had not.
-        answer: what a caller was told once the part was back.
+        answer: the reply that a caller got once the part was back.
     """
 
     killed: str
@@ -126,7 +129,7 @@ async def robot_row(scene: Stage) -> Death:
     back = again.arrivals[0] - begun if again.arrivals else None
     user.cancel()
     await asyncio.gather(user, return_exceptions=True)
-    text = f"the user: {seen.ended.splitlines()[0][:60]}" if seen.ended else "nobody"
+    text = f"the user: {seen.ended.splitlines()[0][:60]}" if seen.ended else "no one"
     lost = "all until it asks again"
     return Death("robot (uoarm)", "pulseRate", noticed, text, lost, NOTHING, None, back)
 
@@ -159,7 +162,7 @@ async def call_row(scene: Stage, part: str, name: str, request: Any) -> Death:
     await asyncio.to_thread(scene.crew.start, scene.parts[part])
     again, _ = await called(url, name, {**request, **_other(request)})
     title = f"{part} ({scene.parts[part].framework})"
-    text = "whoever calls, in the reply"
+    text = "the caller, in the reply"
     return Death(title, name, seconds, text, NOTHING, without, answer=again)
 
 

@@ -26,13 +26,13 @@ class Observed:
     ended: str = ""
 
     def notified(self, since: float) -> tuple[float | None, str]:
-        """Return how long until the first change was told, and all that were."""
+        """Return how long until the first change was reported, and all that were."""
         later = [(moment, text) for moment, text in self.changes if moment >= since]
         noticed = later[0][0] - since if later else None
         words = dict.fromkeys(text for _, text in later)
         if self.ended:
             words[f"the user: {self.ended.splitlines()[0][:60]}"] = None
-        return noticed, "; ".join(words) or "nobody"
+        return noticed, "; ".join(words) or "no one"
 
     def gap(self, since: float) -> float | None:
         """Return how long the user went without a message, None while none came again."""

@@ -91,7 +91,7 @@ def _deaths(deaths: Sequence[Figure], title: str, file: Path) -> None:
             axes.plot([noticed], [row], marker="o", color=_PLACES["one process"], linestyle="")
         end = max(noticed or 0.005, silence or 0.005)
         axes.text(end * 1.25, row, death["went_on"], fontsize=7.5, va="center")
-    axes.plot([], [], marker="o", color=_PLACES["one process"], linestyle="", label="told")
+    axes.plot([], [], marker="o", color=_PLACES["one process"], linestyle="", label="reported")
     axes.plot([], [], marker="s", color=_PLACES["hosts"], linewidth=3, label="messages again")
     axes.set_xscale("log")
     axes.set_xlim(0.005, 200)

@@ -11,7 +11,7 @@ __all__ = ["Detector"]
 
 
 class Detector:
-    """Tells of every picture where its faces are."""
+    """Finds the faces in every picture."""
 
     def __init__(self) -> None:
         self._finder = FaceFinder()

@@ -63,7 +63,7 @@ class Faces(TypedDict):
     """Where faces are in a picture of this size, and the pixels around the largest.
 
     Without a face there are no boxes, and `face` is 0 by 0. It is HealthBot::Faces of faces.idl, to
-    the letter: a spare takes over in mid-stream only where nobody can tell the difference.
+    the letter: a spare takes over in mid-stream only where no consumer can see the difference.
     """
 
     tm: Time
@@ -74,14 +74,14 @@ class Faces(TypedDict):
 
 
 class Person(TypedDict):
-    """Whose the largest face is; no name when it is nobody's who was enrolled."""
+    """Whose the largest face is; no name when it is of no person who was enrolled."""
 
     name: str | None
     distance: Annotated[float, Range(minimum=0)]
 
 
 class People(TypedDict):
-    """Who is there: nobody or one."""
+    """Who is there: one person or none."""
 
     persons: list[Person]
 

@@ -103,7 +103,7 @@ def _opened(url: str, seconds: float) -> Any:
     """Open a line for one reader alone; the one before may take until its next message to leave.
 
     Raises:
-        OSError: the port is not there, or somebody else keeps it.
+        OSError: the port is not there, or another process keeps it.
     """
     end = time.monotonic() + seconds
     while True:

@@ -30,13 +30,13 @@ class PageHandler(SimpleHTTPRequestHandler):
         """Say nothing of what works."""
 
     def end_headers(self) -> None:
-        """Let nobody keep a page that may have changed."""
+        """Let no browser keep a page that may have changed."""
         self.send_header("Cache-Control", "no-cache")
         super().end_headers()
 
 
 def main() -> None:
-    """Serve `FOLDER PORT` until told to stop."""
+    """Serve `FOLDER PORT` until a signal ends it."""
     folder, port = Path(sys.argv[1]), int(sys.argv[2])
     server = ThreadingHTTPServer(("127.0.0.1", port), partial(PageHandler, directory=str(folder)))
     for number in (signal.SIGINT, signal.SIGTERM):

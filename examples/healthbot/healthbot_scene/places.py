@@ -105,11 +105,11 @@ def make_places(
         run: a folder for this run; made if need be.
         cache: where footage is kept.
         ports: of naming, records, robot and page; None: four that are free.
-        report: told of footage that others must stand in for.
+        report: called with footage that others must stand in for.
 
     Raises:
         FootageError: footage cannot be had.
-        OSError: somebody listens on one of the ports.
+        OSError: another process listens on one of the ports.
     """
     for port in ports or ():
         if listens(port):
@@ -130,7 +130,7 @@ def make_places(
         try:
             recogniser.enrol(photos_in(footage.photos), gallery)
         except ValueError as error:
-            report(f"The {name} recogniser knows nobody: {error}")
+            report(f"The {name} recogniser knows no one: {error}")
     first, second, third, fourth = ports or free_ports(4)
     return Places(
         run.resolve(), footage.folder.resolve(), free_domain(), first, second, third, fourth

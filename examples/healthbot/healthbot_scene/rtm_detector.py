@@ -1,7 +1,7 @@
 """Face detection as an RT-Component in a process of its own, found by the naming service.
 
 It has an InPort `image` (HealthBot::View) and an OutPort `faces` (HealthBot::Faces), and is driven
-by whoever activates it, be that uoarm, RT System Editor or rtshell.
+by what activates it, be that uoarm, RT System Editor or rtshell.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ class Detector:
         self._component.bind([NamingService(self._orb, nameserver, _SECONDS)])
 
     def run(self, stop: threading.Event) -> None:
-        """Search pictures until told to stop, or until somebody ends the component."""
+        """Search pictures until a signal comes, or until the component is ended."""
         while not stop.is_set() and not self._component.wait_for_exit(0):
             try:
                 image = self._waiting.get(timeout=0.2)

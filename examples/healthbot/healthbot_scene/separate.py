@@ -43,7 +43,7 @@ def prepare_environments(progress: Progress) -> None:
     """Make every environment that is missing, cut short, or made of something else.
 
     Args:
-        progress: told each step of it, and each package.
+        progress: called with each step of it, and each package.
 
     Raises:
         PluginError: one could not be made; the text has the last lines of what failed.

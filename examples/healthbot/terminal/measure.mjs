@@ -34,11 +34,11 @@ export async function reading(robot, name, field, hint, { seconds = 45 } = {}) {
   const stream = await robot.request(name, { every: 0.2 });
   const limit = setTimeout(() => stream.kill().catch(() => {}), seconds * 1000);
   const values = [];
-  let told = "";
+  let shown = "";
   try {
     for await (const message of stream) {
       if (message.quality === "good" && message[field] !== undefined) values.push(message[field]);
-      else if (message.quality !== told) hint((told = message.quality));
+      else if (message.quality !== shown) hint((shown = message.quality));
       if (values.length === READINGS) return median(values);
     }
   } finally {

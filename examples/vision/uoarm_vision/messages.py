@@ -45,7 +45,7 @@ class Faces(TypedDict):
 
 
 class Person(TypedDict):
-    """One face and whose it is; no name when it is nobody's who was enrolled.
+    """One face and whose it is; no name when it is of no person who was enrolled.
 
     `distance` is how far the face is from the nearest person enrolled; its unit is the
     recogniser's own.

@@ -63,10 +63,10 @@ def gallery_file(folder: str, name: str) -> Path:
     """Return the file of what a recogniser has learnt.
 
     Raises:
-        FileNotFoundError: nobody was enrolled; the text says what to do.
+        FileNotFoundError: no one was enrolled; the text says what to do.
     """
     file = Path(os.path.expandvars(folder)).expanduser() / name
     if not file.is_file():
-        text = f"nobody is enrolled: {file} is missing; demo.py makes it, and so does `enrol`"
+        text = f"no one is enrolled: {file} is missing; demo.py makes it, and so does `enrol`"
         raise FileNotFoundError(text)
     return file

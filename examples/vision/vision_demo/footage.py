@@ -181,7 +181,7 @@ def _take_frames(video: Path, folder: Path) -> None:
 
 
 def _write(folder: Path, target: str, content: bytes) -> None:
-    """Write a file by way of a draft where nobody looks for pictures."""
+    """Write a file by way of a draft where no pictures are looked for."""
     file = folder / target
     file.parent.mkdir(parents=True, exist_ok=True)
     draft = folder / f"{os.getpid()}-{file.name}.draft"

@@ -48,7 +48,7 @@ class Album:
 
 
 def _clearness(message: People) -> tuple[int, float]:
-    """Order messages: a name, the surer the better, before one stranger before nobody."""
+    """Order messages: a name, the surer the better, before one stranger before no one."""
     persons = message["persons"]
     named = [person["distance"] for person in persons if person["name"] is not None]
     if named:

@@ -15,13 +15,13 @@ _FIRST_PORT, _PORTS_OF_A_DOMAIN, _UNICAST = 7400, 250, 10
 
 
 def listens(port: int) -> bool:
-    """Return whether somebody listens on a port of this machine's loopback address."""
+    """Return whether a process listens on a port of this machine's loopback address."""
     with socket.socket() as probe:
         return probe.connect_ex(("127.0.0.1", port)) == 0
 
 
 def free_ports(count: int) -> list[int]:
-    """Return ports of the loopback address on which nobody listens."""
+    """Return free ports of the loopback address."""
     ports: set[int] = set()
     while len(ports) < count:
         ports.add(free_port())
@@ -29,7 +29,7 @@ def free_ports(count: int) -> list[int]:
 
 
 def free_domain() -> int:
-    """Return a ROS 2 domain in which nobody on this machine seems to be."""
+    """Return a ROS 2 domain in which no process of this machine seems to be."""
     for domain in random.sample(_DOMAINS, len(_DOMAINS)):
         first = _FIRST_PORT + _PORTS_OF_A_DOMAIN * domain
         if _is_free(first) and _is_free(first + _UNICAST):

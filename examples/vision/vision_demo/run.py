@@ -1,4 +1,4 @@
-"""The demo's steps: fetch, resolve, enrol, run, tell."""
+"""The demo's steps: fetch, resolve, enrol, run, report."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ class Result:
             found.append(f"{self.lost} pictures were lost, {self.dropped} messages dropped")
         if not self.plan.rejected:
             if self.tally.mistakes():
-                found.append(f"somebody was mistaken in {self.tally.mistakes()} pictures")
+                found.append(f"a person was mistaken in {self.tally.mistakes()} pictures")
             if not self.tally.strangers_known():
                 found.append("a stranger was not found")
         return found
@@ -187,7 +187,7 @@ def _print_result(result: Result, console: Console) -> None:
         result_table(
             result.tally,
             [
-                ("recognised", known or "nobody"),
+                ("recognised", known or "no one"),
                 ("unknown faces in", f"{names[None]} pictures"),
                 ("mistaken in", f"{result.tally.mistakes()} pictures"),
                 ("dropped", f"{result.dropped} messages, {result.lost} pictures lost"),

@@ -82,7 +82,7 @@ def result_table(tally: Tally, facts: Iterable[tuple[str, str]]) -> RenderableTy
     for source, person in tally.expected.items():
         counted = tally.seen.get(source, Counter())
         found = ", ".join(f"{name or 'unknown'} {n}" for name, n in counted.items())
-        seen.add_row(source, person or "a stranger", str(tally.frames[source]), found or "nobody")
+        seen.add_row(source, person or "a stranger", str(tally.frames[source]), found or "no one")
     rest = Table(show_header=False, pad_edge=False, box=None)
     for fact in facts:
         rest.add_row(*fact)

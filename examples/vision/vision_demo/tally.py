@@ -28,7 +28,7 @@ class Tally:
     seen: dict[str, Counter[str | None]] = field(factory=dict)
 
     def add(self, message: People) -> list[str]:
-        """Count one message; return the names that are new, each told once."""
+        """Count one message; return the names that are new, each once."""
         source = message["frame"]["source"]
         before = self.names()
         names = {person["name"] for person in message["persons"]}
@@ -44,7 +44,7 @@ class Tally:
         return total
 
     def mistakes(self) -> int:
-        """Return in how many pictures somebody was taken for somebody else."""
+        """Return in how many pictures one person was taken for another."""
         return sum(
             times
             for source, counted in self.seen.items()

@@ -25,7 +25,7 @@ _SECONDS = 300.0
 
 
 async def is_home_free(url: str) -> bool:
-    """Return whether nobody is at the newcomer's home, or on the way there."""
+    """Return whether no vehicle is at the newcomer's home, or on the way there."""
     async with connect(url) as robot:
         async for picture in await robot.request("floor"):
             return all(NEWCOMER_HOME not in vehicle["way"] for vehicle in picture["vehicles"])
@@ -58,7 +58,7 @@ def _happened(picture: dict[str, Any]) -> list[str]:
     status = {order["status"] for order in picture["orders"] if order["vehicle"] == NAME}
     words = {"assigned": "has an order", "loaded": "carries a box", "done": "has done an order"}
     return [
-        *(["is heard by the application"] if is_present else []),
+        *(["is received by the application"] if is_present else []),
         *(text for word, text in words.items() if word in status),
     ]
 
@@ -80,7 +80,7 @@ def main() -> int:
         {"the newcomer": what, "seconds after it was switched on": round(seconds, 1)}
         for what, seconds in seen.items()
     ]
-    tables.add(f"A vehicle that nobody named; collisions: {truth['collisions']}", rows)
+    tables.add(f"A vehicle without a name in the file; collisions: {truth['collisions']}", rows)
     tables.print()
     return 0 if "has done an order" in seen and not truth["collisions"] else 1
 

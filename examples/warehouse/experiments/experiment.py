@@ -159,5 +159,5 @@ def figures(seconds: Sequence[float]) -> Row:
 
 
 def progress(line: object) -> None:
-    """Tell whoever waits."""
+    """Notify what waits."""
     print(line, file=sys.stderr, flush=True)

@@ -1,4 +1,4 @@
-"""Dynamic monitoring: parts are killed one after the other; who is told, and when it is back.
+"""Dynamic monitoring: parts are killed one after the other; who is notified, and when it is back.
 
     python examples/warehouse/experiments/noticing.py
 
@@ -36,7 +36,7 @@ Notices = list[tuple[float, str, str]]
 
 
 async def listen(robot: RemoteRobot, notices: Notices) -> None:
-    """Note what the robot tells of its components and connections."""
+    """Note what the robot reports of its components and connections."""
     with suppress(UoarmError):
         async for event in robot.watch():
             notices.append((time.monotonic(), event.subject, event.change))
@@ -72,8 +72,8 @@ def _row(part: str, function: str, noticed: float | None, notices: str, back: fl
     return {
         "killed": part,
         "seen through": function,
-        "told after": "never" if noticed is None else f"{noticed:.2f} s",
-        "what a client that watches is told": notices,
+        "reported after": "never" if noticed is None else f"{noticed:.2f} s",
+        "what a client that watches receives": notices,
         "open again after it was ready": "no" if back is None else f"{back:.1f} s",
     }
 
@@ -100,7 +100,7 @@ def main() -> int:
         scene.parts["visitor"] = newcomer(scene.places)
         scene.crew.start(scene.parts["visitor"])
         rows = asyncio.run(run(scene))
-    tables.add("Each part killed: who is told, and when it is back", rows)
+    tables.add("Each part killed: who is notified, and when it is back", rows)
     tables.print()
     return 1 if any("never" in str(row.values()) for row in rows) else 0
 

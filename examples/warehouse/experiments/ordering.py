@@ -102,7 +102,7 @@ class Watched:
         return len(ways.get(f"transport{name.title()}", ())) > 1
 
     def vehicle_of(self, order: str) -> str:
-        """Return who has an order; nothing where nobody has."""
+        """Return who has an order; nothing where no vehicle has."""
         found = [item["vehicle"] for item in self.picture["orders"] if item["order"] == order]
         return found[0].removeprefix("transport").lower() if found else ""
 

@@ -1,4 +1,4 @@
-// Orders from a terminal: places some, and tells what becomes of them.
+// Orders from a terminal: places some, and shows what becomes of them.
 //
 //   node --experimental-websocket main.mjs ws://127.0.0.1:9080/ [shelf:kg ...]
 //
@@ -24,16 +24,16 @@ async function place(robot) {
   return open;
 }
 
-function tell({ name, condition, x, y, battery, order }) {
+function show({ name, condition, x, y, battery, order }) {
   const where = `${x.toFixed(1)}, ${y.toFixed(1)}`;
   say(`${name.padEnd(16)} ${condition.padEnd(9)} ${where.padEnd(11)} ${Math.round(battery)} %  ${order}`);
 }
 
-/** Follow the orders until all are done; without any, tell of the vehicles. */
+/** Follow the orders until all are done; without any, show the vehicles. */
 async function follow(robot, open) {
   const every = open.size ? 0 : 2;
   for await (const { orders, vehicles } of await robot.request("floor", { every })) {
-    if (!open.size) vehicles.forEach(tell);
+    if (!open.size) vehicles.forEach(show);
     for (const { order, status, vehicle, mass, why } of orders) {
       const weighed = mass ? `weighs ${mass.toFixed(2)} kg` : "";
       const now = [status, vehicle, weighed, why].filter(Boolean).join(" ");

@@ -125,7 +125,7 @@ class Floor:
         return self._bodies[name]
 
     def command(self, name: str, velocity: Triple, until: float, now: float) -> None:
-        """Take what the base of a vehicle is told.
+        """Take a command of the base of a vehicle.
 
         Args:
             name: of the vehicle.
@@ -142,7 +142,7 @@ class Floor:
         """Pick a box up, or put down what is carried (`box` empty); return whether it is so now.
 
         It happens where the vehicle stands still at the shelf of the box, or at a dock. A box that
-        nobody has seen before is on the shelf at which it is wanted first.
+        no one has seen before is on the shelf at which it is wanted first.
         """
         body = self._bodies[name]
         if body.load == box:

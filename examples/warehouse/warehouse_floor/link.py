@@ -37,7 +37,7 @@ class FloorLink:
 
         Raises:
             TimeoutError: none came in time.
-            OSError: nobody is there.
+            OSError: no process is there.
             ValueError: the floor refused, and why.
         """
         self._number += 1

@@ -179,7 +179,7 @@ class Application:
             print(f"{name}: {error}", flush=True)
 
     async def _write(self) -> None:
-        """Have the journals on the disk before anybody is told."""
+        """Have the journals on the disk before a vehicle is commanded."""
         notes = [note.line() for note in self._coordinator.notes()]
         held = [reservation.line() for reservation in self._coordinator.reservations()]
         if notes or held:

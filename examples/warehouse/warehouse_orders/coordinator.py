@@ -2,10 +2,10 @@
 
 A plain state machine: reports, deaths, orders and time come in, commands and notes for the journal
 go out. A vehicle that drives holds every node of its way before it starts, and gives each back as
-it has left it, so that no two ever wait for one another on the way. It is told a few nodes at a
-time. What it was told once is nobody else's until it has said that it came to the end, or that it
+it has left it, so that no two ever wait for one another on the way. It is sent a few nodes at a
+time. What it was sent once is no other's until it has said that it came to the end, or that it
 has taken the command to stand: not while it is silent, and not when the coordinator begins again,
-which is why reservations are in the journal before anybody is told to drive.
+which is why reservations are in the journal before a vehicle is sent there.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ _LATE_SECONDS: Final = 1.0
 _STUCK_SECONDS: Final = 20.0
 _STEP_METRES: Final = 0.1
 _NODES_AT_ONCE: Final = 3
-"""The way of one command, which is as far as a vehicle can come unheard of."""
+"""The way of one command, which is as far as a vehicle can come without a report."""
 
 
 @frozen
@@ -50,7 +50,7 @@ class Report:
         stopped: the command to stand that it has taken; 0: it may follow one given before.
         is_localised: whether it knows where it is.
         is_blocked: whether something stands in its way.
-        drives_on: whether it drives to the end of its way when nobody renews the command.
+        drives_on: whether it drives to the end of its way when no client renews the command.
     """
 
     x: float
@@ -92,14 +92,14 @@ class Vehicle:
         name: of the vehicle.
         report: the last one.
         received_at: when it came.
-        is_alive: whether it is heard of.
-        held: nodes that nobody else may enter, the first of which it is at.
+        is_alive: whether it reports itself.
+        held: nodes that no other may enter, the first of which it is at.
         target: where it is going; empty: nowhere.
         leg_end: where its last command takes it, which is on its way to the target.
         order: that it has.
         leg: of its last command.
         carry: of its last command.
-        stopped: when it was told to stand.
+        stopped: when it was commanded to stand.
         seen: where it was when it moved last, and when that was.
         is_charging: whether it stays at home until the battery is full enough.
     """
@@ -120,7 +120,7 @@ class Vehicle:
 
     @property
     def is_usable(self) -> bool:
-        """Whether it can be told to drive: it is heard of, and knows that it is on the floor."""
+        """Whether it can be sent anywhere: it reports itself, and knows that it is on the floor."""
         return self.is_alive and self.report.is_localised and bool(self.held)
 
     @property
@@ -130,7 +130,7 @@ class Vehicle:
 
     @property
     def is_standing(self) -> bool:
-        """Whether it has surely stopped, and will not drive before it is told to.
+        """Whether it has surely stopped, and will not drive before a command.
 
         Speed alone does not say so: who turns, waits at an obstacle or has not been reached by the
         command to stand yet has none either.
@@ -147,9 +147,9 @@ class Coordinator:
     """The state machine. No method waits, and none does more than change what is below.
 
     Args:
-        orders: those that a journal tells of.
+        orders: those that a journal has.
         first_leg: above every number of a command that was given before.
-        held: what a journal tells of the vehicles; they are dead until heard of.
+        held: what a journal has of the vehicles; they are dead until they report.
 
     Attributes:
         orders: by name, in the order in which they were placed.
@@ -171,7 +171,7 @@ class Coordinator:
         self._closed: dict[str, float] = {}
         self._notes: list[Note] = []
         for order in self.orders.values():
-            if order.status is Status.ASSIGNED:  # whoever had it may never be heard of again
+            if order.status is Status.ASSIGNED:  # who had it may never report again
                 self._note(order, Status.WAITING, "")
 
     def notes(self) -> list[Note]:
@@ -243,7 +243,7 @@ class Coordinator:
         if vehicle.report.payload < order.load:
             return f"carries {vehicle.report.payload:g} kg, not {order.load:g}"
         if not vehicle.is_alive:
-            return "is not heard of"
+            return "does not report"
         if not vehicle.report.is_localised:
             return "does not know where it is"
         if not vehicle.held:
@@ -293,7 +293,7 @@ class Coordinator:
             vehicle.order = ""
 
     def _take_away(self, order: Order | None) -> None:
-        """Let nobody go for an order any more."""
+        """Let no vehicle go for an order any more."""
         if order is None:
             return
         holder = self.vehicles.get(order.vehicle)
@@ -374,7 +374,7 @@ class Coordinator:
         vehicle.leg = self._leg
 
     def _is_taken(self, node: str, but: Vehicle | None = None) -> bool:
-        """Whether somebody is, or shall be, where another would have to wait."""
+        """Whether a vehicle is, or shall be, where another would have to wait."""
         others = self.vehicles.values() if but is None else self._others(but)
         wanted = (self.orders.get(vehicle.order) for vehicle in others)
         shelves = {order.source for order in wanted if order and order.status is Status.ASSIGNED}
@@ -386,7 +386,7 @@ class Coordinator:
         return [item for item in self.vehicles.values() if item is not vehicle]
 
     def _stand(self, vehicle: Vehicle) -> None:
-        """Let it stop where it is; it holds what it was told until it has."""
+        """Let it stop where it is; it holds what it was sent until it has."""
         around = tuple(_around(vehicle.report.x, vehicle.report.y))
         vehicle.held = (*around, *(node for node in _granted(vehicle) if node not in around))
         vehicle.target, vehicle.carry = "", vehicle.report.load
@@ -429,12 +429,12 @@ def _unreported(known: Reservation) -> Vehicle:
 def _granted(vehicle: Vehicle) -> tuple[str, ...]:
     """Return what it holds but for its way from the end of its last command on.
 
-    It was never told to drive there, so that is free once it is not led any more.
+    It was never sent there, so that is free once it is not led any more.
     """
     if not vehicle.target:
         return vehicle.held
     end, target = map(vehicle.held.index, (vehicle.leg_end, vehicle.target))
-    # Behind its way are the nodes between which it stood when it was told.
+    # Behind its way are the nodes between which it stood at the command.
     return (*vehicle.held[: end + 1], *vehicle.held[target + 1 :])
 
 

@@ -46,7 +46,7 @@ class Order:
 
     @classmethod
     def placed(cls, entry: Mapping[str, Any]) -> Order:
-        """Make an order of what somebody asked for.
+        """Make an order of what a client asked for.
 
         Raises:
             ValueError: it cannot be carried out; the text says why.
@@ -94,7 +94,7 @@ class Reservation:
 
 
 def replay(placed: Iterable[Mapping[str, Any]], notes: Iterable[Mapping[str, Any]]) -> list[Order]:
-    """Return the orders as they were noted last; what is noted of orders nobody placed is none."""
+    """Return the orders as they were noted last; notes of orders never placed are none."""
     orders: dict[str, Order] = {}
     for entry in placed:
         if entry["order"] not in orders:
@@ -154,5 +154,5 @@ def read_lines(path: Path, offset: int = 0) -> Iterator[tuple[Mapping[str, Any],
         try:
             entry = json.loads(line)
         except ValueError:
-            continue  # cut short by a death; nobody was told that it was taken
+            continue  # cut short by a death; no client knows that it was taken
         yield entry, offset

@@ -45,4 +45,4 @@ class State(TypedDict):
 
 
 NOTHING: Command = {"leg": 0, "points": [], "carry": ""}
-"""What a vehicle is told when nobody tells it anything: to stand still."""
+"""The command of a vehicle when no client has one: to stand still."""

@@ -40,7 +40,7 @@ class OrderBook:
         self._journal = Journal(Path(file))
 
     def __call__(self, transport: Transport) -> Placed:
-        """Place an order; whoever got no answer may place it again."""
+        """Place an order; who got no answer may place it again."""
         order = Order.placed(transport)
         with self._lock:
             is_new = order.name not in self._known
@@ -70,7 +70,7 @@ class Seen(TypedDict):
 
 
 class Listed(TypedDict):
-    """An order; `mass` is what the scale says, 0 before; `why` says why nobody has it yet."""
+    """An order; `mass` is what the scale says, 0 before; `why` says why no vehicle has it yet."""
 
     order: str
     source: str
@@ -92,5 +92,5 @@ class Picture(TypedDict):
 
 
 def board(picture: Picture) -> Picture:
-    """Hand on what the coordinator shows to whoever looks."""
+    """Hand on what the coordinator shows to who looks."""
     return picture

@@ -75,7 +75,7 @@ class Feedback(TypedDict):
 class Amr:
     """The component; a state goes out with every odometry once everything else is known.
 
-    A goal of which nothing is heard is sent again: its node may have been started anew.
+    A goal without any report is sent again: its node may have been started anew.
 
     Args:
         payload: kg that the vehicle carries.

@@ -60,7 +60,7 @@ class Agv:
             yield Emit("cancel", {"goal_id": self._order})
             self._cancelled += 1
             if self._cancelled > _MOST_CANCELS:
-                self._forget()  # nobody knows it
+                self._forget()  # it is not known
         elif wanted and not self._is_accepted:
             # A goal that did not get through is given again: the same order is taken once.
             self._again = now + _AGAIN_SECONDS
@@ -132,7 +132,7 @@ def _node(point: Point) -> dict[str, Any]:
 
 
 def _is_busy(message: Mapping[str, Any]) -> bool:
-    """Whether it has an order, whoever gave it and whenever."""
+    """Whether it has an order, from any client and at any time."""
     states = message.get("actionStates") or ()
     acts = any(state["actionStatus"] not in {"FINISHED", "FAILED"} for state in states)
     return bool(message.get("nodeStates") or message.get("edgeStates") or acts)

@@ -32,7 +32,7 @@ async def place_and_wait(
         url: of the robot.
         count: how many.
         limit: seconds.
-        report: told each change of an order.
+        report: called with each change of an order.
         heavy: kg of every second box.
     """
     wanted = list(itertools.islice(orders(f"{int(time.time())}-", heavy), count))

@@ -2,7 +2,7 @@
 
 InPorts `velocity` (RTC::TimedVelocity2D, the seconds of whose time name the leg) and `carry`
 (RTC::TimedString), OutPorts `pose` (RTC::TimedPose2D) and `status` (Warehouse::Status). It stands
-when nobody has told it anything for a while, as the controller of a base does.
+when no command came for a while, as the controller of a base does.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ class Cart:
         component.bind([NamingService(self._orb, nameserver, _CALL_SECONDS)])
 
     def run(self, stop: threading.Event) -> None:
-        """Drive and tell until told to stop, or until somebody ends the component."""
+        """Drive and report until a signal comes, or until the component is ended."""
         load, ticks = "", 0
         while not stop.wait(_SECONDS) and not self._component.wait_for_exit(0):
             until = self._until

@@ -41,7 +41,7 @@ class Agv:
         self._carry: str | None = None
 
     def run(self, stop: threading.Event) -> None:
-        """Drive and tell until told to stop."""
+        """Drive and report until a signal comes."""
         with self._vehicle as vehicle:
             print("ready", flush=True)
             velocity = STAND

@@ -92,12 +92,12 @@ def _until_ended(name: str) -> Iterator[Value]:
 
 
 def first() -> Iterator[Value]:
-    """Give one value, and fail when it is told to."""
+    """Give one value, and fail when it is to."""
     return _until_ended("first")
 
 
 def second() -> Iterator[Value]:
-    """Give one value, and fail when it is told to."""
+    """Give one value, and fail when it is to."""
     return _until_ended("second")
 
 

@@ -408,7 +408,7 @@ def test_a_thousand_publishers_that_come_and_are_killed_leave_nothing_behind(
 
 
 def test_more_publishers_than_there_is_room_for_are_left_out(master: Master) -> None:
-    """Whoever calls `publisherUpdate` again and again has no thread made for each address."""
+    """A peer that calls `publisherUpdate` again and again has no thread made for each address."""
     with bridge_to(master) as bridge:
         at = output("/flooded", INT, peer="optional")
         bridge.open_source(at, ANY, Collector().deliver, timeout=patience())

@@ -28,7 +28,7 @@ def url(server: Server, path: str = "/rosbridge") -> str:
 
 
 class Ros:
-    """A bare rosbridge client: sends what it is told, returns what comes."""
+    """A bare rosbridge client: sends what it is given, returns what comes."""
 
     def __init__(self, url: str, **options: Any) -> None:
         self._open = ExitStack()

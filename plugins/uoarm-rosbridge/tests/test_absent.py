@@ -58,7 +58,7 @@ def test_a_provider_that_failed_is_waited_for(enter: Enter, robot: RobotManager)
     fail(2)
     opened_again(2)
     components.script.put({"value": 3})
-    assert client.messages(1) == [{"value": 3}], "the same is told once"
+    assert client.messages(1) == [{"value": 3}], "the same is reported once"
 
 
 def test_who_leaves_waits_no_longer(enter: Enter, robot: RobotManager, appear: Appear) -> None:

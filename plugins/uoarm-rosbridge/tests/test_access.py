@@ -103,7 +103,7 @@ ROSAPI = (
 def test_what_a_role_may_not_see_is_for_rosapi_as_if_it_were_not_there(
     guarded: Server, service: str
 ) -> None:
-    """A name that is hidden and one that nobody has get the same answer."""
+    """A name that is hidden and one that does not exist get the same answer."""
     with at(guarded, "operator") as operator:
         kind = operator.call("/rosapi/topic_type", {"topic": "/uoarm/numbers"})["type"]
         assert "numbers" in json.dumps(operator.call("/rosapi/topics"))

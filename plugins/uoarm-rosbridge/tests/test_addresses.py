@@ -1,4 +1,4 @@
-"""Clients that ask for what the robot has by its name in ROS are told its name here."""
+"""Clients that ask for what the robot has by its name in ROS receive its name here."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def test_a_topic_of_the_robot_s_framework_is_hinted_at_once(
         "id": "one",
     }
     client.send(op=asked, topic=topic, type="std_msgs/Int32")
-    assert client.call("/rosapi/get_time")["time"], "nothing more is told"
+    assert client.call("/rosapi/get_time")["time"], "nothing more is reported"
 
 
 def test_a_service_of_the_robot_s_framework_is_hinted_at(client: Ros) -> None:

@@ -1,4 +1,4 @@
-"""Every subscriber of a latched topic gets what stands, whoever came before it."""
+"""Every subscriber of a latched topic gets what stands, whatever came before it."""
 
 from __future__ import annotations
 

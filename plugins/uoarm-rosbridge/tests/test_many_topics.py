@@ -23,7 +23,7 @@ VALUE = {"type": "object", "properties": {"v": {"type": "integer"}}, "required":
 
 @pytest.fixture
 def robot() -> Iterator[RobotManager]:
-    """Each function has one message, its number, for whoever opens it."""
+    """Each function has one message, its number, for each client that opens it."""
     memory = MemoryBridge()
     for number in range(COUNT):
         memory.emitter(f"c{number}", VALUE, latched=True).emit({"v": number})

@@ -1,4 +1,4 @@
-"""The rosbridge endpoint, message by message: what rosbridge_suite does in silence is told here."""
+"""The rosbridge endpoint, message by message: what rosbridge_suite does silently is reported."""
 
 from __future__ import annotations
 
@@ -300,7 +300,7 @@ def test_a_slow_call_holds_up_nothing(enter: Enter) -> None:
         ('{"op": "unsubscribe", "topic": "/t"}', "has not subscribed"),
         ('{"op": "unadvertise", "topic": "/t"}', "does not publish"),
         ('{"op": "unadvertise_service", "service": "/t"}', "does not provide"),
-        ('{"op": "service_response", "id": "1", "result": true}', "nobody waits"),
+        ('{"op": "service_response", "id": "1", "result": true}', "no call waits"),
         ('{"op": "set_level", "level": "loud"}', "expected one of info"),
         ('{"op": "subscribe", "topic": "/uoarm/nothing"}', "nothing"),
         ('{"op": "advertise", "topic": "/uoarm/nothing", "type": "x"}', "no function"),
@@ -350,7 +350,7 @@ def test_clients_provide_services_to_one_another(enter: Enter) -> None:
     request = provider.receive()
     assert (request["op"], request["args"]) == ("call_service", {"x": 4})
     forged = rival.refused(op="service_response", id=request["id"], result=True, values={})
-    assert "nobody waits" in forged
+    assert "no call waits" in forged
     assert "another client" in rival.refused(op="advertise_service", service="/half", type="y")
     provider.send(
         op="service_response", id=request["id"], service="/half", values={"x": 2}, result=True
@@ -362,7 +362,7 @@ def test_clients_provide_services_to_one_another(enter: Enter) -> None:
     ("answer", "why"),
     [
         ('{"op": "service_response", "id": "ID", "values": {}}', "'result' is missing"),
-        ('{"op": "service_response", "id": "other", "result": true}', "nobody waits"),
+        ('{"op": "service_response", "id": "other", "result": true}', "no call waits"),
         ("{", "the last answer of the client that provides it"),
     ],
 )

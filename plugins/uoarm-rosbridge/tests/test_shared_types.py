@@ -1,4 +1,4 @@
-"""Topics between clients whose types are known: what does not fit goes nowhere and is told."""
+"""Topics between clients whose types are known: what does not fit goes nowhere and is reported."""
 
 from __future__ import annotations
 

@@ -41,7 +41,7 @@ class Lane:
         self.goals = 0
 
     def key(self) -> str:
-        """What tells worlds apart: the time does not, where nothing depends on it."""
+        """What distinguishes worlds: the time does not, where nothing depends on it."""
         fleet = copy.copy(self.fleet)
         due = self.fleet.wake_at()
         for name in ("_repeat_at", "_give_up_at", "_cancel_at", "_abandoned_at", "_made"):
@@ -145,13 +145,13 @@ class Lane:
         ends = [item.status for item in self.actions if isinstance(item, GoalEnded)]
         statuses = [item.status for item in self.actions if isinstance(item, Status)]
         assert [status for status in statuses if status != "accepted"] == ends, (
-            "each end is told once"
+            "each end is reported once"
         )
         if "succeeded" in ends:
             assert self.acts, "it is said to have succeeded, and was not done"
 
     def abandon(self) -> None:
-        """What nobody waits for any more is not carried out, once the vehicle is heard again."""
+        """What is not waited for any more is not carried out, once the vehicle reports again."""
         if self.fleet.goal_id or not self.left["restart"]:
             return
         if not self.online:
@@ -161,7 +161,7 @@ class Lane:
             self.report()
             while self.way:
                 self.arrive()
-        assert self.vehicle.is_idle, "an order that nobody waits for stands"
+        assert self.vehicle.is_idle, "an order that is not waited for stands"
 
     def settle(self) -> None:
         """When nothing more happens but that time passes, every goal ends."""

@@ -1,4 +1,4 @@
-"""The page's example runs as printed; and vehicles that nobody named are used."""
+"""The page's example runs as printed; and vehicles without a name are used."""
 
 from __future__ import annotations
 

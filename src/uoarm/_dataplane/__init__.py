@@ -2,15 +2,15 @@
 
 from uoarm._dataplane._outlet import Outlet
 from uoarm._dataplane._queue import BoundedQueue, Inbox, QueueClosed
-from uoarm._dataplane._route import Check, Clock, Consumer, Route
+from uoarm._dataplane._route import Clock, Consumer, MessageCheck, Route
 from uoarm._dataplane._validation import make_check
 
 __all__ = [
     "BoundedQueue",
-    "Check",
     "Clock",
     "Consumer",
     "Inbox",
+    "MessageCheck",
     "Outlet",
     "QueueClosed",
     "Route",

@@ -12,7 +12,7 @@ from uoarm._raised import LimitedLog, contained, is_raised, text_of
 from uoarm.errors import CommandRefusedError, MessageError, UoarmError
 from uoarm.model import Deliver, Message, QueuePolicy, RouteStatus
 
-__all__ = ["SAMPLE_EVERY", "Check", "Clock", "Consumer", "Judge", "Route", "Watched"]
+__all__ = ["SAMPLE_EVERY", "Clock", "Consumer", "Judge", "MessageCheck", "Route", "Watched"]
 
 Clock = Callable[[], float]
 """Returns a monotonic clock, in seconds."""
@@ -50,7 +50,7 @@ class Consumer(Protocol):
         """Take in what a message came to; say whether it is accounted for and logged there."""
 
 
-class Check:
+class MessageCheck:
     """Looks whether messages match their structure: at all of them, or at samples.
 
     Where one does not match, the 128 that come after it are looked at. Not thread safe: an output
@@ -153,7 +153,7 @@ class Route:
         *,
         clock: Clock,
         transfer: Callable[[Message], Message] | None = None,
-        check: Check | None = None,
+        check: MessageCheck | None = None,
         queue: QueuePolicy | None = None,
         watch: Consumer | None = None,
     ) -> None:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 from attrs import define, field
 
 from uoarm._dataplane._compiled_check import Accepts, compile_check
-from uoarm._dataplane._route import SAMPLE_EVERY, Check, Watched
+from uoarm._dataplane._route import SAMPLE_EVERY, MessageCheck, Watched
 from uoarm._mistakes import mistakes
 from uoarm._spelling import Speller
 from uoarm._support.yaml import Path, clip
@@ -51,7 +51,7 @@ def make_check(
     watch: Producer | None = None,
     *,
     is_suspected: bool = False,
-) -> Check | None:
+) -> MessageCheck | None:
     """Return what raises MessageError for a message of another structure.
 
     Args:
@@ -68,9 +68,9 @@ def make_check(
     if watch is not None:
         check = _reporting(check, watch)
     if mode is ValidationMode.ALWAYS:
-        return Check(check)
+        return MessageCheck(check)
     rest = SAMPLE_EVERY - 1 if mode is ValidationMode.SAMPLED else sys.maxsize
-    return Check(check, rest, is_suspected=is_suspected)
+    return MessageCheck(check, rest, is_suspected=is_suspected)
 
 
 def _make_whole_check(structure: MessageStructure, place: str) -> Callable[[Message], None]:

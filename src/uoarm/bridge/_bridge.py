@@ -167,7 +167,7 @@ class Bridge(BridgeSteps):
             deliver: takes the messages; where it is a `Delivery`, with whose they are, and what
                 cannot be read.
             timeout: in seconds.
-            on_late: told of a source that opened when this had been given up, or the bridge been
+            on_late: called with a source that opened once this was given up, or the bridge had been
                 closed: it is closed by then, and may have lost messages; for the core.
 
         Raises:
@@ -264,7 +264,7 @@ class Bridge(BridgeSteps):
         """Cancel the call that was given this number, or is about to be; for the core.
 
         Does not wait for its end. One that has not begun never does. Returns whether the framework
-        could be told.
+        could be notified.
         """
         return self._pending_calls.cancel_number(number)
 
@@ -275,7 +275,7 @@ class Bridge(BridgeSteps):
         For `_call` of a bridge whose framework can cancel: for the length of a `with` block, while
         it waits for the reply. `cancel` is called when the call has timed out or an emergency stop
         ends it, in another thread, or here at once where that was before; maybe twice. It must
-        return in bounded time, and may return False where the framework could not be told. The
+        return in bounded time, and may return False where the framework could not be notified. The
         call then ends as the framework says.
         """
         return self._pending_calls.cancelling(cancel)
@@ -340,7 +340,7 @@ class Bridge(BridgeSteps):
 
     @final
     def watch(self, listener: Callable[[HealthEvent], None] | None) -> None:
-        """Have health events told to one listener; None ends it. The listener must not block."""
+        """Have one listener called with health events; None ends it. It must not block."""
         self._listener = listener
 
     @final
@@ -377,7 +377,7 @@ class Bridge(BridgeSteps):
         channel: Channel | None = None,
         component: str | None = None,
     ) -> None:
-        """Tell the manager of a change; for bridges, from any thread. Returns at once.
+        """Notify the manager of a change; for bridges, from any thread. Returns at once.
 
         What it is about: a `channel`; else every endpoint of a `component`; else the whole bridge.
         What the manager does:

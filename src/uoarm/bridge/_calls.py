@@ -21,7 +21,7 @@ class CallUnderWay:
 
     Attributes:
         number: by which it is cancelled; None: only by who makes it.
-        cancel: how the framework is told; None: it cannot be, or not yet.
+        cancel: how the framework is notified; None: it cannot be, or not yet.
     """
 
     number: int | None = None
@@ -92,7 +92,7 @@ class CallsUnderWay:
                 None,
             )
             if call is None:
-                # It begins later, or it has ended, which nobody here can tell.
+                # It begins later, or it has ended, which is not known here.
                 self._early[number] = None
                 if len(self._early) > _MOST_EARLY:
                     del self._early[next(iter(self._early))]
@@ -100,7 +100,7 @@ class CallsUnderWay:
         return self.cancel(call)
 
     def cancel(self, call: CallUnderWay) -> bool:
-        """Cancel a call; return whether the framework was told, which it may be later still."""
+        """Cancel a call; return whether the framework was notified, which it may be later still."""
         with self._lock:
             call.is_cancelled, way = True, call.cancel
         return way is not None and way() is not False

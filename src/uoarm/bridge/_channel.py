@@ -196,7 +196,7 @@ class Source(Channel):
 
     @final
     def watch_refused(self, on_refused: Callable[[], object]) -> None:
-        """Have each message told that comes after it was closed, in its thread; for the core."""
+        """Have messages reported that come after it was closed, in their threads; for the core."""
         if self._gate is not None:
             self._gate.on_refused = on_refused
 
@@ -271,7 +271,7 @@ class Sink(Channel):
         """Keep to the endpoint's command policy from now on; called once, by the core.
 
         Args:
-            report_stop: told why a stop message was not taken, and with nothing when one was again.
+            report_stop: called with why a stop message was not taken, and without when one was.
         """
         if self.endpoint.command is not None:
             name = f"{self.endpoint.component}.{self.endpoint.port}"
@@ -305,7 +305,7 @@ class Sink(Channel):
             self._watchdog.release()
 
     def command_status(self) -> CommandStatus | None:
-        """Return what an input that moves something was told last; None for any other."""
+        """Return the last command of an input that moves something; None for any other."""
         return None if self._watchdog is None else self._watchdog.status()
 
     def watch(self, report: Outcomes) -> bool:

@@ -83,7 +83,7 @@ class Capabilities:
         call: reaches services of components.
         serve: offers a function to the framework as a service.
         link: connects two of its own endpoints without the manager in between.
-        stop: an emergency stop here stops everything behind it that moves, whoever commands it.
+        stop: an emergency stop here stops everything behind it that moves, by any client.
     """
 
     discover: bool = False

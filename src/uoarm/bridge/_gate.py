@@ -52,13 +52,13 @@ class Gate:
     """Hands messages to `deliver` one at a time, and none once it is shut.
 
     One stands before the `deliver` of every open source, since frameworks call back from several
-    threads, and go on calling after they were told to stop.
+    threads, and go on calling after they were asked to stop.
 
     Attributes:
         refused: messages that came after it was shut.
         unread: messages that could not be read.
         refusal: why the last one could not be read; empty where one was read since.
-        on_refused: told of each of them, in its thread.
+        on_refused: called for each of them, in its thread.
     """
 
     __slots__ = (

@@ -73,7 +73,7 @@ class BridgeType:
             are `endpoint_options`, it is asked only about options that are right each by itself.
             Reads only; imports no middleware.
         topic: takes an address and its options; returns the name of the topic that it stands for,
-            or "". What is sent to a topic is received by everybody who listens to it, so that
+            or "". What is sent to a topic is received by every subscriber of it, so that
             `uoarm check` warns of loops. None: the framework has no topics. Imports no middleware.
         doctor: returns facts about the environment, name to finding, for `uoarm doctor`; raises
             PluginError, with what to install, where no bridge can be made in it.

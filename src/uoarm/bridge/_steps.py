@@ -92,7 +92,7 @@ class BridgeSteps(ABC):
         """Say whether `_call` of this endpoint ends within its time whatever the framework does.
 
         May be overridden. The call is then made in the caller's thread, which saves two changes of
-        thread, and nobody gives it up: nothing in it may wait for longer than the time it is given,
+        thread, and no limit ends it: nothing in it may wait for longer than the time it is given,
         neither for a lock, nor for a line to take octets, nor in foreign code. It must raise
         BridgeTimeoutError when the time is over. Must itself return at once.
         """
@@ -103,8 +103,8 @@ class BridgeSteps(ABC):
         """Say whether `_open_source` or `_open_sink` of this endpoint, and its close, end at once.
 
         May be overridden. Both are then done in the caller's thread, which saves changes of thread,
-        and nobody gives them up: nothing in them may wait for the framework, nor for a lock that
-        somebody holds who does, nor run foreign code that may hang. They may still raise. Where
+        and no limit ends them: nothing in them may wait for the framework, nor for a lock that
+        is held by what does, nor run foreign code that may hang. They may still raise. Where
         this is wrong, the caller of a request hangs with no limit; in the main thread Ctrl-C ends
         that when it comes for the second time, as the first waits for the end of the request.
         Must itself return at once.

@@ -37,7 +37,7 @@ class Refusal:
 
 
 class CommandState:
-    """What one input was told last, until when that holds, and whether the stop is due.
+    """The last command of one input, until when it holds, and whether the stop is due.
 
     Who uses it asks `offer` before each command is sent and says `sent` after it, sends the stop
     message when `is_due`, and says what became of it. Commands are sent one at a time. The
@@ -49,7 +49,7 @@ class CommandState:
         now: the time.
 
     Attributes:
-        phase: what it was told last.
+        phase: of its last command.
         held: whether every command is refused.
         dropped: commands refused, by reason.
         cause: why the last stop was not taken.
@@ -243,7 +243,7 @@ _LAST_SECONDS = 0.5
 
 
 def boot_seconds() -> float:
-    """Return seconds of a clock that nobody sets and that goes on while the machine is suspended.
+    """Return seconds of a clock that is never set and that goes on while the machine is suspended.
 
     All processes of a machine have the same one.
     """
@@ -327,7 +327,7 @@ class Watchdog:
             self._state.release()
 
     def status(self) -> CommandStatus:
-        """Return what it was told last, and how long that holds."""
+        """Return its last command, and how long that holds."""
         with self._changed:
             return self._state.status(self._clock())
 
@@ -402,7 +402,7 @@ class Watchdog:
     def _send_stop(self) -> None:
         assert self._stop is not None, "without a stop message none is due"
         with self._changed:
-            # While it waited for its turn, what was due may have been taken back by nobody: only
+            # While it waited for its turn, what was due may not have been taken back: only
             # the end of the channel is left.
             if self._ended or not self._state.begin_stop(self._clock()):
                 return

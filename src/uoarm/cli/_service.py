@@ -327,7 +327,7 @@ class _Examination:
             text = "Type is not notify: systemd takes the server for started before it listens"
             yield Level.ERROR if seconds else Level.WARNING, text
         if unit.value("NotifyAccess", "main") == "none":
-            yield Level.ERROR, "NotifyAccess=none: systemd hears neither readiness nor watchdog"
+            yield Level.ERROR, "NotifyAccess=none: systemd receives neither readiness nor watchdog"
         if not seconds:
             yield Level.WARNING, "WatchdogSec is missing: a loop that hangs is not noticed; take 10"
         elif seconds < _LEAST_WATCHDOG:

@@ -217,7 +217,7 @@ def _mistakes_of_place(hosts: dict[str, object]) -> Iterator[Mistake]:
         yield ("hosts", "listen"), "TLS needs certificates", hint
 
 
-_TELLING = ("structure", "request", "reply", "like", "name", "port", "label")
+_NEED_KEYS = ("structure", "request", "reply", "like", "name", "port", "label")
 
 
 def need_mistakes(value: object) -> Iterator[tuple[Path, str, str, bool]]:
@@ -228,8 +228,8 @@ def need_mistakes(value: object) -> Iterator[tuple[Path, str, str, bool]]:
             yield ("functions", name), "components or needs is missing", hint, True
     for name, need in needs(value).items():
         path: Path = ("functions", name, "needs")
-        if not any(key in need for key in _TELLING):
-            yield path, "it does not say what is needed", f"one of {', '.join(_TELLING)}", True
+        if not any(key in need for key in _NEED_KEYS):
+            yield path, "it does not say what is needed", f"one of {', '.join(_NEED_KEYS)}", True
         if "like" in need and "structure" in need:
             yield (*path, "like"), "give either structure or like, not both", "", True
         if need.get("like") == name:

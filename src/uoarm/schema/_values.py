@@ -28,7 +28,7 @@ __all__ = [
 ]
 
 _SHOWN_PARTS = 200
-_TOLD_TEXT = 60
+_MOST_SHOWN = 60
 _SHOWN_ITEMS = 3
 _MAX_LEVELS = 250
 _SHORT = frozenset({int, float, bool, type(None)})
@@ -171,8 +171,8 @@ class _Description:
             return {}
         if isinstance(value, Repeated | list | tuple):
             return []
-        if isinstance(value, str) and len(value) > _TOLD_TEXT:
-            return f"{value[:_TOLD_TEXT]}... ({len(value):,} characters)"
+        if isinstance(value, str) and len(value) > _MOST_SHOWN:
+            return f"{value[:_MOST_SHOWN]}... ({len(value):,} characters)"
         return value
 
 

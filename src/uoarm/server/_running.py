@@ -257,7 +257,7 @@ async def _until_signal(server: Server, ready: Callable[[Server], None] | None) 
         service_manager.stopping()
         await server.stop()
         living.cancel()
-        # Closing the loop closes where signals are told to it before it stops hearing of them:
+        # Closing the loop closes where signals are written to it before it stops reading them:
         # another one in between would be shown as an exception.
         signal.set_wakeup_fd(-1)
 

@@ -112,7 +112,7 @@ _RESET = struct.pack("ii", 1, 0)
 
 
 class Proxy:
-    """Passes bytes on until it is told otherwise; methods from any thread.
+    """Passes bytes on until a method changes that; methods from any thread.
 
     Realism: `cut` resets both ends as a crashed router would; `hold` keeps bytes as a dead link
     does, and what was held at a cut is lost.

@@ -1,4 +1,4 @@
-"""Components for the conformance suite that are told through files, since they are hosted."""
+"""Components for the conformance suite that are driven through files, since they are hosted."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-// The JavaScript client while a button is held: it renews, stops, and is told who else commands.
+// The JavaScript client while a button is held: it renews, stops, and learns who else commands.
 import assert from "node:assert";
 import { connect } from "../../../src/uoarm/server/static/uoarm.js";
 

@@ -47,7 +47,7 @@ for (const resume of [true, false]) {
   robot.close();
 }
 
-// Told not to; a server that does not come back; one that is closed meanwhile.
+// Without reconnecting; a server that does not come back; one that is closed meanwhile.
 for (const reconnect of [0, 0.3]) {
   const robot = await connect(url, { ...options, reconnect });
   const stream = await robot.request("numbers");

@@ -112,7 +112,7 @@ test("a watch is opened again when the connection is back, with the gap marked",
   assert.deepEqual(watch.components, ["b", "c"]);
   watches.broken();
   assert.deepEqual([watch.away, watch.end], [true, null]);
-  await watches.close("g"); // tells the server nothing: it knows no such connection any more
+  await watches.close("g"); // sends the server nothing: it knows no such connection any more
   watches.take("c1", { x: 2 }); // another one's, by now
   assert.equal(watch.taken, 1);
   answers.push(new Refusal({ code: "closed", text: "it broke once more" }), "c1");

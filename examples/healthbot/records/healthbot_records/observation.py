@@ -32,7 +32,7 @@ class Measurement(TypedDict):
     """What the robot measured: `value` for pulse and spo2, two values for pressure (mmHg).
 
     `visit` names the encounter. Two applications that read the same device in the same millisecond
-    measure the same value at the same time; only their visits tell the two measurements apart.
+    measure the same value at the same time; only their visits distinguish the two measurements.
     """
 
     patient: str

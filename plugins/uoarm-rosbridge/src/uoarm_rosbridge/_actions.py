@@ -60,7 +60,7 @@ class Actions:
         client: its limits and its outbox.
         backend: where functions are opened.
         hub: where clients meet.
-        fail: tells the client what went wrong with a message of its.
+        fail: reports to the client what went wrong with a message of its.
         ask: sends another client's request; raises BusyError where it leaves too much unread.
     """
 

@@ -269,12 +269,12 @@ class Latched:
 
 @define(eq=False)
 class ClientTopic:
-    """One topic between clients; it lives while someone publishes or listens.
+    """One topic between clients; it lives while a client publishes or subscribes.
 
     Attributes:
         owner: the account of the client that named it first, whose topic it counts as.
         type: as its publishers state it; the first of them decides while any of them stays.
-        stated: as the first listener named it, which binds nobody.
+        stated: as the first subscriber named it, which binds no other.
         latched: the last message of each publisher that latches.
     """
 
@@ -474,7 +474,7 @@ class Hub:
             self._refusals.pop(identity, None)
 
     def refused(self, identity: object, provider: Provider, why: str) -> None:
-        """Take in that an answer of a client was refused: who waits for one is told so.
+        """Take in that an answer of a client was refused: who waits for one is notified.
 
         Without the name of a call that waits, each that waits for this client is.
         """
@@ -486,11 +486,11 @@ class Hub:
         """Take a client's answer; `conclude` sets the future's result or error.
 
         Raises:
-            UnknownError: nobody waits for it, or another client was asked.
+            UnknownError: no call waits for it, or another client was asked.
         """
         one, future = self._waiting.get(identity, (None, None))
         if one is not provider or future is None or future.done():
-            raise UnknownError(f"nobody waits for the answer {identity!r:.200}")
+            raise UnknownError(f"no call waits for the answer {identity!r:.200}")
         conclude(future)
 
     def _topic(self, name: str, owner: object) -> ClientTopic:

@@ -79,7 +79,7 @@ class Addresses:
         Args:
             name: a topic or service.
             role: of the port that the client means.
-            client: it is told of what it may see.
+            client: it is shown what it may see.
         """
         robot = self._manager.config
         if robot is not self._robot:

@@ -114,7 +114,7 @@ class SharedPublication:
     def publish(self, message: Message, done: Done, octets: int, latch: Account | None) -> None:
         """Share one message of so many octets after those before it.
 
-        `done` hears how it went, where that is not known when this returns.
+        `done` is called with how it went, where that is not known when this returns.
 
         Raises:
             MessageError: it is not of the type.
@@ -193,7 +193,7 @@ class SharedPublication:
     def _outcome(self, message: Message) -> Message | Exception:
         try:
             return self._checked(message)
-        except Exception as error:  # noqa: BLE001 - told to the one who published it
+        except Exception as error:  # noqa: BLE001 - reported to its publisher
             return error
 
     def _checked(self, message: Message) -> Message:

@@ -160,7 +160,7 @@ class Rosapi:
         return {"version": 2, "distro": f"uoarm {__version__}"}
 
     def _get_param(self, arguments: Arguments) -> dict[str, Any]:
-        """Answer with JSON; what nobody set has the default that the client names, or null."""
+        """Answer with JSON; what was never set has the default that the client names, or null."""
         found = self._parameter(arguments)
         if found is None:
             default = arguments.get("default_value") or arguments.get("default")

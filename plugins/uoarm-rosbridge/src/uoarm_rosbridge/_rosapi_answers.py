@@ -143,7 +143,7 @@ class RosapiAnswers:
     has it in a later answer once it can be had.
 
     Args:
-        role: sees what its clients are told.
+        role: sees what its clients are shown.
         listed: all functions.
         hub: what clients offer to one another.
         types: native types that were looked up; None: no plugin knows it.

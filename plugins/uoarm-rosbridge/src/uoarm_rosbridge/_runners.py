@@ -25,7 +25,7 @@ class Runner(Protocol):
     def cancel(self, goal: Goal, done: Done) -> None:
         """Ask for a goal's end; raises UoarmError where that cannot be asked.
 
-        What the goal ends with comes as its result; `done` hears how the asking went.
+        What the goal ends with comes as its result; `done` is called with how the asking went.
         """
 
     def abandon(self, goal: Goal) -> None:
@@ -70,7 +70,7 @@ class CallRunner:
                 reader_of(f"action {self._place.name!r}", goal.kind),
                 self._backend.limits.call_seconds,
             )
-        except Exception as error:  # noqa: BLE001 - told to the one who sent it
+        except Exception as error:  # noqa: BLE001 - reported to its sender
             goal.fail(error)
         else:
             goal.finish(reply, GoalStatus.SUCCEEDED)

@@ -127,7 +127,7 @@ class RosbridgeSession:
         try:
             fields = read_operation(frame, spending)
             whole = self._collect(fields, spending) if fields.get("op") == "fragment" else fields
-        except Exception as error:  # noqa: BLE001 - every message that is wrong is told
+        except Exception as error:  # noqa: BLE001 - every message that is wrong is reported
             if not isinstance(error, ControlMessageError):
                 _log.exception("a message of client %s", self._client.identity)
             return functools.partial(self._fail, fields, without_frames(error)), 0
@@ -167,7 +167,7 @@ class RosbridgeSession:
             self._count_fragments()
             if fields is not None:
                 self._act(fields)
-        except Exception as error:  # noqa: BLE001 - every message that is wrong is told
+        except Exception as error:  # noqa: BLE001 - every message that is wrong is reported
             self._fail(fields or {}, error)
 
     def _count_fragments(self) -> None:
@@ -234,7 +234,7 @@ class RosbridgeSession:
     async def _finish(self, fields: Mapping[str, Any], work: Coroutine[Any, Any, None]) -> None:
         try:
             await work
-        except Exception as error:  # noqa: BLE001 - every message that is wrong is told
+        except Exception as error:  # noqa: BLE001 - every message that is wrong is reported
             self._fail(fields, error)
 
     def _collect(self, fields: Mapping[str, Any], spending: Spending) -> Mapping[str, Any] | None:

@@ -25,7 +25,7 @@ from uoarm_rosbridge._wire import (
 __all__ = ["RawWriter", "RosbridgeSubscription", "SubscribeOptions", "read_options"]
 
 _head = struct.Struct(">BI").pack
-_BYTE_STRING = 0x5A  # of CBOR, behind which its length is told in four octets
+_BYTE_STRING = 0x5A  # of CBOR, behind which its length stands in four octets
 
 
 class RawWriter:
@@ -33,7 +33,7 @@ class RawWriter:
 
     Args:
         topic: as the client named it.
-        structure: tells what the messages are like now; a takeover may change it.
+        structure: says what the messages are like now; a takeover may change it.
     """
 
     def __init__(self, topic: str, structure: Callable[[], MessageStructure]) -> None:
@@ -124,9 +124,9 @@ class RosbridgeSubscription(Subscription):
         topic: as the client named it.
         options: of the first subscribe message.
         client: who listens.
-        structure: tells what the messages are like, for `cbor-raw`.
-        on_refused: hears once of each reason for which a message could not be written.
-        on_end: hears why no more will come.
+        structure: says what the messages are like, for `cbor-raw`.
+        on_refused: called once with each reason for which a message could not be written.
+        on_end: called with why no more will come.
     """
 
     def __init__(

@@ -37,8 +37,8 @@ class Topics:
         backend: where functions are opened.
         hub: where clients publish to one another.
         addresses: of functions, which clients may ask for by them.
-        fail: tells the client what went wrong with a message of its.
-        warn: tells the client what it should know of a message of its.
+        fail: reports to the client what went wrong with a message of its.
+        warn: reports to the client what it should know of a message of its.
     """
 
     def __init__(
@@ -151,7 +151,7 @@ class Topics:
             self._latched.add(place.name)
 
     def _hint(self, place: NamedPort, role: Role, fields: Fields) -> None:
-        """Tell the client where a function is which it asks for by its own address."""
+        """Report to the client where a function is which it asks for by its own address."""
         hint = self._addresses.hint(place.name, role, self._client)
         if hint:
             self._warn(fields, hint)

@@ -10,7 +10,7 @@ from typing import Any
 from uoarm._control.live.bridges import facts_of
 from uoarm._control.live.health import FailureWatch, InputWatch, OutputWatch
 from uoarm._control.live.safety import EmergencyStop, InputLease
-from uoarm._dataplane import Check, Outlet, make_check
+from uoarm._dataplane import MessageCheck, Outlet, make_check
 from uoarm._raised import foreign, text_of
 from uoarm.bridge import Bridge, Channel, Sink, Source
 from uoarm.errors import BridgeError, ConnectionClosedError, UoarmError
@@ -277,7 +277,7 @@ class LiveComponent:
         mode: ValidationMode,
         *,
         is_suspected: bool = False,
-    ) -> Check | None:
+    ) -> MessageCheck | None:
         """Return what checks messages of an output for one route, and blames this component."""
         place = f"{self.component.name}.{output}"
         watch = self._output_watches[output]
@@ -311,7 +311,7 @@ class LiveComponent:
         """
         self._doomed = True
         self._sweep()
-        # Where it was opened in vain, what it was to replace goes on.
+        # Where opening it failed, what it was to replace goes on.
         with self._stopping_replaced:
             replaced, self._replaced = self._replaced, ()
         for live in replaced:

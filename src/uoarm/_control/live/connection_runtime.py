@@ -206,9 +206,9 @@ class ConnectionRuntime:
         return () if ports is None else tuple(route.status() for route in ports.routes())
 
     def hand_over(self, action: HandOver, ports: ApplicationPorts) -> None:
-        """Hear the next plan and no other, and note the gap, whose losses are not counted yet.
+        """Receive from the next plan only, and note the gap, whose losses are not counted yet.
 
-        Whoever sees the gap sees the plan behind it.
+        Who sees the gap sees the plan behind it.
 
         Args:
             action: which plan takes over from which, when and why.

@@ -420,7 +420,7 @@ class Lease:
     def ask(self, sender: LeaseHolder, now: float, *, take_over: bool = False) -> str:
         """Give it to a sender or renew it; return why it may not have it, nothing where it has it.
 
-        Whoever asks first has it. One of a higher priority takes it over; one of the same
+        The first to ask has it. One of a higher priority takes it over; one of the same
         priority does where it wants to.
         """
         holder = self.holder(now)

@@ -102,7 +102,7 @@ class FrameWriter:
         if not self._writing.acquire(timeout=seconds):
             raise _full(key, seconds)
         try:
-            # An exception of a signal's handler ended a write midway: the other end could not tell
+            # An exception of a signal's handler ended a write midway: the other end could not see
             # where the next frame begins, so the link ends.
             if self._is_torn:
                 self.shut()

@@ -92,7 +92,7 @@ class ZenohTransport(Transport):
         begun = time.monotonic()
         key = self._prefix + key
         # Zenoh ends the replies when the limit is over, and at once where no one answers at the
-        # key: only the time that has passed tells one from the other.
+        # key: only the time that has passed distinguishes them.
         with _wrapped(f"asking {key}"):
             replies = list(self._session.get(key, payload=pack(request), timeout=timeout))
         late = time.monotonic() - begun >= timeout

@@ -117,7 +117,7 @@ def several(solver: Solver, goal: Goal, count: int) -> Generator[Goal, Result, l
 def _beyond(solver: Solver, value: Any) -> Literal | None:
     """Return what only larger values of the same kind meet.
 
-    It spares telling a new value apart from each of those before.
+    It spares distinguishing a new value from each of those before.
     """
     kind = kind_of(value)
     if kind not in _GROWTH:

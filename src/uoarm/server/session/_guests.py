@@ -87,7 +87,7 @@ class Guest(AdmittedClient):
     What needs an approval is not refused here: the front end asks for one.
 
     Attributes:
-        has_ended: whether its rights have ended or changed: whoever comes then is another guest.
+        has_ended: whether its rights have ended or changed: who comes then is another guest.
     """
 
     def __init__(self, grant: Grant, limits: Limits, account: Account, audit: Audit) -> None:

@@ -42,7 +42,7 @@ export class Stream<T = Message> implements AsyncIterable<T> {
   readonly warnings: readonly string[];
   /** Messages that did not get here, as gaps in their numbers. */
   readonly lost: number;
-  /** How often the server began anew meanwhile, so that nobody knows what was lost. */
+  /** How often the server began anew meanwhile, so that what was lost is not known. */
   readonly gaps: number;
   /** `open`, or how it ended. */
   readonly state: "open" | "closed" | "finished" | "failed";

@@ -56,7 +56,7 @@ export class HeldCommand {
     this.#stop = stop;
     /** Resolves when it was stopped; rejects when it cannot be renewed any more, with the reason. */
     this.done = this.#renew(period, send);
-    this.done.catch(() => {}); // whoever wants to know asks for it
+    this.done.catch(() => {}); // who wants to know asks for it
   }
 
   /** Renew it no more, and have the input stopped. Once is enough; resolves when it has stopped. */
@@ -418,7 +418,7 @@ export class Robot {
     if (!asked) return;
     if (op === "Error") asked.reject(new UoarmError(message.code, message.text));
     else if (asked.fields.op === "Request") {
-      // Made here, since the first message may follow before whoever asked has woken.
+      // Made here, since the first message may follow before the caller has woken.
       const stream = asked.stream ?? new Stream(asked.fields, (fields) => this.#ask(fields));
       stream.open(message);
       this.#away.delete(stream);
@@ -445,7 +445,7 @@ export class Robot {
     this.#streams.clear();
   }
 
-  /** Has a new session open what the one before had, and tell what changes. */
+  /** Has a new session open what the one before had, and report what changes. */
   #openAgain() {
     for (const stream of this.#away) {
       if (stream.state === "open") this.#renew(stream);

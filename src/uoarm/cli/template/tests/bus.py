@@ -20,7 +20,7 @@ Fields = dict[str, Any]
 
 
 class ExampleBus:
-    """Topics and services for whoever connects. `cut` has it away for a while.
+    """Topics and services for all that connect. `cut` has it away for a while.
 
     Args:
         topics: JSON Schema of the messages of each topic.

@@ -19,7 +19,7 @@ export function Explain({ store, func }) {
     <button type="button" class="button small" onClick=${again}>Refresh</button>`;
 }
 
-/** Candidates that nobody looked at, because one before them fits. */
+/** Candidates that were not looked at, because one before them fits. */
 export function untried(plan, { name, components }) {
   const seen = new Set([plan.steps.at(-1).component.name]);
   for (const candidate of plan.rejected) if (candidate.function === name) seen.add(candidate.component);
@@ -76,5 +76,5 @@ function Untried({ row }) {
   const label = html`${row.name} <${Framework} name=${row.bridge} />
     <span class="verdict">not tried, priority ${row.priority}</span>`;
   return html`<${Node} look="untried" mark="idle" open=${false} label=${label}>
-    <p class="quiet">A candidate before it fits, so nobody looked at it.</p></${Node}>`;
+    <p class="quiet">A candidate before it fits, so it was not looked at.</p></${Node}>`;
 }

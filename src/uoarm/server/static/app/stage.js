@@ -11,7 +11,7 @@ const STILL = 4; // pixels that a finger may move and still press
 const legible = () => (window.innerWidth < 700 ? { least: 0.6, margin: 14 } : {});
 
 /**
- * The camera of a stage. It shows everything until someone moves it, however much room panels leave;
+ * The camera of a stage. It shows everything until a user moves it, however much room panels leave;
  * after that it keeps its scale, and the card that was chosen last in sight. It moves the plane itself: nothing is rendered again,
  * however much there is.
  */

@@ -1,4 +1,4 @@
-// What the page knows, in one place. Changes are told once per frame.
+// What the page knows, in one place. Changes are reported once per frame.
 
 import { mergeStatus, sinceStatus } from "../uoarm.js";
 import { join } from "./system.js";
@@ -35,7 +35,7 @@ export class Store {
     return () => this.listeners.delete(listener);
   }
 
-  /** Tells listeners in the next frame that something is different. */
+  /** Notifies listeners in the next frame that something is different. */
   changed() {
     if (this.changing) return;
     this.changing = true;

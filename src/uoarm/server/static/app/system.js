@@ -70,13 +70,13 @@ export function nameOf({ id, clients = [] }) {
 export const holdersOf = ({ clients = [] }) =>
   clients.map(({ own, principal, role, address }) => `${own ? "this page" : principal || "no name"}, ${role}, ${address}`);
 
-/** The inputs of an open component that move something: what each was told last, and who may tell it. */
+/** The inputs of an open component that move something: the last command of each, and who may command it. */
 function commandsOf(live) {
   return (live?.channels ?? []).filter(({ command }) => command).map(({ port, command, lease }) => ({
     name: port.split(".")[1], phase: command.phase, left: command.left, lease: lease && (lease.holder ?? "free") }));
 }
 
-/** What an application's callback raises is told with the connection, whose own failure it is. */
+/** What an application's callback raises is shown with the connection, whose own failure it is. */
 function withFlow(connection, routes) {
   const failed = sum(routes.map(raised));
   const error = routes.find(raised)?.last_error ?? "";

@@ -133,7 +133,7 @@ export class Watches {
     this.changed();
   }
 
-  /** Opens again what was open when the connection broke; nobody knows what was missed. */
+  /** Opens again what was open when the connection broke; what was missed is not known. */
   async again() {
     const away = [...this.byName.values()].filter((watch) => watch.away && !watch.end);
     await Promise.all(away.map((watch) => this.#again(watch)));

@@ -1,4 +1,4 @@
-// The native protocol over one WebSocket: questions with answers, and what the server tells unasked.
+// The native protocol over one WebSocket: questions with answers, and notices of the server.
 
 const FORM = "uoarm.v1.json";
 const FIRST_WAIT = 500;
@@ -16,7 +16,7 @@ export class Refusal extends Error {
 /**
  * Keeps a WebSocket to the server open, and opens it again after it broke.
  *
- * hear: called with (op, type, message) for Data and Status, and with
+ * receive: called with (op, type, message) for Data and Status, and with
  * ("link", "open" | "closed" | "locked") when the connection itself changes.
  */
 export class Wire {
