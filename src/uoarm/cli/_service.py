@@ -23,7 +23,16 @@ from attrs import frozen
 
 from uoarm.errors import UoarmError, UsageError
 
-__all__ = ["Finding", "Level", "ServiceUser", "Unit", "examine", "find_unit", "read_unit"]
+__all__ = [
+    "Finding",
+    "Level",
+    "ServiceUser",
+    "Unit",
+    "examine",
+    "find_unit",
+    "options_of_serve",
+    "read_unit",
+]
 
 _FOLDERS = ("etc", "run", "usr/local/lib", "usr/lib", "lib")
 _SETTING = re.compile(r"\s*([A-Za-z]+)\s*=\s*(.*)")
@@ -219,7 +228,7 @@ class _Examination:
             yield Level.WARNING, "ExecStart is not `uoarm serve`: its options are not looked at"
             return
         try:
-            options = _options_of_serve(words[words.index("serve") + 1 :])
+            options = options_of_serve(words[words.index("serve") + 1 :])
         except click.UsageError as error:
             yield Level.ERROR, f"ExecStart: uoarm serve refuses its options: {error.message}"
             return
@@ -459,7 +468,7 @@ def examine(unit: Unit, look: Callable[[Path], os.stat_result] = os.stat) -> tup
     return tuple(_Examination(unit, look).findings())
 
 
-def _options_of_serve(words: list[str]) -> Mapping[str, Any]:
+def options_of_serve(words: list[str]) -> Mapping[str, Any]:
     """Return the options of `uoarm serve` as they are written.
 
     Raises:

@@ -1,0 +1,44 @@
+"""Whether the server of this container answers; the exit status is 0 where it does.
+
+`UOARM_PORT` is its port, 9080 unless it is set. It is asked in plain HTTP first, then with TLS.
+"""
+
+from __future__ import annotations
+
+import http.client
+import os
+import ssl
+import sys
+
+_SECONDS = 2.0
+_WELL = 200
+
+
+def main() -> int:
+    """Ask once; returns the exit status."""
+    port = int(os.environ.get("UOARM_PORT", "9080"))
+    # On loopback there is no one between: whether it answers is all that is asked.
+    unverified = ssl.create_default_context()
+    unverified.check_hostname, unverified.verify_mode = False, ssl.CERT_NONE
+    problem: object = None
+    for connection in (
+        http.client.HTTPConnection("127.0.0.1", port, timeout=_SECONDS),
+        http.client.HTTPSConnection("127.0.0.1", port, timeout=_SECONDS, context=unverified),
+    ):
+        try:
+            connection.request("GET", "/healthz")
+            status = connection.getresponse().status
+        except (OSError, http.client.HTTPException) as error:
+            problem = error
+        else:
+            if status == _WELL:
+                return 0
+            problem = f"HTTP {status}"
+        finally:
+            connection.close()
+    sys.stderr.write(f"the server on port {port} does not answer: {problem}\n")
+    return 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())
