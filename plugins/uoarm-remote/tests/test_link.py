@@ -466,7 +466,7 @@ def test_what_waits_for_a_consumer_is_bounded_in_octets(
 ) -> None:
     emitter, collector = memory.emitter("map", {}), Collector()
     bridge = far()
-    endpoint = evolve(FAR_MAP, options={"backlog_octets": 1000})
+    endpoint = evolve(FAR_MAP, options={"backlog_bytes": 1000})
     with closing(
         bridge.open_source(endpoint, MessageStructure(schema=True), collector.deliver)
     ) as source:

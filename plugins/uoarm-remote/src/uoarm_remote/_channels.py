@@ -189,7 +189,7 @@ class FunctionSource(Source):
             f"uoarm-remote {self.key[0]}",
             self._hand_on,
             options.backlog,
-            most_size=options.backlog_octets,
+            most_size=options.backlog_bytes,
             size=_size_of,
         )
 

@@ -68,7 +68,7 @@ class FunctionOptions(EndpointOptions):
         {"type": "integer", "minimum": 1, "maximum": 100_000},
         "messages that may wait",
     )
-    backlog_octets: int = option(
+    backlog_bytes: int = option(
         67_108_864,
         {"type": "integer", "minimum": 1},
         "bytes that they may hold; the newest message is always kept",
