@@ -19,8 +19,10 @@ from uoarm.bridge import (
     BridgeType,
     DeclaredOptions,
     EndpointOptions,
+    PeerOptions,
     Registry,
     TlsOptions,
+    address_check,
     option,
     options_table,
 )
@@ -360,3 +362,29 @@ def test_a_table_of_a_bridge_has_what_is_a_mapping_or_a_list() -> None:
     assert "| `from` | 0.0 | when it begins |" in rows
     assert "| `files` |  | of its plans |" in rows
     assert "| `doors` |  | by name |" in rows
+
+
+@frozen
+class Gate(PeerOptions):
+    width: float = option(1.0, {"type": "number"}, "of the gate")
+
+
+@pytest.mark.parametrize("is_offered", [False, True])
+def test_what_is_offered_needs_no_peer(*, is_offered: bool) -> None:
+    endpoint = Endpoint(
+        "b", "gate", Role.OUTPUT, ("a",), options={"width": 2.0}, is_offered=is_offered
+    )
+    options = Gate.of_endpoint(endpoint)
+    assert (options.width, options.at_once, options.stale_after) == (2.0, 8, None)
+    assert options.peer_required is not is_offered
+
+
+def test_an_address_that_cannot_be_read_is_a_sentence() -> None:
+    def read(parts: tuple[str, ...]) -> str:
+        if len(parts) != 1:
+            raise ValueError(f"expected [topic], got {list(parts)}")
+        return parts[0]
+
+    check = address_check(read)
+    assert check(("a",), {}) == ""
+    assert check(("a", "b"), {}) == "expected [topic], got ['a', 'b']"

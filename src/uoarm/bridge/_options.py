@@ -13,7 +13,7 @@ Schema, since the type checker then knows what the bridge reads; the schema foll
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from functools import cache
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -34,7 +34,9 @@ __all__ = [
     "BridgeOptions",
     "DeclaredOptions",
     "EndpointOptions",
+    "PeerOptions",
     "TlsOptions",
+    "address_check",
     "option",
     "options_table",
 ]
@@ -121,6 +123,43 @@ class EndpointOptions(DeclaredOptions):
             return cls.of(endpoint.options)
 
 
+@attrs.frozen
+class PeerOptions(EndpointOptions):
+    """The options of an endpoint in a framework whose peers come and go by themselves."""
+
+    peer: str = option(
+        "required",
+        {"enum": ["required", "optional"]},
+        "`optional`: available without another end, as for publishing outward",
+    )
+    stale_after: float | None = option(
+        None,
+        {"type": "number", "exclusiveMinimum": 0, "maximum": 86400},
+        "of an output: seconds without a message after which it is lost; left out: never",
+        unit="s",
+    )
+    at_once: int = option(
+        8,
+        {"type": "integer", "minimum": 1, "maximum": 64},
+        "of what is offered: requests or goals that are handled at the same time",
+    )
+
+    @property
+    def peer_required(self) -> bool:
+        """Whether an endpoint without another end counts as unavailable."""
+        return self.peer == "required"
+
+    @classmethod
+    def of_endpoint(cls, endpoint: Endpoint) -> Self:
+        """Read the options of an endpoint. What is offered needs no peer.
+
+        Raises:
+            BridgeError: with BAD_ENDPOINT, the endpoint and everything that is wrong.
+        """
+        options = super().of_endpoint(endpoint)
+        return attrs.evolve(options, peer="optional") if endpoint.is_offered else options
+
+
 class BridgeOptions(DeclaredOptions):
     """The options of a bridge, as its plugin gets them."""
 
@@ -158,6 +197,26 @@ class TlsOptions(DeclaredOptions):
 
         what = f"bridge {bridge!r}: tls"
         return client_context(self.ca, self.certificate, self.key, what=what)
+
+
+def address_check(
+    read: Callable[[tuple[str, ...]], object],
+) -> Callable[[tuple[str, ...], Options], str]:
+    """Return the `check_endpoint` of a plugin whose addresses are right if they can be read.
+
+    Args:
+        read: takes the parts of an address; raises ValueError with a sentence.
+    """
+
+    def check(address: tuple[str, ...], options: Options) -> str:
+        del options  # each is checked by its own schema
+        try:
+            read(address)
+        except ValueError as error:
+            return str(error)
+        return ""
+
+    return check
 
 
 def options_table(schema: Schema, heading: str = "option") -> str:

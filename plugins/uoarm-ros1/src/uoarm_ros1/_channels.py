@@ -10,7 +10,15 @@ from typing import Any
 
 from attrs import evolve, frozen
 
-from uoarm.bridge import Channel, ChannelHealth, ChannelMonitor, Delivery, Sink, Source
+from uoarm.bridge import (
+    Channel,
+    ChannelHealth,
+    ChannelMonitor,
+    Delivery,
+    ReceiveQueue,
+    Sink,
+    Source,
+)
 from uoarm.errors import BridgeError, FailureReason, MessageError
 from uoarm.model import Deliver, Endpoint, Health, Message, MessageStructure
 from uoarm_ros1._definitions import RosRecord
@@ -477,30 +485,29 @@ class Ros1ParameterSource(Source):
         self._node, self._deliver = node, deliver
         self._name = node.resolve(address.name)
         self._received = 0
-        # Guards the order of values: what the master answers comes in one thread, changes in the
-        # loop's. They are handed over in one of its own, so that no receiver holds up the loop.
-        self._changed = threading.Condition()
-        self._waiting: list[Any] = []
-        self._is_ended = False
+        # Guards the last value: what the master answers comes in one thread, changes in the loop's.
+        self._lock = threading.Lock()
         self._last: Any = _ABSENT
-        self._thread = threading.Thread(
-            target=self._run, name=f"uoarm-ros1-{self._name}", daemon=True
-        )
-        value = node.watch_parameter(self._name, self._take)
+        # Only the newest matter to who is slow.
+        self._queue: ReceiveQueue[Any] = ReceiveQueue(f"uoarm-ros1-{self._name}", self._hand_on, 2)
+        try:
+            value = node.watch_parameter(self._name, self._take)
+        except BaseException:
+            self._queue.close()
+            raise
         if value == _ABSENT:
-            node.unwatch_parameter(self._name, self._take)
+            self._close()
             text = f"{endpoint}: the parameter {self._name} is not set"
             raise BridgeError(text, FailureReason.NOT_FOUND)
-        self._thread.start()
         self._take(self._name, value, is_set=False)
 
     def facts(self) -> Mapping[str, object]:
         """Return counters."""
-        return {"received": self._received, "under_way": len(self._waiting)}
+        return {"received": self._received, "under_way": len(self._queue)}
 
     def _take(self, key: str, value: Any, *, is_set: bool) -> None:
         """Take a value that was set, or that is what a registration found, at first or again."""
-        with self._changed:
+        with self._lock:
             if key != self._name:  # one within it: the whole is asked for
                 value = _ABSENT
             # The bridge's look at the master may register anew between the entry in the node's
@@ -508,30 +515,19 @@ class Ros1ParameterSource(Source):
             elif not is_set and value == self._last:
                 return
             self._last = value
-            # Only the newest matters to who is slow.
-            self._waiting[1:] = []
-            self._waiting.append(value)
-            self._changed.notify_all()
+            self._queue.put(value)
 
-    def _run(self) -> None:
-        while True:
-            with self._changed:
-                self._changed.wait_for(lambda: self._waiting or self._is_ended)
-                if self._is_ended:
-                    return
-                value = self._waiting.pop(0)
-            if value == _ABSENT:
-                try:
-                    value = self._node.master.call("getParam", self._name)
-                except BridgeError:
-                    continue  # it was deleted, or the master is away: the next change will say
-            self._received += 1
-            self._deliver(value)
+    def _hand_on(self, value: Any) -> None:
+        if value == _ABSENT:
+            try:
+                value = self._node.master.call("getParam", self._name)
+            except BridgeError:
+                return  # it was deleted, or the master is away: the next change will say
+        self._received += 1
+        self._deliver(value)
 
     def _close(self) -> None:
-        with self._changed:
-            self._is_ended = True
-            self._changed.notify_all()
+        self._queue.close()
         self._node.unwatch_parameter(self._name, self._take)
 
 

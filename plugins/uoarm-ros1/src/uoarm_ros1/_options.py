@@ -7,9 +7,9 @@ import re
 from collections.abc import Mapping
 from urllib.parse import urlsplit
 
-from attrs import evolve, field, frozen
+from attrs import field, frozen
 
-from uoarm.bridge import BridgeOptions, EndpointOptions, option, reading_endpoint
+from uoarm.bridge import BridgeOptions, PeerOptions, address_check, option, reading_endpoint
 from uoarm.errors import ConfigurationError
 from uoarm.model import Budget, Endpoint, Options, Role
 
@@ -124,24 +124,13 @@ class Ros1Address:
 
 
 @frozen
-class Ros1Options(EndpointOptions):
+class Ros1Options(PeerOptions):
     """The options of one endpoint."""
 
-    peer: str = option(
-        "required",
-        {"enum": ["required", "optional"]},
-        "`optional`: available without another end, as for publishing outward",
-    )
     wait: float | None = option(
         None,
         {**_SECONDS, "maximum": 86400},
         "seconds to wait for the other end; left out: as the bridge does",
-        unit="s",
-    )
-    stale_after: float | None = option(
-        None,
-        {"type": "number", "exclusiveMinimum": 0, "maximum": 86400},
-        "of an output: seconds without a message after which it is lost; left out: never",
         unit="s",
     )
     node: str = option(
@@ -168,16 +157,6 @@ class Ros1Options(EndpointOptions):
         "of an output: the publisher is asked to send small messages at once",
     )
     definition: str = option("", _TEXT, "the text of the type, where no peer says it")
-    at_once: int = option(
-        8,
-        {"type": "integer", "minimum": 1, "maximum": 64},
-        "of what is offered: requests or goals that are handled at the same time",
-    )
-
-    @property
-    def peer_required(self) -> bool:
-        """Whether an endpoint without another end counts as unavailable."""
-        return self.peer == "required"
 
 
 @frozen
@@ -277,24 +256,7 @@ def address_of(endpoint: Endpoint) -> Ros1Address:
     return address
 
 
-def port_of(endpoint: Endpoint) -> Ros1Options:
-    """Read an endpoint's options. What is offered needs no peer.
-
-    Raises:
-        BridgeError: with BAD_ENDPOINT and what is wrong.
-    """
-    port = Ros1Options.of_endpoint(endpoint)
-    return evolve(port, peer="optional") if endpoint.is_offered else port
-
-
-def mistake(address: tuple[str, ...], options: Options) -> str:
-    """Return what is wrong with an address, or ""."""
-    del options  # each is checked by itself
-    try:
-        _address(address)
-    except ValueError as error:
-        return str(error)
-    return ""
+port_of = Ros1Options.of_endpoint
 
 
 def topic_name(address: tuple[str, ...], options: Options) -> str:
@@ -314,3 +276,6 @@ def _address(parts: tuple[str, ...]) -> Ros1Address:
         text = f"{address.type!r} is not a type of ROS 1 such as sensor_msgs/Image"
         raise ValueError(f"{text}, nor `{PARAMETER}`")
     return address
+
+
+mistake = address_check(_address)

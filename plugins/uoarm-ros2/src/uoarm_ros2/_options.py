@@ -6,9 +6,9 @@ import re
 from collections.abc import Mapping
 from typing import Any
 
-from attrs import evolve, frozen
+from attrs import frozen
 
-from uoarm.bridge import BridgeOptions, EndpointOptions, option, reading_endpoint
+from uoarm.bridge import BridgeOptions, PeerOptions, address_check, option, reading_endpoint
 from uoarm.model import Endpoint, Options, Role
 from uoarm_ros2._qos import AUTO_ONLY, QosOptions
 from uoarm_ros2._types import ACTION, MESSAGE, SERVICE, kind_of, type_mistake
@@ -120,18 +120,13 @@ class Ros2Address:
 
 
 @frozen
-class Ros2Options(EndpointOptions):
+class Ros2Options(PeerOptions):
     """The options of an endpoint."""
 
     qos: str | Mapping[str, Any] = option(
         "auto",
         {**_QOS, "type": ["string", "object"], **AUTO_ONLY},
         "`auto`, or a table of the policies below",
-    )
-    peer: str = option(
-        "required",
-        {"enum": ["required", "optional"]},
-        "or `optional`: it is available without another end, as for publishing outward",
     )
     wait: float | None = option(
         None,
@@ -145,11 +140,6 @@ class Ros2Options(EndpointOptions):
         "seconds without a message after which it is lost; left out: three times the `deadline` "
         "that every publisher of the topic offers, a second at least; never where one offers none",
         unit="s",
-    )
-    at_once: int = option(
-        8,
-        {"type": "integer", "minimum": 1, "maximum": 64},
-        "of a service that is offered: requests that are handled at the same time, 1 to 64",
     )
     node: str = option(
         "",
@@ -167,11 +157,6 @@ class Ros2Options(EndpointOptions):
         {"enum": ["deactivate", "cleanup", "leave"]},
         "what then becomes of the node: `deactivate`, `cleanup` or `leave`",
     )
-
-    @property
-    def peer_required(self) -> bool:
-        """Whether an endpoint without another end counts as unavailable."""
-        return self.peer == "required"
 
     @property
     def policies(self) -> QosOptions:
@@ -206,14 +191,12 @@ def options_of(endpoint: Endpoint) -> Ros2Options:
         BridgeError: with BAD_ENDPOINT and what is wrong.
     """
     options = Ros2Options.of_endpoint(endpoint)
-    if not endpoint.is_offered:
-        return options
     with reading_endpoint(endpoint):
-        if options.node or options.activate:
+        if endpoint.is_offered and (options.node or options.activate):
             raise ValueError(
                 "what is offered stands on no node: node and activate do not go with it"
             )
-    return evolve(options, peer="optional")
+    return options
 
 
 def node_of(endpoint: Endpoint, options: Ros2Options) -> str:
@@ -228,16 +211,6 @@ def node_of(endpoint: Endpoint, options: Ros2Options) -> str:
     if not _NAME.fullmatch(name):
         raise ValueError(f"{name!r} is not the name of a node: say which it is with option node")
     return name
-
-
-def mistake(address: tuple[str, ...], options: Options) -> str:
-    """Return what is wrong with an address, or ""."""
-    del options  # each is checked by itself
-    try:
-        _address(address)
-    except ValueError as error:
-        return str(error)
-    return ""
 
 
 def topic_name(address: tuple[str, ...], options: Options) -> str:
@@ -263,6 +236,9 @@ def _address(parts: tuple[str, ...]) -> Ros2Address:
         text = f"only an action has parts, and they are {', '.join(known)}; got {address.part!r}"
         raise ValueError(text)
     return address
+
+
+mistake = address_check(_address)
 
 
 def _seen_by_clients(endpoint: Endpoint) -> Role:

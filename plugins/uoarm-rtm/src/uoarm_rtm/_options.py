@@ -11,8 +11,15 @@ from typing import Literal
 
 from attrs import frozen
 
-from uoarm.bridge import BridgeOptions, DeclaredOptions, EndpointOptions, option, reading_endpoint
-from uoarm.model import Endpoint, Options, Role
+from uoarm.bridge import (
+    BridgeOptions,
+    DeclaredOptions,
+    EndpointOptions,
+    address_check,
+    option,
+    reading_endpoint,
+)
+from uoarm.model import Endpoint, Role
 
 __all__ = [
     "CONFIGURATION",
@@ -527,21 +534,14 @@ def linked_options(source: Endpoint, sink: Endpoint) -> RtmEndpointOptions | Non
         return None
 
 
-def option_mistake(address: tuple[str, ...], options: Options) -> str:
-    """Return what is wrong with an address, or ""."""
-    del options  # each is checked by itself
-    try:
-        _address(address)
-    except ValueError as error:
-        return str(error)
-    return ""
-
-
 def _address(parts: tuple[str, ...]) -> PortAddress:
     if not 2 <= len(parts) <= 3 or not all(parts[:2]):  # noqa: PLR2004 - as the sentence says
         text = "expected [component, port] or [component, port, type]"
         raise ValueError(f"{text}, such as [Camera0.rtc, image], got {list(parts)}")
     return PortAddress(*parts)
+
+
+option_mistake = address_check(_address)
 
 
 def _fits(address: PortAddress, role: Role, *, is_offered: bool) -> None:

@@ -11,13 +11,14 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from urllib.parse import urlsplit
 
-from attrs import evolve, frozen
+from attrs import frozen
 
 from uoarm.bridge import (
     BridgeOptions,
     DeclaredOptions,
-    EndpointOptions,
+    PeerOptions,
     TlsOptions,
+    address_check,
     option,
     reading_endpoint,
 )
@@ -165,20 +166,9 @@ class Address:
 
 
 @frozen
-class Port(EndpointOptions):
+class Port(PeerOptions):
     """The options of one endpoint."""
 
-    peer: str = option(
-        "required",
-        {"enum": ["required", "optional"]},
-        "`optional`: available without another end, as for publishing outward",
-    )
-    stale_after: float | None = option(
-        None,
-        {"type": "number", "exclusiveMinimum": 0, "maximum": 86400},
-        "of an output: seconds without a message after which it is lost; left out: never",
-        unit="s",
-    )
     throttle: int = option(
         0,
         {"type": "integer", "minimum": 0, "maximum": 3_600_000},
@@ -203,16 +193,6 @@ class Port(EndpointOptions):
         "of an output: how its messages come; left out: as the bridge says. All outputs on one "
         "topic have that of the first",
     )
-    at_once: int = option(
-        8,
-        {"type": "integer", "minimum": 1, "maximum": 64},
-        "of what is offered: requests that are handled at the same time",
-    )
-
-    @property
-    def peer_required(self) -> bool:
-        """Whether an endpoint without another end counts as unavailable."""
-        return self.peer == "required"
 
 
 @frozen
@@ -289,29 +269,12 @@ def address_of(endpoint: Endpoint) -> Address:
     return address
 
 
-def port_of(endpoint: Endpoint) -> Port:
-    """Read an endpoint's options. What is offered needs no peer.
-
-    Raises:
-        BridgeError: with BAD_ENDPOINT and what is wrong.
-    """
-    port = Port.of_endpoint(endpoint)
-    return evolve(port, peer="optional") if endpoint.is_offered else port
+port_of = Port.of_endpoint
 
 
 def is_type(name: str) -> bool:
     """Return whether a name is that of a type of ROS, as an address may have it."""
     return _TYPE.fullmatch(name) is not None
-
-
-def mistake(address: tuple[str, ...], options: Options) -> str:
-    """Return what is wrong with an address, or ""."""
-    del options  # each is checked by itself
-    try:
-        _address(address)
-    except ValueError as error:
-        return str(error)
-    return ""
 
 
 def topic_name(address: tuple[str, ...], options: Options) -> str:
@@ -333,3 +296,6 @@ def _address(parts: tuple[str, ...]) -> Address:
         text = f"{address.type!r} is not a type of ROS such as sensor_msgs/msg/Image"
         raise ValueError(f"{text}, nor `{_PARAMETER}`")
     return address
+
+
+mistake = address_check(_address)
