@@ -54,16 +54,18 @@ class Charge:
 
     def resize(self, octets: int) -> None:
         """Hold another amount, without regard to limits; nothing once it was released."""
-        # A charge that was released, or whose client has gone, counts as nothing: what runs on for
-        # it in a thread may resize it once more.
-        if self in self._account.charges:
-            self._account.add(octets - self.octets)
-            self.octets = octets
+        self.grow(octets - self.octets)
 
     def grow(self, octets: int) -> bool:
         """Hold so much more, as `resize`; say whether the client holds no more than it may."""
-        self.resize(self.octets + octets)
-        return self._account.has_room(0)
+        account = self._account
+        # A charge that was released, or whose client has gone, counts as nothing: what runs on for
+        # it in a thread may change it once more.
+        if self in account.charges:
+            self.octets += octets
+            account.held += octets
+            account.memory.held += octets
+        return account.has_room(0)
 
     def release(self) -> None:
         """Hold it no more. Idempotent."""
@@ -76,6 +78,7 @@ class Account:
     """What the server holds for one client. Made by `Memory.open`.
 
     Attributes:
+        memory: of all clients.
         held: octets in all.
         charges: everything that is held.
         arrived: what came and was not acted on, which leaves less room for others, but not for
@@ -83,7 +86,7 @@ class Account:
     """
 
     def __init__(self, memory: ServerMemory) -> None:
-        self._memory = memory
+        self.memory = memory
         self._is_closed = False
         self.held = 0
         self.charges: set[Charge] = set()
@@ -95,14 +98,14 @@ class Account:
         held = self.held + octets
         # Both bounds: of the client itself, and of all, save for who has less than its share: else
         # one that hoards would have others refused.
-        return held - self.arrived.octets <= self._memory.most_each and (
-            self._memory.held + octets <= self._memory.most or held <= self._memory.fair_share
+        return held - self.arrived.octets <= self.memory.most_each and (
+            self.memory.held + octets <= self.memory.most or held <= self.memory.fair_share
         )
 
     @property
     def has_share(self) -> bool:
         """Whether all clients have room, or this one has no more than its share."""
-        memory = self._memory
+        memory = self.memory
         return memory.held <= memory.most or self.held <= memory.fair_share
 
     def charge(self, kind: MemoryUse, octets: int) -> Charge:
@@ -113,7 +116,7 @@ class Account:
             BusyError: it is more than all clients may have, and this one has its share.
         """
         if not self.has_room(octets):
-            most = self._memory.most_each
+            most = self.memory.most_each
             held = self.held - self.arrived.octets
             if held + octets > most:
                 raise LimitError(
@@ -121,8 +124,8 @@ class Account:
                     "that one client may have are taken; wait for answers, or send less at a time"
                 )
             raise BusyError(
-                f"{self._memory.held:,} octets of memory are taken by all clients together; the "
-                f"server holds {self._memory.most:,}: ask again later"
+                f"{self.memory.held:,} octets of memory are taken by all clients together; the "
+                f"server holds {self.memory.most:,}: ask again later"
             )
         made = self.hold(kind)
         made.resize(octets)
@@ -135,18 +138,13 @@ class Account:
             self.charges.add(made)
         return made
 
-    def add(self, octets: int) -> None:
-        """Count what a charge has changed by; for charges."""
-        self.held += octets
-        self._memory.held += octets
-
     def close(self) -> None:
         """Release everything; what is charged later counts as nothing. Idempotent."""
         # First: a charge made while others are released must count as nothing.
         self._is_closed = True
         for charge in tuple(self.charges):
             charge.release()
-        self._memory.forget(self)
+        self.memory.forget(self)
 
 
 @final

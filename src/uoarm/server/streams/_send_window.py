@@ -81,6 +81,8 @@ class SendWindow:
             self._is_draining = False
             self.is_free = not self._pings
             is_time = now - at >= _LOOK_SECONDS and self.sent - before >= _LEAST_OCTETS
+            if not is_time:  # too little was written: what is small needs not ask each time
+                self.rests_until = max(self.rests_until, now + _PING_SECONDS)
             return is_time and not self._pings
         self.is_free = False
         is_time = now - at >= _PING_SECONDS or self.sent - before >= self._octets / _PARTS
