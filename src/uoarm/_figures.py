@@ -27,7 +27,7 @@ class Figure:
     Attributes:
         name: without the prefix `uoarm_`, and without `_total`.
         text: what it counts.
-        labels: by which its values are reported apart.
+        labels: by which its values are distinguished.
         is_counter: whether it only grows.
         values: by the values of the labels.
     """

@@ -15,9 +15,12 @@ from contextlib import contextmanager, suppress
 from typing import Any
 
 import pytest
-from tests.testing.bad_bridges import (
+from tests.testing.bad_bridges import BUGS
+from tests.testing.bad_descriptions import declares
+from tests.testing.bad_endings import joins_its_delivery, queued
+from tests.testing.bad_messages import loses_the_first
+from tests.testing.bad_worlds import (
     BLOCKING,
-    BUGS,
     CLOSING,
     LINKS,
     MESSAGES,
@@ -26,11 +29,7 @@ from tests.testing.bad_bridges import (
     WORDS,
     Bug,
     Spoil,
-    declares,
     delivering,
-    joins_its_delivery,
-    loses_the_first,
-    queued,
     sending,
     source,
     step,

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from tests.testing.bad_bridges import LINKS, Bug
+from tests.testing.bad_worlds import LINKS, Bug
 from tests.testing.kit_bugs import GENERAL, hold_found_out, rules_without_a_bug
 
 import uoarm.cli

@@ -15,7 +15,7 @@ from bugs import BUGS, Bug, table
 from mqtt_world import KINDS, MqttWorld
 from test_conformance import TestMqttBridge
 from tests.harness._kit import kit_skips  # type: ignore[import-not-found]
-from tests.testing.bad_bridges import Bug as GeneralBug  # type: ignore[import-not-found]
+from tests.testing.bad_worlds import Bug as GeneralBug  # type: ignore[import-not-found]
 from tests.testing.kit_bugs import GENERAL as EVERY  # type: ignore[import-not-found]
 from tests.testing.kit_bugs import hold_found_out, rules_without_a_bug
 from uoarm_mqtt import _link
