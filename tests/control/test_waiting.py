@@ -16,14 +16,16 @@ HOUR = 3600.0
 
 
 class Waiting(World):
-    """A camera whose candidates are dead, and when it was looked for another."""
+    """A connection whose candidates are dead, and when it was looked for another."""
 
-    def __init__(self, wait: float) -> None:
+    def __init__(
+        self, wait: float, function: str = "camera", dead: tuple[str, ...] = ("best", "spare")
+    ) -> None:
         super().__init__(PLANS, FailoverPolicy(wait=wait))
         self.looked: list[float] = []
-        self.request("c1", "camera")
+        self.request("c1", function)
         self.settle_now()
-        for name in ("best", "spare"):
+        for name in dead:
             self.die(name)
             self.settle_now()
         assert self.state.connections["c1"].state is ConnectionState.WAITING
@@ -65,6 +67,16 @@ def test_what_is_reported_to_be_well_is_looked_at_soon() -> None:
     world._report("best", Health.OK)
     world.wait_until(world.now + FIRST)
     assert world.state.connections["c1"].state is ConnectionState.RUNNING
+
+
+def test_what_is_in_use_and_well_again_is_no_reason_to_look() -> None:
+    world = Waiting(HOUR, "face", ("finder",))
+    world.request("c2", "camera")
+    world.wait_until(HOUR / 2)
+    looked, due = len(world.looked), world.wake_at
+    for health in (Health.DEGRADED, Health.OK):
+        world._report("best", health)
+    assert (len(world.looked), world.wake_at) == (looked, due)
 
 
 def test_other_candidates_are_looked_at_soon() -> None:
