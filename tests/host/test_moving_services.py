@@ -10,7 +10,7 @@ import pytest
 
 from uoarm._host import RemoteBridge
 from uoarm.errors import BridgeError, BridgeTimeoutError
-from uoarm.model import BridgeSpec, Endpoint, Role
+from uoarm.model import BridgeSpec, Endpoint, Role, StopOutcome
 from uoarm.testing import Background, patience, wait
 
 PLUGIN = """
@@ -18,6 +18,7 @@ import threading
 from pathlib import Path
 from uoarm.bridge import Bridge, BridgeType, Capabilities, hookimpl
 from uoarm.errors import BridgeError
+from uoarm.model import StopOutcome
 
 CALLS = Path(__file__).with_name("calls")
 
@@ -26,7 +27,7 @@ def note(what, number):
         calls.write(f"{what} {number}\\n")
 
 class Arms(Bridge):
-    capabilities = Capabilities(call=True)
+    capabilities = Capabilities(call=True, stop=True)
 
     def _open_source(self, *given):
         raise NotImplementedError
@@ -44,6 +45,11 @@ class Arms(Bridge):
             note("called", message)
             over.wait(600)  # until it is cancelled: who calls gives up long before
         raise BridgeError("it was cancelled")
+
+    def _stop_all(self, release, timeout):
+        note("release" if release else "stop", "all")
+        outcome = StopOutcome("reach", "arm", "default", stopped=False, cause="it is stuck")
+        return () if release else (outcome,)
 
     def _close(self):
         pass
@@ -102,6 +108,13 @@ def test_a_call_that_is_cancelled_is_so_in_the_framework_and_no_other(
     assert arms.cancel_call(2)
     with pytest.raises(BridgeError, match="it was cancelled"):
         second.result()
+
+
+def test_a_stop_of_everything_goes_through_the_host(arms: RemoteBridge, calls: Path) -> None:
+    outcome = StopOutcome("reach", "arm", "default", stopped=False, cause="it is stuck")
+    assert arms.stop_all(timeout=patience()) == (outcome,)
+    assert arms.stop_all(release=True, timeout=patience()) == ()
+    assert calls.read_text().splitlines() == ["stop all", "release all"]
 
 
 def test_a_call_that_is_not_answered_in_time_is_cancelled_in_the_framework(

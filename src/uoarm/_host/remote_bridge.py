@@ -9,8 +9,6 @@ from collections.abc import Callable, Mapping
 from functools import partial
 from typing import TYPE_CHECKING, Any, final
 
-from attrs import evolve
-
 from uoarm._host.process_connection import HostSettings, ProcessConnection
 from uoarm._host.transport import keys
 from uoarm._host.transport.flow import FlowEnding, FlowReceiver, FlowSender, Handled
@@ -39,6 +37,7 @@ from uoarm.model import (
     Message,
     MessageStructure,
     QueuePolicy,
+    StopOutcome,
     from_json,
     to_json,
 )
@@ -266,9 +265,7 @@ class RemoteBridge(Bridge):
             on_death=self._on_death,
         )
         try:
-            known = from_json(self._host.greeting["capabilities"], Capabilities)
-            # What is behind a bridge in a host is not stopped through it: no such order is sent.
-            self.capabilities = evolve(known, stop=False)
+            self.capabilities = from_json(self._host.greeting["capabilities"], Capabilities)
             self._host.transport.answer(keys.HEALTH, self._on_health_event)
         except BaseException:
             self._host.close(None)
@@ -401,6 +398,10 @@ class RemoteBridge(Bridge):
         channel = RemoteChannel(source, number, self._ask_to_close, lambda: self._drop(number))
         self._channels[number] = channel
         return channel
+
+    def _stop_all(self, release: bool, timeout: float) -> tuple[StopOutcome, ...]:  # noqa: FBT001
+        outcomes = self._ask("stop_all", release=release, timeout=timeout)
+        return tuple(from_json(outcome, StopOutcome) for outcome in outcomes)
 
     def _close(self) -> None:
         self._services.close()

@@ -78,6 +78,7 @@ class RequestDispatcher:
             "hold": self._hold,
             "halt": self._halt,
             "release": self._release,
+            "stop_all": self._stop_all,
             "close_channel": self._close_channel,
             "close": self._close,
         }
@@ -201,6 +202,10 @@ class RequestDispatcher:
         sink = self._flows.sink(request["flow"])
         if sink is not None:
             sink.release()
+
+    def _stop_all(self, request: Request) -> Any:
+        outcomes = self._bridge.stop_all(release=request["release"], timeout=request["timeout"])
+        return [to_json(outcome) for outcome in outcomes]
 
     def _close_channel(self, request: Request) -> int:
         return self._flows.close(request["flow"], request["sent"], request["timeout"])

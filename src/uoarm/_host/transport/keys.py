@@ -20,7 +20,7 @@ __all__ = [
     "service",
 ]
 
-PROTOCOL_VERSION = 11
+PROTOCOL_VERSION = 12
 """Both ends must have the same; it grows with every change of what crosses the link."""
 
 ALIVE = "uoarm/host/alive"
