@@ -181,3 +181,28 @@ def test_who_waits_for_what_can_take_over_has_all_before_it(world: World) -> Non
     waiting, *later = difference(world.state, world.state.connections["c1"])
     assert (waiting.phase, waiting.is_begun) == (MovePhase.WAITING, True)
     assert [item.phase for item in later] == [OPENING, TAKING_OVER]
+
+
+@pytest.mark.parametrize(
+    ("end", "is_killed"), [("kill", True), ("failure", False), ("finish", False), ("stop", False)]
+)
+def test_what_waits_is_discarded_only_where_the_application_kills(
+    world: World, end: str, is_killed: bool
+) -> None:
+    """What has come before a source finishes, or anything fails, is for the application still."""
+    world.request("c1", "camera")
+    world.settle()
+    match end:
+        case "kill":
+            world.kill("c1")
+        case "failure":
+            world.asked += ("kill",)
+            world.post(ev.Killed("c1", "kill", "too slow", is_failure=True))
+        case "finish":
+            world.finish("best")
+            world.do("c1!drain")
+        case "stop":
+            world.stop()
+    assert world.state.connections["c1"].is_killed is is_killed
+    world.settle()
+    world.check_at_rest()
