@@ -6,6 +6,7 @@ import json
 from enum import Enum
 from typing import Any, TypeVar
 
+import attrs
 import pytest
 from attrs import fields
 from hypothesis import given
@@ -250,3 +251,13 @@ def test_what_is_no_model_value_is_left_as_it_is() -> None:
     thing = object()
     octets = b"\x00\xff"
     assert to_json({"thing": thing, "octets": octets}) == {"thing": thing, "octets": octets}
+
+
+def test_a_host_is_given_every_field_of_a_bridge_but_those_of_the_manager() -> None:
+    spec = BridgeSpec("arm", "net", {"rate": 1}, {"memory": "1GB"}, {"rate": 1}, "/robot", "m1")
+    names = [attribute.name for attribute in attrs.fields(BridgeSpec)]
+    plain = BridgeSpec("", "")
+    assert all(getattr(spec, name) != getattr(plain, name) for name in names), "give it one here"
+    given = json.loads(json.dumps({**spec.to_host(), "of a later version": 1}))
+    hosted = BridgeSpec.in_host(given)
+    assert attrs.asdict(hosted) == attrs.asdict(attrs.evolve(spec, host=None, assigned={}))

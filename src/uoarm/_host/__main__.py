@@ -82,14 +82,7 @@ def main() -> int:
         os.set_inheritable(inherited, False)  # processes that the bridge starts have no part in it
     transport = SocketTransport(LinkSockets.inherited(orders["link"]))
     try:
-        spec = BridgeSpec(
-            orders["name"],
-            orders["plugin"],
-            orders["options"],
-            folder=orders["folder"],
-            manager=orders["manager"],
-        )
-        bridge = Registry().create(spec)
+        bridge = Registry().create(BridgeSpec.in_host(orders["bridge"]))
     except UoarmError as error:
         _refuse(transport, error)
         return 1

@@ -10,6 +10,8 @@ from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
 from typing import Any
 
+from attrs import evolve
+
 from uoarm._host.process_connection import HostSettings
 from uoarm._host.transport import keys
 from uoarm._host.transport.liveness import Heartbeat, LivenessMonitor
@@ -84,9 +86,7 @@ class MachineConnection:
                 "protocol": keys.PROTOCOL_VERSION,
                 "contract": CONTRACT_VERSION,
                 "prefix": prefix,
-                "name": spec.name,
-                "plugin": spec.plugin,
-                "options": dict(spec.options),
+                "bridge": evolve(spec, folder="").to_host(),  # a folder of this machine
             }
             registry.attach(machine, host, orders, settings.start)
             self._liveness.await_token(deadline)

@@ -351,11 +351,7 @@ class ProcessConnection:
                 self._started = HostProcess(spec.name, command, variables, self._exited, passed)
                 self._started.send_orders(
                     {
-                        "name": spec.name,
-                        "plugin": spec.plugin,
-                        "options": dict(spec.options),
-                        "folder": spec.folder,
-                        "manager": spec.manager,
+                        "bridge": spec.to_host(),
                         "link": far.descriptors,
                         "counters": counted.fileno(),
                         "parent": os.getpid(),

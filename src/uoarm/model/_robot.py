@@ -6,8 +6,10 @@ import ipaddress
 import re
 from collections.abc import Iterator, Mapping
 from enum import Enum
+from typing import Any
 
-from attrs import field, frozen
+from attrs import asdict, field, fields, filters, frozen
+from typing_extensions import Self
 
 from uoarm.model._component import Component, Function
 from uoarm.model._message import Options
@@ -67,6 +69,9 @@ def is_loopback(host: str) -> bool:
         return False
 
 
+_OF_MANAGER = ("host", "assigned")
+
+
 @frozen
 class BridgeSpec:
     """One bridge instance as the configuration asks for it.
@@ -89,6 +94,17 @@ class BridgeSpec:
     assigned: Options = field(factory=dict, hash=False)
     folder: str = ""
     manager: str = field(default="", eq=False)
+
+    def to_host(self) -> dict[str, Any]:
+        """Return what its host is given of it, as JSON: all but what is the manager's own."""
+        given = asdict(self, recurse=False, filter=filters.exclude(*_OF_MANAGER))
+        return given | {"options": dict(self.options)}
+
+    @classmethod
+    def in_host(cls, given: Mapping[str, Any]) -> Self:
+        """Return the bridge of which a host was given this, whatever else is beside it."""
+        names = {attribute.name for attribute in fields(cls)}.difference(_OF_MANAGER)
+        return cls(**{name: given[name] for name in names & given.keys()})
 
 
 @frozen

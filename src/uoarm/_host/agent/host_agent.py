@@ -11,6 +11,8 @@ from pathlib import Path
 from threading import Event
 from typing import Any
 
+from attrs import evolve
+
 from uoarm._host.agent.dispatcher import RequestDispatcher
 from uoarm._host.transport import keys
 from uoarm._host.transport.security import Identity
@@ -155,12 +157,13 @@ class HostAgent:
     def _attach(self, orders: Orders) -> None:
         """Make a bridge, after older ones of this name that are on their way out."""
         _require_same_version(orders)
-        name: str = orders["name"]
+        # A folder of the manager's machine says nothing here.
+        spec = evolve(BridgeSpec.in_host(orders["bridge"]), folder="")
+        name = spec.name
         if not {name, keys.ANY_BRIDGE} & set(self._bridges):
             raise BridgeError(f"this host does not serve {name!r}", FailureReason.NOT_FOUND)
-        options = dict(orders["options"])
-        if orders["plugin"] == "python":
-            options.setdefault("path", [self._modules])
+        if spec.plugin == "python":
+            spec = evolve(spec, options={"path": [self._modules], **spec.options})
         with self._lock:
             ending = [
                 hosted_bridge
@@ -169,9 +172,7 @@ class HostAgent:
             ]
         for hosted_bridge in ending:
             hosted_bridge.end()
-        hosted = HostedBridge(
-            self._registry, BridgeSpec(name, orders["plugin"], options), self._part(orders)
-        )
+        hosted = HostedBridge(self._registry, spec, self._part(name, orders["prefix"]))
         with self._lock:
             self._hosted = [
                 hosted_bridge for hosted_bridge in self._hosted if not hosted_bridge.is_closed
@@ -180,9 +181,8 @@ class HostAgent:
         if self._closed.is_set():
             hosted.end()
 
-    def _part(self, orders: Orders) -> ZenohTransport:
-        prefix: str = orders["prefix"]
-        expected = keys.bridge_prefix(self._machine, orders["name"], "")
+    def _part(self, name: str, prefix: str) -> ZenohTransport:
+        expected = keys.bridge_prefix(self._machine, name, "")
         if not prefix.startswith(expected):
             raise BridgeError(f"orders behind {prefix!r}, expected {expected}...")
         return self._transport.part(prefix)
