@@ -280,6 +280,27 @@ def test_what_is_not_exported_and_what_is_not_there_look_alike(tmp_path: Path) -
     assert "did you mean" not in said
 
 
+def test_what_cannot_be_had_there_is_listed_without_ports(tmp_path: Path) -> None:
+    """Whatever their number: they are asked for some at a time."""
+    lines = [
+        f"  more{number}: {{components: [{{name: more{number}, bridge: python, "
+        f'output: {{endpoint: ["parts:{name}"]}}}}]}}\n'
+        for number, name in enumerate(["counter"] * 19 + ["nothing"])
+    ]
+    robot = ServedRobot(ROBOT + "".join(lines))
+    bridge = Registry().create(
+        BridgeSpec("far", "remote", {"url": robot.url, "discover": True, "timeout": patience()})
+    )
+    try:
+        found = {item.name: item for item in bridge.discover(timeout=patience())}
+        assert len(found) == len(robot.manager.config.functions)
+        assert not found["more19"].endpoints
+        assert [endpoint.address for endpoint, _ in found["more7"].endpoints] == [("more7",)]
+    finally:
+        bridge.close()
+        robot.close()
+
+
 def test_a_manager_that_imports_itself_is_refused(desk: Desk) -> None:
     robot = ServedRobot(ROBOT)
     text = ROBOT.replace(

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from uoarm.bridge import Description, Discovered
-from uoarm.errors import BridgeError, FailureReason
+from uoarm.errors import BridgeError, FailureReason, UoarmError
 from uoarm.model import Endpoint, MessageStructure, Role
 from uoarm_remote._link import ManagerLink
 
@@ -43,18 +43,18 @@ def described(link: ManagerLink, endpoint: Endpoint, timeout: float) -> Descript
 def discovered(link: ManagerLink, bridge: str, timeout: float) -> tuple[Discovered, ...]:
     """List the functions that are exported to this manager, each as a component of its name."""
     functions = link.ask("List", "", timeout)["functions"][:_MOST]
+    names = [str(function["name"]) for function in functions]
+    plans = link.ask_each("Resolve", names, timeout)
     return tuple(
-        Discovered(name, tuple(_endpoints(link, bridge, name, timeout)), detail=link.url)
-        for name in (str(function["name"]) for function in functions)
+        Discovered(name, tuple(_endpoints(found, bridge, name)), detail=link.url)
+        for name, found in zip(names, plans, strict=True)
     )
 
 
 def _endpoints(
-    link: ManagerLink, bridge: str, name: str, timeout: float
+    found: Mapping[str, Any] | UoarmError, bridge: str, name: str
 ) -> Iterator[tuple[Endpoint, Description]]:
-    try:
-        found = link.ask("Resolve", name, timeout)
-    except BridgeError:
+    if isinstance(found, UoarmError):
         return  # it cannot be had now: shown without ports
     structures = _structures(found)
     managers = tuple(map(str, found.get("managers", ())))

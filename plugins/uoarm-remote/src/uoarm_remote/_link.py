@@ -11,7 +11,7 @@ import concurrent.futures
 import ssl
 import threading
 import time
-from collections.abc import Callable, Coroutine
+from collections.abc import Callable, Coroutine, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
@@ -35,6 +35,7 @@ T = TypeVar("T")
 _BACKOFF = Backoff(first=0.1, most=5.0, jitter=0.5)
 _FOREVER = 1e9
 _TICK_SECONDS = 0.25
+_AT_ONCE = 8  # questions of one kind: the other manager has other clients, too
 _JOIN_SECONDS = 2.0
 _MOST_TOKEN = 4096
 
@@ -130,6 +131,33 @@ class ManagerLink:
             return await robot.ask(op, kind, **asked)
 
         return self.run(asking, timeout, f"{op} {kind}".strip(), began)
+
+    def ask_each(
+        self, op: str, kinds: Sequence[str], timeout: float
+    ) -> list[Mapping[str, Any] | UoarmError]:
+        """Ask the same of several functions, some at a time; raises as `ask` where none is reached.
+
+        Returns:
+            What was answered of each, or why nothing was within `timeout` seconds.
+        """
+        way, turns = self.way(), asyncio.Semaphore(_AT_ONCE)
+
+        async def ask(robot: RemoteRobot, kind: str) -> Mapping[str, Any] | UoarmError:
+            async with turns:
+                try:
+                    asking = robot.ask(op, kind, **way)
+                    answer: Mapping[str, Any] = await asyncio.wait_for(asking, timeout)
+                except UoarmError as error:
+                    return error
+                except asyncio.TimeoutError:
+                    return BridgeTimeoutError(f"no answer to {op} {kind} within {timeout:g} s")
+                return answer
+
+        async def ask_all(robot: RemoteRobot) -> list[Mapping[str, Any] | UoarmError]:
+            return await asyncio.gather(*(ask(robot, kind) for kind in kinds))
+
+        limit = timeout * (1 + len(kinds) // _AT_ONCE)
+        return self.run(ask_all, limit, f"{op} of {len(kinds)} functions")
 
     def run(
         self,
