@@ -22,7 +22,6 @@ LONGER_SENTENCES: dict[str, float] = {
 VAGUE: dict[str, int] = {
     "bridges.md": 3,
     "rocos-profile.md": 1,
-    "rosbridge.md": 1,
 }
 # How fast something was belongs into benchmarks.md, and nowhere else.
 MEASURED: dict[str, int] = {

@@ -184,7 +184,7 @@ class Port(PeerOptions):
     latch: bool = option(
         False,
         {"type": "boolean"},
-        "of an input: the server keeps the last message for who comes later. Of an output: the "
+        "of an input: the server keeps the last message for later subscribers. Of an output: the "
         "last message stands, as a map does; sent again after a break, it is not delivered again",
     )
     compression: str | None = option(
