@@ -70,6 +70,7 @@ NEEDS = {
         packages=("rclpy",),
         systems=ROS,
     ),
+    "compiler": Need("apt install gcc g++", programs=("gcc", "cc")),
     "otlp": Need("pip install -e '.[dev]'", packages=("opentelemetry.exporter",)),
     "diagnostic_msgs": Need(
         "pip install -e 'plugins/uoarm-ros2[dev]'", packages=("diagnostic_msgs",), systems=ROS
@@ -140,6 +141,7 @@ MODULES = {
     "tests/examples/test_warehouse_broker.py": ("rtm", "mosquitto"),
     "plugins/uoarm-ros2/tests/test_rosbridge.py": ("ros2", "rosbridge"),
     "plugins/uoarm-ros2/tests/test_cbor_raw.py": ("ros2", "rosbridge"),
+    "plugins/uoarm-ros2/tests/test_navigation_example.py": ("ros2", "compiler"),
     "plugins/uoarm-ros2/tests/test_diagnostics.py": ("ros2", "diagnostic_msgs"),
     "plugins/uoarm-ros2/tests/*": ("ros2",),
     "plugins/uoarm-rtm/tests/*": ("rtm",),

@@ -11,7 +11,7 @@ from uoarm import RobotManager
 from uoarm.config import loads
 from uoarm.errors import BridgeError, ResolutionError
 from uoarm.model import Health, StatusEvent
-from uoarm.testing import Collector, MemoryBridge, raising
+from uoarm.testing import Collector, MemoryBridge, raising, wait
 
 NUMBER: Any = {"type": "integer"}
 ROBOT = """
@@ -95,3 +95,35 @@ def test_a_survey_says_why_a_candidate_cannot_be_had(
     (camera,) = robot.check_availability()
     assert camera.provider is None
     assert "no component" in camera.cause
+
+
+def test_a_service_that_is_gone_fails_one_call_and_the_next_candidate_answers() -> None:
+    memory = MemoryBridge("memory")
+    number = {"type": "integer"}
+    for name, reply in (("best", 1), ("next", 2)):
+        memory.service(name, number, number, lambda _, reply=reply: reply)  # type: ignore[misc]
+    text = """
+    version: 1
+    bridges: {memory: {}}
+    functions:
+      plan:
+        components:
+          - {name: best, bridge: memory, priority: 2, service: {endpoint: [best]}}
+          - {name: next, bridge: memory, priority: 1, service: {endpoint: [next]}}
+    """
+    with RobotManager(loads(text), bridges={"memory": memory}) as robot:
+        events: list[str] = []
+        robot.listen(lambda event: events.append(f"{event.subject} {event.change}"))
+        assert robot.call("plan", 0) == 1
+        memory.die("best")
+        with pytest.raises(BridgeError, match="no component at"):
+            robot.call("plan", 0)
+        assert [robot.call("plan", 0) for _ in range(3)] == [2, 2, 2]
+        memory.die("next")
+        for _ in range(3):
+            with pytest.raises((BridgeError, ResolutionError)):
+                robot.call("plan", 0)
+        memory.service("next", number, number, lambda _: 3)
+        assert robot.call("plan", 0) == 3
+        wait(lambda: "component next ok" in events)
+        assert events.count("component best lost") == events.count("component next lost") == 1

@@ -187,6 +187,7 @@ class Services:
         # Guards the order of watches: the newest are kept, and two threads may begin one each.
         self._lock = threading.Lock()
         self._watches: dict[str, tuple[Component, FailureWatch]] = {}
+        self._gone: set[str] = set()
 
     def call(
         self,
@@ -257,6 +258,9 @@ class Services:
 
     def _answered(self, component: Component) -> None:
         """Take in that a service replied."""
+        if component.name in self._gone:
+            self._gone.discard(component.name)
+            self._driver.judge_service(component, Health.OK, "it is there again")
         found = self._watches.get(component.name)
         if found is None:
             return
@@ -268,6 +272,12 @@ class Services:
 
     def _failed(self, component: Component, error: BaseException) -> None:
         """Take in that a call failed."""
+        if isinstance(error, BridgeError) and error.reason is FailureReason.NOT_FOUND:
+            # Nothing of a service is open, so that a bridge may not notice that it went.
+            if component.name not in self._gone or not self._is_avoided(component):
+                self._gone.add(component.name)
+                self._driver.judge_service(component, Health.LOST, str(error))
+            return
         if not is_raised(error):
             return
         _, watch = self._watches.get(component.name, (component, None))

@@ -1,0 +1,131 @@
+"""A simulated mobile base as a ROS 2 node: an action server as Nav2 has it, and odometry."""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from itertools import pairwise
+from typing import Any
+
+import rclpy
+from geometry_msgs.msg import PoseStamped
+from nav2_msgs.action import NavigateToPose
+from nav_msgs.msg import Odometry
+from nav_msgs.srv import GetPlan
+from rclpy.action import ActionServer, CancelResponse
+from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor
+from rclpy.node import Node
+
+_METRES_PER_SECOND = 5.0
+_STEP_SECONDS = 0.02
+_PLAN_SECONDS = 5.0
+_ATTEMPTS = 12
+_NO_PLAN = 1
+
+
+class Base:
+    """Stands at the origin of the map, and drives along the paths that it asks for at /plan."""
+
+    def __init__(self) -> None:
+        self.node = Node("base")
+        group = ReentrantCallbackGroup()  # a goal is cancelled while it is driven
+        self._x = self._y = 0.0
+        self._odometry = self.node.create_publisher(Odometry, "/odom", 10)
+        self._planner = self.node.create_client(GetPlan, "/plan", callback_group=group)
+        self._server = ActionServer(
+            self.node,
+            NavigateToPose,
+            "/navigate_to_pose",
+            self._drive,
+            cancel_callback=lambda _: CancelResponse.ACCEPT,
+            callback_group=group,
+        )
+
+    def _drive(self, handle: Any) -> Any:
+        """Drive to the pose of a goal, until it is there or the goal is cancelled."""
+        result, recoveries = NavigateToPose.Result(), 0
+        path = self._path(handle.request.pose)
+        while path is None and recoveries < _ATTEMPTS:
+            recoveries += 1
+            path = self._path(handle.request.pose)
+        if path is None:
+            result.error_code, result.error_msg = _NO_PLAN, "there is no planner"
+            handle.abort()
+            return result
+        for number, (x, y) in enumerate(path):
+            if self._goes_to(handle, x, y, path[number:], recoveries):
+                continue
+            handle.canceled()
+            return result
+        handle.succeed()
+        return result
+
+    def _goes_to(
+        self, handle: Any, x: float, y: float, path: list[tuple[float, float]], recoveries: int
+    ) -> bool:
+        """Drive to a point; returns whether the goal was not cancelled meanwhile."""
+        while (left := math.hypot(x - self._x, y - self._y)) > 0:
+            if handle.is_cancel_requested:
+                return False
+            feedback = NavigateToPose.Feedback()
+            feedback.current_pose = self._pose()
+            feedback.number_of_recoveries = recoveries
+            feedback.distance_remaining = left + _length(path)
+            handle.publish_feedback(feedback)
+            part = _METRES_PER_SECOND * _STEP_SECONDS / left
+            if part < 1:
+                self._x += part * (x - self._x)
+                self._y += part * (y - self._y)
+            else:
+                self._x, self._y = x, y
+            self._publish()
+            time.sleep(_STEP_SECONDS)
+        return True
+
+    def _path(self, goal: PoseStamped) -> list[tuple[float, float]] | None:
+        """Return the points of a path; None where no planner answers in time."""
+        answered = threading.Event()
+        future = self._planner.call_async(GetPlan.Request(start=self._pose(), goal=goal))
+        future.add_done_callback(lambda _: answered.set())
+        if not answered.wait(_PLAN_SECONDS):
+            self._planner.remove_pending_request(future)
+            return None
+        positions = [pose.pose.position for pose in future.result().plan.poses]
+        return [(position.x, position.y) for position in positions]
+
+    def _pose(self) -> PoseStamped:
+        pose = PoseStamped()
+        pose.header.frame_id = "map"
+        pose.header.stamp = self.node.get_clock().now().to_msg()
+        pose.pose.position.x, pose.pose.position.y = self._x, self._y
+        pose.pose.orientation.w = 1.0
+        return pose
+
+    def _publish(self) -> None:
+        odometry = Odometry()
+        odometry.header.frame_id, odometry.child_frame_id = "map", "base_link"
+        odometry.header.stamp = self.node.get_clock().now().to_msg()
+        odometry.pose.pose = self._pose().pose
+        self._odometry.publish(odometry)
+
+
+def _length(path: list[tuple[float, float]]) -> float:
+    return sum(math.dist(start, end) for start, end in pairwise(path))
+
+
+def main() -> None:
+    """Serve /navigate_to_pose until interrupted."""
+    rclpy.init()
+    executor = MultiThreadedExecutor(num_threads=4)
+    executor.add_node(Base().node)
+    print("driving on /navigate_to_pose", flush=True)
+    try:
+        executor.spin()
+    except (KeyboardInterrupt, ExternalShutdownException):
+        rclpy.try_shutdown()
+
+
+if __name__ == "__main__":
+    main()

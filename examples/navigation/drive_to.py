@@ -1,0 +1,69 @@
+"""Drives the base to the poses that are typed: `3 4`, or `cancel` while it drives."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Any
+
+from uoarm import RobotManager
+
+HERE = Path(__file__).parent
+
+
+class Driver:
+    """One goal after another, of whatever provides `goTo`."""
+
+    def __init__(self, robot: RobotManager) -> None:
+        self._status = robot.request("goTo.status", on_message=self._on_status)
+        self._feedback = robot.request("goTo.feedback", on_message=self._on_feedback)
+        self._result = robot.request("goTo.result", on_message=self._on_result)
+        self._goal = ""
+        self._metres = 0
+
+    def drive(self, x: float, y: float) -> None:
+        """Send a goal; what becomes of it is printed."""
+        position, orientation = {"x": x, "y": y, "z": 0.0}, {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}
+        stamp = {"sec": 0, "nanosec": 0}
+        pose = {
+            "header": {"frame_id": "map", "stamp": stamp},
+            "pose": {"position": position, "orientation": orientation},
+        }
+        self._metres = sys.maxsize
+        self._status.send({"pose": pose, "behavior_tree": ""}, "goal")
+
+    def cancel(self) -> None:
+        """Cancel the goal that is driven."""
+        self._status.send({"goal_id": self._goal}, "cancel")
+
+    def _on_status(self, message: Any) -> None:
+        if message["status"] in {"accepted", "rejected"}:
+            self._goal = message["goal_id"]
+            print(message["status"], flush=True)
+
+    def _on_feedback(self, message: Any) -> None:
+        left = message["feedback"]["distance_remaining"]
+        if int(left) < self._metres:
+            self._metres = int(left)
+            print(f"{left:.1f} m to go", flush=True)
+
+    def _on_result(self, message: Any) -> None:
+        print(message["status"], flush=True)
+
+
+def main() -> None:
+    """Read goals until the input ends."""
+    with RobotManager.from_file(HERE / "robot.yaml") as robot:
+        robot.offer()
+        driver = Driver(robot)
+        print("where to?", flush=True)
+        for line in sys.stdin:
+            if line.strip() == "cancel":
+                driver.cancel()
+            elif line.strip():
+                x, y = map(float, line.split())
+                driver.drive(x, y)
+
+
+if __name__ == "__main__":
+    main()

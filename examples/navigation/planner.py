@@ -1,0 +1,43 @@
+"""A planner as a ROS 2 node: `grid` goes along the axes, `straight` as the crow flies."""
+
+from __future__ import annotations
+
+import sys
+
+import rclpy
+from geometry_msgs.msg import PoseStamped
+from nav_msgs.srv import GetPlan
+from rclpy.executors import ExternalShutdownException
+from rclpy.node import Node
+
+
+def _pose(x: float, y: float) -> PoseStamped:
+    pose = PoseStamped()
+    pose.header.frame_id = "map"
+    pose.pose.position.x, pose.pose.position.y, pose.pose.orientation.w = x, y, 1.0
+    return pose
+
+
+def main() -> None:
+    """Answer on /KIND/plan until interrupted."""
+    kind = sys.argv[1]
+    rclpy.init()
+    node = Node(f"{kind}_planner")
+
+    def plan(request: GetPlan.Request, response: GetPlan.Response) -> GetPlan.Response:
+        start, goal = request.start.pose.position, request.goal.pose.position
+        response.plan.header.frame_id = "map"
+        corner = [_pose(goal.x, start.y)] if kind == "grid" else []
+        response.plan.poses = [_pose(start.x, start.y), *corner, _pose(goal.x, goal.y)]
+        return response
+
+    node.create_service(GetPlan, f"/{kind}/plan", plan)
+    print(f"planning on /{kind}/plan", flush=True)
+    try:
+        rclpy.spin(node)
+    except (KeyboardInterrupt, ExternalShutdownException):
+        rclpy.try_shutdown()
+
+
+if __name__ == "__main__":
+    main()

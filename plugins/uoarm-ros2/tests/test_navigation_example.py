@@ -1,0 +1,98 @@
+"""The navigation example: one base, two planners of which one goes, a goal that is cancelled."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+from peers import own_line
+
+from uoarm.testing import patience
+
+ROOT = Path(__file__).parents[3]
+EXAMPLE = ROOT / "examples" / "navigation"
+Start = Callable[..., "subprocess.Popen[str]"]
+
+
+@pytest.fixture
+def interfaces(tmp_path: Path) -> Path:
+    """A folder with the action's type, built and installed as the page says."""
+    wheels, target = tmp_path / "wheels", tmp_path / "target"
+    build = ["-m", "uoarm", "ros2", "build-interfaces", str(EXAMPLE / "interfaces")]
+    subprocess.run([sys.executable, *build, "--output", str(wheels)], check=True)
+    pip = ["-m", "pip", "install", "-q", "--no-deps", "--no-index", "--target", str(target)]
+    subprocess.run([sys.executable, *pip, *map(str, wheels.glob("*.whl"))], check=True)
+    return target
+
+
+@pytest.fixture
+def start(interfaces: Path) -> Iterator[Start]:
+    """Starts programs of the example, and ends them all."""
+    started: list[subprocess.Popen[str]] = []
+
+    def begin(program: str, *words: str) -> subprocess.Popen[str]:
+        process = subprocess.Popen(
+            [sys.executable, str(EXAMPLE / program), *words],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+            env={**os.environ, "PYTHONPATH": str(interfaces), "PYTHONUNBUFFERED": "1"},
+        )
+        started.append(process)
+        return process
+
+    yield begin
+    for process in reversed(started):
+        assert process.stdin is not None
+        process.stdin.close()  # the application's end; nodes are interrupted
+        if "drive_to.py" not in str(process.args):
+            process.terminate()
+        process.wait(patience())
+        assert process.stdout is not None
+        process.stdout.close()
+
+
+def line(process: subprocess.Popen[str]) -> str:
+    assert process.stdout is not None
+    return own_line(process.stdout).strip()
+
+
+def ask(process: subprocess.Popen[str], words: str) -> None:
+    assert process.stdin is not None
+    process.stdin.write(f"{words}\n")
+    process.stdin.flush()
+
+
+def until_the_end(process: subprocess.Popen[str]) -> list[str]:
+    """Return what is printed of a goal, its end last."""
+    lines = [line(process)]
+    while lines[-1] not in {"succeeded", "canceled", "aborted", "rejected", ""}:
+        lines.append(line(process))
+    return lines
+
+
+def test_another_planner_takes_over_and_a_goal_is_cancelled(start: Start) -> None:
+    grid, straight = start("planner.py", "grid"), start("planner.py", "straight")
+    base = start("base.py")
+    assert line(grid) == "planning on /grid/plan"
+    assert line(straight) == "planning on /straight/plan"
+    assert line(base) == "driving on /navigate_to_pose"
+    driver = start("drive_to.py")
+    assert line(driver) == "where to?"
+    ask(driver, "3 4")
+    there = until_the_end(driver)
+    assert (there[0], there[1], there[-1]) == ("accepted", "7.0 m to go", "succeeded")
+    grid.terminate()
+    grid.wait(patience())
+    ask(driver, "0 0")
+    back = until_the_end(driver)
+    assert (back[0], back[1], back[-1]) == ("accepted", "5.0 m to go", "succeeded")
+    ask(driver, "10000 0")
+    assert line(driver) == "accepted"
+    assert line(driver) == "10000.0 m to go"
+    ask(driver, "cancel")
+    assert until_the_end(driver)[-1] == "canceled"
