@@ -15,7 +15,7 @@ from uoarm import RobotManager
 from uoarm._support.files import write_whole
 from uoarm.bridge import Registry
 from uoarm.cli._file import STANDARD, Unnamed, takes_configuration
-from uoarm.cli._shared import BRIDGE, fitted, json_option, print_json, reporting
+from uoarm.cli._shared import BRIDGE, every_option, fitted, json_option, print_json, reporting
 from uoarm.config import is_blank, load, merge
 from uoarm.config import suggest as suggestion_for
 from uoarm.errors import UsageError
@@ -43,13 +43,7 @@ _timeout_option = click.option(
 @click.command()
 @takes_configuration(unnamed=Unnamed.IF_THERE)
 @click.option("--watch", is_flag=True, help="Look again until Ctrl-C, and print what is different.")
-@click.option(
-    "--every",
-    type=click.FloatRange(min=0.1),
-    default=2.0,
-    show_default=True,
-    help="Seconds between two looks of --watch.",
-)
+@every_option
 @_timeout_option
 @json_option
 def discover(file: str | None, *, watch: bool, every: float, timeout: float, as_json: bool) -> None:

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "FunctionArgument",
+    "every_option",
     "exit_code_of",
     "fail",
     "fitted",
@@ -113,6 +114,13 @@ def function_argument(*, serves: bool | None = None) -> Callable[[F], F]:
 
 
 json_option = click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+every_option = click.option(
+    "--every",
+    type=click.FloatRange(min=0.1),
+    default=2.0,
+    show_default=True,
+    help="Seconds between two looks of --watch.",
+)
 
 
 def terminable(context: click.Context) -> None:

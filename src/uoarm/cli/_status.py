@@ -21,6 +21,7 @@ from uoarm.cli._remote import Remote, asked, remote_options
 from uoarm.cli._shared import (
     BRIDGE,
     REFUSED,
+    every_option,
     fitted,
     json_option,
     open_robot,
@@ -168,13 +169,7 @@ def _broken(registry: Registry, facts: Mapping[str, Mapping[str, str]]) -> Itera
 @click.command()
 @takes_configuration()
 @click.option("--watch", is_flag=True, help="Ask again until Ctrl-C.")
-@click.option(
-    "--every",
-    type=click.FloatRange(min=0.1),
-    default=2.0,
-    show_default=True,
-    help="Seconds between two looks of --watch.",
-)
+@every_option
 @remote_options(always=False)
 @click.option("--bridges", is_flag=True, help="Show what is known of each framework.")
 @json_option

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
+from functools import partial
 from typing import Any
 
 from attrs import Factory, define
 
 from uoarm._spelling import Speller
-from uoarm._support.yaml import Document, Path, Problem, clip, write_path
+from uoarm._support.yaml import Document, Path, Problem, clip
 from uoarm.config._loops import avoidable_cycles, unavoidable_cycles
 from uoarm.config._parts import (
     ComponentPart,
@@ -22,6 +23,7 @@ from uoarm.config._parts import (
     need_mistakes,
     needs,
     offers,
+    problem_at,
     recorded,
     unknown_frameworks,
 )
@@ -57,7 +59,7 @@ class MeaningChecker:
 
     def __init__(self, document: Document, file: str, speller: Speller) -> None:
         self._document = document
-        self._file = file
+        self._problem = partial(problem_at, document, file, "UOA-104")
         self._speller = speller
         self._bridges: Mapping[str, Any] = bridge_names(document.value)
         self._functions: Mapping[str, Any] = function_names(document.value)
@@ -315,17 +317,6 @@ class MeaningChecker:
 
     def _warn(self, path: Path, sentence: str, *, at_key: bool = False) -> None:
         self.warnings.append(self._problem(path, sentence, "", at_key=at_key))
-
-    def _problem(self, path: Path, sentence: str, hint: str, *, at_key: bool) -> Problem:
-        place = self._document.key_place(path) if at_key else self._document.place(path)
-        return Problem(
-            place=place,
-            path=write_path(path),
-            sentence=sentence,
-            hint=hint,
-            file=self._file,
-            error_code="UOA-104",
-        )
 
 
 def _emitted(providers: list[ComponentPart]) -> dict[str, None]:

@@ -11,7 +11,7 @@ from typing import Any, TypeAlias
 
 from attrs import frozen
 
-from uoarm._support.yaml import Path, clip
+from uoarm._support.yaml import Document, Path, Problem, clip, write_path
 from uoarm.model import place_problem
 
 __all__ = [
@@ -28,6 +28,7 @@ __all__ = [
     "need_mistakes",
     "needs",
     "offers",
+    "problem_at",
     "recorded",
     "unknown_frameworks",
 ]
@@ -259,3 +260,25 @@ def unknown_frameworks(value: object) -> Iterator[tuple[Path, str]]:
 def _several(value: Any) -> list[str]:
     written = [value] if isinstance(value, str) else value
     return [item for item in written if isinstance(item, str)] if isinstance(written, list) else []
+
+
+def problem_at(
+    document: Document,
+    file: str,
+    code: str,
+    path: Path,
+    sentence: str,
+    hint: str = "",
+    *,
+    at_key: bool = False,
+) -> Problem:
+    """Return a mistake of a file at the value that a path leads to, or at its key."""
+    place = document.key_place(path) if at_key else document.place(path)
+    return Problem(
+        place=place,
+        path=write_path(path),
+        sentence=sentence,
+        hint=hint,
+        file=file,
+        error_code=code,
+    )

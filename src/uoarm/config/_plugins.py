@@ -11,7 +11,7 @@ from uoarm._mistakes import schema_mistakes
 from uoarm._raised import foreign, text_of
 from uoarm._spelling import Speller
 from uoarm._support import deadlines
-from uoarm._support.yaml import Document, Path, Problem, clip, write_path
+from uoarm._support.yaml import Document, Path, Problem, clip
 from uoarm.bridge import BridgeType
 from uoarm.config._build import bridge_options, folder_of
 from uoarm.config._loops import SharedTopic, feedback_loops
@@ -22,6 +22,7 @@ from uoarm.config._parts import (
     bridge_names,
     components,
     offers,
+    problem_at,
 )
 from uoarm.config._shape import assignables, installation
 from uoarm.errors import BridgeError, FailureReason, UoarmError
@@ -44,6 +45,7 @@ class PluginChecker:
     ) -> None:
         self._document = document
         self._file = file
+        self._problem = partial(problem_at, document, file, "UOA-105")
         self._speller = speller
         self._bridges: dict[str, tuple[BridgeType, Any]] = {}
         self._hosts: dict[str, Any] = {}
@@ -323,19 +325,6 @@ class PluginChecker:
             hint = f"the same stands in {', '.join(names)}" if others else ""
             sentence = f"the plugin {kind.name} says: {wrong}"
             yield self._problem((*first.path, "endpoint"), sentence, hint)
-
-    def _problem(
-        self, path: Path, sentence: str, hint: str = "", *, at_key: bool = False
-    ) -> Problem:
-        place = self._document.key_place(path) if at_key else self._document.place(path)
-        return Problem(
-            place=place,
-            path=write_path(path),
-            sentence=sentence,
-            hint=hint,
-            file=self._file,
-            error_code="UOA-105",
-        )
 
 
 def _address(port: Mapping[str, Any]) -> tuple[str, ...] | None:

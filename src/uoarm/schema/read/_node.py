@@ -208,19 +208,10 @@ def _named(field: str) -> Reader:
     return read
 
 
-def _number(field: str) -> Reader:
+def _number(field: str, convert: Callable[[Any], object]) -> Reader:
     def read(node: SchemaNode, value: Any, _: Child, key_of: KeyOf) -> object:
         key = key_of(value)
-        setattr(node, field, exact(value))
-        return key
-
-    return read
-
-
-def _count(field: str) -> Reader:
-    def read(node: SchemaNode, value: Any, _: Child, key_of: KeyOf) -> object:
-        key = key_of(value)
-        setattr(node, field, int(value))
+        setattr(node, field, convert(value))
         return key
 
     return read
@@ -286,8 +277,8 @@ READERS: dict[str, Reader] = {
     **{keyword: _single(field) for keyword, field in _SINGLE.items()},
     **{keyword: _several(field) for keyword, field in _SEVERAL.items()},
     **{keyword: _named(field) for keyword, field in _NAMED.items()},
-    **{keyword: _number(field) for keyword, field in _NUMBERS.items()},
-    **{keyword: _count(field) for keyword, field in _COUNTS.items()},
+    **{keyword: _number(field, exact) for keyword, field in _NUMBERS.items()},
+    **{keyword: _number(field, int) for keyword, field in _COUNTS.items()},
     "type": _type,
     "properties": _properties,
     "required": _required,
