@@ -362,10 +362,14 @@ class ManagerLink:
             if since is not None and time.monotonic() - since > self._options.grace:
                 while self._asking:
                     self._asking.pop().cancel()
-            with self._lock:
-                members = tuple(self._members)
-            for member in members:
-                member.tick()
+            self._tick_members()
+
+    def _tick_members(self) -> None:
+        # Not in the frame of `_tick`, which would keep the last member while it sleeps.
+        with self._lock:
+            members = tuple(self._members)
+        for member in members:
+            member.tick()
 
 
 def _token(path: Path) -> str:
