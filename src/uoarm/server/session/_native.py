@@ -34,8 +34,8 @@ from uoarm.server._failures import LimitError, UnknownError, code_of, error_code
 from uoarm.server.access import Operation, RoleView
 from uoarm.server.session._client import ConnectedClient
 from uoarm.server.session._discoveries import Discoveries
-from uoarm.server.session._recordings import RecordingDesk
-from uoarm.server.session._session_store import ReplyCache, SessionStore
+from uoarm.server.session._recordings import DeskAnswer, RecordingDesk
+from uoarm.server.session._session_store import ClientCall, ReplyCache, SessionStore
 from uoarm.server.session._views import (
     FunctionLists,
     ListQuestion,
@@ -87,27 +87,6 @@ class Shared:
         self.sessions: dict[NativeSession, None] = {}
 
 
-class _CallUnderWay:
-    """A call of a client's, which may be cancelled: before it has begun, too."""
-
-    def __init__(self) -> None:
-        # `began` comes in the worker, `cancel` in the loop's thread: each says its own first and
-        # then looks for the other's, so that one of them, or both, cancel it.
-        self._cancel: Callable[[], bool] | None = None
-        self._is_cancelled = False
-
-    def began(self, cancel: Callable[[], bool]) -> None:
-        """Take in what cancels it."""
-        self._cancel = cancel
-        if self._is_cancelled:
-            cancel()
-
-    def cancel(self) -> Callable[[], bool] | None:
-        """Have it end early; returns what to do about that outside of the loop, None: nothing."""
-        self._is_cancelled = True
-        return self._cancel
-
-
 class NativeSession:
     """One client that speaks the native protocol.
 
@@ -142,7 +121,7 @@ class NativeSession:
         self._discoveries = Discoveries(registry)
         self._shared = shared
         self._ages = CommandAges()
-        self._calls: dict[str | None, _CallUnderWay] = {}  # by the id of the question
+        self._calls: dict[str | None, ClientCall] = {}  # by the id of the question
         self._stops: set[asyncio.Task[None]] = set()
         self._tasks: dict[asyncio.Task[None], Op] = {}
         self._quick: Mapping[Op, Callable[[ControlMessage], None]] = {
@@ -160,8 +139,8 @@ class NativeSession:
             Op.CONFIGURE: self._configure,
             Op.DISCOVER: self._discover,
             Op.APPROVE: self._approve,
-            Op.RECORD: self._record,
-            Op.PLAY: self._play,
+            Op.RECORD: functools.partial(self._ask_desk, shared.recordings.record),
+            Op.PLAY: functools.partial(self._ask_desk, shared.recordings.playback),
         }
         shared.sessions[self] = None
         self._emit({"op": "Status", "type": "hello", "jsonMessage": self._hello()})
@@ -323,7 +302,7 @@ class NativeSession:
         assert isinstance(limit, int | float), "the schema says so"
         read = functools.partial(read_message, self._form)
         act = functools.partial(self._written, asked)
-        under_way = self._calls[asked.id] = _CallUnderWay()
+        under_way = self._calls[asked.id] = ClientCall()
         try:
             frame = await self._registry.call_and(
                 act, name, asked.jsonMessage, read, float(limit), under_way.began
@@ -392,28 +371,8 @@ class NativeSession:
         )
         self._reply(asked, show_approval(desk, approval, self._view))
 
-    async def _record(self, asked: ControlMessage) -> None:
-        desk, client, wanted = self._shared.recordings, self._client, asked.jsonMessage
-        if wanted is not None and "functions" in wanted:
-            if asked.type:
-                raise UsageError("a new recording has no name yet: leave the type empty")
-            self._reply(asked, await desk.begin(client, self._view, wanted))
-        elif asked.type:
-            self._reply(asked, await desk.act(client, self._view, str(asked.type), wanted or {}))
-        elif wanted is not None:
-            raise UsageError("say which recording: its name is the type")
-        else:
-            self._reply(asked, await desk.all(client, self._view))
-
-    async def _play(self, asked: ControlMessage) -> None:
-        desk, client, wanted = self._shared.recordings, self._client, asked.jsonMessage
-        if asked.type:
-            played = await desk.play(client, self._view, str(asked.type), wanted or {})
-            self._reply(asked, played)
-        elif wanted is not None:
-            raise UsageError("say which bridge plays it: its name is the type")
-        else:
-            self._reply(asked, {"players": await desk.players(client, self._view)})
+    async def _ask_desk(self, answer: DeskAnswer, asked: ControlMessage) -> None:
+        self._reply(asked, await answer(self._client, self._view, asked))
 
     def _stop(self, asked: ControlMessage) -> None:
         """Stop beside whatever else is under way; it counts for no limit of calls."""
@@ -527,7 +486,7 @@ class NativeSession:
             stream = self._streams.own(str(asked.type))
             self._streams.kill(stream, lambda: self._reply(asked, None))
 
-    async def _cancel(self, asked: ControlMessage, under_way: _CallUnderWay) -> None:
+    async def _cancel(self, asked: ControlMessage, under_way: ClientCall) -> None:
         cancel = under_way.cancel()
         if cancel is not None:
             await self._registry.in_worker(cancel)

@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Awaitable, Callable, Iterable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
-from uoarm.errors import UoarmError
-from uoarm.model import QueuePolicy, Robot, to_json
+from uoarm.errors import UoarmError, UsageError
+from uoarm.model import ControlMessage, QueuePolicy, Robot, to_json
 from uoarm.record import PlaybackStatus, Recording, RecordOptions
 from uoarm.server._failures import LimitError, UnknownError
 from uoarm.server.access import Operation, RoleView
 from uoarm.server.session._client import ConnectedClient
 from uoarm.server.streams import FeedRegistry
 
-__all__ = ["RecordingDesk"]
+__all__ = ["DeskAnswer", "RecordingDesk"]
+
+DeskAnswer: TypeAlias = "Callable[[ConnectedClient, RoleView, ControlMessage], Awaitable[Any]]"
 
 _MOST_FILES = 200
 _DUMP_SECONDS = 30.0
@@ -39,6 +41,27 @@ class RecordingDesk:
         # configuration records.
         self._owners: dict[str, str] = {}
         self._beginning = 0
+
+    async def record(self, client: ConnectedClient, view: RoleView, asked: ControlMessage) -> Any:
+        """Answer a Record: begin one, act on one, or list all. Raises as they do, or UsageError."""
+        wanted = asked.jsonMessage
+        if wanted is not None and "functions" in wanted:
+            if asked.type:
+                raise UsageError("a new recording has no name yet: leave the type empty")
+            return await self.begin(client, view, wanted)
+        if asked.type:
+            return await self.act(client, view, str(asked.type), wanted or {})
+        if wanted is not None:
+            raise UsageError("say which recording: its name is the type")
+        return await self.all(client, view)
+
+    async def playback(self, client: ConnectedClient, view: RoleView, asked: ControlMessage) -> Any:
+        """Answer a Play: move one, or list all; raises as those do, and UsageError."""
+        if asked.type:
+            return await self.play(client, view, str(asked.type), asked.jsonMessage or {})
+        if asked.jsonMessage is not None:
+            raise UsageError("say which bridge plays it: its name is the type")
+        return {"players": await self.players(client, view)}
 
     async def begin(
         self, client: ConnectedClient, view: RoleView, wanted: Mapping[str, Any]
