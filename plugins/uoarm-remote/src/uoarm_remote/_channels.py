@@ -35,6 +35,14 @@ class _Stream:
         self.standing: deque[Message] = deque(maxlen=_STANDING)
         self.reading: asyncio.Task[None] | None = None
 
+    def hand_on(self, message: Message, *, latched: bool) -> None:
+        """Hand a message to all that are open."""
+        # Not in the frame of `_read`, which would keep the last of them while it waits.
+        if latched:
+            self.standing.append(message)
+        for member in tuple(self.members):
+            member.came(message)
+
 
 class FunctionStreams:
     """The requests of one bridge: the other manager has each only once from one client."""
@@ -92,11 +100,7 @@ class FunctionStreams:
         """Hand on what comes, until the function has ended there."""
         try:
             while True:
-                message = await stream.get()
-                if stream.latched:
-                    shared.standing.append(message)
-                for member in tuple(shared.members):
-                    member.came(message)
+                shared.hand_on(await stream.get(), latched=stream.latched)
         except ConnectionClosedError:
             if shared.stream is stream:
                 shared.stream = None

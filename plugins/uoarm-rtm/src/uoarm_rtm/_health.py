@@ -253,13 +253,17 @@ class Ticker:
             self._thread.join(seconds)
 
     def _run(self) -> None:
-        while True:
-            for tick in self._ticks():
-                if not self._rest(0):
-                    return
-                _call(tick)
-            if not self._rest(self._seconds):
-                return
+        while self._look() and self._rest(self._seconds):
+            pass
+
+    def _look(self) -> bool:
+        """Call each once; returns whether to go on."""
+        # Not in the frame of `_run`, which would keep the last one while it rests.
+        for tick in self._ticks():
+            if not self._rest(0):
+                return False
+            _call(tick)
+        return True
 
     def _rest(self, seconds: float) -> bool:
         """Let time pass, and call what is urgent meanwhile; returns whether to go on.
