@@ -29,7 +29,13 @@ from uoarm.errors import (
 from uoarm_remote._failures import translated
 from uoarm_remote._options import ManagerOptions
 
-__all__ = ["LinkMember", "ManagerLink"]
+__all__ = [
+    "CONNECTING_ERRORS",
+    "LinkMember",
+    "ManagerLink",
+    "server_address",
+    "why_unreachable",
+]
 
 T = TypeVar("T")
 _BACKOFF = Backoff(first=0.1, most=5.0, jitter=0.5)
@@ -38,6 +44,8 @@ _TICK_SECONDS = 0.25
 _AT_ONCE = 8  # questions of one kind: the other manager has other clients, too
 _JOIN_SECONDS = 2.0
 _MOST_TOKEN = 4096
+CONNECTING_ERRORS = (OSError, InvalidHandshake, TimeoutError, asyncio.TimeoutError, UoarmError)
+"""What connecting to another manager raises."""
 
 
 class LinkMember(Protocol):
@@ -267,7 +275,7 @@ class ManagerLink:
     async def _session(self, closing: asyncio.Future[Any]) -> str:
         """Connect and stay until the connection ends for good; returns why."""
         try:
-            server = await self._server()
+            server = await server_address(self._name, self._options, self._identity())
             began = time.time()
             robot = server.robot(reconnect=_FOREVER, on_link=self._changed)
             async with robot.running(resume=True):
@@ -280,30 +288,8 @@ class ManagerLink:
                     ended.cancel()
                     return "the bridge is closed"
                 return ended.result()
-        except InvalidStatus as error:
-            return _refusal(error)
-        except (OSError, InvalidHandshake, TimeoutError, asyncio.TimeoutError, UoarmError) as error:
-            return f"{type(error).__name__}: {error}"
-
-    async def _server(self) -> ServerAddress:
-        options = self._options
-        token = None if options.token_file is None else _token(Path(options.token_file))
-        tls: ssl.SSLContext | None = None
-        if options.tls is not None:
-            tls = options.tls.context(self._name)
-        elif options.fingerprint is not None:
-            tls = await asyncio.to_thread(
-                trust_fingerprint, options.url, options.fingerprint, timeout=options.timeout
-            )
-        identity = self._identity()
-        return ServerAddress(
-            options.url,
-            token,
-            tls,
-            options.timeout,
-            options.silence,
-            {"Uoarm-Manager": identity} if identity else {},
-        )
+        except CONNECTING_ERRORS as error:
+            return why_unreachable(error)
 
     def _greeted(self, robot: RemoteRobot, began: float) -> None:
         came = time.time()
@@ -370,6 +356,47 @@ class ManagerLink:
             members = tuple(self._members)
         for member in members:
             member.tick()
+
+
+async def server_address(name: str, options: ManagerOptions, identity: str = "") -> ServerAddress:
+    """Return where another manager is, and how it is greeted.
+
+    Reads the token; for a fingerprint, asks the server for its certificate.
+
+    Args:
+        name: of the bridge.
+        options: of the bridge.
+        identity: of the manager that asks; "": of none.
+
+    Raises:
+        ConfigurationError: a file cannot be read, or is wrong.
+        OSError: no server listens there.
+    """
+    token = None if options.token_file is None else _token(Path(options.token_file))
+    tls: ssl.SSLContext | None = None
+    if options.tls is not None:
+        tls = options.tls.context(name)
+    elif options.fingerprint is not None:
+        tls = await asyncio.to_thread(
+            trust_fingerprint, options.url, options.fingerprint, timeout=options.timeout
+        )
+    return ServerAddress(
+        options.url,
+        token,
+        tls,
+        options.timeout,
+        options.silence,
+        {"Uoarm-Manager": identity} if identity else {},
+    )
+
+
+def why_unreachable(error: BaseException) -> str:
+    """Say why there is no connection, of one of `CONNECTING_ERRORS`."""
+    if isinstance(error, InvalidStatus):
+        return _refusal(error)
+    if isinstance(error, ConnectionRefusedError):
+        return "nothing listens there: does `uoarm serve` run?"
+    return f"{type(error).__name__}: {error}"
 
 
 def _token(path: Path) -> str:

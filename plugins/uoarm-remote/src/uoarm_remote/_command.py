@@ -1,0 +1,117 @@
+"""`uoarm fleet`: what runs on each manager that a configuration imports from."""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import os
+import shutil
+import sys
+import textwrap
+from collections.abc import Mapping
+from typing import Any
+
+from attrs import frozen
+
+from uoarm.bridge import Registry
+from uoarm.config import load
+from uoarm.errors import ConfigurationError, UoarmError
+from uoarm.model import BridgeSpec, format_status, to_json, write_json
+from uoarm.plugins import Command, hookimpl
+from uoarm_remote._link import CONNECTING_ERRORS, server_address, why_unreachable
+from uoarm_remote._options import ManagerOptions
+
+__all__ = ["ManagerReport", "main", "uoarm_commands"]
+
+_MISTAKES, _FAILED = 3, 4
+_INDENT = "  "
+_LEAST_WIDTH = 40
+
+
+@frozen
+class ManagerReport:
+    """What is known of one manager.
+
+    Attributes:
+        bridge: that reaches it.
+        url: of its server.
+        cause: why it could not be asked; "": it was.
+        status: its live status, as the token's role sees it; None: it could not be asked.
+    """
+
+    bridge: str
+    url: str
+    cause: str
+    status: Mapping[str, Any] | None
+
+    def text(self, width: int | None) -> str:
+        """Return it for people, with lines of at most so many characters; None: of any length."""
+        if self.status is None:
+            return f"{self.bridge}  {self.url}  not reached: {self.cause}"
+        tables = format_status(self.status, width and max(_LEAST_WIDTH, width - len(_INDENT)))
+        return f"{self.bridge}  {self.url}\n{textwrap.indent(tables, _INDENT)}"
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the command; returns the exit status."""
+    given = _parser().parse_args(arguments)
+    path = given.file or os.environ.get("UOARM_CONFIG") or "robot.yaml"
+    try:
+        registry = Registry()
+        robot = load(path, registry.types)
+    except (UoarmError, OSError) as error:
+        sys.stderr.write(f"error: {error}\n")
+        return _MISTAKES if isinstance(error, ConfigurationError) else _FAILED
+    managers = {
+        bridge: registry.types["remote"].value_of(bridge.options, bridge.folder)
+        for bridge in robot.bridges.values()
+        if bridge.plugin == "remote"
+    }
+    reports = asyncio.run(_reports(managers))
+    if given.json:
+        print(write_json(to_json(reports), indent=2))  # noqa: T201 - it is what was asked for
+    else:
+        width = shutil.get_terminal_size().columns if sys.stdout.isatty() else None
+        found = "\n".join(report.text(width) for report in reports)
+        print(found or f"{path} imports from no other manager")  # noqa: T201 - as above
+    return _FAILED if any(report.cause for report in reports) else 0
+
+
+@hookimpl
+def uoarm_commands() -> list[Command]:
+    """Return `uoarm fleet`."""
+    return [Command("fleet", main, contract=1)]
+
+
+async def _reports(managers: Mapping[BridgeSpec, ManagerOptions]) -> list[ManagerReport]:
+    """Ask all at once; each has the `timeout` of its options."""
+    asking = [_report(bridge.name, options) for bridge, options in managers.items()]
+    return await asyncio.gather(*asking)
+
+
+async def _report(name: str, options: ManagerOptions) -> ManagerReport:
+    try:
+        status = await asyncio.wait_for(_status(name, options), options.timeout)
+    except asyncio.TimeoutError:
+        cause = f"it did not answer within {options.timeout:g} s"
+        return ManagerReport(name, options.url, cause, None)
+    except CONNECTING_ERRORS as error:
+        return ManagerReport(name, options.url, why_unreachable(error), None)
+    return ManagerReport(name, options.url, "", status)
+
+
+async def _status(name: str, options: ManagerOptions) -> Mapping[str, Any]:
+    server = await server_address(name, options)
+    async with server.robot().running(resume=False) as robot:
+        return await robot.status()
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="uoarm fleet",
+        description="Show the live status of each manager that a configuration imports from. Opens "
+        "nothing. Exit code 0 when all were reached, 3 for a mistake in the file, 4 otherwise.",
+    )
+    parser.add_argument("file", nargs="?", help="configuration; else UOARM_CONFIG or robot.yaml")
+    parser.add_argument("--json", action="store_true", help="print a list as JSON")
+    return parser
