@@ -114,7 +114,7 @@ class MoveRule:
         return MovePhase.SWITCHING in self.phases
 
 
-# The same table, in words, stands in docs/control-plane.md.
+# docs/control-plane.md says it in words.
 RULES: Mapping[MoveReason, MoveRule] = {
     MoveReason.REQUEST: MoveRule(
         called="its request",
