@@ -16,8 +16,7 @@ from attrs import frozen
 
 __all__ = ["KitSkip", "kit_skips", "mistake_of"]
 
-_PAGE = Path(__file__).parents[2] / "docs" / "bridges.md"
-_HEADING = "## What the kit skips"
+_PAGE = Path(__file__).parents[1] / "testing" / "skips.md"
 _KIT = "/testing/conformance/"
 # Suites of bridges that are no plugin's, by the folder or module of their tests.
 _BRIDGES = {
@@ -52,7 +51,7 @@ def kit_skips() -> tuple[KitSkip, ...]:
 
 
 def _rows(page: str) -> Iterator[KitSkip]:
-    for line in page.partition(_HEADING)[2].splitlines():
+    for line in page.splitlines():
         cells = [cell.strip() for cell in line.strip("|").split("|")]
         if len(cells) != 3 or not cells[0].startswith("`"):
             continue
@@ -68,13 +67,13 @@ def mistake_of(item: pytest.Item, report: pytest.TestReport) -> str:
     if not bridge or not isinstance(item, pytest.Function) or not _is_of_kit(item):
         return ""
     row = _row(bridge, item)
-    where = f"{_HEADING.lstrip('# ')!r} in docs/bridges.md"
+    where = "tests/testing/skips.md"
     if isinstance(report.longrepr, tuple) and _KIT in str(report.longrepr[0]):
         why = report.longrepr[2].removeprefix("Skipped: ")
         text = f"skipped, as {why}: have the world give it, or add a row to {where} with the reason"
         return "" if row else text
     if row and report.when == "call" and report.passed:
-        return f"no longer skipped: take it out of the row of {row.bridge!r} under {where}"
+        return f"no longer skipped: take it out of the row of {row.bridge!r} in {where}"
     return ""
 
 

@@ -464,7 +464,7 @@ KIT = """
             return Memory()
 """
 KIT_PAGE = """
-## What the kit skips
+# What the kit skips
 
 | bridge | test or section | why |
 |---|---|---|
@@ -477,7 +477,7 @@ KIT_PAGE = """
 def test_a_skip_of_the_kit_and_its_row_in_the_table_need_one_another(
     run: Run, tmp_path: Path
 ) -> None:
-    page = tmp_path / "bridges.md"
+    page = tmp_path / "skips.md"
     page.write_text(KIT_PAGE, encoding="utf-8")
     wanted = "kinds_do or test_a_death or test_closing_twice or retained"
     set_up = [
@@ -490,7 +490,7 @@ def test_a_skip_of_the_kit_and_its_row_in_the_table_need_one_another(
     found.assert_outcomes(skipped=2, failed=2)
     found.stdout.fnmatch_lines(
         [
-            "*closing_twice*: no longer skipped: take it out of the row of 'memory' under *",
+            "*closing_twice*: no longer skipped: take it out of the row of 'memory' in *",
             "*retained*: skipped, as the world retains nothing: have the world give it, or add *",
         ]
     )
