@@ -391,7 +391,7 @@ def test_a_monitor_reports_in_order_without_its_lock_and_nothing_once_closed() -
 
 
 def test_the_page_has_every_reason() -> None:
-    page = Path(__file__).parents[2] / "docs" / "bridge-contract.md"
+    page = Path(__file__).parents[2] / "docs" / "channel-health.md"
     text = page.read_text(encoding="utf-8")
     for reason in HealthReason:
         assert f"| `{reason.value}` | {reason.meaning} |" in text

@@ -11,23 +11,17 @@ from bench.pages import ROOT, page_figures, pages, sentences_of
 # `python -m bench.pages` prints the figures. Lower these with what they count; never raise one, and
 # add none.
 WORDS = 3500
-MEAN_WORDS = 1110
-MEDIAN_WORDS = 1030
+MEAN_WORDS = 855
+MEDIAN_WORDS = 785
 SENTENCE = 18.0  # words of a sentence on average
 LONGER_PAGES: dict[str, int] = {}
 LONGER_SENTENCES: dict[str, float] = {
     "benchmarks.md": 18.5,
 }
 # Figures of speech and pronouns in the place of a noun, and `octets` for bytes.
-VAGUE: dict[str, int] = {
-    "bridges.md": 3,
-    "rocos-profile.md": 1,
-}
+VAGUE: dict[str, int] = {}
 # How fast something was belongs into benchmarks.md, and nowhere else.
-MEASURED: dict[str, int] = {
-    "schema.md": 1,
-    "warehouse.md": 1,
-}
+MEASURED: dict[str, int] = {}
 
 PAGES = pages()
 

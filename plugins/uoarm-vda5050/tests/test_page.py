@@ -10,6 +10,7 @@ import sys
 from pathlib import Path
 
 from brokers import Broker
+from uoarm_mqtt import BrokerOptions
 from uoarm_vda5050._options import FleetOptions, VehicleOptions
 
 from fleet import driven, goal
@@ -70,7 +71,11 @@ def test_vehicles_that_are_not_configured_are_used(broker: Broker, tmp_path: Pat
 
 def test_the_tables_of_options_are_what_the_plugin_declares() -> None:
     page = PAGE.read_text(encoding="utf-8")
-    assert options_table(FleetOptions.schema()) in page
+    schema, connection = FleetOptions.schema(), BrokerOptions.schema()["properties"]
+    own = {name: known for name, known in schema["properties"].items() if name not in connection}
+    assert options_table({"properties": own}) in page
+    mqtt = PAGE.with_name("mqtt.md").read_text(encoding="utf-8")
+    assert options_table({"properties": connection, "required": schema["required"]}) in mqtt
     assert options_table(VehicleOptions.schema(), "option of a port") in page
 
 

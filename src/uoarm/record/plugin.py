@@ -48,7 +48,7 @@ class PlaybackOptions(BridgeOptions):
     allow_motion: bool = option(
         False,
         _BOOLEAN,
-        "whether an input that moves something may be fed from it: such a plan is refused else",
+        "whether it may feed an input that moves something; else such a plan is refused",
     )
 
 

@@ -65,8 +65,7 @@ class BrokerOptions(BridgeOptions):
     password_env: str = option(
         "",
         _TEXT,
-        "an environment variable that holds the password. It is never an option itself, and stands "
-        "in no log and no error",
+        "an environment variable that holds the password, which is never an option itself",
     )
     password_file: str = option("", _PATH, "a file that holds it")
     plain_password: bool = option(
@@ -77,23 +76,22 @@ class BrokerOptions(BridgeOptions):
     client_id: str = option(
         "",
         _TEXT,
-        "two clients with the same one end each other's connection; left out: a new one",
+        "left out: a new one; two clients with the same one end each other's connection",
     )
     keepalive: int = option(
         15,
         {"type": "integer", "minimum": 1, "maximum": 65535},
-        "seconds after which a broker that says nothing is asked whether it lives; it is given up "
-        "after twice as many",
+        "seconds of silence after which the broker is asked; it is given up after twice as many",
         unit="s",
     )
     grace: float = option(
         30.0,
         _SECONDS,
-        "seconds that a break may last before it is a loss; so long the broker is asked to keep "
-        "what comes for us with QoS 1 and 2",
+        "seconds that a break may last before it is a loss; the broker is asked to keep QoS "
+        "1 and 2 as long",
         unit="s",
     )
-    backlog: int = option(1000, _COUNT, "messages of a channel that may wait, in either direction")
+    backlog: int = option(1000, _COUNT, "messages of a channel that may wait, each way")
     max_octets: int = option(
         1_048_576, _COUNT, "of one payload; this and the next two are checked before it is decoded"
     )
@@ -159,8 +157,8 @@ class MqttOptions(BrokerOptions):
     presence: AnnouncementOptions | None = option(
         None,
         AnnouncementOptions,
-        "`{topic, online, offline}`: where this bridge says that it is there, retained, `offline` "
-        "by its last will",
+        "`{topic, online, offline}`: where this bridge announces itself, retained, "
+        "`offline` by its last will",
     )
     structures: Mapping[str, Any] = option(
         {},
@@ -212,15 +210,15 @@ class TopicOptions(EndpointOptions):
     retain: bool = option(
         False,
         {"type": "boolean"},
-        "an input: what is sent stands on the broker. An output: the last message of each topic "
-        "stands, so that each new consumer gets it first, until an empty payload clears it; "
-        "without it, what is retained is left where it is",
+        "an input: the broker keeps what is sent. An output: new consumers first get the "
+        "last message of each topic, until an empty payload clears it; without it, what is "
+        "retained is ignored",
     )
     share: str = option(
         "",
         {"type": "string", "pattern": "^[^/+#]+$"},
-        "group of a shared subscription, in which each message goes to one member; outputs and "
-        "served functions, without `retain`",
+        "group of a shared subscription, in which each message goes to one member; outputs "
+        "and served functions, without `retain`",
     )
     with_topic: bool = option(
         False,
@@ -230,13 +228,13 @@ class TopicOptions(EndpointOptions):
     expiry: int = option(
         0,
         {"type": "integer", "minimum": 1, "maximum": 2**32 - 1},
-        "seconds after which the broker drops what is sent, when no client has taken it; 0: never",
+        "seconds after which the broker drops what no client has taken; 0: never",
         unit="s",
     )
     presence: PresenceOptions | None = option(
         None,
         PresenceOptions,
-        "`{topic, member, online, finished}`: where the component says that it is there, see below",
+        "`{topic, member, online, finished}`: where the component announces itself, see below",
     )
 
 

@@ -48,8 +48,8 @@ class Ros1BridgeOptions(BridgeOptions):
     host: str = option(
         "",
         _TEXT,
-        "under which other nodes reach this one; left out: `ROS_HOSTNAME`, `ROS_IP`, else the "
-        "address from which the master is reached",
+        "under which other nodes reach this one; left out: `ROS_HOSTNAME`, `ROS_IP`, else "
+        "this machine's address towards the master",
     )
     node: str = option(
         "",
@@ -86,7 +86,7 @@ class Ros1BridgeOptions(BridgeOptions):
     use_sim_time: bool = option(
         False,
         {"type": "boolean"},
-        "`stale_after` counts the seconds of `/clock`, and goals and headers of ours have its time",
+        "`stale_after` counts the seconds of `/clock`, and our goals and headers have its time",
     )
     rosout: bool = option(
         True, {"type": "boolean"}, "what the bridge reports is said on `/rosout`, too"
@@ -136,20 +136,20 @@ class Ros1Options(PeerOptions):
     node: str = option(
         "",
         {"type": "string", "pattern": f"^{_GRAPH_NAME}$"},
-        "of an output the one node whose messages are taken, of an input one that must subscribe; "
-        "left out: all of the topic",
+        "of an output the one node whose messages are taken, of an input one that must "
+        "subscribe; left out: all",
     )
     latch: int = option(
         0,
         {"type": ["boolean", "integer"], "minimum": 1, "maximum": 1000},
-        "of an input: how many of the last messages each subscriber that comes is given, as for "
+        "of an input: how many of the last messages each new subscriber gets, as for "
         "`/tf_static`; `true`: the last one",
     )
     queue: int = option(
         100,
         {"type": "integer", "minimum": 1, "maximum": 100_000},
-        "of an input: messages that may wait for one subscriber; then the oldest are dropped and "
-        "counted",
+        "of an input: messages that may wait for one subscriber; then the oldest are "
+        "dropped and counted",
     )
     nodelay: bool = option(
         True,

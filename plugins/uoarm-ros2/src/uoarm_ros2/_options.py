@@ -55,8 +55,7 @@ class Ros2BridgeOptions(BridgeOptions):
             # 102 to 214 lie in the ephemeral ports of Linux; small numbers are people's own.
             "x-uoarm-assign": {"from": 64, "to": 101, "except_variable": "ROS_DOMAIN_ID"},
         },
-        "DDS domain; left out: `ROS_DOMAIN_ID` of the environment, else 0, and 64 to 101 between "
-        "hosted installations. Several bridges may live in several domains in one process",
+        "DDS domain; left out: `ROS_DOMAIN_ID`, else 0, and 64 to 101 between hosted installations",
     )
     node: str = option(
         "",
@@ -84,8 +83,8 @@ class Ros2BridgeOptions(BridgeOptions):
     shared_memory: int | None = option(
         None,
         {"type": "integer", "minimum": 1, "maximum": 1024},
-        "MiB of shared memory through which messages go out to readers on this machine; left out: "
-        "half a MiB, less than one picture",
+        "MiB of shared memory for readers on this machine; left out: half a MiB, less than "
+        "one picture",
     )
     settle: float = option(
         0.05, _SECONDS, "seconds given to a matched publisher to match us in turn", unit="s"
@@ -137,8 +136,8 @@ class Ros2Options(PeerOptions):
     stale_after: float | None = option(
         None,
         {"type": "number", "exclusiveMinimum": 0},
-        "seconds without a message after which it is lost; left out: three times the `deadline` "
-        "that every publisher of the topic offers, a second at least; never where one offers none",
+        "seconds without a message after which it is lost; left out: three times the "
+        "`deadline` that every publisher offers, a second at least",
         unit="s",
     )
     node: str = option(
@@ -149,8 +148,8 @@ class Ros2Options(PeerOptions):
     activate: bool | str = option(
         False,
         {"enum": [False, True, "keep"]},
-        "of a lifecycle node, `true`: active while something of the component is open; `keep`: "
-        "activated again, too, when another client has deactivated it",
+        "of a lifecycle node, `true`: active while something of the component is open; "
+        "`keep`: also when another client has deactivated it",
     )
     afterwards: str = option(
         "deactivate",

@@ -67,7 +67,7 @@ class QosOptions(EndpointOptions):
     reliability: str = option(
         "auto",
         _auto("reliable", "best_effort"),
-        "`reliable` or `best_effort`: whether messages lost on the way are sent again",
+        "`reliable` or `best_effort`: whether lost messages are sent again",
     )
     durability: str = option(
         "auto",

@@ -209,29 +209,25 @@ class RtmBridgeOptions(BridgeOptions):
     idl: str | tuple[str, ...] = option(
         (),
         {"anyOf": [_IDL, {"type": "array", "items": _IDL, "minItems": 1}]},
-        'IDL files or texts with further types and interfaces; `#include "BasicDataType.idl"` '
-        "finds ours",
+        "IDL files or texts with further types and interfaces; `#include "
+        '"BasicDataType.idl"` finds ours',
     )
     idl_folder: str = option(
         ".",
         {"type": "string", "x-uoarm-path": True},
-        "where a text of `idl` finds what else it includes; relative to the configuration's file. "
-        "A file finds it beside itself",
+        "where a text of `idl` finds what it includes, relative to the configuration's file",
     )
     call_timeout: float | None = option(
         None,
         {"type": "number", "exclusiveMinimum": 0, "maximum": 60},
-        "seconds that one CORBA call may take, connecting included; left out: 2. Operations of "
-        "services have the limit of the call (`robot.call(timeout=)`) and `timeout` of their "
-        "endpoint; where the endpoint has none, this one too, but only where it is written down: "
-        "2 s are too few for what moves an arm",
+        "of one CORBA call, connecting included; left out: 2. An operation has the limit of "
+        "the call and `timeout` of its endpoint, and this only where it is written down",
         unit="s",
     )
     max_message: int = option(
         1 << 26,
         {"type": "integer", "minimum": 1 << 16, "maximum": 1 << 30},
-        "bytes of one message (of GIOP) that our side sends or takes, up to 1 GiB; one figure for "
-        "all bridges of a process",
+        "bytes of one GIOP message, up to 1 GiB; one figure for all bridges of a process",
     )
     watch: float = option(
         1.0,
@@ -242,24 +238,23 @@ class RtmBridgeOptions(BridgeOptions):
     observe: bool = option(
         True,
         {"type": "boolean"},
-        "whether components are asked to report changes of their states; `false`: they are only "
-        "checked",
+        "whether components are asked to report changes of their states",
     )
     text: str = option(
         "utf-8",
         {"enum": ["utf-8", "latin-1"]},
-        "encoding of strings in data; `latin-1` for components that send umlauts from omniORBpy",
+        "encoding of strings; `latin-1` for components that send umlauts from omniORBpy",
     )
     address: str = option(
         "127.0.0.1",
         _TEXT,
-        "interface that our side listens on: `0.0.0.0`, or one address, for components on other "
-        "machines",
+        "interface that our side listens on; `0.0.0.0`, or one address, for components on "
+        "other machines",
     )
     component: str = option(
         "",
         {"type": "string", "pattern": "^[A-Za-z0-9_]+$"},
-        "the name under which the bridge is a component itself; left out: `uoarm_` and its name",
+        "name of the bridge's own component; left out: `uoarm_` and the bridge's name",
     )
 
     @property
@@ -304,30 +299,30 @@ class BufferOptions(DeclaredOptions):
     length: int | None = option(
         None,
         {"type": "integer", "minimum": 1, "maximum": _LONGEST},
-        "messages that it holds (`buffer.length` of OpenRTM)",
+        "messages that it holds",
     )
     full_policy: str | None = option(
         None,
         {"enum": list(_FULL)},
-        "a full buffer gives up its oldest message with `overwrite`, refuses the new one with "
-        "`do_nothing`, and lets the writer wait with `block` (`buffer.write.full_policy`)",
+        "`overwrite` the oldest message, `do_nothing`: refuse the new one, `block`: let the "
+        "writer wait",
     )
     write_timeout: float | None = option(
         None,
         _WAITING,
-        "seconds that a writer waits with `block` (`buffer.write.timeout`)",
+        "seconds that a writer waits with `block`",
         unit="s",
     )
     empty_policy: str | None = option(
         None,
         {"enum": list(_EMPTY)},
-        "an empty buffer says so with `do_nothing`, gives its last message again with `readback`, "
-        "and lets the reader wait with `block` (`buffer.read.empty_policy`)",
+        "`do_nothing`: say so, `readback`: give the last message again, `block`: let the "
+        "reader wait",
     )
     read_timeout: float | None = option(
         None,
         _WAITING,
-        "seconds that a reader waits with `block` (`buffer.read.timeout`)",
+        "seconds that a reader waits with `block`",
         unit="s",
     )
 
@@ -353,26 +348,25 @@ class RtmEndpointOptions(EndpointOptions):
     flow: Literal["push", "pull"] = option(
         "push",
         {"enum": ["push", "pull"]},
-        "with `push` the OutPort calls the InPort, with `pull` the InPort asks the OutPort",
+        "`push`: the OutPort calls the InPort; `pull`: the InPort asks the OutPort",
     )
     subscription: Literal["flush", "new", "periodic"] = option(
         "flush",
         {"enum": ["flush", "new", "periodic"]},
-        "how an OutPort pushes: `flush` at once, `new` from a thread of its own as soon as "
-        "something waits, `periodic`",
+        "how an OutPort pushes: `flush` at once, `new` from a thread as soon as something "
+        "waits, `periodic`",
     )
     rate: float = option(
         20,
         _ABOVE_ZERO,
-        "times a second: of `periodic`, of our asking with `flow: pull`, and of an InPort of our "
-        "own component asking those who wait to be asked",
+        "times a second, of `periodic` and of asking with `flow: pull`",
         unit="Hz",
     )
     push_policy: str | None = option(
         None,
         {"enum": list(_PUSH)},
-        "of the messages that wait in the OutPort (`new`, `periodic`): the `new`est alone, which "
-        "is usual, `fifo` one after the other, `all`, or `skip`",
+        "which waiting messages are pushed (`new`, `periodic`): the `new`est (usual), "
+        "`fifo`, `all`, or `skip`",
     )
     skip_count: int | None = option(
         None,
@@ -382,56 +376,48 @@ class RtmEndpointOptions(EndpointOptions):
     buffer: BufferOptions | None = option(
         None, BufferOptions, "how messages wait at both ends, see below"
     )
-    inport_buffer: BufferOptions | None = option(
-        None, BufferOptions, "the same for the InPort, before `buffer`"
-    )
-    outport_buffer: BufferOptions | None = option(
-        None, BufferOptions, "the same for the OutPort, before `buffer`"
-    )
+    inport_buffer: BufferOptions | None = option(None, BufferOptions, "the same for the InPort")
+    outport_buffer: BufferOptions | None = option(None, BufferOptions, "the same for the OutPort")
     endian: Literal["little", "big"] = option(
         "little",
         {"enum": ["little", "big"]},
-        "byte order that is asked for, and sent. `big` is refused where a component in C++ takes "
-        "no notice of it: OutPorts that push, InPorts that pull",
+        "byte order. `big` is refused for OutPorts that push and InPorts that pull, as "
+        "components in C++ take no notice of it",
     )
     activate: Literal[False, True, "keep"] = option(
         False,
         {"enum": [False, True, "keep"]},
-        "`true`: activate the component on request and deactivate it when its last channel closes; "
-        "one that was active before is left active. `keep`: activate it again, too, when another "
-        "program has deactivated it",
+        "`true`: activate the component on request, and deactivate it when its last channel "
+        "closes, unless it was active before. `keep`: also when another program has "
+        "deactivated it",
     )
     reset: bool = option(
         False,
         {"type": "boolean"},
-        "with `activate`: reset a component that has failed (state ERROR) before it is activated "
-        "on request",
+        "with `activate`: reset a component in state ERROR before",
     )
     event: str = option(
         "",
         _TEXT,
-        "of the port of a state machine (type `any`): the event that a message is, whose data type "
-        "is the third part of the address: `[Microwave0.rtc, event, TimedLong]` with "
-        "`event: minute`",
+        "of a port of a state machine: the event that a message is, such as `minute` at "
+        "`[Microwave0.rtc, event, TimedLong]`",
     )
     timeout: float | None = option(
         None,
         _ABOVE_ZERO,
-        "seconds that one message to an InPort may take; of a service, seconds that one call may "
-        "take at most, in place of the bridge's `call_timeout`",
+        "of one message to an InPort, or of one call, in place of the bridge's `call_timeout`",
         unit="s",
     )
     instance: str = option(
         "",
         _TEXT,
-        "of a service at our own component: name of the provided interface as the port shows it; "
-        "left out: the interface's name in lower case. `rtcon` connects ports whose names are the "
-        "same: `myservice0`",
+        "of a service at our own component: name of the provided interface; left out: the "
+        "interface's name in lower case. `rtcon` connects the same names",
     )
     interface: str = option(
         "",
         _TEXT,
-        "its type as the port shows it; left out: the interface's name; for components in C++ "
+        "its type; left out: the interface's name; for components in C++ "
         "`SimpleService::MyService`",
     )
     stale_after: float | None = option(
@@ -443,9 +429,8 @@ class RtmEndpointOptions(EndpointOptions):
     properties: Mapping[str, str] | None = option(
         None,
         {"type": "object", "additionalProperties": _TEXT},
-        "further connector properties; what is said here comes before the other options. Byte "
-        "order and data type have their own place and are refused here, as is another interface "
-        "type than `corba_cdr`",
+        "further connector properties, before the other options; not byte order and data "
+        "type, and no interface type but `corba_cdr`",
     )
 
     @property

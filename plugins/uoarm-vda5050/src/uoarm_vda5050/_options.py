@@ -34,7 +34,7 @@ class FleetOptions(BrokerOptions):
     release: str = option(
         "2.1",
         {"enum": list(RELEASES)},
-        "of the standard. What says another major version in its header is refused",
+        "of the standard; another major version in a header is refused",
     )
     interface: str = option(
         "",
@@ -55,8 +55,8 @@ class FleetOptions(BrokerOptions):
     state_timeout: float = option(
         35.0,
         _SECONDS,
-        "seconds without a state after which a vehicle is degraded; the standard wants one every "
-        "30 s",
+        "seconds without a state after which a vehicle is degraded; the standard wants one "
+        "every 30 s",
         unit="s",
     )
     repeat: float = option(

@@ -78,8 +78,8 @@ class ClientOptions(BridgeOptions):
     auth: AuthenticationOptions | None = option(
         None,
         AuthenticationOptions,
-        "`{secret_file, client, dest, level}`: the operation `auth` of rosauth, first on each "
-        "connection",
+        "`{secret_file, client, dest, level}`: the operation `auth` of rosauth, first on "
+        "each connection",
     )
     plain_secrets: bool = option(
         False,
@@ -172,8 +172,7 @@ class Port(PeerOptions):
     throttle: int = option(
         0,
         {"type": "integer", "minimum": 0, "maximum": 3_600_000},
-        "of an output: milliseconds between two messages at the least; the server leaves others "
-        "out",
+        "of an output: milliseconds between two messages at least; the server leaves others out",
         unit="ms",
     )
     queue: int = option(
@@ -184,14 +183,13 @@ class Port(PeerOptions):
     latch: bool = option(
         False,
         {"type": "boolean"},
-        "of an input: the server keeps the last message for later subscribers. Of an output: the "
-        "last message stands, as a map does; sent again after a break, it is not delivered again",
+        "of an input: the server keeps the last message for later subscribers. Of an "
+        "output: new consumers first get the last message, as of a map",
     )
     compression: str | None = option(
         None,
         {"enum": [*_COMPRESSIONS]},
-        "of an output: how its messages come; left out: as the bridge says. All outputs on one "
-        "topic have that of the first",
+        "of an output, and that of the first on its topic; left out: as the bridge says",
     )
 
 
