@@ -6,11 +6,12 @@ import asyncio
 import functools
 import socket
 import threading
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Iterable
 from contextlib import ExitStack, suppress
 
 import pytest
 from tests.server.conftest import Connect, Hurry, Serve
+from tests.server.robot import script
 from tests.server.talk import Talk, eventually, frame, open_socket
 from websockets.asyncio.client import connect
 from websockets.asyncio.server import ServerConnection, serve
@@ -141,13 +142,53 @@ def received_from(send: Handler, *, deflate: bool = False) -> list[str | bytes]:
 
 
 @pytest.mark.parametrize("deflate", [False, True])
-def test_frames_of_every_length_arrive_whole_and_in_order(deflate: bool) -> None:
+@pytest.mark.parametrize("at_once", [False, True])
+def test_frames_of_every_length_arrive_whole_and_in_order(deflate: bool, at_once: bool) -> None:
     async def send(socket: ServerConnection) -> None:
         assert isinstance(socket, TurnConnection)
-        await socket.send_frames(FRAMES)
+        if not at_once:
+            await socket.send_frames(FRAMES)
+            return
+        for number in range(len(FRAMES)):
+            await socket.send_frames([])
+            assert number > 0 or socket.takes_at_once()
+            socket.send_now(FRAMES[number : number + 1])
 
     received = [frame.decode() if text else frame for frame, text in FRAMES]
     assert received_from(send, deflate=deflate) == received
+
+
+def test_nothing_is_sent_at_once_where_that_would_have_to_wait() -> None:
+    async def send(socket: ServerConnection) -> None:
+        assert isinstance(socket, TurnConnection)
+        assert socket.takes_at_once()
+        socket.send_now([(bytes(50_000_000), False)])
+        assert not socket.takes_at_once(), "the kernel does not take as much"
+        await socket.close()
+        assert not socket.takes_at_once(), "it is closed"
+
+    assert len(received_from(send)) == 1
+
+
+def test_a_message_that_comes_alone_is_written_in_the_turn_in_which_it_came(
+    server: Server, talk: Connect, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By no turn of the writer's task, save while the answer to a ping is awaited."""
+    del server
+    by_writer: list[bytes] = []
+    send = TurnConnection.send_frames
+
+    async def noted(self: TurnConnection, frames: Iterable[tuple[bytes, bool]]) -> None:
+        by_writer.extend(frame for frame, _ in frames if b'"value"' in frame)
+        await send(self, frames)
+
+    monkeypatch.setattr(TurnConnection, "send_frames", noted)
+    client = talk()
+    numbers = client.open("numbers")
+    for number in range(50):
+        script.put({"value": number})
+        assert client.data(numbers, 1) == [{"value": number}]
+    assert len(by_writer) < 50
 
 
 @pytest.mark.skipif(not hasattr(socket, "TCP_NOTSENT_LOWAT"), reason="the kernel has no such limit")

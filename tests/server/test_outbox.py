@@ -244,6 +244,52 @@ def test_it_is_emptied_once_more_for_what_came_since() -> None:
     run(work())
 
 
+def test_what_is_added_while_the_writer_waits_is_written_without_it() -> None:
+    async def work() -> None:
+        account = ServerMemory(1000, 1000).open()
+        outbox = Outbox(1000, 10, account)
+        stream, written = lane(), list[list[bytes]]()
+        may_write = True
+
+        def write() -> bool:
+            if may_write:
+                written.append([frame for frame, _ in outbox.take(1000)])
+                outbox.note_written()
+            return may_write
+
+        outbox.write_with(write, asyncio.get_running_loop().call_soon)
+        outbox.put(stream, b"first")
+        await asyncio.sleep(0)
+        assert not written, "the writer is not there, or writes"
+        assert await outbox.next() == [(b"first", True)]
+        writing = asyncio.ensure_future(outbox.next())
+        await asyncio.sleep(0)
+        assert account.held == 0
+        outbox.put(stream, b"a")
+        outbox.put(stream, b"b")
+        outbox.reply(b"reply", text=True)
+        await outbox.emptied()
+        assert written == [[b"reply", b"a", b"b"]], "all of a turn, with one write"
+        assert account.held == 0
+        assert not writing.done()
+        may_write = False
+        outbox.put(stream, b"c")
+        assert await writing == [(b"c", True)], "what cannot be written at once is the writer's"
+        writing = asyncio.ensure_future(outbox.next())
+        await asyncio.sleep(0)
+        outbox.put(stream, b"d")
+        outbox.discard(stream)
+        assert await writing == [], "it may be a ping, or the socket, that has to be waited for"
+        writing = asyncio.ensure_future(outbox.next())
+        await asyncio.sleep(0)
+        outbox.write_with(None, None)
+        outbox.put(stream, b"e")
+        assert await writing == [(b"e", True)]
+        assert len(written) == 1
+
+    run(work())
+
+
 def test_data_waits_for_a_client_that_reads_slowly_and_replies_do_not() -> None:
     async def work() -> None:
         now = 0.0

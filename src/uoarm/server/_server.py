@@ -351,7 +351,7 @@ class Server:
         """Serve a client until its connection ends, then keep its session or end it."""
         self._clients[client] = None
         try:
-            await client.run(session, socket)
+            await client.run(session, socket, self.backend.mailbox.soon)
         except Exception:  # noqa: BLE001 - a front end may raise anything
             _log.exception("%s failed for client %s", _module_of(session), client.identity)
             await socket.close(CloseCode.INTERNAL_ERROR, "the server failed")

@@ -137,9 +137,21 @@ class ConnectedClient(AdmittedClient):
         """Write to the audit log that it released, or why that failed."""
         self._audit.released(self.identity, self.role.name, cause)
 
-    async def run(self, session: Session, socket: TurnConnection) -> None:
-        """Serve until the client or the server ends the connection, or another session goes on."""
+    async def run(
+        self,
+        session: Session,
+        socket: TurnConnection,
+        soon: Callable[[Callable[[], None]], object],
+    ) -> None:
+        """Serve until the client or the server ends the connection, or another session goes on.
+
+        Args:
+            session: acts on what comes.
+            socket: after its handshake.
+            soon: runs an action in the loop, after what happens there now.
+        """
         self._socket = socket
+        self.outbox.write_with(self._write_now, soon)
         acting.set(self.account)
         socket.charge_to(self.account)
         self.has_dropped = False
@@ -157,6 +169,7 @@ class ConnectedClient(AdmittedClient):
             writer.cancel()
             with contextlib.suppress(asyncio.CancelledError, ConnectionClosed):
                 await writer
+            self.outbox.write_with(None, None)
             self._writing_since = None
             socket.charge_to(None)
 
@@ -218,6 +231,17 @@ class ConnectedClient(AdmittedClient):
         act, self.in_hand = await self._decoder.run(octets, decode)
         foreign(act)
         return spending
+
+    def _write_now(self) -> bool:
+        """Write what waits, as `_write` does; False where that may have to wait for something."""
+        socket, outbox = self._socket, self.outbox
+        if not socket.takes_at_once():
+            return False
+        socket.send_now(outbox.take(_WRITE_OCTETS))
+        if not socket.takes_at_once() or outbox.may_ping:
+            return False
+        outbox.note_written()
+        return outbox.empty
 
     async def _write(self) -> None:
         while True:

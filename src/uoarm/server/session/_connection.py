@@ -257,20 +257,32 @@ class TurnConnection(ServerConnection):
         Raises:
             ConnectionClosed: the connection is closed.
         """
+        async with self.send_context():
+            self._add_frames(frames)
+
+    def takes_at_once(self) -> bool:
+        """Say whether `send_now` may be called: it is open, and nothing waits to be written."""
+        return self.protocol.state is State.OPEN and not self.transport.get_write_buffer_size()
+
+    def send_now(self, frames: Iterable[tuple[bytes, bool]]) -> None:
+        """Send messages as `send_frames` does, without waiting until the socket takes more."""
+        self._add_frames(frames)
+        self.send_data()
+
+    def _add_frames(self, frames: Iterable[tuple[bytes, bool]]) -> None:
         contents = [(content, _WHOLE | _OPCODES[text]) for content, text in frames]
         for extension in self.protocol.extensions:
             assert isinstance(extension, PerMessageDeflate), "no other is negotiated"
             bits = extension.local_max_window_bits
             contents = [_deflated(content, first, bits) for content, first in contents]
-        async with self.send_context():
-            writes = self.protocol.writes
-            for content, first in contents:
-                if len(content) >= _LARGE and not self._gets_large:
-                    self._gets_large = True
-                    self._limit_unsent(_ALL_OCTETS)
-                writes.append(_head(len(content), first))
-                if content:  # nothing stands for the end of the stream
-                    writes.append(content)
+        writes = self.protocol.writes
+        for content, first in contents:
+            if len(content) >= _LARGE and not self._gets_large:
+                self._gets_large = True
+                self._limit_unsent(_ALL_OCTETS)
+            writes.append(_head(len(content), first))
+            if content:  # nothing stands for the end of the stream
+                writes.append(content)
 
     def send_data(self) -> None:
         """Write what the protocol has to send; see `websockets.asyncio.connection.Connection`."""

@@ -85,6 +85,9 @@ class LoopMailbox:
         self._loop = loop
         self._actions: deque[Callable[[], None]] = deque()
         self._woken = False
+        # Only of the loop's thread.
+        self._is_running = False
+        self._last: list[Callable[[], None]] = []
 
     def put(self, action: Callable[[], None]) -> None:
         """Have an action run in the loop. From any thread; after the loop's end it is lost."""
@@ -99,8 +102,18 @@ class LoopMailbox:
                 self._actions.clear()
                 self._woken = False
 
+    def soon(self, action: Callable[[], None]) -> None:
+        """Run an action after those that run now, or in the loop's next turn where none do.
+
+        Only from the loop's thread.
+        """
+        if self._is_running:
+            self._last.append(action)
+        else:
+            self._loop.call_soon(action)
+
     def _run(self) -> None:
-        self._woken = False
+        self._woken, self._is_running = False, True
         end = time.perf_counter() + _TURN_SECONDS
         # As many as there are now: those that come meanwhile have the next turn.
         for _ in range(len(self._actions)):
@@ -109,14 +122,21 @@ class LoopMailbox:
             if time.perf_counter() >= end:
                 self._woken = True
                 self._loop.call_soon(self._run)
-                return
-            action = self._actions.popleft()
-            try:
-                action()
-            # As `foreign`, without its call. Those after it must not wait for the next wake-up.
-            except BaseException as error:  # noqa: BLE001 - a session of a front end may be in it
-                contained(error)
-                _log.exception("an action in the server's loop failed")
+                break
+            self._do(self._actions.popleft())
+        self._is_running = False
+        if self._last:
+            last, self._last = self._last, []
+            for action in last:
+                self._do(action)
+
+    def _do(self, action: Callable[[], None]) -> None:
+        try:
+            action()
+        # As `foreign`, without its call. Those after it must not wait for the next wake-up.
+        except BaseException as error:  # noqa: BLE001 - a session of a front end may be in it
+            contained(error)
+            _log.exception("an action in the server's loop failed")
 
 
 T = TypeVar("T")
