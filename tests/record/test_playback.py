@@ -77,6 +77,23 @@ def test_readers_that_wait_are_moved() -> None:
     assert (status.position, status.duration, status.is_paused) == (7.0, 10.0, True)
 
 
+def test_a_step_waits_for_readers_that_were_moved() -> None:
+    playback = Playback(Timeline(1.0, is_paused=True), 0, 10 * SECOND)
+    playback.join("a")
+    playback.begin()
+
+    def read() -> PlaybackTurn:
+        assert playback.wait("a", 2 * SECOND, 0, never) is PlaybackTurn.ELSEWHERE
+        return playback.wait("a", SECOND, 1, never)
+
+    reading = Background(read)
+    wait(lambda: playback._next)
+    playback.seek(0.0)
+    playback.step()
+    assert playback.status().position == 1.0
+    assert reading.result(patience()) is PlaybackTurn.PLAY
+
+
 def test_a_reader_that_is_over_stops() -> None:
     playback = Playback(Timeline(1.0, is_paused=True), 0, 10 * SECOND)
     *_, generation = playback.join("a")

@@ -234,7 +234,7 @@ class Playback:
                         return PlaybackTurn.PLAY
                     self._moved.wait(seconds)
             finally:
-                del self._next[reader]
+                self._next.pop(reader, None)
 
     def pause(self) -> None:
         """Stand."""
@@ -273,6 +273,8 @@ class Playback:
             self._begin = max(0, min(self.length, int(seconds * _NANO)))
             self._timeline.seek(self._begin, self._clock())
             self.generation += 1
+            # Where readers waited says nothing of the next message: a step waits for them anew.
+            self._next.clear()
 
         self._move(move)
 
