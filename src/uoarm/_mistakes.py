@@ -17,7 +17,7 @@ from uoarm.errors import UoarmError
 if TYPE_CHECKING:
     from jsonschema.exceptions import ValidationError
 
-__all__ = ["TYPES", "Mistake", "choose", "mistakes", "near", "schema_mistakes"]
+__all__ = ["TYPES", "Mistake", "choose", "is_about_a_key", "mistakes", "near", "schema_mistakes"]
 
 E = TypeVar("E", bound=Enum)
 
@@ -75,13 +75,17 @@ def mistakes(
     expected: Any = error.validator_value
     keyword = str(error.validator)
     rules: Any = error.schema
-    if keyword == "additionalProperties":
+    if is_about_a_key(error):
+        wanted = f"a name that matches {expected}" if keyword == "pattern" else "another name"
+        yield (*path, value), f"expected {wanted}, got {write(value)}", "", True
+    elif keyword == "additionalProperties":
         yield from _unknown_keys(path, value, rules.get("properties", {}), speller)
     elif keyword == "required":
         missing = next(key for key in expected if error.message.startswith(repr(key)))
         yield path, f"the key {clip(missing)} is missing", "", False
     elif keyword == "type":
-        sentence = f"expected {_expected(expected)}, got {write(value)}"
+        unit = f", in {rules['x-unit']}" if "x-unit" in rules else ""
+        sentence = f"expected {_expected(expected)}{unit}, got {write(value)}"
         yield path, sentence, _type_hint(expected, value), False
     elif keyword == "const":
         yield path, f"expected {_choice(expected)}, got {write(value)}", "", False
@@ -98,7 +102,8 @@ def mistakes(
         of = _UNITS[keyword]
         yield path, f"expected at most {expected} {of}, got {error.message}", "", False
     elif keyword in _BOUNDS:
-        sentence = f"expected {_BOUNDS[keyword]} {expected}, got {write(value)}"
+        unit = f" {rules['x-unit']}" if "x-unit" in rules else ""
+        sentence = f"expected {_BOUNDS[keyword]} {expected}{unit}, got {write(value)}"
         yield path, sentence, "", False
     elif keyword in _SIZES:
         bound, of = _SIZES[keyword]
@@ -109,6 +114,15 @@ def mistakes(
         yield path, f"{write(value)} is none of the {len(expected)} forms allowed", "", False
     else:
         yield path, f"{keyword}: expected {clip(expected)}, got {write(value)}", "", False
+
+
+def is_about_a_key(error: ValidationError) -> bool:
+    """Whether an error is about the name of a key, by `propertyNames`, and not about a value."""
+    steps = list(error.absolute_schema_path)
+    return any(
+        step == "propertyNames" and before != "properties"
+        for before, step in zip(["", *steps], steps, strict=False)
+    )
 
 
 def _unknown_keys(

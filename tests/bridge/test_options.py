@@ -187,7 +187,7 @@ def test_a_further_option_is_one_line_and_shows_everywhere(tmp_path: Path) -> No
     )
     kind = attrs.evolve(KIND, endpoint_options=further)
     (problem,) = inspect(written(tmp_path, "{depth: deep}"), types={"shed": kind}).problems
-    assert problem.sentence == 'the plugin shed: expected a whole number, got "deep"'
+    assert problem.sentence == 'the plugin shed: expected a whole number, in m, got "deep"'
     assert "depth" in json.dumps(completed_schema({"shed": kind}))
     assert options_table(further.schema()).splitlines()[2] == "| `depth` | 3 | of the water |"
 
@@ -289,7 +289,7 @@ def test_a_file_names_every_mistake_in_the_options_of_a_bridge_at_its_place(tmp_
     assert found == {
         (path, 'the plugin house: the key "street" is missing', ""),
         (f"{path}.stret", 'the plugin house: unknown key "stret"', 'did you mean "street"?'),
-        (f"{path}.from", "the plugin house: expected at least 0, got -1", ""),
+        (f"{path}.from", "the plugin house: expected at least 0 s, got -1", ""),
         (
             f"{path}.doors.front.wid",
             'the plugin house: unknown key "wid"',
@@ -338,6 +338,62 @@ def test_a_program_is_refused_with_the_same_words() -> None:
         registry.create(spec)
 
 
+def test_a_structure_in_an_option_is_checked_as_that_of_a_port_and_a_name_at_its_key(
+    tmp_path: Path,
+) -> None:
+    structure = {"type": ["object", "boolean"], "x-uoarm-structure": True}
+
+    @frozen
+    class Further(House):
+        kinds: Mapping[str, Any] = option(
+            {},
+            {
+                "type": "object",
+                "propertyNames": {"pattern": "^[a-z]+$"},
+                "additionalProperties": structure,
+            },
+            "of what comes in",
+        )
+        both: tuple[Any, ...] = option((), {"type": "array", "items": structure}, "in and out")
+
+    kind = attrs.evolve(HOUSE, bridge_options=Further)
+    options = "{street: x, kinds: {a: {type: obect}, b: true}, both: [{items: {minLength: x}}]}"
+    found = {
+        problem.path: problem.sentence
+        for problem in inspect(house(tmp_path, options), types={"house": kind}).problems
+    }
+    path = "$.bridges.home.options"
+    assert found.keys() == {f"{path}.kinds.a.type", f"{path}.both[0].items.minLength"}
+    assert all(sentence.startswith("not a JSON Schema: ") for sentence in found.values())
+    (problem,) = inspect(
+        house(tmp_path, "{street: x, kinds: {3x: true}}"), types={"house": kind}
+    ).problems
+    assert problem.path == f'{path}.kinds["3x"]'
+    assert problem.sentence == ('the plugin house: expected a name that matches ^[a-z]+$, got "3x"')
+
+
+def test_what_is_wrong_is_not_also_doubted(tmp_path: Path) -> None:
+    asked: list[object] = []
+
+    def doubts(options: object, addresses: frozenset[tuple[str, ...]]) -> dict[Any, str]:
+        asked.append((options, addresses))
+        return {(): "it is far away"}
+
+    kind = attrs.evolve(HOUSE, doubts=doubts)
+    for options, sentences in (("{street: 5}", []), ("{street: x}", ["it is far away"])):
+        file = house(tmp_path, options)
+        report = inspect(file, types={"house": kind}, missing=lambda _: "it is not installed")
+        found = [warning.sentence for warning in report.warnings]
+        assert [text for text in found if "far away" in text or "looked at" in text] == sentences
+    assert len(asked) == 1
+
+
+def test_what_is_left_out_is_shared_with_no_other() -> None:
+    first, second = House.of({"street": "x"}), House.of({"street": "x"})
+    first.doors["front"] = Door(1.0)  # type: ignore[index]
+    assert not second.doors
+
+
 def test_a_further_option_of_a_bridge_is_one_line_and_shows_everywhere(tmp_path: Path) -> None:
     @frozen
     class Further(House):
@@ -346,7 +402,7 @@ def test_a_further_option_of_a_bridge_is_one_line_and_shows_everywhere(tmp_path:
     kind = attrs.evolve(HOUSE, bridge_options=Further)
     file = house(tmp_path, "{street: x, depth: deep}")
     (problem,) = inspect(file, types={"house": kind}).problems
-    assert problem.sentence == 'the plugin house: expected a whole number, got "deep"'
+    assert problem.sentence == 'the plugin house: expected a whole number, in m, got "deep"'
     shown = completed_schema({"house": kind})["$defs"]["options.house"]["properties"]["depth"]
     assert shown == {
         "type": "integer",

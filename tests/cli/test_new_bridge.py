@@ -34,7 +34,6 @@ def test_the_generated_bridge_passes_the_kit(tests: str, tmp_path: Path) -> None
     assert code == 0
     assert "pytest" in text
     project = tmp_path / "uoarm-my-bus"
-    assert "example" not in (project / "pyproject.toml").read_text().lower()
     install(project, "my_bus")
     done = subprocess.run(
         [sys.executable, "-m", "pytest", "-q", "-rs", "-p", "no:cacheprovider", "-k", tests],
@@ -47,6 +46,39 @@ def test_the_generated_bridge_passes_the_kit(tests: str, tmp_path: Path) -> None
     assert done.returncode == 0, done.stdout
     assert " passed" in done.stdout
     assert "skipped" not in done.stdout, "every section of the kit has something to do"
+
+
+def test_the_name_stands_where_the_template_says_example_and_nowhere_else(tmp_path: Path) -> None:
+    """Also a name that has the word in it, and beside `examples`, which JSON Schema knows."""
+    name = "my_example_bus"
+    assert make(name, tmp_path)[0] == 0
+    project = tmp_path / "uoarm-my-example-bus"
+    assert 'name = "uoarm-my-example-bus"' in (project / "pyproject.toml").read_text()
+    code = "from uoarm_my_example_bus._options import BusOptions; print(BusOptions.schema())"
+    done = subprocess.run(
+        [sys.executable, "-B", "-c", code],
+        env={**os.environ, "PYTHONPATH": str(project / "src")},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert "'examples': [7400]" in done.stdout
+    texts = [path.read_text() for path in project.rglob("*") if path.is_file()]
+    assert "my_my_example" not in "".join(texts)
+    assert make("bus", tmp_path)[0] == 0
+    texts = [path.read_text() for path in (tmp_path / "uoarm-bus").rglob("*") if path.is_file()]
+    assert "example" not in "".join(texts).lower().replace('"examples"', "")
+
+
+def test_a_name_that_no_distribution_may_have_or_that_is_taken_is_refused(tmp_path: Path) -> None:
+    for name in ("a_", "a__b", "_a", "a" * 41):
+        code, text = make(name, tmp_path)
+        assert code == 2, name
+        assert "small letters" in text
+    code, text = make("python", tmp_path)
+    assert code == 2
+    assert "a plugin 'python' is installed already" in text
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_bad_name_and_a_folder_that_is_there_are_refused(tmp_path: Path) -> None:

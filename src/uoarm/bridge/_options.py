@@ -281,6 +281,8 @@ def _made(kind: Any, given: Mapping[str, Any]) -> Any:
         if name in given:
             with _inside(name):
                 values[attribute.name] = _value(attribute.metadata[_OPTION][0], given[name])
+        elif isinstance(attribute.default, dict):  # of the class: a bridge gets one of its own
+            values[attribute.name] = dict(attribute.default)
     made = kind(**values)
     made.check_together()
     return made

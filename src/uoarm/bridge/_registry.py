@@ -65,7 +65,8 @@ class BridgeType:
             installations that leave it out, a number each, so that they do not meet.
             A text with `x-uoarm-path: true` is the path of a file or folder: a relative one begins
             at the configuration's file. Where its value is a regular expression, texts that match
-            it as a whole are paths. One that is left out is its `default`, if it has one.
+            it as a whole are paths. One that is left out is its `default`, if it has one. What has
+            `x-uoarm-structure: true` is the structure of messages, and checked as such.
         endpoint_options: the options that an endpoint may have. What is written is checked against
             them while the configuration is read, with its place, and editors explain them. None:
             only `check_endpoint` knows.

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import click
 
 from uoarm import environments
+from uoarm.bridge import Registry
 from uoarm.cli._shared import BRIDGE, json_option, needing, print_json, print_warning, reporting
 
 __all__ = ["certificates", "env", "new_bridge"]
@@ -155,7 +156,8 @@ if TYPE_CHECKING:
     from importlib.abc import Traversable
 
 
-_NAME = re.compile(r"[a-z][a-z0-9_]{0,39}")
+_NAME = re.compile(r"(?=.{1,40}\Z)[a-z][a-z0-9]*(_[a-z0-9]+)*")  # also a distribution's
+_PLACES = re.compile(r"uoarm-example|Example|example(?!s\b)")  # not the `examples` of a schema
 _SKIPPED = {"__pycache__"}
 
 
@@ -174,9 +176,13 @@ def new_bridge(name: str, into: Path) -> None:
     """
     if not _NAME.fullmatch(name):
         raise click.BadParameter(
-            f"{name!r}: use small letters, digits and _, a letter first, 40 at most",
+            f"{name!r}: use small letters, digits and single _ between them, a letter first, "
+            "40 at most",
             param_hint="NAME",
         )
+    if name in Registry().types:
+        taken = f"a plugin {name!r} is installed already: two of one name cannot be used"
+        raise click.BadParameter(f"{taken}; choose another", param_hint="NAME")
     project = into / f"uoarm-{name.replace('_', '-')}"
     if project.exists():
         raise click.ClickException(f"{project} is there already; nothing was changed")
@@ -189,7 +195,7 @@ def new_bridge(name: str, into: Path) -> None:
         shutil.rmtree(project, ignore_errors=True)
         raise click.ClickException(f"{project} cannot be made: {error}") from error
     click.echo(f"made {project}; next:\n")
-    click.echo(f"  cd {project}\n  pip install -e '.[dev]'\n  pytest")
+    click.echo(f"  cd {project}\n  pip install -e '.[dev]'\n  pytest -x")
 
 
 def _files(folder: Traversable, prefix: str) -> Iterator[tuple[str, str]]:
@@ -205,5 +211,5 @@ def _files(folder: Traversable, prefix: str) -> Iterator[tuple[str, str]]:
 def _named(text: str, name: str) -> str:
     """Put a name where the template says example; distributions are written with hyphens."""
     camel = "".join(part.title() for part in name.split("_"))
-    text = text.replace("uoarm-example", f"uoarm-{name.replace('_', '-')}")
-    return text.replace("Example", camel).replace("example", name)
+    names = {"uoarm-example": f"uoarm-{name.replace('_', '-')}", "Example": camel}
+    return _PLACES.sub(lambda place: names.get(place[0], name), text)

@@ -162,7 +162,7 @@ def _judge(
     shape = ShapeChecker(document, file, speller)
     meaning = MeaningChecker(document, file, speller)
     meaning.run()
-    plugins = PluginChecker(document, file, speller, types)
+    plugins = PluginChecker(document, file, speller, types, shape)
     found = [*shape.problems(), *meaning.problems, *plugins.problems()]
     if parameters and not document.problems:
         found.extend(plugins.parameter_problems())

@@ -24,13 +24,14 @@ from uoarm.config._parts import (
     offers,
     problem_at,
 )
-from uoarm.config._shape import assignables, installation
+from uoarm.config._shape import ShapeChecker, assignables, installation
 from uoarm.errors import BridgeError, FailureReason, UoarmError
 from uoarm.model import Endpoint, Role, Schema
 
 __all__ = ["PluginChecker"]
 
 _PARAMETER_SECONDS = 10.0
+_STRUCTURE = "x-uoarm-structure"
 
 
 class PluginChecker:
@@ -41,9 +42,15 @@ class PluginChecker:
     """
 
     def __init__(
-        self, document: Document, file: str, speller: Speller, types: Mapping[str, BridgeType]
+        self,
+        document: Document,
+        file: str,
+        speller: Speller,
+        types: Mapping[str, BridgeType],
+        shape: ShapeChecker,
     ) -> None:
         self._document = document
+        self._shape = shape
         self._file = file
         self._problem = partial(problem_at, document, file, "UOA-105")
         self._speller = speller
@@ -53,6 +60,7 @@ class PluginChecker:
         self._absent: list[Problem] = []
         self._undescribed: list[Problem] = []
         self._unreachable: set[Path] = set()
+        self._wrong_bridges: set[str] = set()
         for name, written in bridge_names(document.value).items():
             settings = written if isinstance(written, dict) else {}
             self._hosts[name] = settings.get("host")
@@ -70,7 +78,10 @@ class PluginChecker:
                 wrong = list(self._option_problems(kind, kind.options_schema, options, path))
                 written = bridge_options(kind.name, options, self._file)
                 read = partial(kind.value_of, written, folder_of(self._file))
-                yield from wrong or self._contradictions(kind, read, path)
+                wrong = wrong or list(self._contradictions(kind, read, path))
+                if wrong:
+                    self._wrong_bridges.add(name)
+                    yield from wrong
         for component in (*components(self._document.value), *offers(self._document.value)):
             of_offer = component.bridge if isinstance(component, OfferPart) else None
             bridge = of_offer or component.text("bridge") or ""
@@ -188,7 +199,7 @@ class PluginChecker:
         yield from self._absent
         yield from self._undescribed
         for name in self._bridges:
-            if not self._is_hosted(name):
+            if not self._is_hosted(name) and name not in self._wrong_bridges:
                 yield from self._doubts(name)
 
     def _doubts(self, bridge: str) -> Iterator[Problem]:
@@ -290,6 +301,8 @@ class PluginChecker:
         for where, sentence, hint, at_key in schema_mistakes(options, schema, self._speller):
             text = f"the plugin {kind.name}: {sentence}"
             yield self._problem((*path, *where), text, hint, at_key=at_key)
+        for where, structure in _structures(schema, options, ()):
+            yield from self._shape.structure_problems(structure, (*path, *where))
 
     def _contradictions(
         self, kind: BridgeType, read: Callable[[], object], path: Path
@@ -325,6 +338,21 @@ class PluginChecker:
             hint = f"the same stands in {', '.join(names)}" if others else ""
             sentence = f"the plugin {kind.name} says: {wrong}"
             yield self._problem((*first.path, "endpoint"), sentence, hint)
+
+
+def _structures(schema: Any, value: Any, path: Path) -> Iterator[tuple[Path, Any]]:
+    """Yield the message structures in options, which their schema marks, and where they stand."""
+    if not isinstance(schema, Mapping):
+        return
+    if schema.get(_STRUCTURE) and isinstance(value, dict | bool):
+        yield path, value
+    elif isinstance(value, dict):
+        known, others = schema.get("properties", {}), schema.get("additionalProperties")
+        for name, member in value.items():
+            yield from _structures(known.get(name, others), member, (*path, name))
+    elif isinstance(value, list):
+        for number, item in enumerate(value):
+            yield from _structures(schema.get("items"), item, (*path, number))
 
 
 def _address(port: Mapping[str, Any]) -> tuple[str, ...] | None:

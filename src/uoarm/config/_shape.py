@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, Any
 from attrs import evolve, frozen
 
 from uoarm._meaning import unit_mistake
-from uoarm._mistakes import TYPES, Mistake, mistakes, near
+from uoarm._mistakes import TYPES, Mistake, is_about_a_key, mistakes, near
 from uoarm._quick_check import certainly_matches
 from uoarm._spelling import Speller, any_of
 from uoarm._support.yaml import Document, Path, Problem, clip, write_path
@@ -238,7 +238,7 @@ def _mistakes(error: ValidationError, speller: Speller) -> Iterator[Mistake]:
     value: Any = error.instance
     keyword = str(error.validator)
     rules: Any = error.schema
-    if _is_about_a_key(error):
+    if is_about_a_key(error):
         yield (*path, value), f"the name {clip(value)} is not allowed", _NAME_HINT, True
     elif keyword in {"pattern", "maxLength"} and "pattern" in rules:
         yield path, f"the name {clip(value)} is not allowed", _NAME_HINT, False
@@ -282,14 +282,6 @@ def _simple_choice(path: Path, value: Any, speller: Speller) -> Mistake:
 
 def _keys(value: Mapping[str, object]) -> str:
     return clip(list(value)) if value else "an empty mapping"
-
-
-def _is_about_a_key(error: ValidationError) -> bool:
-    steps = list(error.absolute_schema_path)
-    return any(
-        step == "propertyNames" and before != "properties"
-        for before, step in zip(["", *steps], steps, strict=False)
-    )
 
 
 ASSIGN = "x-uoarm-assign"

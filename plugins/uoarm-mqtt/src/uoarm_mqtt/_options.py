@@ -33,7 +33,7 @@ _TEXT: Mapping[str, Any] = {"type": "string", "minLength": 1}
 _PATH: Mapping[str, Any] = {"type": "string", "minLength": 1, "x-uoarm-path": True}
 _SECONDS: Mapping[str, Any] = {"type": "number", "exclusiveMinimum": 0, "maximum": 86400}
 _COUNT: Mapping[str, Any] = {"type": "integer", "minimum": 1}
-_STRUCTURE: Mapping[str, Any] = {"type": ["object", "boolean"]}
+_STRUCTURE: Mapping[str, Any] = {"type": ["object", "boolean"], "x-uoarm-structure": True}
 _SERVICE: Mapping[str, Any] = {
     "type": "object",
     "properties": {"request": _STRUCTURE, "reply": _STRUCTURE},
@@ -227,7 +227,7 @@ class TopicOptions(EndpointOptions):
     )
     expiry: int = option(
         0,
-        {"type": "integer", "minimum": 1, "maximum": 2**32 - 1},
+        {"type": "integer", "minimum": 0, "maximum": 2**32 - 1},
         "seconds after which the broker drops what no client has taken; 0: never",
         unit="s",
     )

@@ -141,7 +141,7 @@ class Ros1Options(PeerOptions):
     )
     latch: int = option(
         0,
-        {"type": ["boolean", "integer"], "minimum": 1, "maximum": 1000},
+        {"type": ["boolean", "integer"], "minimum": 0, "maximum": 1000},
         "of an input: how many of the last messages each new subscriber gets, as for "
         "`/tf_static`; `true`: the last one",
     )

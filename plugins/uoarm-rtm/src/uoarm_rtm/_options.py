@@ -208,7 +208,7 @@ class RtmBridgeOptions(BridgeOptions):
     )
     idl: str | tuple[str, ...] = option(
         (),
-        {"anyOf": [_IDL, {"type": "array", "items": _IDL, "minItems": 1}]},
+        {"anyOf": [_IDL, {"type": "array", "items": _IDL}]},
         "IDL files or texts with further types and interfaces; `#include "
         '"BasicDataType.idl"` finds ours',
     )
