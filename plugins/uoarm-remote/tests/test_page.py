@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
+from typing import Any
 
 import pytest
 from robots import ServedRobot
@@ -20,6 +21,12 @@ PAGE = (Path(__file__).parents[3] / "docs" / "fleet.md").read_text(encoding="utf
 @pytest.mark.parametrize("kind", [FunctionOptions, ManagerOptions])
 def test_the_tables_of_options_are_those_of_the_page(kind: type[EndpointOptions]) -> None:
     assert options_table(kind.schema()) in PAGE
+    properties: Any = kind.schema()["properties"]
+    assert not [
+        name
+        for name, option in properties.items()
+        if option.get("x-unit") == "s" and "seconds" not in option["description"]
+    ]
 
 
 def test_the_two_managers_of_the_page_run(tmp_path: Path) -> None:

@@ -116,7 +116,10 @@ class StatusOptions(EndpointOptions):
     """The options of an endpoint."""
 
     period: float = option(
-        1.0, {"type": "number", "minimum": 0.1, "maximum": 60}, "between two messages", unit="s"
+        1.0,
+        {"type": "number", "minimum": 0.1, "maximum": 60},
+        "seconds between two messages",
+        unit="s",
     )
     stale_after: float | None = option(
         None,

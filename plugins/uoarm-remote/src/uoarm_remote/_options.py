@@ -36,12 +36,15 @@ class ManagerOptions(BridgeOptions):
         {"type": "boolean"},
         "whether functions with `needs` may use what it exports",
     )
-    timeout: float = option(5.0, _SECONDS, "that an answer may take", unit="s")
+    timeout: float = option(5.0, _SECONDS, "seconds that an answer may take", unit="s")
     silence: float = option(
-        3.0, _SECONDS, "without a sign of life after which the link counts as broken", unit="s"
+        3.0,
+        _SECONDS,
+        "seconds without a sign of life after which the link counts as broken",
+        unit="s",
     )
     grace: float = option(
-        10.0, _SECONDS, "that the link may be broken before what is open is lost", unit="s"
+        10.0, _SECONDS, "seconds that the link may be broken before what is open is lost", unit="s"
     )
 
     def check_together(self) -> None:
@@ -58,10 +61,10 @@ class FunctionOptions(EndpointOptions):
     """The options of one endpoint."""
 
     every: float = option(
-        0.0, {"type": "number", "minimum": 0}, "between two messages, at least", unit="s"
+        0.0, {"type": "number", "minimum": 0}, "seconds between two messages, at least", unit="s"
     )
     stale_after: float | None = option(
-        None, _SECONDS, "without a message, after which an output is lost", unit="s"
+        None, _SECONDS, "seconds without a message after which an output is lost", unit="s"
     )
     backlog: int = option(
         1000,

@@ -27,10 +27,10 @@ class ExampleOptions(EndpointOptions):
     """The options of one endpoint."""
 
     stale_after: float | None = option(
-        None, _SECONDS, "without a message, after which an output is lost", unit="s"
+        None, _SECONDS, "seconds without a message after which an output is lost", unit="s"
     )
     grace: float = option(
-        10.0, _SECONDS, "that the connection may be broken before the channel is lost", unit="s"
+        10.0, _SECONDS, "seconds that a break may last before the channel is lost", unit="s"
     )
     backlog: int = option(
         1000, {"type": "integer", "minimum": 1}, "messages that may wait to be taken"
