@@ -81,12 +81,9 @@ def _page() -> Iterator[str]:
     yield "# Error codes"
     yield ""
     yield "Every refusal, failure and mistake has a code that keeps its meaning. It is the last"
-    yield "line of a command's error, and `error_code` of exceptions, events and JSON."
-    yield "`uoarm explain CODE` prints an entry, `uoarm explain` lists all. Each has the cause,"
-    yield "a real text with names of some robot, and what to do."
+    yield "line of a command's error, and `error_code` of exceptions, events and JSON. Each has"
+    yield "the cause, an example and what to do, as `uoarm explain CODE` prints it."
     yield "[Troubleshooting](troubleshooting.md) begins with symptoms."
-    yield ""
-    yield "This page is made by `uoarm explain --markdown`."
     group = ""
     for entry in _TABLE:
         if entry.code[4] != group:
@@ -98,8 +95,6 @@ def _page() -> Iterator[str]:
         yield ""
         yield f"{entry.title[0].upper()}{entry.title[1:]}. {entry.cause}"
         yield ""
-        yield "```text"
-        yield entry.example
-        yield "```"
+        yield f"`{entry.example}`"
         yield ""
         yield entry.remedy
