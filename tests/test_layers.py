@@ -30,6 +30,7 @@ LAYERS = [
         "_origin",
         "_quick_check",
         "_raised",
+        "_secrets",
         "_spans",
         "_spelling",
         "_support",

@@ -135,6 +135,8 @@ def test_what_it_lacks_is_named(tmp_path: Path) -> None:
     assert (done.exit_code, "has the functions few, many" in done.output) == (2, True)
     done = CliRunner().invoke(main, ["record", file, "few"])
     assert (done.exit_code, "say into which file" in done.output) == (2, True)
+    done = CliRunner().invoke(main, ["record", file, "few", "-o", "-"])
+    assert (done.exit_code, "a recording is no stream" in done.output) == (2, True)
     with pytest.raises(UsageError, match="say into which file"):
         RobotManager(loads(ROBOT)).record("few")
 
@@ -143,3 +145,22 @@ def test_a_function_that_is_not_there_is_a_mistake_of_the_configuration() -> Non
     with pytest.raises(ConfigurationError, match='there is no function "fex"') as caught:
         loads(ROBOT + "record: {functions: [fex, many.debug], path: x.mcap}\n")
     assert "did you mean" in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("line", "mistake"),
+    [
+        ("functions: [many.debug]", 'functions[0]: no component of "many" has an output "debug"'),
+        ("functions: [many], max_size: zz", "max_size: 'zz' is no size"),
+        ("functions: [many], max_size: 0", "max_size: 0 is no size"),
+        ("functions: [many], split: often", "split: 'often' is neither a size nor a time"),
+        ("functions: [many], split: 1s, ring: 5", "split: a ring has a file for each time"),
+        ("functions: [many], ring: 1e12", "ring: "),
+    ],
+)
+def test_options_that_mean_nothing_are_mistakes_of_the_configuration(
+    line: str, mistake: str
+) -> None:
+    with pytest.raises(ConfigurationError) as caught:
+        loads(f"{ROBOT}record: {{{line}, path: x.mcap}}\n")
+    assert f"$.record.{mistake}" in str(caught.value)

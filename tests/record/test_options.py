@@ -82,3 +82,23 @@ def test_sizes_and_times_are_read(text: str | int | None, meaning: object) -> No
 def test_what_is_neither_is_refused(text: str) -> None:
     with pytest.raises(UsageError):
         read_split(text)
+
+
+@pytest.mark.parametrize("text", ["9" * 400, "9" * 400 + "s", "9" * 400 + "GB", 10**400])
+def test_what_no_disk_and_no_life_has_is_refused(text: str | int) -> None:
+    with pytest.raises(UsageError, match="expected one such as"):
+        read_split(text)
+    with pytest.raises(UsageError, match="expected one such as"):
+        RecordOptions.of(max_size=text)
+
+
+@pytest.mark.parametrize("seconds", [float("inf"), float("nan"), 1e300, 0, -1])
+def test_seconds_are_finite(seconds: float) -> None:
+    for name in ("duration", "ring"):
+        with pytest.raises(UsageError, match=f"{name} .*: expected seconds"):
+            RecordOptions.of(**{name: seconds})  # type: ignore[arg-type]
+
+
+def test_a_ring_is_not_split() -> None:
+    with pytest.raises(UsageError, match="leave out ring or split"):
+        RecordOptions.of(ring=5, split="1s")

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import json
+import os
 import signal
 import subprocess
 import sys
 import threading
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -19,8 +21,10 @@ from tests.record.conftest import COUNT, PICTURE, ROBOT, messages, of_topic, rea
 from uoarm import RobotManager
 from uoarm.cdr import Codec
 from uoarm.errors import ResolutionError, UsageError
-from uoarm.model import Message, MessageStructure, QueuePolicy
+from uoarm.model import Message, MessageStructure, QueuePolicy, StatusEvent
 from uoarm.record import Recording, RecordOptions
+from uoarm.record._file import KeptMessage, Ring
+from uoarm.record._forms import EVENTS
 from uoarm.record._options import Instant
 from uoarm.testing import MemoryBridge, patience, wait
 
@@ -235,7 +239,7 @@ def test_a_full_disk_ends_the_recording_and_nothing_else(
     assert (status.state, "File too large" in status.cause) == ("failed", True)
     wait(lambda: any("recording run.mcap failed" in event for event in events), "it has happened")
     assert len(came) == sent + 1
-    # What is there ends with a whole record.
+    # What is there ends with a whole record, and nothing else is counted as recorded.
     numbers = [
         json.loads(record.data)["n"]
         for record in readable(tmp_path / "run.mcap")
@@ -243,6 +247,10 @@ def test_a_full_disk_ends_the_recording_and_nothing_else(
     ]
     assert numbers == list(range(len(numbers)))
     assert numbers
+    (channel,) = status.channels
+    assert channel.recorded == len(numbers)
+    assert status.dropped["unwritten"] > 0
+    assert status.octets == (tmp_path / "run.mcap").stat().st_size
 
 
 def test_what_cannot_be_recorded_is_refused_and_leaves_nothing(
@@ -260,8 +268,29 @@ def test_what_cannot_be_recorded_is_refused_and_leaves_nothing(
         robot.record("counter", path=tmp_path / "run.mcap", compression="rar")
     with pytest.raises(UsageError, match="named twice"):
         robot.record("counter", "counter", path=tmp_path / "run.mcap")
+    with pytest.raises(UsageError, match="expected a text"):
+        robot.record(["counter"], path=tmp_path / "run.mcap")  # type: ignore[arg-type]
+    with pytest.raises(UsageError, match="is a folder"):
+        robot.record("counter", path=tmp_path)
+    with pytest.raises(UsageError, match="is no regular file"):
+        robot.record("counter", path=os.devnull)
+    for name in ("x" * 300, "a\0b"):
+        with pytest.raises(UsageError, match="cannot be made"):
+            robot.record("counter", path=tmp_path / name)
     assert list(tmp_path.iterdir()) == []
     assert robot.connections() == ()
+
+
+def test_recordings_that_begin_together_share_no_file(
+    bridge: MemoryBridge, make_robot: MakeRobot, tmp_path: Path
+) -> None:
+    bridge.emitter("clicks", COUNT)
+    (tmp_path / "run.mcap").symlink_to(tmp_path / "nowhere")
+    robot = make_robot()
+    with ThreadPoolExecutor(8) as pool:
+        begun = [pool.submit(robot.record, "counter", path=tmp_path / "run.mcap") for _ in range(8)]
+        files = {recording.result().status().files for recording in begun}
+    assert files == {(str(tmp_path / f"run-{number}.mcap"),) for number in range(1, 9)}
 
 
 def test_a_step_of_the_clock_begins_a_new_file(
@@ -316,6 +345,77 @@ def test_a_ring_is_written_on_demand_and_on_a_failure(
     assert "lost" in read_json_of(second_file, "/uoarm/events")[-1]["cause"]
     with pytest.raises(UsageError, match="has ended"):
         recording.dump()
+
+
+def test_what_fails_together_is_in_one_file_of_a_ring(
+    bridge: MemoryBridge, make_robot: Any, tmp_path: Path
+) -> None:
+    names = [f"sensor{number}" for number in range(10)]
+    functions = "".join(
+        f"  {name}: {{components: [{{name: {name}_, bridge: memory,"
+        f" output: {{endpoint: [{name}]}}}}]}}\n"
+        for name in names
+    )
+    emitters = [bridge.emitter(name, COUNT) for name in names]
+    robot = make_robot(
+        f"version: 1\nbridges: {{memory: {{plugin: memory}}}}\nfunctions:\n{functions}"
+    )
+    with robot.record(*names, path=tmp_path / "run.mcap", ring=60) as recording:
+        for number, emitter in enumerate(emitters):
+            emitter.emit({"n": number})
+        for name in names[1:]:
+            bridge.die(name)
+        wait(lambda: len(robot.connections()) == 1, "the others have failed")
+        wait(lambda: recording.status().files, "it is written")
+        emitters[0].emit({"n": 100})
+        path = recording.dump()
+    first, second = recording.status().files
+    assert path == second
+    assert {message.topic for message in messages(first)} == {
+        "/uoarm/events",
+        *(f"/{name}" for name in names),
+    }
+    assert [item["n"] for item in read_json_of(second, "/sensor0")] == [100]
+
+
+def test_a_ring_is_written_at_its_end_where_its_function_failed(
+    bridge: MemoryBridge, make_robot: MakeRobot, tmp_path: Path
+) -> None:
+    """The event of the failure may come after the end of the connection."""
+    clicks = bridge.emitter("clicks", COUNT)
+    robot = make_robot()
+    go_on = threading.Event()
+
+    def delay(event: StatusEvent) -> None:
+        del event
+        go_on.wait(patience())
+
+    robot.listen(delay)
+    with robot.record("counter", path=tmp_path / "run.mcap", ring=60) as recording:
+        clicks.emit({"n": 1})
+        bridge.die("clicks")
+        assert recording.wait(patience())
+        go_on.set()
+    (path,) = recording.status().files
+    assert read_json_of(path, "/counter") == [{"n": 1}]
+
+
+def test_it_says_that_it_was_closed(
+    bridge: MemoryBridge, make_robot: MakeRobot, tmp_path: Path
+) -> None:
+    bridge.emitter("clicks", COUNT)
+    for number in range(20):
+        with make_robot().record("counter", path=tmp_path / "run.mcap") as recording:
+            pass
+        assert recording.status().cause == "", number
+
+
+def test_a_ring_counts_what_messages_cost_beside_their_own() -> None:
+    ring = Ring(60.0, 1_000_000)
+    for number in range(10_000):
+        ring.keep(KeptMessage(EVENTS, Instant(number, number), b"", number))
+        ring.trim(Instant(number, number))
+    assert len(list(ring)) < 5000
 
 
 def test_a_ring_that_is_not_written_in_time_says_so_and_is_written_later(

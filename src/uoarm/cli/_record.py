@@ -90,6 +90,8 @@ def record(
             raise argument.missing(context, file)
         if output is None and (functions or settings is None):
             raise click.UsageError("say into which file: -o run.mcap")
+        if str(output) == "-":
+            raise click.UsageError("-o -: a recording is no stream; name a file, such as run.mcap")
         with robot.record(*functions, path=output, **options) as recording:
             try:
                 with _dumping(recording):

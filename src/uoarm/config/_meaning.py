@@ -27,6 +27,7 @@ from uoarm.config._parts import (
     recorded,
     unknown_frameworks,
 )
+from uoarm.record import RecordOptions
 
 __all__ = ["MeaningChecker"]
 
@@ -240,12 +241,22 @@ class MeaningChecker:
                 self._refuse(where, f"the minimum {least:g} is more than the maximum {most:g}")
 
     def _check_record(self) -> None:
-        for number, name in enumerate(recorded(self._document.value)):
-            function = name.partition(".")[0] if isinstance(name, str) else None
-            if function is not None and function not in self._functions:
+        functions, options = recorded(self._document.value)
+        for number, name in enumerate(functions):
+            if not isinstance(name, str):
+                continue
+            function, _, output = name.partition(".")
+            where: Path = ("record", "functions", number)
+            emitted = self._emitted.get(function, _Emitted())
+            if function not in self._functions:
                 hint = self._speller.guess_or_list(function, self._functions, "functions")
-                where: Path = ("record", "functions", number)
                 self._refuse(where, f"there is no function {clip(function)}", hint)
+            elif output and emitted.is_clear and emitted.names and output not in emitted.names:
+                hint = self._speller.guess_or_list(output, emitted.names, "outputs")
+                text = f"no component of {clip(function)} has an output {clip(output)}"
+                self._refuse(where, text, hint)
+        for option, sentence in RecordOptions.mistakes(options):
+            self._refuse(("record", option), sentence)
 
     def _check_applications(self) -> None:
         asked = applications(self._document.value)

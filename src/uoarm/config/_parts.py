@@ -143,10 +143,12 @@ def applications(value: object) -> dict[str, list[Any]]:
     return {name: names for name, names in asked.items() if isinstance(names, list)}
 
 
-def recorded(value: object) -> list[Any]:
-    """Return what is recorded, where it can be read."""
-    functions = _mapping(_mapping(value).get("record")).get("functions")
-    return functions if isinstance(functions, list) else []
+def recorded(value: object) -> tuple[list[Any], dict[str, Any]]:
+    """Return what is recorded and how, where it can be read."""
+    options = dict(_mapping(_mapping(value).get("record")))
+    functions = options.pop("functions", None)
+    options.pop("path", None)
+    return functions if isinstance(functions, list) else [], options
 
 
 def exports(value: object) -> dict[str, list[Any]]:

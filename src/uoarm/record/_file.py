@@ -6,30 +6,33 @@ Beside messages it has the plans, the configuration without secrets, and the loc
 from __future__ import annotations
 
 import os
-import re
 import struct
 import zlib
+from collections import deque
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
 from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from attrs import evolve
+from attrs import evolve, frozen
 
 from uoarm._origin import install_command
+from uoarm._secrets import without_secrets
 from uoarm._version import __version__
 from uoarm.errors import PluginError, UsageError
 from uoarm.model import Plan, Robot, StatusEvent, to_json, write_json
 from uoarm.record._forms import ChannelForm
+from uoarm.record._options import Instant
 from uoarm.record._records import HEAD, MAGIC
 
 __all__ = [
+    "KeptMessage",
     "McapFile",
+    "Ring",
     "documents",
     "event_message",
-    "free_path",
     "gap_message",
-    "masked",
     "require_mcap",
 ]
 
@@ -42,8 +45,11 @@ _MESSAGE_OCTETS = 22  # of a message's content before its data
 _CHUNK = struct.Struct("<BQQQQI")
 _INDEX = struct.Struct("<BQHI")
 _FOOTER = struct.Struct("<BQQQ")
+_NEW = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC
 _OF_MESSAGE, _OF_CHUNK, _OF_INDEX, _OF_FOOTER = 5, 6, 7, 2
 _MOST_BUFFERS = 512  # of one call of the system
+_KEPT_OCTETS = 400
+"""Of memory that a message in the ring takes beside its own, measured."""
 _FAST = 1
 """Of zstandard: half the time of its usual level, and a tenth more octets."""
 
@@ -59,14 +65,23 @@ def require_mcap() -> None:
         raise PluginError(f"recordings need: {command} ({error})") from error
 
 
-def free_path(path: Path) -> Path:
-    """Return a path at which nothing is yet: this one, or it with the first number that is free."""
-    if not path.exists():
-        return path
-    for number in count(1):
-        numbered = path.with_name(f"{path.stem}-{number}{path.suffix}")
-        if not numbered.exists():
-            return numbered
+def _create(path: Path) -> tuple[Path, int]:
+    """Make a file where nothing is yet: at this path, or with the first number that is free.
+
+    Raises:
+        UsageError: none can be made there.
+    """
+    try:
+        if path.exists() and not path.is_file():
+            kind = "a folder" if path.is_dir() else "no regular file"
+            raise UsageError(f"{path} is {kind}: name a file, such as run.mcap")
+        for number in count():
+            numbered = path.with_name(f"{path.stem}-{number}{path.suffix}") if number else path
+            # Made at once: another recording may look for a free name, too.
+            with suppress(FileExistsError):
+                return numbered, os.open(numbered, _NEW, 0o666)
+    except (OSError, ValueError) as error:  # the latter for names that no file may have
+        raise UsageError(f"{path} cannot be made: {error}") from error
     raise AssertionError("numbers do not end")
 
 
@@ -80,8 +95,8 @@ class _Output:
         whole: octets up to the end of the last whole record.
     """
 
-    def __init__(self, path: Path) -> None:
-        self._file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o666)
+    def __init__(self, file: int) -> None:
+        self._file = file
         self._is_open = True
         self.count = self.whole = 0
 
@@ -116,7 +131,7 @@ class McapFile:
     its writer takes three times as long for a message, and keeps an object for each chunk.
 
     Args:
-        path: at which nothing is.
+        path: of it; where something is already, a number is added.
         compression: `zstd`, `lz4` or `none`.
         chunk_octets: of messages that are written at once.
 
@@ -125,11 +140,8 @@ class McapFile:
     """
 
     def __init__(self, path: Path, compression: str, chunk_octets: int) -> None:
-        self.path = path
-        try:
-            self._output = _Output(path)
-        except OSError as error:
-            raise UsageError(f"{path} cannot be made: {error}") from error
+        self.path, file = _create(path)
+        self._output = _Output(file)
         self._compression = "" if compression == "none" else compression
         self._compress = _compressor(self._compression)
         self._chunk_octets = chunk_octets
@@ -218,8 +230,7 @@ class McapFile:
 
         if not self._index:
             return
-        data, self._chunk = self._chunk, bytearray()
-        indexes, self._index = self._index, {}
+        data, indexes = self._chunk, self._index
         start = min(min(index[::2]) for index in indexes.values())
         end = max(max(index[::2]) for index in indexes.values())
         packed = self._compress(data)
@@ -230,13 +241,15 @@ class McapFile:
         at, length = self._output.count, len(head) + len(packed)
         offsets, records, place = {}, [], at + length
         for channel, index in indexes.items():
-            self._counts[channel] = self._counts.get(channel, 0) + len(index) // 2
             content = struct.pack(f"<{len(index)}Q", *index)
             record = _INDEX.pack(_OF_INDEX, 6 + len(content), channel, len(content)) + content
             offsets[channel] = place
             place += len(record)
             records.append(record)
         self._output.write(head, packed, *records)
+        self._chunk, self._index = bytearray(), {}
+        for channel, index in indexes.items():
+            self._counts[channel] = self._counts.get(channel, 0) + len(index) // 2
         first, last = self._times or (start, end)
         self._times = min(first, start), max(last, end)
         self._note(
@@ -292,8 +305,13 @@ class McapFile:
         self._output.write(summary, footer, crc.to_bytes(4, "little"), MAGIC)
         self._output.close()
 
+    def unwritten(self, form: ChannelForm) -> int:
+        """Return how many messages of a channel wait in the chunk."""
+        return len(self._index.get(self._channels.get(form, 0), ())) // 2
+
     def abandon(self) -> None:
         """Close it as it is, without what is not whole."""
+        self._index, self._chunk = {}, bytearray()
         try:
             self._output.take_back()
         finally:
@@ -304,6 +322,53 @@ class McapFile:
         opcode = index[0]
         self._indexes.setdefault(opcode, bytearray()).extend(index)
         self._numbers[opcode] = self._numbers.get(opcode, 0) + 1
+
+
+@frozen
+class KeptMessage:
+    """A message in the ring, in the form of the file."""
+
+    form: ChannelForm
+    at: Instant
+    data: bytes
+    sequence: int
+
+
+class Ring:
+    """The last seconds of a recording, in the form of the file; for one thread.
+
+    Args:
+        seconds: that are kept.
+        octets: that are kept at most, with what each message costs beside its own.
+    """
+
+    def __init__(self, seconds: float, octets: int) -> None:
+        self._nanoseconds, self._most = int(seconds * 1e9), octets
+        self._kept: deque[KeptMessage] = deque()
+        self._octets = 0
+
+    def __iter__(self) -> Iterator[KeptMessage]:
+        return iter(self._kept)
+
+    def has_other_than(self, form: ChannelForm) -> bool:
+        """Say whether there is a message of another channel."""
+        return any(kept.form is not form for kept in self._kept)
+
+    def keep(self, kept: KeptMessage) -> None:
+        """Take in what came last."""
+        self._kept.append(kept)
+        self._octets += _KEPT_OCTETS + len(kept.data)
+
+    def trim(self, now: Instant) -> None:
+        """Let go of what is too old or too much."""
+        oldest, kept = now.steady - self._nanoseconds, self._kept
+        while kept and (kept[0].at.steady < oldest or self._octets > self._most):
+            self._octets -= _KEPT_OCTETS + len(kept.popleft().data)
+
+    def clear(self) -> None:
+        """Let go of everything."""
+        self._kept.clear()
+        self._octets = 0
 
 
 def _written(record: McapRecord) -> bytes:
@@ -327,26 +392,7 @@ def _compressor(compression: str) -> Callable[[bytearray], bytes | bytearray]:
     return lambda data: data
 
 
-_HIDDEN = "***"
-_SECRET_NAME = re.compile(
-    r"(?i)(?:passw(?:or)?d|passphrase|secret|token|credential|api_?key|private_?key)s?$"
-)
-_IN_URL = re.compile(r"(?<=://)[^\s/@]+(?=@)")
 _MOST_LOCK = 16 << 20
-
-
-def masked(value: Any) -> Any:
-    """Return plain data in which secrets are hidden: by the name of a member, and in URLs."""
-    if isinstance(value, Mapping):
-        return {
-            str(name): _HIDDEN
-            if _SECRET_NAME.search(str(name)) and item not in (None, "")
-            else masked(item)
-            for name, item in value.items()
-        }
-    if isinstance(value, list | tuple):
-        return [masked(item) for item in value]
-    return _IN_URL.sub(_HIDDEN, value) if isinstance(value, str) else value
 
 
 def documents(robot: Robot, plans: Mapping[str, Plan]) -> Iterator[tuple[str, bytes]]:
@@ -371,7 +417,7 @@ def documents(robot: Robot, plans: Mapping[str, Plan]) -> Iterator[tuple[str, by
 
 def event_message(event: StatusEvent) -> dict[str, Any]:
     """Return what the channel of events has of a status event."""
-    message: dict[str, Any] = masked(to_json(event))
+    message: dict[str, Any] = without_secrets(to_json(event))
     return message
 
 
@@ -382,9 +428,9 @@ def gap_message(function: str, connection: str, gap: Any) -> dict[str, Any]:
         "change": "gap",
         "cause": gap.cause,
         "function": function,
-        "gap": masked(to_json(gap)),
+        "gap": without_secrets(to_json(gap)),
     }
 
 
 def _attachment(value: Any) -> bytes:
-    return write_json(masked(value), indent=1).encode()
+    return write_json(without_secrets(value), indent=1).encode()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from enum import Enum
 from typing import NamedTuple
 
@@ -31,6 +31,8 @@ _LENGTHS = {"s": 1.0, "min": 60.0, "h": 3600.0}
 _STEP = 500_000_000  # nanoseconds between the clocks: beyond it the one of the day was set
 _NANO = 1_000_000_000
 _MOST_OCTETS = 2**63
+_MOST_SECONDS = 1e9
+_RING_SPLIT = "a ring has a file for each time that it is written: leave out ring or split"
 _QUEUE = QueuePolicy(length=10_000, policy=OverflowPolicy.DROP_OLDEST)
 
 
@@ -41,9 +43,10 @@ def read_size(text: str | int) -> int:
         UsageError: it is none.
     """
     found = _SIZE.fullmatch(str(text).strip())
-    if found is None or float(found[1]) <= 0:
-        raise UsageError(f"{text!r} is no size: expected one such as 512MB or 2GiB")
-    return max(1, int(float(found[1]) * _UNITS[(found[2] or "").lower()]))
+    octets = float(found[1]) * _UNITS[(found[2] or "").lower()] if found else 0.0
+    if not 0 < octets < _MOST_OCTETS:
+        raise UsageError(f"{text!r:.100} is no size: expected one such as 512MB or 2GiB")
+    return max(1, int(octets))
 
 
 def read_split(split: str | int | None) -> tuple[int | None, float | None]:
@@ -55,12 +58,13 @@ def read_split(split: str | int | None) -> tuple[int | None, float | None]:
     if split is None:
         return None, None
     found = _SECONDS.fullmatch(str(split).strip())
-    if found is not None and float(found[1]) > 0:
-        return None, float(found[1]) * _LENGTHS[found[2].lower()]
+    seconds = float(found[1]) * _LENGTHS[found[2].lower()] if found else 0.0
+    if 0 < seconds <= _MOST_SECONDS:
+        return None, seconds
     try:
         return read_size(split), None
     except UsageError:
-        text = f"{split!r} is neither a size nor a time: expected one such as 512MB or 10min"
+        text = f"{split!r:.100} is neither a size nor a time: expected one such as 512MB or 10min"
         raise UsageError(text) from None
 
 
@@ -114,8 +118,11 @@ class RecordOptions:
             text = f"compression {compression!r}: expected one of {', '.join(COMPRESSIONS)}"
             raise UsageError(text)
         for name, seconds in (("duration", duration), ("ring", ring)):
-            if seconds is not None and not seconds > 0:
-                raise UsageError(f"{name} {seconds!r}: expected seconds, more than 0")
+            if seconds is not None and not 0 < seconds <= _MOST_SECONDS:
+                text = f"{name} {seconds!r}: expected seconds, more than 0 and at most 1e9"
+                raise UsageError(text)
+        if ring is not None and split is not None:
+            raise UsageError(f"split: {_RING_SPLIT}")
         size, length = read_split(split)
         return cls(
             duration=duration,
@@ -126,6 +133,20 @@ class RecordOptions:
             ring=ring,
             queue=queue or _QUEUE,
         )
+
+    @staticmethod
+    def mistakes(options: Mapping[str, object]) -> Iterator[tuple[str, str]]:
+        """Yield options of a configuration that mean nothing, and why; their kinds were checked."""
+        readers = (("max_size", read_size), ("split", read_split))
+        for name, read in readers:
+            value = options.get(name)
+            if isinstance(value, str | int) and not isinstance(value, bool):
+                try:
+                    read(value)
+                except UsageError as error:
+                    yield name, str(error)
+        if "ring" in options and "split" in options:
+            yield "split", _RING_SPLIT
 
 
 class Instant(NamedTuple):

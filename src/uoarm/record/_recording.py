@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import os
 import threading
 import time
 from collections import Counter, deque
@@ -13,7 +14,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, TypeAlias
 
-from attrs import define, frozen
+from attrs import define
 from typing_extensions import Self
 
 from uoarm._raised import LimitedLog, text_of
@@ -21,10 +22,11 @@ from uoarm.errors import MessageError, UoarmError, UsageError
 from uoarm.model import Message, StatusEvent
 from uoarm.record._arrivals import Arrivals, ReadOctets, RecordedConnection, RecordedRobot
 from uoarm.record._file import (
+    KeptMessage,
     McapFile,
+    Ring,
     documents,
     event_message,
-    free_path,
     gap_message,
     require_mcap,
 )
@@ -73,16 +75,6 @@ _Item: TypeAlias = "tuple[_Track, int, int, Message, int]"
 """As `Arrivals` has it."""
 
 
-@frozen
-class _Kept:
-    """A message in the ring, in the form of the file."""
-
-    form: ChannelForm
-    at: Instant
-    data: bytes
-    sequence: int
-
-
 def _now() -> tuple[int, int]:
     return time.time_ns(), time.monotonic_ns()
 
@@ -113,9 +105,9 @@ class Recording:
         self.id, self.functions = identity, tuple(functions)
         if not functions:
             raise UsageError("a recording is of one function at least")
-        if len(set(functions)) < len(functions):
+        if len(set(map(str, functions))) < len(functions):
             raise UsageError("a function is named twice")
-        if not path.parent.is_dir():
+        if not os.path.isdir(path.parent):  # noqa: PTH112 - that raises for names too long
             raise UsageError(f"{path} cannot be made: there is no folder {path.parent}")
         self._path, self._options, self._moment = path, options, clock
         self._robot, self._report = robot, report
@@ -124,15 +116,16 @@ class Recording:
         self._counting = threading.Lock()
         # Appended to by the thread of the manager's listeners, taken from by the writer.
         self._events: deque[tuple[Instant, Mapping[str, Any]]] = deque(maxlen=_MOST_EVENTS)
-        self._wanted: deque[tuple[str, Future[str]]] = deque()
+        self._wanted: deque[tuple[str, Future[str] | None]] = deque()
         self._event_form = EVENTS
-        self._ring: deque[_Kept] = deque()
-        self._ring_octets = 0
+        self._ring = None if options.ring is None else Ring(options.ring, options.ring_octets)
+        self._unwritten_failure = ""
         self._file: McapFile | None = None
         self._files: list[str] = []
         self._octets_before = 0
         self._state, self._cause = "recording", ""
         self._records = LimitedLog(_log)
+        self._is_closing = False
         self._finished = threading.Event()
         self._last = self._began = self._clock()
         self._ended: Instant | None = None
@@ -219,6 +212,7 @@ class Recording:
 
     def close(self) -> None:
         """End it: write what has come, close the file. Idempotent; waits a minute at most."""
+        self._is_closing = True
         self._kill()
         self._arrivals.close()
         if threading.current_thread() is not self._thread:
@@ -273,16 +267,17 @@ class Recording:
         self._events.append((self._clock(), event_message(event)))
         kind = event.subject.partition(" ")[0]
         if self._options.ring is not None and event.change in _FAILURES and kind != "recording":
-            self._wanted.append((str(event), Future()))
+            self._wanted.append((str(event), None))
         if kind == "connection" or self._wanted:
             self._arrivals.press()
 
     def _clock(self) -> Instant:
         return Instant(*self._moment())
 
-    def _drop(self, reason: str) -> None:
-        with self._counting:
-            self._dropped[reason] += 1
+    def _drop(self, reason: str, count: int = 1) -> None:
+        if count:
+            with self._counting:
+                self._dropped[reason] += count
 
     def _kill(self) -> None:
         self._end_listening()
@@ -305,12 +300,15 @@ class Recording:
             for _ in self._arrivals.take_waiting():
                 self._drop("closed")
             self._ended = self._clock()
-            self._ring.clear()
+            if self._ring is not None:
+                self._ring.clear()
             self._report(self._subject, self._state, self._cause)
             self._finished.set()
             # After that: what `dump` asks for later finds that it has ended.
             while self._wanted:
-                self._wanted.popleft()[1].set_exception(UsageError("the recording has ended"))
+                written = self._wanted.popleft()[1]
+                if written is not None:
+                    written.set_exception(UsageError("the recording has ended"))
 
     @property
     def _subject(self) -> str:
@@ -318,18 +316,22 @@ class Recording:
 
     def _write_all(self) -> None:
         while True:
-            is_closed, now = self._arrivals.is_closed, self._clock()
-            wait = self._schedule.wait(now, waiting=self._has_waiting)
+            is_closed, file = self._arrivals.is_closed, self._file
+            waiting = file is not None and file.has_waiting
+            wait = self._schedule.wait(self._clock(), waiting=waiting)
             self._arrivals.wait(_GLANCE_SECONDS if wait is None else min(wait, _GLANCE_SECONDS))
             wanted = len(self._wanted)  # before that: what came before a wish is in what is taken
             items = self._arrivals.take_waiting()
-            goes_on = self._write(items) if self._options.ring is None else self._keep_all(items)
-            self._write_wanted(wanted)
+            ring = self._ring
+            goes_on = self._write(items) if ring is None else self._keep_all(ring, items)
+            if ring is not None:
+                self._write_wanted(ring, wanted)
             if not goes_on:
                 break
             if is_closed and not items:
                 break
-            if not items and not len(self._arrivals) and self._are_all_ended:
+            is_idle = not items and not len(self._arrivals) and not self._is_closing
+            if is_idle and self._are_all_ended:
                 self._cause = "every function has ended"
                 break
         self._finish()
@@ -338,23 +340,25 @@ class Recording:
         """Write what came, and what is due; False where the recording ends with it."""
         file = self._file
         assert file is not None, "only a ring has none"
-        events, is_quiet = self._events, self._schedule.is_quiet
-        for place, (track, wall, steady, message, number) in enumerate(items):
-            if events or not is_quiet(wall, steady, file.octets):
-                found = self._look(file, Instant(wall, steady))
-                if found is None:
-                    for _ in items[place:]:
-                        self._drop("closed")
-                    return False
-                file = found
-            data = self._encoded(track, message)
-            if data is not None:
-                assert track.form is not None, "it was opened"
-                file.add_message(track.form, wall, data, number)
-                track.recorded += 1
-            if not place % _TURN_MESSAGES:
-                self._last = Instant(wall, steady)
-                time.sleep(0)
+        events, is_quiet, left = self._events, self._schedule.is_quiet, len(items)
+        try:
+            for place, (track, wall, steady, message, number) in enumerate(items):
+                if events or not is_quiet(wall, steady, file.octets):
+                    found = self._look(file, Instant(wall, steady))
+                    if found is None:
+                        return False
+                    file = found
+                left -= 1
+                data = self._encoded(track, message)
+                if data is not None:
+                    assert track.form is not None, "it was opened"
+                    track.recorded += 1
+                    file.add_message(track.form, wall, data, number)
+                if not place % _TURN_MESSAGES:
+                    self._last = Instant(wall, steady)
+                    time.sleep(0)
+        finally:
+            self._drop("closed", left)
         if not items:
             return self._look(file, self._clock()) is not None
         self._last = Instant(*items[-1][1:3])
@@ -383,10 +387,6 @@ class Recording:
         return file
 
     @property
-    def _has_waiting(self) -> bool:
-        return self._file is not None and self._file.has_waiting
-
-    @property
     def _are_all_ended(self) -> bool:
         return all(track.connection is None or track.connection.ended for track in self._tracks)
 
@@ -405,7 +405,7 @@ class Recording:
 
     def _begin_file(self) -> McapFile:
         options = self._options
-        file = McapFile(free_path(self._path), options.compression, options.chunk_octets)
+        file = McapFile(self._path, options.compression, options.chunk_octets)
         self._files.append(str(file.path))
         self._schedule.file_begins(self._clock())
         return file
@@ -500,6 +500,8 @@ class Recording:
 
     def _finish(self) -> None:
         file = self._file
+        if self._ring is not None:
+            self._finish_ring(self._ring)
         if file is not None:
             self._write_events(file)
             event = self._own_event("ended", self._cause or "it was closed")
@@ -516,6 +518,10 @@ class Recording:
         file, self._file = self._file, None
         if file is not None:
             try:
+                for track in self._tracks:
+                    count = 0 if track.form is None else file.unwritten(track.form)
+                    track.recorded -= count
+                    self._drop("unwritten", count)
                 file.abandon()
             except OSError as error:
                 _log.warning("%s: %s", self._subject, error)
@@ -523,65 +529,71 @@ class Recording:
 
     # The ring.
 
-    def _keep_all(self, items: list[_Item]) -> bool:
+    def _keep_all(self, ring: Ring, items: list[_Item]) -> bool:
         """Keep what came, for as long as it is; False where the recording ends."""
-        options = self._options
-        assert options.ring is not None, "only with a ring"
         for track, wall, steady, message, number in items:
             at = Instant(wall, steady)
-            self._keep_events(at)
+            self._keep_events(ring, at)
             data = self._encoded(track, message)
             if data is not None:
                 assert track.form is not None, "it was opened"
-                self._keep(_Kept(track.form, at, data, number))
+                ring.keep(KeptMessage(track.form, at, data, number))
                 track.recorded += 1
         now = self._clock()
-        self._keep_events(now)
-        oldest = now.steady - int(options.ring * 1e9)
-        while self._ring and (
-            self._ring[0].at.steady < oldest or self._ring_octets > options.ring_octets
-        ):
-            self._ring_octets -= len(self._ring.popleft().data)
+        self._keep_events(ring, now)
+        ring.trim(now)
         due = self._schedule.due(now, file_octets=0, all_octets=self._octets_before, waiting=False)
         if due is Due.END:
             self._cause = self._schedule.end_cause
         return due is not Due.END
 
-    def _keep_events(self, until: Instant) -> None:
+    def _keep_events(self, ring: Ring, until: Instant) -> None:
         while self._events and self._events[0][0].steady <= until.steady:
             at, event = self._events.popleft()
-            self._keep(_Kept(self._event_form, at, self._event_form.encode(event), 0))
+            ring.keep(KeptMessage(self._event_form, at, self._event_form.encode(event), 0))
 
-    def _write_wanted(self, count: int) -> None:
-        """Write the ring for those who want it."""
-        for _ in range(count):
-            cause, written = self._wanted.popleft()
-            try:
-                written.set_result(self._write_ring(cause))
-            except OSError as error:
-                self._records.write(logging.ERROR, f"{self._subject}: {error.strerror or error}")
-                written.set_exception(error)
-            except UoarmError as error:
-                self._records.write(logging.ERROR, f"{self._subject}: {error}")
-                written.set_exception(error)
+    def _write_wanted(self, ring: Ring, count: int) -> None:
+        """Write the ring into one file for all that want it now.
 
-    def _keep(self, kept: _Kept) -> None:
-        self._ring.append(kept)
-        self._ring_octets += len(kept.data)
+        Only events after a failure, such as what else failed with it, wait for the next file.
+        """
+        wanted = [self._wanted.popleft() for _ in range(count)]
+        calls = [written for _, written in wanted if written is not None]
+        self._unwritten_failure = self._unwritten_failure or (wanted[0][0] if wanted else "")
+        is_new = calls or not self._files or ring.has_other_than(self._event_form)
+        if not (wanted and is_new):
+            return
+        found: str | Exception
+        try:
+            found = self._write_ring(ring, self._unwritten_failure)
+        except (OSError, UoarmError) as error:
+            found = error
+            text = getattr(error, "strerror", None) or error
+            self._records.write(logging.ERROR, f"{self._subject}: {text}")
+        for written in calls:
+            written.set_result(found) if isinstance(found, str) else written.set_exception(found)
 
-    def _write_ring(self, cause: str) -> str:
+    def _finish_ring(self, ring: Ring) -> None:
+        """Write what is left where something failed: an event of it may still be on its way."""
+        causes = [t.connection.cause for t in self._tracks if t.connection and t.connection.ended]
+        cause = self._unwritten_failure or next(filter(None, causes), "")
+        if cause and not self._is_closing:
+            self._keep_events(ring, self._clock())
+            self._write_ring(ring, cause)
+
+    def _write_ring(self, ring: Ring, cause: str) -> str:
         """Write what is kept into a file of its own; it is gone from the ring then."""
         file, now = self._begin_file(), self._clock()
         try:
             self._describe(file, now)
-            for kept in self._ring:
+            for kept in ring:
                 file.add_message(kept.form, kept.at.wall, kept.data, kept.sequence)
             self._write_event(file, now, self._own_event("written", cause))
             self._end_file(file)
         except OSError:
             file.abandon()
             raise
-        self._ring.clear()
-        self._ring_octets = 0
+        ring.clear()
+        self._unwritten_failure = ""
         self._report(self._subject, "written", f"{file.path}: {cause}")
         return str(file.path)

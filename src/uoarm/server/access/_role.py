@@ -21,6 +21,7 @@ from typing import Any
 import orjson
 from attrs import field, frozen
 
+from uoarm._secrets import HIDDEN, is_secret_name
 from uoarm.errors import ConfigurationError, UoarmError
 from uoarm.model import Message, StopReport
 
@@ -244,10 +245,7 @@ LOCAL = Grant("local", EVERYTHING, principal="local")
 """Of everyone, where there is no access file."""
 
 _log = logging.getLogger("uoarm.audit")
-_SECRET = re.compile(
-    r"pass(word|phrase|wd)?$|token|secret|credential|api_?key|private_?key|(^|_)pin$", re.IGNORECASE
-)
-_MASK = "***"
+_PIN = re.compile(r"(^|_)pin$", re.IGNORECASE)
 _AUDIT_MODE = 0o600
 _DEPTH = 16
 
@@ -257,10 +255,12 @@ def masked(value: Message, depth: int = _DEPTH) -> Message:
     if isinstance(value, bytes | bytearray | memoryview):
         return f"{len(value)} octets"
     if depth == 0:
-        return _MASK
+        return HIDDEN
     if isinstance(value, Mapping):
         return {
-            str(name): _MASK if _SECRET.search(str(name)) else masked(part, depth - 1)
+            str(name): HIDDEN
+            if is_secret_name(str(name)) or _PIN.search(str(name))
+            else masked(part, depth - 1)
             for name, part in value.items()
         }
     if isinstance(value, list | tuple):
