@@ -40,7 +40,7 @@ from uoarm import Connection, RobotManager
 from uoarm._host import RemoteBridge
 from uoarm.config import loads
 from uoarm.model import FailoverPolicy
-from uoarm.testing import Census, copies, losses, slowness
+from uoarm.testing import ResourceSnapshot, copies, losses, slowness
 
 HERE = Path(__file__).parent
 FAULTS = ("kill", "stop", "pause", "hang", "refuse", "slow")
@@ -175,7 +175,7 @@ def main(minutes: float, deaths: int, seed: int, silence: float, events: Path | 
             warm.request("found", timeout=PATIENCE_SECONDS).get(PATIENCE_SECONDS)
         for left in Path(folder).glob("*.journal"):
             left.unlink()
-        before = Census()
+        before = ResourceSnapshot()
         held = _soak(Path(folder), silence, 60.0 * minutes, deaths, seed)
         before.check()
     sys.exit(0 if held else 1)

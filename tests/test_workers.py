@@ -14,11 +14,11 @@ import pytest
 
 from uoarm._support import workers
 from uoarm._support.workers import WorkerPool, WorkerPoolClosedError
-from uoarm.testing import Census, patience, wait
+from uoarm.testing import ResourceSnapshot, patience, wait
 
 
 def test_no_more_run_at_once_than_the_limit_and_the_rest_waits() -> None:
-    before = Census()
+    before = ResourceSnapshot()
     pool = WorkerPool("test", 2)
     gate, begun = threading.Event(), list[int]()
 
@@ -40,7 +40,7 @@ def test_no_more_run_at_once_than_the_limit_and_the_rest_waits() -> None:
 
 
 def test_without_a_limit_no_call_waits_for_another() -> None:
-    before = Census()
+    before = ResourceSnapshot()
     pool = WorkerPool("test")
     together = threading.Barrier(20)
     passed: list[int] = []
@@ -52,7 +52,7 @@ def test_without_a_limit_no_call_waits_for_another() -> None:
 
 
 def test_calls_that_are_held_up_hold_up_no_others_where_the_pool_has_patience() -> None:
-    before = Census()
+    before = ResourceSnapshot()
     pool = WorkerPool("test", 2, patience=0.01)
     together = threading.Barrier(20)
     passed: list[int] = []
@@ -64,7 +64,7 @@ def test_calls_that_are_held_up_hold_up_no_others_where_the_pool_has_patience() 
 
 
 def test_at_the_end_what_waits_is_done_though_all_threads_are_held_up() -> None:
-    before = Census()
+    before = ResourceSnapshot()
     pool = WorkerPool("test", 1, patience=patience())
     gate, done = threading.Event(), list[int]()
     pool.submit(gate.wait, patience())
@@ -77,7 +77,7 @@ def test_at_the_end_what_waits_is_done_though_all_threads_are_held_up() -> None:
 
 
 def test_calls_that_get_on_have_no_more_threads_than_the_limit() -> None:
-    before = Census()
+    before = ResourceSnapshot()
     pool = WorkerPool("test", 2, patience=patience())
     seen, done = set[int](), list[int]()
 
@@ -129,7 +129,7 @@ def test_an_idle_thread_is_used_again_and_the_last_one_first() -> None:
 
 
 def test_idle_threads_end_and_new_ones_come() -> None:
-    before = Census()
+    before = ResourceSnapshot()
     pool = WorkerPool("test", 1, idle_seconds=0.01)
     used: list[threading.Thread] = []
     for _ in range(3):
@@ -142,7 +142,7 @@ def test_idle_threads_end_and_new_ones_come() -> None:
 def test_a_call_that_comes_when_a_thread_is_about_to_end_is_done(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    before = Census()
+    before = ResourceSnapshot()
     pool = WorkerPool("test", 1)
     done = threading.Event()
 
@@ -207,7 +207,7 @@ def test_a_callback_that_fails_is_logged_and_the_next_call_is_done(
 
 
 def test_what_has_not_begun_when_it_closes_is_dropped_and_reported() -> None:
-    before = Census()
+    before = ResourceSnapshot()
     pool = WorkerPool("test", 1)
     gate, begun = threading.Event(), threading.Event()
     done: list[str] = []
@@ -232,7 +232,7 @@ def test_what_has_not_begun_when_it_closes_is_dropped_and_reported() -> None:
 
 
 def test_a_close_that_drops_nothing_has_all_done_first() -> None:
-    before = Census()
+    before = ResourceSnapshot()
     pool = WorkerPool("test", 1)
     gate = threading.Event()
     done: list[int] = []
@@ -281,7 +281,7 @@ def test_a_call_that_hangs_keeps_no_process_alive() -> None:
 
 
 def test_a_thread_that_was_prepared_takes_the_next_call_and_ends_with_the_pool() -> None:
-    before = Census()
+    before = ResourceSnapshot()
     pool = WorkerPool("test")
     gate, ran = threading.Event(), list[int | None]()
 

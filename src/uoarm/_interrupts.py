@@ -19,11 +19,11 @@ _NUMBERS = int(signal.SIGINT), int(signal.SIGTERM)
 _NOTHING: tuple[int, FrameType | None] = 0, None
 
 
-class _Here(threading.local):
+class _ThreadState(threading.local):
     is_put_off = False
 
 
-_here = _Here()
+_here = _ThreadState()
 
 
 class Uninterrupted:

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from tests.cli.terminal import on_a_terminal
 
-from uoarm.cli._run import _Shown
+from uoarm.cli._run import _LineLimit
 from uoarm.testing import ManualClock
 
 ROBOT = """
@@ -100,7 +100,7 @@ def test_every_message_of_a_flood_is_shown_or_counted(folder: Path) -> None:
 
 def test_ten_messages_are_shown_in_a_quarter_of_a_second_and_the_others_counted() -> None:
     clock = ManualClock()
-    shown = _Shown(clock)
+    shown = _LineLimit(clock)
     assert [shown.has_line() for _ in range(12)] == [True] * 10 + [False] * 2
     clock.advance(0.25)
     assert [shown.has_line() for _ in range(1_990)] == [True] * 10 + [False] * 1_980

@@ -30,8 +30,8 @@ from uoarm.config import loads
 from uoarm.errors import BridgeError, ConfigurationError, ControlMessageError, MessageError
 from uoarm.model import (
     Budget,
+    BudgetUse,
     MessageStructure,
-    Spending,
     StatusMap,
     ValidationMode,
     from_json,
@@ -106,11 +106,11 @@ def text_of(data: bytes) -> str:
 
 def _form(form: Form) -> Callable[[bytes], object]:
     def decode(data: bytes) -> None:
-        fields = form.read(text_of(data) if form.text else data, Spending(BUDGET))
+        fields = form.read(text_of(data) if form.text else data, BudgetUse(BUDGET))
         within(fields, BUDGET)
         asked = check_asked(fields)
         written = form.write(dict(fields))
-        again = form.read(written.decode() if form.text else written, Spending(Budget()))
+        again = form.read(written.decode() if form.text else written, BudgetUse(Budget()))
         assert form.write(dict(again)) == written, asked
 
     return decode
@@ -119,7 +119,7 @@ def _form(form: Form) -> Callable[[bytes], object]:
 def _scan(data: bytes) -> None:
     """Whatever the parser of Python makes of a text, the scan has counted."""
     text = text_of(data)
-    scan_json(text, Spending(BUDGET))
+    scan_json(text, BudgetUse(BUDGET))
     with suppress(ValueError):
         within(json.loads(text), BUDGET)
 
@@ -262,7 +262,7 @@ def _web() -> Mapping[str, Target]:
     def operations(data: bytes) -> None:
         fragments = Fragments(4096, 60.0)
         for line in text_of(data).split("\n"):
-            fields = read_operation(line, Spending(BUDGET))
+            fields = read_operation(line, BudgetUse(BUDGET))
             within(fields, BUDGET)
             check_fields(fields, ("op",))
             read_options(fields)
@@ -271,7 +271,7 @@ def _web() -> Mapping[str, Target]:
                 whole = fragments.add(fields)
                 assert 0 <= fragments.octets <= 4096
                 if whole is not None:
-                    read_operation(whole, Spending(BUDGET))
+                    read_operation(whole, BudgetUse(BUDGET))
 
     return {
         "rosbridge with fragments": Target(

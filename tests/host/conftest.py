@@ -11,13 +11,13 @@ from uoarm._host.transport.frames import LinkSockets
 from uoarm._host.transport.socket_transport import SocketTransport
 from uoarm._host.transport.transport import Transport
 from uoarm._host.transport.zenoh_transport import ZenohTransport
-from uoarm.testing import Census, free_port, patience
+from uoarm.testing import ResourceSnapshot, free_port, patience
 
 
 @pytest.fixture
 def nothing_is_left() -> Iterator[None]:
     """Hold that threads, descriptors and processes return to where they were."""
-    before = Census()
+    before = ResourceSnapshot()
     yield
     before.check()
 

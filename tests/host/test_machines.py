@@ -19,7 +19,7 @@ from uoarm._host.machines import MachineRegistry
 from uoarm.cli import main
 from uoarm.config import loads
 from uoarm.model import ConnectionState, Health, MachineStatus, StatusEvent
-from uoarm.testing import Census, free_port, hold_idle, patience, slowness, wait
+from uoarm.testing import ResourceSnapshot, free_port, hold_idle, patience, slowness, wait
 
 
 @pytest.fixture
@@ -114,7 +114,7 @@ def test_a_link_that_fails_while_closing_is_reported_and_the_manager_closes_all_
         raise BridgeError("closing the link failed: it took too long")
 
     monkeypatch.setattr(MachineRegistry, "close", fail)
-    before = Census()
+    before = ResourceSnapshot()
     RobotManager.from_file(file).close()
     assert "it took too long" in caplog.text
     before.check()
@@ -318,7 +318,7 @@ def test_a_manager_leaves_nothing_behind(tmp_path: Path, port: int) -> None:
     with Joined(tmp_path, _place(port)):
         with RobotManager.from_file(file) as manager:
             manager.call("where", 0, timeout=patience())
-        before = Census()
+        before = ResourceSnapshot()
         with RobotManager.from_file(file) as manager:
             manager.request("ticks").get(patience())
         before.check()

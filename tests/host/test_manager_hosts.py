@@ -15,7 +15,7 @@ from tests.processes import lives
 from uoarm import BridgeError, ConnectionClosedError, ResolutionError, RobotManager
 from uoarm._host import RemoteBridge
 from uoarm.model import ConnectionState, Health, StatusEvent
-from uoarm.testing import Census, Collector, patience, wait
+from uoarm.testing import Collector, ResourceSnapshot, patience, wait
 
 ROBOT = """
 version: 1
@@ -137,7 +137,7 @@ def test_two_bridges_of_one_plugin_run_side_by_side(tmp_path: Path) -> None:
 
 def test_a_manager_leaves_nothing_behind(tmp_path: Path) -> None:
     hosted.bridge(tmp_path).close()
-    before = Census()
+    before = ResourceSnapshot()
     (tmp_path / "robot.yaml").write_text(ROBOT)
     with RobotManager.from_file(tmp_path / "robot.yaml") as manager:
         connection = manager.request("ticks")

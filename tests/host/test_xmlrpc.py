@@ -19,14 +19,14 @@ import pytest
 from uoarm._host import XmlRpcServer, xmlrpc_server
 from uoarm.errors import BridgeError
 from uoarm.model import Endpoint, Role
-from uoarm.testing import Census, MemoryBridge, patience
+from uoarm.testing import MemoryBridge, ResourceSnapshot, patience
 
 NUMBER = {"type": "integer", "maximum": 2**40}
 
 
 @pytest.fixture
 def face() -> Iterator[XmlRpcServer]:
-    before = Census()
+    before = ResourceSnapshot()
     bridge = MemoryBridge("memory", {})
     bridge.emitter("camera", NUMBER)
     ends = [

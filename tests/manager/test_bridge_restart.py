@@ -11,7 +11,7 @@ from uoarm import RobotManager
 from uoarm.bridge import BridgeType, Registry
 from uoarm.config import loads
 from uoarm.model import Health, StatusEvent
-from uoarm.testing import Census, Collector, MemoryBridge, hanging, patience, wait
+from uoarm.testing import Collector, MemoryBridge, ResourceSnapshot, hanging, patience, wait
 
 NUMBER: Any = {"type": "integer"}
 ROBOT = """
@@ -48,11 +48,11 @@ class Scene:
 
 @pytest.fixture
 def scene() -> Iterator[Scene]:
-    census = Census()
+    snapshot = ResourceSnapshot()
     made = Scene()
     with made.robot:
         yield made
-    census.check()
+    snapshot.check()
 
 
 def _lose(scene: Scene, bridge: MemoryBridge) -> None:

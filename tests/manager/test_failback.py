@@ -14,7 +14,15 @@ from uoarm._control.engine.events import TimeReached
 from uoarm._control.engine.state import ConnectionRecord
 from uoarm.config import loads
 from uoarm.model import ConnectionState, FailoverPolicy, ValidationMode
-from uoarm.testing import Census, ManualClock, MemoryBridge, copies, losses, patience, wait
+from uoarm.testing import (
+    ManualClock,
+    MemoryBridge,
+    ResourceSnapshot,
+    copies,
+    losses,
+    patience,
+    wait,
+)
 
 NUMBER = {"type": "integer", "minimum": 0, "maximum": 100_000}
 PATIENCE = 1000.0
@@ -100,7 +108,7 @@ class Stage:
 
 @pytest.fixture
 def stage() -> Iterator[Stage]:
-    before = Census()
+    before = ResourceSnapshot()
     made = Stage()
     yield made
     made.robot.close()

@@ -30,12 +30,12 @@ from uoarm.model import (
     StatusEvent,
 )
 from uoarm.testing import (
-    Census,
     Emitter,
     Hang,
     Loop,
     ManualClock,
     MemoryBridge,
+    ResourceSnapshot,
     hanging,
     patience,
     wait,
@@ -86,7 +86,7 @@ Make = Callable[..., Stage]
 
 @pytest.fixture
 def make() -> Iterator[Make]:
-    before = Census()
+    before = ResourceSnapshot()
     stages: list[Stage] = []
 
     def build(policy: FailoverPolicy = FailoverPolicy(), **schemas: object) -> Stage:  # noqa: B008 - frozen

@@ -14,8 +14,8 @@ from uoarm.config import loads
 from uoarm.errors import BridgeTimeoutError, ResolutionError
 from uoarm.testing import (
     Background,
-    Census,
     MemoryBridge,
+    ResourceSnapshot,
     hanging,
     lying,
     patience,
@@ -44,7 +44,7 @@ FAULTS: dict[str, Fault] = {
 
 
 class Scene:
-    """A chain over two bridges, with the same census at the end as at the beginning."""
+    """A chain over two bridges, with the same threads and descriptors at the end as before."""
 
     def __init__(self) -> None:
         self.left, self.right = MemoryBridge("left"), MemoryBridge("right")
@@ -70,11 +70,11 @@ class Scene:
 
 @pytest.fixture
 def scene() -> Iterator[Scene]:
-    census = Census()
+    snapshot = ResourceSnapshot()
     made = Scene()
     with made.robot:
         yield made
-    census.check()
+    snapshot.check()
 
 
 @pytest.mark.parametrize("fault", FAULTS)

@@ -8,7 +8,7 @@ import pytest
 
 from uoarm import RobotManager
 from uoarm.config import loads
-from uoarm.testing import Census, MemoryBridge, patience
+from uoarm.testing import MemoryBridge, ResourceSnapshot, patience
 
 NUMBER = {"type": "integer", "minimum": 0, "maximum": 1000}
 
@@ -40,7 +40,7 @@ class Stage:
 
 @pytest.fixture
 def stage() -> Iterator[Stage]:
-    before = Census()
+    before = ResourceSnapshot()
     made = Stage()
     yield made
     made.robot.close()

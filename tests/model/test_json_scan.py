@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from uoarm.errors import ControlMessageError
-from uoarm.model import Budget, Spending, scan_json
+from uoarm.model import Budget, BudgetUse, scan_json
 
 # Texts that look like structure, and the escapes that could hide where they end.
 TEXTS = st.text('[]{},:"\\/ua0\u00e9', max_size=6)
@@ -35,13 +35,13 @@ def cost(message: object) -> tuple[int, int]:
 def test_exactly_what_there_is_must_be_allowed(message: object, ascii_only: bool) -> None:
     text = json.dumps(message, ensure_ascii=ascii_only)
     elements, depth = cost(message)
-    scan_json(text, Spending(Budget(elements=elements, depth=max(depth, 1))))
+    scan_json(text, BudgetUse(Budget(elements=elements, depth=max(depth, 1))))
     if elements > 1:
         with pytest.raises(ControlMessageError, match="more than"):
-            scan_json(text, Spending(Budget(elements=elements - 1)))
+            scan_json(text, BudgetUse(Budget(elements=elements - 1)))
     if depth > 1:
         with pytest.raises(ControlMessageError, match=f"{depth - 1} levels"):
-            scan_json(text, Spending(Budget(depth=depth - 1)))
+            scan_json(text, BudgetUse(Budget(depth=depth - 1)))
 
 
 @given(st.text('[]{},:"\\a\ud800', max_size=12), st.integers(1, 6), st.integers(1, 6))
@@ -52,7 +52,7 @@ def test_no_text_hides_what_the_parser_would_make(text: str, elements: int, dept
     except ValueError:
         message = None
     try:
-        scan_json(text, Spending(budget))
+        scan_json(text, BudgetUse(budget))
     except ControlMessageError:
         return
     counted, levels = cost(message)
@@ -61,7 +61,7 @@ def test_no_text_hides_what_the_parser_would_make(text: str, elements: int, dept
 
 
 def test_what_was_spent_stays_spent() -> None:
-    spending = Spending(Budget(elements=10))
+    spending = BudgetUse(Budget(elements=10))
     scan_json("[1,2,3]", spending)
     assert spending.elements == 4 + 1 - 1
     with pytest.raises(ControlMessageError, match="more than 10 values"):

@@ -7,7 +7,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from uoarm.errors import UsageError
-from uoarm.record._options import Due, Instant, RecordingSchedule, RecordOptions, read_split
+from uoarm.record._options import (
+    Instant,
+    RecordingSchedule,
+    RecordingStep,
+    RecordOptions,
+    read_split,
+)
 
 BEGIN = Instant(10**18, 5 * 10**9)
 
@@ -17,39 +23,41 @@ def after(seconds: float, set_by: float = 0.0) -> Instant:
     return Instant(BEGIN.wall + nanoseconds + int(set_by * 1e9), BEGIN.steady + nanoseconds)
 
 
-def due(schedule: RecordingSchedule, now: Instant, octets: int = 0, *, waiting: bool = True) -> Due:
+def due(
+    schedule: RecordingSchedule, now: Instant, octets: int = 0, *, waiting: bool = True
+) -> RecordingStep:
     return schedule.due(now, file_octets=octets, all_octets=octets, waiting=waiting)
 
 
 def test_a_chunk_is_written_after_its_time_and_only_where_there_is_one() -> None:
     schedule = RecordingSchedule(RecordOptions(), BEGIN)
-    assert due(schedule, after(0.5)) is Due.NOTHING
-    assert due(schedule, after(1.0)) is Due.FLUSH
+    assert due(schedule, after(0.5)) is RecordingStep.NOTHING
+    assert due(schedule, after(1.0)) is RecordingStep.FLUSH
     schedule.flushed(after(1.0))
-    assert due(schedule, after(1.5)) is Due.NOTHING
-    assert due(schedule, after(9.0), waiting=False) is Due.NOTHING
+    assert due(schedule, after(1.5)) is RecordingStep.NOTHING
+    assert due(schedule, after(9.0), waiting=False) is RecordingStep.NOTHING
 
 
 def test_it_ends_after_its_time_or_size() -> None:
     schedule = RecordingSchedule(RecordOptions.of(duration=3, max_size="1kB"), BEGIN)
-    assert due(schedule, after(0.1), 999) is Due.NOTHING
-    assert due(schedule, after(0.2), 1000) is Due.END
-    assert due(schedule, after(3.0), 0) is Due.END
+    assert due(schedule, after(0.1), 999) is RecordingStep.NOTHING
+    assert due(schedule, after(0.2), 1000) is RecordingStep.END
+    assert due(schedule, after(3.0), 0) is RecordingStep.END
     assert schedule.end_cause == "it lasted 3 s"
 
 
 @given(st.floats(0.6, 1e6), st.sampled_from([-1, 1]))
 def test_a_set_clock_splits_once(step: float, sign: int) -> None:
     schedule = RecordingSchedule(RecordOptions(), BEGIN)
-    assert due(schedule, after(0.1)) is Due.NOTHING
-    assert due(schedule, after(0.2, sign * step)) is Due.SPLIT
-    assert due(schedule, after(0.3, sign * step)) is Due.NOTHING
+    assert due(schedule, after(0.1)) is RecordingStep.NOTHING
+    assert due(schedule, after(0.2, sign * step)) is RecordingStep.SPLIT
+    assert due(schedule, after(0.3, sign * step)) is RecordingStep.NOTHING
 
 
 def test_a_clock_that_is_slewed_does_not() -> None:
     schedule = RecordingSchedule(RecordOptions(chunk_seconds=1e9), BEGIN)
     for turn in range(1000):
-        assert due(schedule, after(turn, turn * 5e-4)) is Due.NOTHING
+        assert due(schedule, after(turn, turn * 5e-4)) is RecordingStep.NOTHING
 
 
 def test_it_says_how_long_nothing_is_due() -> None:
@@ -58,8 +66,8 @@ def test_it_says_how_long_nothing_is_due() -> None:
     assert schedule.wait(after(0.25), waiting=True) == pytest.approx(0.75)
     assert schedule.wait(after(0.25), waiting=False) == pytest.approx(3.75)
     schedule.file_begins(after(4))
-    assert due(schedule, after(7.9), waiting=False) is Due.NOTHING
-    assert due(schedule, after(8.0), waiting=False) is Due.SPLIT
+    assert due(schedule, after(7.9), waiting=False) is RecordingStep.NOTHING
+    assert due(schedule, after(8.0), waiting=False) is RecordingStep.SPLIT
     assert RecordingSchedule(RecordOptions(), BEGIN).wait(after(1), waiting=False) is None
 
 

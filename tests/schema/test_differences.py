@@ -12,7 +12,7 @@ from tests.schema._robot_schemas import closed, integer_type, robot_schema
 from uoarm.schema import check
 from uoarm.schema._errors import Meter
 from uoarm.schema.read import Pool, SchemaDocument
-from uoarm.schema.solve import Empty, Solver, differences
+from uoarm.schema.solve import Solver, Unsatisfiable, differences
 from uoarm.schema.solve import answer as search
 
 BYTE, WORD = integer_type(8, signed=False), integer_type(16, signed=False)
@@ -124,6 +124,6 @@ def test_it_says_what_a_search_of_the_whole_says(seed: int) -> None:
         )
         whole = Solver(shared, search).solve(goal)
         verdict = check(producer, consumer)
-        assert verdict.compatible is isinstance(whole, Empty), verdict
+        assert verdict.compatible is isinstance(whole, Unsatisfiable), verdict
         if answer(verdict) == "no":
             verify_counterexample(verdict, producer, consumer)

@@ -8,7 +8,7 @@ import pytest
 
 from uoarm.schema import check
 from uoarm.schema._values import exact
-from uoarm.schema.solve import Found
+from uoarm.schema.solve import Witness
 from uoarm.schema.solve._numbers import find_number
 
 
@@ -17,7 +17,7 @@ def test_numbers_one_after_another_never_come_again() -> None:
     bounds = [("low", Fraction(0), True), ("high", Fraction(1), True)]
     for _ in range(120):
         result = find_number(bounds, frozenset(found))
-        if not isinstance(result, Found):
+        if not isinstance(result, Witness):
             break
         number = exact(result.value)
         assert 0 < number < 1

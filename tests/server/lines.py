@@ -12,7 +12,7 @@ import json
 from collections.abc import Callable
 
 from uoarm.errors import ControlMessageError, UoarmError
-from uoarm.model import Spending
+from uoarm.model import BudgetUse
 from uoarm.server.front_end import (
     TEXT_FORM,
     Backend,
@@ -62,7 +62,7 @@ class Lines:
     def octets(self, frame: str | bytes) -> int:
         return len(frame)
 
-    def decode(self, frame: str | bytes, spending: Spending) -> tuple[Callable[[], None], int]:
+    def decode(self, frame: str | bytes, spending: BudgetUse) -> tuple[Callable[[], None], int]:
         try:
             verb, name, text = [*str(frame).split(" ", 2), "", ""][:3]
             message = read_text(text, spending) if text else None

@@ -23,7 +23,7 @@ from websockets.typing import Subprotocol
 
 from uoarm import RobotManager
 from uoarm._wire import protocol_schema, read_binary, write_binary
-from uoarm.model import Budget, ConnectionState, Spending
+from uoarm.model import Budget, BudgetUse, ConnectionState
 from uoarm.testing import patience, wait
 
 SECONDS = patience()
@@ -157,7 +157,7 @@ class Talk:
         frame = self.socket.recv(timeout=SECONDS)
         assert isinstance(frame, bytes) == self.binary
         if isinstance(frame, bytes):
-            report = read_binary(frame, Spending(Budget()))
+            report = read_binary(frame, BudgetUse(Budget()))
         else:
             report = json.loads(frame)
         REPORTS[report["op"]].validate(report)

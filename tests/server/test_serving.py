@@ -33,7 +33,7 @@ from uoarm import RobotManager
 from uoarm.cli import _serve
 from uoarm.errors import ConfigurationError
 from uoarm.server import Limits, Server, ServerOptions, fingerprint_of, run, serve_in_thread
-from uoarm.testing import Census, patience, wait
+from uoarm.testing import ResourceSnapshot, patience, wait
 
 ROOT = Path(__file__).parents[2]
 PATIENT = Path(__file__).parent / "patient"
@@ -249,10 +249,10 @@ def test_a_server_whose_start_hangs_is_an_error_and_leaves_no_thread(
 
     monkeypatch.setattr(Server, "start", hang)
     monkeypatch.setattr("uoarm.server._running._START_SECONDS", 0.01)
-    census = Census()
+    snapshot = ResourceSnapshot()
     with pytest.raises(TimeoutError, match="does not listen"):
         serve_in_thread(robot, ServerOptions(port=0)).__enter__()
-    census.check()
+    snapshot.check()
 
 
 def test_a_server_that_does_not_end_is_reported(

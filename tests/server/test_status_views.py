@@ -11,7 +11,7 @@ from tests.server.test_role_views import ALL, BLIND, GUEST, ROBOT, STATUS
 
 from uoarm._wire import BINARY_FORM, TEXT_FORM, Form, read_binary, read_text
 from uoarm.client._client import _merged_status
-from uoarm.model import Budget, RouteStatus, Spending, StatusMap, to_json
+from uoarm.model import Budget, BudgetUse, RouteStatus, StatusMap, to_json
 from uoarm.server.access import AccessRole, RoleViews
 from uoarm.server.session._views import StatusQuestion, StatusViews, visible_status
 from uoarm.testing import ManualClock
@@ -33,7 +33,7 @@ class Robot:
     ) -> dict[str, Any]:
         question = StatusQuestion(role, form, since)
         report = form.map_of(self.views.make([question])[question].fields)
-        spending = Spending(Budget())
+        spending = BudgetUse(Budget())
         found: Any = (
             read_text(report.decode(), spending) if form.text else read_binary(report, spending)
         )

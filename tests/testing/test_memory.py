@@ -16,10 +16,10 @@ from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, Resolut
 from uoarm.model import Endpoint, Health, MessageStructure, Role
 from uoarm.testing import (
     Background,
-    Census,
     Collector,
     ManualClock,
     MemoryBridge,
+    ResourceSnapshot,
     hanging,
     instances,
     lying,
@@ -236,8 +236,8 @@ def test_a_manual_clock_moves_forward_only() -> None:
         clock.advance(-1)
 
 
-def test_a_census_does_not_wait_for_threads_that_python_did_not_start() -> None:
-    census = Census()
+def test_a_snapshot_does_not_wait_for_threads_that_python_did_not_start() -> None:
+    snapshot = ResourceSnapshot()
     known, gate = threading.Event(), threading.Event()
 
     def call_into_python() -> None:
@@ -247,20 +247,20 @@ def test_a_census_does_not_wait_for_threads_that_python_did_not_start() -> None:
 
     _thread.start_new_thread(call_into_python, ())
     assert known.wait(patience())
-    census.check()
+    snapshot.check()
     gate.set()
 
 
-def test_a_census_names_the_threads_that_stay() -> None:
-    census = Census()
+def test_a_snapshot_names_the_threads_that_stay() -> None:
+    snapshot = ResourceSnapshot()
     with hanging(MemoryBridge(), "_close") as hang:
         Background(hang.wait)
         with pytest.raises(AssertionError, match="uoarm-test"):
-            census.check(timeout=0.02)
-    census.check()
+            snapshot.check(timeout=0.02)
+    snapshot.check()
 
 
-def test_a_census_waits_for_a_thread_that_is_about_to_begin() -> None:
+def test_a_snapshot_waits_for_a_thread_that_is_about_to_begin() -> None:
     gate = threading.Event()
 
     class Late(threading.Thread):
@@ -270,22 +270,22 @@ def test_a_census_waits_for_a_thread_that_is_about_to_begin() -> None:
             assert gate.wait(patience())
             super()._bootstrap()  # type: ignore[misc]  # every version of Python calls it so
 
-    census = Census()
+    snapshot = ResourceSnapshot()
     late = Late(target=int, name="late")
     begins = threading.Thread(target=late.start)
     begins.start()
     wait(lambda: late in threading.enumerate())
     with pytest.raises(AssertionError, match=r"left over: .*late"):
-        census.check(timeout=0.02)
+        snapshot.check(timeout=0.02)
     gate.set()
-    census.check()
+    snapshot.check()
 
 
-def test_a_census_counts_the_descriptors_that_stay() -> None:
-    census = Census()
+def test_a_snapshot_counts_the_descriptors_that_stay() -> None:
+    snapshot = ResourceSnapshot()
     with open(__file__), pytest.raises(AssertionError, match="1 file descriptors"):  # noqa: PTH123
-        census.check(timeout=0.0)
-    census.check()
+        snapshot.check(timeout=0.0)
+    snapshot.check()
 
 
 def test_a_collector_sees_deliveries_that_overlap() -> None:

@@ -21,7 +21,7 @@ from uoarm._wire._forms import (
     salvage_id,
 )
 from uoarm.errors import ControlMessageError
-from uoarm.model import Budget, Spending
+from uoarm.model import Budget, BudgetUse
 
 
 def test_the_protocol_schema_is_a_schema_and_has_every_operation() -> None:
@@ -85,35 +85,35 @@ def test_only_an_id_that_can_be_sent_back_is_salvaged(identity: object) -> None:
 @pytest.mark.parametrize("frame", ["", "{", "42", "[]", "null", "{{{", "NaN", b"{}", '{"a":1}x'])
 def test_text_that_is_no_object_is_refused(frame: str | bytes) -> None:
     with pytest.raises(ControlMessageError):
-        TEXT_FORM.read(frame, Spending(Budget()))
+        TEXT_FORM.read(frame, BudgetUse(Budget()))
 
 
 @pytest.mark.parametrize("frame", ["{}", b"", b"\x01", b"\x80", b"\xff"])
 def test_binary_that_is_no_map_is_refused(frame: str | bytes) -> None:
     with pytest.raises(ControlMessageError):
-        BINARY_FORM.read(frame, Spending(Budget()))
+        BINARY_FORM.read(frame, BudgetUse(Budget()))
 
 
 @pytest.mark.parametrize("frame", ["{" * 5000, "[" * 1_000_000, '{"a":' * 100_000, '"' + "\\" * 99])
 def test_deep_nesting_costs_little_and_is_refused(frame: str) -> None:
     started = time.thread_time()
     with pytest.raises(ControlMessageError):
-        TEXT_FORM.read(frame, Spending(Budget()))
+        TEXT_FORM.read(frame, BudgetUse(Budget()))
     assert time.thread_time() - started < 5  # rosbridge needs for ever; this some milliseconds
 
 
 def test_nesting_is_allowed_up_to_the_limit_and_brackets_in_text_are_none() -> None:
     nested = '{"a":' + "[" * 63 + "]" * 63 + ',"b":"' + "[{" * 100 + '\\""}'
-    assert "a" in TEXT_FORM.read(nested, Spending(Budget()))
+    assert "a" in TEXT_FORM.read(nested, BudgetUse(Budget()))
     with pytest.raises(ControlMessageError, match="64 levels"):
-        TEXT_FORM.read(nested.replace("[]", "[[]]"), Spending(Budget()))
+        TEXT_FORM.read(nested.replace("[]", "[[]]"), BudgetUse(Budget()))
 
 
 @pytest.mark.parametrize("form", FORMS.values(), ids=lambda form: form.name)
 def test_data_is_an_ordinary_control_message(form: Form) -> None:
     message = {"a": [1, 2.5], "b": None, "c": "x"}
     written = form.write_data("c1", 7, message)
-    read = form.read(written.decode() if form.text else written, Spending(Budget()))
+    read = form.read(written.decode() if form.text else written, BudgetUse(Budget()))
     assert read == {"op": "Data", "type": "c1", "x-number": 7, "jsonMessage": message}
     schema = {**protocol_schema(), "$ref": "#/$defs/server.Data"}
     Draft202012Validator(schema).validate(read)

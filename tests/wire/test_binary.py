@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 
 from uoarm._wire._binary import _ENCODERS, _encode_other, read_binary, scan_cbor, write_binary
 from uoarm.errors import ControlMessageError, MessageError
-from uoarm.model import Budget, Spending
+from uoarm.model import Budget, BudgetUse
 
 values = st.recursive(
     st.none()
@@ -34,7 +34,7 @@ values = st.recursive(
 
 
 def read(data: bytes, depth: int = 64) -> Any:
-    return read_binary(data, Spending(Budget(depth=depth)))
+    return read_binary(data, BudgetUse(Budget(depth=depth)))
 
 
 @given(values)
@@ -212,26 +212,26 @@ def test_what_dimensions_make_counts_as_depth() -> None:
 )
 def test_elements_are_counted(data: bytes) -> None:
     with pytest.raises(ControlMessageError, match="more than 999 values"):
-        read_binary(data, Spending(Budget(elements=999)))
-    read_binary(data, Spending(Budget(elements=4000)))
+        read_binary(data, BudgetUse(Budget(elements=999)))
+    read_binary(data, BudgetUse(Budget(elements=4000)))
 
 
 @given(values, st.integers(1, 40))
 def test_the_scan_counts_no_less_than_there_is(value: object, elements: int) -> None:
-    spending = Spending(Budget(elements=10_000))
+    spending = BudgetUse(Budget(elements=10_000))
     read_binary(write_binary(value), spending)
-    scanned = Spending(Budget(elements=10_000))
+    scanned = BudgetUse(Budget(elements=10_000))
     scan_cbor(write_binary(value), scanned)
     assert scanned.elements >= spending.elements
     if scanned.elements > elements:
         with pytest.raises(ControlMessageError, match="more than"):
-            scan_cbor(write_binary(value), Spending(Budget(elements=elements)))
+            scan_cbor(write_binary(value), BudgetUse(Budget(elements=elements)))
 
 
 @given(st.binary(max_size=60))
 def test_any_bytes_have_a_scan(data: bytes) -> None:
     with contextlib.suppress(ControlMessageError):
-        scan_cbor(data, Spending(Budget(elements=20)))
+        scan_cbor(data, BudgetUse(Budget(elements=20)))
 
 
 def test_integers_are_bounded_before_they_are_made() -> None:

@@ -18,7 +18,7 @@ from jsonschema import Draft202012Validator
 from uoarm._wire._text import make_reader, read_text, text_schema, write_text
 from uoarm.errors import ControlMessageError, MessageError
 from uoarm.local import Range
-from uoarm.model import Budget, Spending
+from uoarm.model import Budget, BudgetUse
 
 OCTETS = {
     "type": "array",
@@ -73,7 +73,7 @@ anything = st.recursive(
 @given(anything, st.booleans())
 def test_json_is_read_exactly(value: object, spaced: bool) -> None:
     text = json.dumps(value, ensure_ascii=False, separators=(" , ", " : ") if spaced else None)
-    read = read_text(text, Spending(Budget()))
+    read = read_text(text, BudgetUse(Budget()))
     assert repr(read) == repr(json.loads(text))
 
 
@@ -83,7 +83,7 @@ def test_a_name_that_is_given_twice_is_refused(value: object, name: str, deep: b
     text = f'{{{key}: {inner}, "other : ": ":", {key} :{inner}}}'
     text = f'[1, {{"a": [{text}]}}]' if deep else text
     with pytest.raises(ControlMessageError, match="is given twice in one object"):
-        read_text(text, Spending(Budget()))
+        read_text(text, BudgetUse(Budget()))
 
 
 @pytest.mark.parametrize(
@@ -100,7 +100,7 @@ def test_a_name_that_is_given_twice_is_refused(value: object, name: str, deep: b
 )
 def test_what_no_form_has_is_refused_beside_a_wide_number_too(text: str, why: str) -> None:
     with pytest.raises(ControlMessageError, match=why):
-        read_text(text, Spending(Budget()))
+        read_text(text, BudgetUse(Budget()))
 
 
 def same(left: object, right: object) -> bool:

@@ -17,13 +17,13 @@ from uoarm_foxglove._protocol import (
 )
 
 from uoarm.errors import ControlMessageError
-from uoarm.model import Budget, Spending
+from uoarm.model import Budget, BudgetUse
 
 NUMBERS = st.integers(0, 2**32 - 1)
 
 
 def read(frame: str | bytes, **budget: int) -> ClientFrame:
-    return read_frame(frame, Spending(Budget(**budget)))
+    return read_frame(frame, BudgetUse(Budget(**budget)))
 
 
 @given(number=NUMBERS, payload=st.binary())

@@ -13,7 +13,7 @@ import pytest
 from lines import LIMIT, listening
 from rigs import QUICK, Events, bridged, endpoint, served
 from test_faults import Scripted
-from uoarm_rocos import LengthFramer, TcpTransport, Wire, XmlCodec
+from uoarm_rocos import LengthFramer, LineParts, TcpTransport, XmlCodec
 from uoarm_rocos._bridge import RocosBridge
 from uoarm_rocos._catalogue import CallMessage, CloseMessage, ResultMessage, WireMessage
 from uoarm_rocos._options import RocosOptions
@@ -64,7 +64,7 @@ class Sipping(TcpTransport):
 
 
 @contextmanager
-def made(wire: Wire) -> Iterator[Bridge]:
+def made(wire: LineParts) -> Iterator[Bridge]:
     options = {"devices": {"robot": {**QUICK, "url": "tcp://of.the.wire:1"}}}
     bridge = RocosBridge("rocos", RocosOptions.of(options), lambda _: wire)
     try:
@@ -78,7 +78,9 @@ def test_a_prompt_line_is_written_and_read_by_who_calls(is_prompt: bool) -> None
     codec, here = NotingCodec(), threading.current_thread()
     with served(SimulatedRobot()) as url:
         port = int(url.rpartition(":")[2])
-        wire = Wire(lambda: TcpTransport("127.0.0.1", port), LengthFramer, codec, prompt=is_prompt)
+        wire = LineParts(
+            lambda: TcpTransport("127.0.0.1", port), LengthFramer, codec, prompt=is_prompt
+        )
         with made(wire) as bridge:
             bridge.describe(ECHO)
             for _ in range(50):  # some are read by the line's own thread, if that is quicker
@@ -112,7 +114,7 @@ def test_a_call_ends_in_its_time_though_the_line_takes_nothing() -> None:
     with listening() as (listener, port):
         transport = Sipping(port)
         transport.may_go_on.set()
-        wire = Wire(lambda: transport, LengthFramer, XmlCodec(), prompt=True)
+        wire = LineParts(lambda: transport, LengthFramer, XmlCodec(), prompt=True)
         with made(wire) as bridge, ThreadPoolExecutor(1) as pool:
             described = pool.submit(bridge.describe, ECHO, timeout=LIMIT)
             device = Scripted(listener.accept()[0])

@@ -25,7 +25,7 @@ from uoarm_rocos.simulate import (
     Oximeter,
     Person,
     PtyEnd,
-    Story,
+    Scenario,
     TcpEnd,
 )
 
@@ -49,7 +49,7 @@ def wait_open(bridge: Any, name: str) -> None:
 @pytest.mark.parametrize(("driver", "kind"), OXIMETERS)
 def test_an_oximeter_says_finger_out_then_searching_then_numbers(driver: str, kind: str) -> None:
     person = Person(pulse=60, spo2=95)
-    oximeter = Oximeter(kind, person, Story(finger_in=2.5 * slowness(), found=2.0))
+    oximeter = Oximeter(kind, person, Scenario(finger_in=2.5 * slowness(), found=2.0))
     got = Events()
     with (
         running(oximeter, PtyEnd(fresh_link())) as url,

@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 
 from rigs import running
-from uoarm_rocos.simulate import Oximeter, Story, TcpEnd
+from uoarm_rocos.simulate import Oximeter, Scenario, TcpEnd
 
 from uoarm.config import inspect
 
@@ -25,7 +25,7 @@ def plotted(file: Path, seconds: float) -> subprocess.CompletedProcess[str]:
 
 
 def test_the_pulse_is_drawn_with_its_numbers(tmp_path: Path) -> None:
-    with running(Oximeter("contec", story=Story(found=0.0)), TcpEnd()) as url:
+    with running(Oximeter("contec", scenario=Scenario(found=0.0)), TcpEnd()) as url:
         file = tmp_path / "robot.yaml"
         given = (EXAMPLE / "robot.yaml").read_text()
         file.write_text(given.replace("127.0.0.1:7200", url.removeprefix("tcp://")))

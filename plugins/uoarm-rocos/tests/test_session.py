@@ -17,7 +17,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from lines import LIMIT, listening
 from rigs import endpoint
-from uoarm_rocos import DeviceOptions, LengthFramer, TcpTransport, Wire, WireError, bridge_type
+from uoarm_rocos import DeviceOptions, LengthFramer, LineParts, TcpTransport, WireError, bridge_type
 from uoarm_rocos._catalogue import (
     CallMessage,
     CatalogueMessage,
@@ -108,9 +108,9 @@ def test_codec_framer_and_transport_may_be_others() -> None:
         thread = threading.Thread(target=serve_json, args=(listener,))
         thread.start()
 
-        def wire(options: object) -> Wire:
+        def wire(options: object) -> LineParts:
             del options
-            return Wire(lambda: TcpTransport("127.0.0.1", port), LengthFramer, JsonCodec())
+            return LineParts(lambda: TcpTransport("127.0.0.1", port), LengthFramer, JsonCodec())
 
         registry = Registry([])
         registry.add(bridge_type("vendor", "a vendor's devices", wire))

@@ -16,11 +16,11 @@ from uoarm_rocos.simulate import (
     LineFaults,
     Oximeter,
     Person,
+    Scenario,
     SimulatedRobot,
-    Story,
     TcpEnd,
 )
-from uoarm_rocos.simulate._run import _Way
+from uoarm_rocos.simulate._run import _FaultyTransport
 
 
 def test_the_pulse_wave_has_the_persons_rate_and_keeps_its_bounds() -> None:
@@ -55,7 +55,7 @@ def test_apnoea_lowers_the_saturation_and_lets_it_recover() -> None:
 
 
 def test_an_oximeter_sends_sixty_frames_a_second_and_skips_what_is_long_past() -> None:
-    oximeter = Oximeter("contec", story=Story(found=0.0))
+    oximeter = Oximeter("contec", scenario=Scenario(found=0.0))
     oximeter.begin(100.0)
     frames = oximeter.step(101.0)
     assert len(frames) == 60
@@ -115,9 +115,9 @@ class _Sent:
         self.frames.append(data)
 
 
-def sent_with(faults: LineFaults, count: int) -> tuple[list[bytes], _Way, _Sent]:
+def sent_with(faults: LineFaults, count: int) -> tuple[list[bytes], _FaultyTransport, _Sent]:
     end = _Sent()
-    way = _Way(end, faults)  # type: ignore[arg-type]  # an end of which only write is used
+    way = _FaultyTransport(end, faults)  # type: ignore[arg-type]  # an end of which only write is used
     for number in range(count):
         way.send([bytes([number] * 10)], float(number))
     return end.frames, way, end

@@ -24,7 +24,7 @@ from uoarm_ros1._xmlrpc import decode_call, encode_reply, http_reply
 from uoarm.bridge import Bridge
 from uoarm.errors import BridgeError
 from uoarm.model import Health, MessageStructure
-from uoarm.testing import Census, Collector, patience, slowness, wait
+from uoarm.testing import Collector, ResourceSnapshot, patience, slowness, wait
 
 INT = "std_msgs/Int32"
 ANY = MessageStructure(True)
@@ -401,10 +401,10 @@ def test_a_thousand_publishers_that_come_and_are_killed_leave_nothing_behind(
                         collector.wait(number + 1, patience())
 
             come_and_go(0)
-            census = Census()
+            snapshot = ResourceSnapshot()
             for number in range(1, 1001):
                 come_and_go(number)
-            census.check(patience())
+            snapshot.check(patience())
 
 
 def test_more_publishers_than_there_is_room_for_are_left_out(master: Master) -> None:

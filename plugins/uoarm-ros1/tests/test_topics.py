@@ -23,7 +23,7 @@ from uoarm.bridge import Bridge, Source
 from uoarm.config import loads
 from uoarm.errors import BridgeError, FailureReason
 from uoarm.model import Endpoint, Health, MessageStructure
-from uoarm.testing import Census, Collector, patience, same, slowness, wait
+from uoarm.testing import Collector, ResourceSnapshot, patience, same, slowness, wait
 
 INT = "std_msgs/Int32"
 SIZES = (("many", "[]"), ("three", "[3]"))
@@ -481,10 +481,10 @@ def test_connections_and_kills_leave_nothing_behind(master: Master, lasting: Pee
             source.close()
 
         cycle()
-        census = Census()
+        snapshot = ResourceSnapshot()
         for _ in range(100):
             cycle()
-        census.check(patience())
+        snapshot.check(patience())
 
 
 def test_a_thousand_connections_and_kills_leave_nothing_behind(master: Master) -> None:
@@ -492,7 +492,7 @@ def test_a_thousand_connections_and_kills_leave_nothing_behind(master: Master) -
         sink = bridge.open_sink(input_("/kills", INT, peer="optional", latch=True), ANY)
         sink.send({"data": 1})
         node: Node = bridge._node  # type: ignore[attr-defined]  # of this bridge
-        census = Census()
+        snapshot = ResourceSnapshot()
         for number in range(1000):
             host, port = node._api.host, node._api.port
             with socket.create_connection((host, port)) as connection:
@@ -507,7 +507,7 @@ def test_a_thousand_connections_and_kills_leave_nothing_behind(master: Master) -
                 # Ended by a reset, as by a process that is killed with octets unread.
                 connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, b"\1\0\0\0\0\0\0\0")
         wait(lambda: not sink.facts()["subscribers"], "connections are left", patience())
-        census.check(patience())
+        snapshot.check(patience())
 
 
 def test_a_link_moves_octets_without_reading_them(master: Master, lasting: Peer) -> None:

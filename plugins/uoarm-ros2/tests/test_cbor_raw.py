@@ -23,7 +23,7 @@ from uoarm import RobotManager
 from uoarm._wire import read_binary
 from uoarm.cdr import Codec
 from uoarm.config import loads
-from uoarm.model import Budget, Spending
+from uoarm.model import Budget, BudgetUse
 from uoarm.server import ServerOptions, serve_in_thread
 from uoarm.testing import patience
 
@@ -72,7 +72,7 @@ def test_a_picture_of_ros_2_comes_out_as_ros_2_has_it(peer: Callable[..., Peer])
         doer.do("publish", topic="/raw/pictures", count=1, first=7, size=SIZE)
         frame = client.recv(timeout=patience())
     assert isinstance(frame, bytes)
-    report: Any = read_binary(frame, Spending(Budget(depth=8)))
+    report: Any = read_binary(frame, BudgetUse(Budget(depth=8)))
     picture: Any = deserialize_message(report["msg"]["bytes"], Image)
     assert (picture.height, picture.step) == (7, SIZE)
     assert bytes(picture.data) == bytes(SIZE)

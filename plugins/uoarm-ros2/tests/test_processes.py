@@ -22,7 +22,7 @@ from uoarm_ros2._middleware._wait_set import WaitSet
 from uoarm.bridge import Bridge, Sink
 from uoarm.errors import BridgeError, FailureReason
 from uoarm.model import Role
-from uoarm.testing import Background, Census, patience, wait
+from uoarm.testing import Background, ResourceSnapshot, patience, wait
 
 Make = Callable[..., Bridge]
 Start = Callable[..., Peer]
@@ -224,11 +224,11 @@ def test_five_hundred_openings_leave_nothing_behind(make_bridge: Make) -> None:
 
     for _ in range(50):
         cycle()
-    census, memory = Census(), _resident()
+    snapshot, memory = ResourceSnapshot(), _resident()
     for _ in range(500):
         cycle()
     assert bridge.open_channels == 0
-    census.check()
+    snapshot.check()
     assert _resident() - memory < 500 * 8_000
 
 
@@ -264,12 +264,12 @@ def test_wait_sets_are_built_only_when_something_comes_or_goes(
 
 def test_bridges_come_and_go_without_a_trace(make_bridge: Make) -> None:
     make_bridge("first").close()
-    census = Census()
+    snapshot = ResourceSnapshot()
     for number in range(50):
         bridge = make_bridge(f"number_{number}")
         sink(bridge, endpoint(Role.INPUT, "/x", INT64, peer="optional", wait=0.0))
         bridge.close()
-    census.check()
+    snapshot.check()
 
 
 def test_a_bridge_closes_in_time_while_messages_flow_both_ways(

@@ -21,7 +21,7 @@ from uoarm_ros2._middleware import NodeRunner, _native
 from uoarm.bridge import Bridge
 from uoarm.errors import BridgeError, FailureReason, MessageError
 from uoarm.model import CommandPolicy, Health, Role, StopMessage
-from uoarm.testing import Background, Census, Collector, patience, slowness, wait
+from uoarm.testing import Background, Collector, ResourceSnapshot, patience, slowness, wait
 
 Make = Callable[..., Bridge]
 Start = Callable[..., Peer]
@@ -730,13 +730,13 @@ def test_a_thousand_openings_while_messages_flow_leave_nothing(
             out.close()
 
     turns(1)
-    census = Census()
+    snapshot = ResourceSnapshot()
     talker.start("publish", topic="/coming", count=10_000_000, period=0.001, unmatched=True)
     for working in [Background(partial(turns, 125)) for _ in range(4)]:
         working.result(20 * patience())
     assert came.messages
     assert bridge.open_channels == 0
-    census.check()
+    snapshot.check()
 
 
 def test_a_native_link_passes_bytes_between_topics(bridge: Bridge, peer: Start) -> None:

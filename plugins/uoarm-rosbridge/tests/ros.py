@@ -13,7 +13,7 @@ from websockets.frames import Frame, Opcode
 from websockets.sync.client import ClientConnection, connect
 
 from uoarm import RobotManager
-from uoarm.model import Budget, ConnectionState, Spending
+from uoarm.model import Budget, BudgetUse, ConnectionState
 from uoarm.server import Server
 from uoarm.server.front_end import read_binary
 from uoarm.testing import patience, wait
@@ -42,7 +42,7 @@ class Ros:
     def receive(self) -> dict[str, Any]:
         frame = self.socket.recv(timeout=SECONDS)
         if isinstance(frame, bytes):
-            reports = read_binary(frame, Spending(Budget()))
+            reports = read_binary(frame, BudgetUse(Budget()))
         else:
             reports = json.loads(frame)
         assert isinstance(reports, dict)

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from brokers import Broker
 from uoarm_mqtt.connection import PayloadCodec
-from uoarm_vda5050._channels import Follower, call
+from uoarm_vda5050._channels import VehicleFollower, call
 from uoarm_vda5050._health import Presence
 from uoarm_vda5050._messages import check_of
 from uoarm_vda5050._orders import Order
@@ -137,7 +137,7 @@ def test_a_state_that_lacks_what_the_rules_need_is_unreadable_and_the_next_is_ta
     codec: Any = SimpleNamespace(split=lambda payload: ({}, json.loads(payload)))
     link: Any = SimpleNamespace(subscribe=lambda _: None, unsubscribe=lambda _: None)
     reports: list[tuple[Health, str]] = []
-    follower = Follower(
+    follower = VehicleFollower(
         link, "v2/m/s", TransportState(release), patience(), {"state": codec},
         lambda *one: reports.append(one),
     )  # fmt: skip
@@ -167,7 +167,7 @@ def test_a_call_that_is_given_up_says_which_states_came_and_could_not_be_read() 
         "order": PayloadCodec("json", BUDGET),
         "instantActions": PayloadCodec("json", BUDGET),
     }
-    follower = Follower(
+    follower = VehicleFollower(
         link, "v2/m/s", TransportState(release), patience(), codecs, lambda *_: None
     )  # fmt: skip
     try:
@@ -203,7 +203,7 @@ def test_silence_is_distinguished_from_states_that_cannot_be_read() -> None:
     codec: Any = SimpleNamespace(split=lambda payload: ({}, json.loads(payload)))
     link: Any = SimpleNamespace(unsubscribe=lambda _: None)
     reports: list[tuple[Health, str]] = []
-    follower = Follower(
+    follower = VehicleFollower(
         link, "v2/m/s", TransportState(RELEASES["2.1"]), 0.2, {"state": codec},
         lambda *report: reports.append(report),
     )  # fmt: skip
@@ -240,7 +240,7 @@ def test_an_order_that_the_client_fails_to_send_is_rejected_and_the_next_state_i
 
     codec: Any = SimpleNamespace(split=split, encode=lambda _: b"")
     codecs = dict.fromkeys(("order", "instantActions", "state"), codec)
-    follower = Follower(
+    follower = VehicleFollower(
         link, "v2/m/s", TransportState(release), patience(), codecs, lambda *_: None
     )
     received: list[Any] = []

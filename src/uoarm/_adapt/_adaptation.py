@@ -8,8 +8,8 @@ from typing import Any, TypeAlias
 from attrs import frozen
 
 from uoarm._adapt._mapping import (
+    ArrayMapping,
     Clamp,
-    Each,
     Mapped,
     MappingEntry,
     Path,
@@ -229,8 +229,8 @@ def _object(entries: tuple[MappingEntry, ...], source: Structure) -> tuple[Any, 
     return schema, build_object(makers)
 
 
-def _value(value: Mapped | Each, source: Structure) -> tuple[SchemaField, Maker]:
-    if isinstance(value, Each):
+def _value(value: Mapped | ArrayMapping, source: Structure) -> tuple[SchemaField, Maker]:
+    if isinstance(value, ArrayMapping):
         return _each(value, source)
     if value.source is None:
         return SchemaField({"const": value.const}, always=True), constant(value.const)
@@ -250,7 +250,7 @@ def _value(value: Mapped | Each, source: Structure) -> tuple[SchemaField, Maker]
     return SchemaField(schema, always), mapped(value, table, clamp)
 
 
-def _each(value: Each, source: Structure) -> tuple[SchemaField, Maker]:
+def _each(value: ArrayMapping, source: Structure) -> tuple[SchemaField, Maker]:
     field = source.at(value.source)
     where = write_path(value.source)
     array = source.plain(field.schema, where)
@@ -359,7 +359,7 @@ def _losses(entries: tuple[MappingEntry, ...], source: Structure, prefix: str = 
             continue
         waiting.extend(((*path, name), child) for name, child in fields.items())
     for entry in entries:
-        if isinstance(entry.value, Each):
+        if isinstance(entry.value, ArrayMapping):
             array = source.plain(source.at(entry.value.source).schema, "")
             inner = Structure(array["items"], source.definitions)
             where = f"{prefix}{write_path(entry.value.source)}[]."

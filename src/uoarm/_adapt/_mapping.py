@@ -12,8 +12,8 @@ from uoarm.errors import ConfigurationError
 from uoarm.model import MessageStructure
 
 __all__ = [
+    "ArrayMapping",
     "Clamp",
-    "Each",
     "Mapped",
     "MappingEntry",
     "MappingError",
@@ -70,7 +70,7 @@ class Mapped:
 
 
 @frozen
-class Each:
+class ArrayMapping:
     """An array made item by item from another."""
 
     source: Path
@@ -82,7 +82,7 @@ class MappingEntry:
     """A field of the consumer's message and where it comes from."""
 
     target: Path
-    value: Mapped | Each
+    value: Mapped | ArrayMapping
 
 
 def parse(mapping: Mapping[str, Any]) -> tuple[MappingEntry, ...]:
@@ -143,7 +143,7 @@ def _path(text: str, where: str, mistakes: list[str]) -> Path:
     return parts
 
 
-def _value(rule: Any, where: str, mistakes: list[str], depth: int) -> Mapped | Each | None:
+def _value(rule: Any, where: str, mistakes: list[str], depth: int) -> Mapped | ArrayMapping | None:
     if isinstance(rule, str):
         return Mapped(source=_path(rule, where, mistakes))
     if not isinstance(rule, Mapping):
@@ -165,12 +165,14 @@ def _value(rule: Any, where: str, mistakes: list[str], depth: int) -> Mapped | E
     return _from(rule, where, mistakes)
 
 
-def _each(rule: Mapping[str, Any], where: str, mistakes: list[str], depth: int) -> Each | None:
+def _each(
+    rule: Mapping[str, Any], where: str, mistakes: list[str], depth: int
+) -> ArrayMapping | None:
     if set(rule) != {"each", "map"} or not isinstance(rule["map"], Mapping):
         mistakes.append(f"{where}: each needs map, a mapping for every item, and nothing else")
         return None
     source = _path(str(rule["each"]), where, mistakes)
-    return Each(source, _entries(rule["map"], where, mistakes, depth + 1))
+    return ArrayMapping(source, _entries(rule["map"], where, mistakes, depth + 1))
 
 
 def _from(rule: Mapping[str, Any], where: str, mistakes: list[str]) -> Mapped | None:

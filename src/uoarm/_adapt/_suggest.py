@@ -61,7 +61,7 @@ def suggest(
     source, target = Structure(producer.schema), Structure(consumer.schema)
     try:
         mapping = _of_the_other_ros(source, target) or _draft(
-            source, target, _Likeness(source, target, left, meaning)
+            source, target, _FieldSimilarity(source, target, left, meaning)
         )
         if mapping is None:
             return ""
@@ -181,7 +181,7 @@ class _NoTimeError(Exception):
 
 
 @frozen
-class _Likeness:
+class _FieldSimilarity:
     """Says which field of the producer does for which of the consumer, as long as there is time."""
 
     source: Structure
@@ -202,7 +202,9 @@ class _Likeness:
         return off or not judge(producer, consumer, self.meaning.alike).differences
 
 
-def _draft(source: Structure, target: Structure, likeness: _Likeness) -> dict[str, Any] | None:
+def _draft(
+    source: Structure, target: Structure, similarity: _FieldSimilarity
+) -> dict[str, Any] | None:
     """Fill every field of the consumer that the producer's field of that name does not."""
     wanted = target.fields()
     if not wanted or len(wanted) > _MAX_FIELDS:
@@ -215,10 +217,10 @@ def _draft(source: Structure, target: Structure, likeness: _Likeness) -> dict[st
         if (
             same is not None
             and _is_same_unit(name, same, schema)
-            and likeness.accepts(same, schema)
+            and similarity.accepts(same, schema)
         ):
             continue
-        found = _best(name, schema, have, likeness)
+        found = _best(name, schema, have, similarity)
         if found is not None:
             mapping[name] = _entry(*found)
         elif (value := _only_value(schema)) is not None:
@@ -229,7 +231,7 @@ def _draft(source: Structure, target: Structure, likeness: _Likeness) -> dict[st
 
 
 def _best(
-    name: str, schema: Any, have: list[tuple[Path, Any]], likeness: _Likeness
+    name: str, schema: Any, have: list[tuple[Path, Any]], similarity: _FieldSimilarity
 ) -> tuple[Path, Conversion] | None:
     """Return the producer's field that fits best: by name, by likeness, or as the only one.
 
@@ -245,7 +247,7 @@ def _best(
         if by is None:
             continue
         # What fits only after it was converted is judged with the whole map.
-        if _is_numeric(item) if by.changes else likeness.accepts(item, schema):
+        if _is_numeric(item) if by.changes else similarity.accepts(item, schema):
             fitting[path] = by
     same = [path for path in fitting if path[-1] == name]
     if same:

@@ -60,7 +60,7 @@ class _Turn:
                 self.route.deliver(message)
 
 
-class _Standing:
+class _LastMessages:
     """The last messages of each writer, within bounds; the oldest go first.
 
     What one message of one writer holds is not counted: no more is kept than the newest message.
@@ -167,7 +167,7 @@ class Outlet:
         self.retains: bool | None = None
         self._turns: dict[Route, _Turn] = {}
         self._last: tuple[int, Message] = 0, None
-        self._standing = _Standing()
+        self._standing = _LastMessages()
         self.undelivered = 0
 
     @property
@@ -187,7 +187,7 @@ class Outlet:
         with self._lock:
             self.retains = retains
             if not retains:
-                self._turns, self._last, self._standing = {}, (0, None), _Standing()
+                self._turns, self._last, self._standing = {}, (0, None), _LastMessages()
                 return
             turns = tuple(self._turns.values())
             self._standing.limit(max(1, depth))

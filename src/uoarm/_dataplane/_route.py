@@ -12,7 +12,15 @@ from uoarm._raised import LimitedLog, contained, is_raised, text_of
 from uoarm.errors import CommandRefusedError, MessageError, UoarmError
 from uoarm.model import Deliver, Message, QueuePolicy, RouteStatus
 
-__all__ = ["SAMPLE_EVERY", "Clock", "Consumer", "Judge", "MessageCheck", "Route", "Watched"]
+__all__ = [
+    "SAMPLE_EVERY",
+    "Clock",
+    "Consumer",
+    "Judge",
+    "MessageCheck",
+    "ObservedComponent",
+    "Route",
+]
 
 Clock = Callable[[], float]
 """Returns a monotonic clock, in seconds."""
@@ -28,7 +36,7 @@ _LOSSES = frozenset({"queue-full", "queue-octets", "blocked-too-long"})
 _log = logging.getLogger("uoarm")
 
 
-class Watched(Protocol):
+class ObservedComponent(Protocol):
     """A component, as far as the data plane knows it."""
 
     @property
@@ -40,7 +48,7 @@ class Consumer(Protocol):
     """Called by a route with what became of messages, so that the right part is blamed."""
 
     @property
-    def component(self) -> Watched:
+    def component(self) -> ObservedComponent:
         """Whose messages they are."""
 
     def took(self) -> None:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 from attrs import define, field
 
 from uoarm._dataplane._compiled_check import Accepts, compile_check
-from uoarm._dataplane._route import SAMPLE_EVERY, MessageCheck, Watched
+from uoarm._dataplane._route import SAMPLE_EVERY, MessageCheck, ObservedComponent
 from uoarm._mistakes import mistakes
 from uoarm._spelling import Speller
 from uoarm._support.yaml import Path, clip
@@ -34,7 +34,7 @@ class Producer(Protocol):
     """Takes what a check found, so that the component that gave a mismatch is judged by it."""
 
     @property
-    def component(self) -> Watched:
+    def component(self) -> ObservedComponent:
         """Whose messages they are; it says whether one that matches should be reported."""
 
     def took(self) -> None:

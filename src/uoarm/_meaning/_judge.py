@@ -137,7 +137,7 @@ def judge(producer: Any, consumer: Any, alike: tuple[frozenset[str], ...] = ()) 
         alike: names of types that are declared to stand for the same.
     """
     walk = _Walk(producer, consumer, alike)
-    found = _Found()
+    found = _Findings()
     if _are_equal(producer, consumer):
         walk.find_unstated(producer, (), _NOTHING, found)
     else:
@@ -157,12 +157,12 @@ def _are_equal(one: Any, other: Any) -> bool:
 
 
 @define
-class _Found:
+class _Findings:
     differences: list[MeaningDifference] = field(factory=list)
     unstated: list[Path] = field(factory=list)
     notes: list[str] = field(factory=list)
 
-    def add(self, other: _Found) -> None:
+    def add(self, other: _Findings) -> None:
         self.differences += other.differences
         self.unstated += other.unstated
         self.notes += other.notes
@@ -183,7 +183,7 @@ class _Walk:
     pairs: int = 0
     referred: set[tuple[int, int, str]] = field(factory=set)
 
-    def find_unstated(self, schema: Any, path: Path, said: Said, found: _Found) -> None:
+    def find_unstated(self, schema: Any, path: Path, said: Said, found: _Findings) -> None:
         """Find what rests on shape alone in a schema of both sides, where nothing can differ."""
         if not (schema.__class__ is dict or isinstance(schema, Mapping)):
             return
@@ -214,7 +214,7 @@ class _Walk:
         mine: Said,
         theirs: Said,
         covered: bool,  # noqa: FBT001 - as above
-        found: _Found,
+        found: _Findings,
     ) -> None:
         """Compare two schemas and all within them."""
         # What is read from JSON is a dict, and recognised faster.
@@ -243,10 +243,10 @@ class _Walk:
             return
         for view in made:
             # A consumer with a choice takes a value as what agrees with it most.
-            best: _Found | None = None
+            best: _Findings | None = None
             for mapping in taken:
                 if len(made) == len(taken) == 1 or _may_be_alike(view, mapping):
-                    report = _Found()
+                    report = _Findings()
                     self._compare_views(view, mapping, path, mine, theirs, covered, report)
                     if best is None or len(report.differences) < len(best.differences):
                         best = report
@@ -261,7 +261,7 @@ class _Walk:
         mine: Said,
         theirs: Said,
         covered: bool,  # noqa: FBT001 - as in `compare`
-        found: _Found,
+        found: _Findings,
     ) -> None:
         if not (_WORDS_SAID.isdisjoint(one) and _WORDS_SAID.isdisjoint(other)):
             if "x-type" in one and "x-type" in other:
@@ -289,7 +289,7 @@ class _Walk:
         if _is_number(one) and _is_number(other):
             found.unstated.append(path)
 
-    def _compare_types(self, one: Said, other: Said, path: Path, found: _Found) -> bool | None:
+    def _compare_types(self, one: Said, other: Said, path: Path, found: _Findings) -> bool | None:
         """Say whether types are named that stand for the same; None: not on both sides."""
         mine, theirs = name_of_type(one.get("x-type")), name_of_type(other.get("x-type"))
         if not mine or not theirs:
@@ -339,7 +339,7 @@ class _Walk:
         return bases
 
 
-def _compare_constants(one: Any, other: Any, name: str, path: Path, found: _Found) -> None:
+def _compare_constants(one: Any, other: Any, name: str, path: Path, found: _Findings) -> None:
     """Compare the names that two definitions of one type have for values."""
     if one == other or not (isinstance(one, Mapping) and isinstance(other, Mapping)):
         return
@@ -368,7 +368,7 @@ def _with_own(around: Said, schema: Said) -> Said:
 
 
 def _compare_words(
-    one: Said, other: Said, here: Said, there: Said, path: Path, found: _Found
+    one: Said, other: Said, here: Said, there: Said, path: Path, found: _Findings
 ) -> None:
     """Compare words, which are plain texts, where one of the schemas itself says one."""
     for keyword, words in _WORDS.items():
@@ -381,7 +381,7 @@ def _compare_words(
             found.differences.append(MeaningDifference(path, sentence, *reports))
 
 
-def _compare_units(one: Said, path: Path, mine: Any, theirs: Any, found: _Found) -> None:
+def _compare_units(one: Said, path: Path, mine: Any, theirs: Any, found: _Findings) -> None:
     if mine == theirs or not (isinstance(mine, str) and isinstance(theirs, str)):
         return
     reports = f"x-unit {mine}", f"x-unit {theirs}"

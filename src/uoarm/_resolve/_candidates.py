@@ -42,7 +42,7 @@ _NOTHING_SEEN = ("discovery", "no bridge sees a component of that kind, role and
 
 
 @frozen
-class _Given:
+class _AvailableOutput:
     """What one function can feed inputs with.
 
     Attributes:
@@ -63,7 +63,7 @@ class _Feed:
     """What feeds an input: the function, and how; `rank` is less where it suits better."""
 
     rank: tuple[bool, bool, bool, bool]
-    given: _Given
+    given: _AvailableOutput
     adapted: Adapted
 
 
@@ -154,7 +154,7 @@ class _Matching:
         self._topic = topic
         self._proofs = proofs
         self._levels: dict[str, _Level] = {}
-        self._given: dict[str, list[_Given]] = {}
+        self._given: dict[str, list[_AvailableOutput]] = {}
         self._sources: dict[str, set[str]] = {}
         for component in robot.components():
             self._add_sources(component)
@@ -222,7 +222,7 @@ class _Matching:
         cause = f"it fits, but {_MOST_CANDIDATES} others do and rank before it"
         return found[:_MOST_CANDIDATES], [*passed, *((name(offer), cause) for offer in beyond)]
 
-    def _gives(self, function: Function) -> Iterator[_Given]:
+    def _gives(self, function: Function) -> Iterator[_AvailableOutput]:
         """Yield what a function can feed inputs with."""
         several: dict[str, list[tuple[MessageStructure, Endpoint]]] = {}
         for component in function.components:
@@ -253,12 +253,14 @@ class _Matching:
         reference: PortRef,
         names: Collection[str],
         ports: list[tuple[MessageStructure, Endpoint]],
-    ) -> _Given:
+    ) -> _AvailableOutput:
         structures = {structure.fingerprint: structure for structure, _ in ports}
         topics = {
             (end.bridge, self._topic(end)) for _, end in ports if self._topic(end) is not None
         }
-        return _Given(reference, frozenset(names), tuple(structures.values()), frozenset(topics))
+        return _AvailableOutput(
+            reference, frozenset(names), tuple(structures.values()), frozenset(topics)
+        )
 
     # Feeding.
 
@@ -393,7 +395,9 @@ class _Matching:
             return f"ambiguous: {', '.join(alike)} fit its input {name} equally well"
         return there[0]
 
-    def _adapted(self, given: _Given, wanted: MessageStructure, rules: Options) -> Adapted | None:
+    def _adapted(
+        self, given: _AvailableOutput, wanted: MessageStructure, rules: Options
+    ) -> Adapted | None:
         for structure in given.structures:
             adapted = self._proofs.adapted(structure, wanted, rules)
             if adapted is not None:
@@ -420,7 +424,7 @@ class _Matching:
 
 
 def _suits(
-    given: _Given, port: FoundPort, adapted: Adapted, place: tuple[str, object]
+    given: _AvailableOutput, port: FoundPort, adapted: Adapted, place: tuple[str, object]
 ) -> tuple[bool, bool, bool, bool]:
     is_exact = any(structure == port.message for structure in given.structures)
     is_named = port.endpoint.port in given.names

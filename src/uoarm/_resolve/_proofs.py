@@ -35,7 +35,7 @@ from uoarm.model import (
     ValidationMode,
 )
 
-__all__ = ["Adapted", "Fit", "Proofs", "command_mistakes", "lifetime_warnings"]
+__all__ = ["Adapted", "EdgeChecks", "Proofs", "command_mistakes", "lifetime_warnings"]
 
 T = TypeVar("T")
 
@@ -252,7 +252,7 @@ class _Key:
         )
 
 
-class Fit:
+class EdgeChecks:
     """Asks the catalogue and the edge check, each question once.
 
     Args:

@@ -11,7 +11,7 @@ from collections.abc import Callable, Collection, Mapping
 from attrs import frozen
 
 from uoarm._resolve._catalogue import EdgeCheck, StructureCatalogue
-from uoarm._resolve._proofs import Fit
+from uoarm._resolve._proofs import EdgeChecks
 from uoarm._resolve._search import Search
 from uoarm.config import fed_by
 from uoarm.errors import ResolutionError
@@ -50,7 +50,7 @@ class NoPlanError(ResolutionError):
 
 
 @frozen
-class _Kept:
+class _CachedPlan:
     """A plan, and the time from which on it must be sought anew."""
 
     plan: Plan
@@ -78,10 +78,10 @@ class Resolver:
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._functions = robot.functions
-        self._fit = Fit(catalogue, check_edge)
+        self._fit = EdgeChecks(catalogue, check_edge)
         self._budget = budget
         self._clock = clock
-        self._plans: dict[str, _Kept] = {}
+        self._plans: dict[str, _CachedPlan] = {}
         self._revision = 0
         self._lock = threading.Lock()
 
@@ -129,7 +129,7 @@ class Resolver:
             until = self._until(search.seconds_unavailable)
             with self._lock:
                 if revision == self._revision:
-                    self._plans[name] = _Kept(found, until)
+                    self._plans[name] = _CachedPlan(found, until)
         return found
 
     def invalidate(self, components: Collection[str]) -> None:

@@ -15,7 +15,7 @@ from collections.abc import Callable, Mapping
 from attrs import define, field
 
 from uoarm._resolve._catalogue import Structures
-from uoarm._resolve._proofs import Fit, command_mistakes, lifetime_warnings
+from uoarm._resolve._proofs import EdgeChecks, command_mistakes, lifetime_warnings
 from uoarm.errors import ResolutionError
 from uoarm.model import Component, Edge, Function, Input, Plan, Reason, Rejection, Step
 
@@ -73,7 +73,7 @@ class Search:
     def __init__(
         self,
         functions: Mapping[str, Function],
-        fit: Fit,
+        fit: EdgeChecks,
         excluded: frozenset[str],
         budget: int,
         clock: Callable[[], float],

@@ -166,18 +166,18 @@ class _Job(Generic[T]):
         return True
 
 
-class _Current(threading.local):
+class _CurrentJob(threading.local):
     job: _Job[Any] | None = None
 
 
-_current = _Current()
+_current = _CurrentJob()
 _workers = WorkerPool("uoarm-step")
 _hanging = _Hanging()
 
 
 def _forget_threads() -> None:
     global _workers, _current, _hanging
-    _workers, _current, _hanging = WorkerPool("uoarm-step"), _Current(), _Hanging()
+    _workers, _current, _hanging = WorkerPool("uoarm-step"), _CurrentJob(), _Hanging()
 
 
 os.register_at_fork(after_in_child=_forget_threads)

@@ -8,8 +8,8 @@ from collections.abc import Iterator, Sequence
 from uoarm._types._shape import (
     Array,
     Literals,
-    Named,
     Plain,
+    RecordReference,
     RecordShape,
     RobotTypes,
     Shape,
@@ -62,7 +62,7 @@ def write_python(robot: RobotTypes) -> str:
         lines += ["", "", *_record(record, hiding)]
     lines += ["", ""]
     for root in robot.roots:
-        if root.shape != Named(root.name):
+        if root.shape != RecordReference(root.name):
             text = f"{root.name}: TypeAlias = {_type(root.shape)}"
             lines.append(text + _comment(notes_of(root.shape)))
     lines += ["", "", *_robot(robot)]
@@ -108,7 +108,7 @@ def _type(shape: Shape) -> str:
             return f"dict[str, {_type(shape.values)}]"
         case Union():
             return " | ".join(dict.fromkeys(_type(part) for part in shape.parts))
-        case Named():
+        case RecordReference():
             return shape.name
 
 

@@ -16,8 +16,8 @@ __all__ = [
     "Array",
     "FunctionTypes",
     "Literals",
-    "Named",
     "Plain",
+    "RecordReference",
     "RecordShape",
     "RobotTypes",
     "Root",
@@ -90,13 +90,13 @@ class Union:
 
 
 @frozen
-class Named:
+class RecordReference:
     """A record, by its name."""
 
     name: str
 
 
-Shape = Plain | Literals | Array | Table | Union | Named
+Shape = Plain | Literals | Array | Table | Union | RecordReference
 ANY = Plain("any")
 
 
@@ -140,7 +140,7 @@ class Shaper:
         self._names = names
         self._nodes = 0
         self._open: list[str] = []
-        self._known: dict[str, Named] = {}
+        self._known: dict[str, RecordReference] = {}
         # A `$ref` below another `$id` is of another document.
         self._pointers = sum(1 for _ in _identified(schema)) == 0
         self.records: list[RecordShape] = []
@@ -243,7 +243,7 @@ class Shaper:
             if patterns:
                 return Table(Plain("any", "values as patternProperties of their names say"))
             return Table(self._shape(others, f"{name}Value", depth + 1))
-        own = Named(self._names.give(name))
+        own = RecordReference(self._names.give(name))
         if at in self._open or at == "#":
             self._known[at] = own
         note = "other members are allowed" if patterns or others is not False else ""
@@ -384,7 +384,7 @@ def read_functions(lock: Lock) -> RobotTypes:
                 wanted = f"{name} {kind} {'' if own == 'default' else own}"
                 made = Shaper(schema, wanted, names)
                 shape = made.shape
-                root = shape.name if isinstance(shape, Named) else names.give(wanted)
+                root = shape.name if isinstance(shape, RecordReference) else names.give(wanted)
                 roots[fingerprint] = Root(root, schema, shape, tuple(made.records))
             text = roots[fingerprint].name
             if kind == "output":

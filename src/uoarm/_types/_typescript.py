@@ -8,8 +8,8 @@ from collections.abc import Iterable, Iterator
 from uoarm._types._shape import (
     Array,
     Literals,
-    Named,
     Plain,
+    RecordReference,
     RecordShape,
     RobotTypes,
     Shape,
@@ -61,7 +61,7 @@ def write_typescript(robot: RobotTypes) -> str:
     for root in robot.roots:
         for record in root.records:
             lines += ["", *_record(record)]
-        if root.shape != Named(root.name):
+        if root.shape != RecordReference(root.name):
             note = _comment(notes_of(root.shape))
             lines += ["", f"export type {root.name} = {_type(root.shape)};{note}"]
     outputs, inputs, requests, replies = [], [], [], []
@@ -109,7 +109,7 @@ def _type(shape: Shape) -> str:
             return f"{{ [member: string]: {_type(shape.values)} }}"
         case Union():
             return " | ".join(dict.fromkeys(_type(part) for part in shape.parts))
-        case Named():
+        case RecordReference():
             return shape.name
 
 

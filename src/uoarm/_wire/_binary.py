@@ -14,7 +14,7 @@ import cbor2
 import orjson
 
 from uoarm.errors import ControlMessageError, MessageError
-from uoarm.model import Message, Spending
+from uoarm.model import BudgetUse, Message
 
 __all__ = ["join_list", "join_map", "read_binary", "scan_cbor", "write_binary"]
 
@@ -33,7 +33,7 @@ _OCTETS, _TEXT = 2, 3
 _SMALL, _LARGEST = 24, 27
 
 
-def scan_cbor(data: bytes, spending: Spending) -> None:
+def scan_cbor(data: bytes, spending: BudgetUse) -> None:
     """Refuse data with more items than its budget allows; the heads of tags count as items.
 
     Walks over the heads, jumps over texts and octets, and stops with the last item that is allowed.
@@ -108,7 +108,7 @@ def write_binary(message: Message) -> bytes:
         raise MessageError(f"the message has no form as CBOR: {error}") from error
 
 
-def read_binary(data: bytes, spending: Spending) -> Message:
+def read_binary(data: bytes, spending: BudgetUse) -> Message:
     """Return the value that CBOR stands for; numeric arrays come as `array.array`.
 
     Raises:
@@ -116,9 +116,9 @@ def read_binary(data: bytes, spending: Spending) -> Message:
             costs more than its budget.
     """
     spending.octets(len(data))
-    made = _Made(Spending(spending.budget))
+    made = _ItemDecoders(BudgetUse(spending.budget))
     if len(data) > spending.budget.elements:  # else each octet may be an item
-        scan_cbor(data, Spending(spending.budget))
+        scan_cbor(data, BudgetUse(spending.budget))
     stream = _Octets(data)
     try:
         value = cbor2.CBORDecoder(
@@ -263,10 +263,10 @@ def _typed_reader(typecode: str, *, big: bool) -> Callable[[Any, bool], array[An
     return read
 
 
-class _Made:
+class _ItemDecoders:
     """Decoders of what stands for more values than it has items, for one message."""
 
-    def __init__(self, spending: Spending) -> None:
+    def __init__(self, spending: BudgetUse) -> None:
         self._spending = spending
         self.decoders = {
             80: self._half(">"),
@@ -307,7 +307,7 @@ def _refuse(value: Any, immutable: bool) -> Any:  # noqa: FBT001 - the library's
     raise ControlMessageError("a tag that no message has")
 
 
-def _examine(value: Any, spending: Spending) -> None:
+def _examine(value: Any, spending: BudgetUse) -> None:
     """Count what was made, one level of nesting after the other, and refuse what JSON lacks."""
     depth, level = 0, [value]
     while level:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, final
 from uoarm._wire._binary import join_list, join_map, read_binary, write_binary
 from uoarm._wire._text import make_reader, read_text, text_schema, write_text, write_text_parts
 from uoarm.errors import ControlMessageError, MessageError
-from uoarm.model import ControlMessage, Message, Op, Schema, Spending, message_octets
+from uoarm.model import BudgetUse, ControlMessage, Message, Op, Schema, message_octets
 
 __all__ = [
     "ASKED",
@@ -92,7 +92,7 @@ class Form(ABC):
         """Return a mapping whose values are written already."""
 
     @abstractmethod
-    def read(self, frame: str | bytes, spending: Spending) -> Mapping[str, Any]:
+    def read(self, frame: str | bytes, spending: BudgetUse) -> Mapping[str, Any]:
         """Return the fields of a control message, in any thread.
 
         Raises:
@@ -131,7 +131,7 @@ class _TextForm(Form):
             pieces += (b"" if len(pieces) == 1 else b",", write_text(name), b":", part)
         return b"".join((*pieces, b"}"))
 
-    def read(self, frame: str | bytes, spending: Spending) -> Mapping[str, Any]:
+    def read(self, frame: str | bytes, spending: BudgetUse) -> Mapping[str, Any]:
         if isinstance(frame, bytes):
             raise ControlMessageError(
                 f"a binary frame: expected JSON text; offer {BINARY_FORM.subprotocol} for CBOR"
@@ -165,7 +165,7 @@ class _BinaryForm(Form):
     def map_of(self, parts: Mapping[str, bytes]) -> bytes:
         return join_map(parts)
 
-    def read(self, frame: str | bytes, spending: Spending) -> Mapping[str, Any]:
+    def read(self, frame: str | bytes, spending: BudgetUse) -> Mapping[str, Any]:
         if isinstance(frame, str):
             raise ControlMessageError(
                 f"a text frame: expected CBOR; offer {TEXT_FORM.subprotocol} for JSON"

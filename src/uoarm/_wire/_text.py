@@ -20,7 +20,7 @@ import orjson
 from pybase64 import b64decode, b64encode
 
 from uoarm.errors import ControlMessageError, MessageError
-from uoarm.model import Message, Schema, Spending, count_names, read_json, scan_json
+from uoarm.model import BudgetUse, Message, Schema, count_names, read_json, scan_json
 
 __all__ = [
     "SAFE_INTEGER",
@@ -101,7 +101,7 @@ def _in_one_piece(value: Any) -> Any:
 _WIDE, _BELOW = b"0" * 20, b"-" + b"0" * 19
 
 
-def read_text(text: str, spending: Spending) -> Any:
+def read_text(text: str, spending: BudgetUse) -> Any:
     """Return the value that JSON text stands for; whole numbers are exact, of any size.
 
     Raises:
@@ -286,13 +286,13 @@ def make_reader(schema: Schema) -> Callable[[Message], Message] | None:
     def read(message: Message) -> Message:
         try:
             return reader(message)
-        except _MisfitError as error:
+        except _UnwritableTextError as error:
             raise MessageError(error.describe()) from error.__cause__
 
     return read
 
 
-class _MisfitError(Exception):
+class _UnwritableTextError(Exception):
     """Text that its place cannot carry.
 
     Its path is put together on the way out only: a path made for every value would cost as much as
@@ -377,7 +377,7 @@ def _object(value: Any, fields: Mapping[str, Reader], rest: Reader | None) -> An
         if reader is not None:
             try:
                 read[name] = reader(item)
-            except _MisfitError as error:
+            except _UnwritableTextError as error:
                 error.path.append(f".{name}")
                 raise
     return read
@@ -391,7 +391,7 @@ def _array(value: Any, heads: list[Reader | None], items: Reader | None) -> Any:
         reader = heads[place] if place < len(heads) else items
         try:
             read.append(item if reader is None else reader(item))
-        except _MisfitError as error:
+        except _UnwritableTextError as error:
             error.path.append(f"[{place}]")
             raise
     return read
@@ -418,17 +418,17 @@ def _unpadded(text: str) -> bytes:
         if wrong is None
         else f"character {wrong.start() + 1:,} is {wrong[0]!r}, expected A-Z, a-z, 0-9, + and /"
     )
-    raise _MisfitError(f"expected octets as base64 text: {why}")
+    raise _UnwritableTextError(f"expected octets as base64 text: {why}")
 
 
 def _integer(value: Any) -> Any:
     if isinstance(value, str):
         if not _DIGITS.match(value):
-            raise _MisfitError(f"expected an integer or its digits, got {value[:40]!r}")
+            raise _UnwritableTextError(f"expected an integer or its digits, got {value[:40]!r}")
         return int(value)
     if isinstance(value, float) and abs(value) > SAFE_INTEGER:
         text = f"{value} has lost digits; write integers beyond 53 bits as strings"
-        raise _MisfitError(text)
+        raise _UnwritableTextError(text)
     return value
 
 
@@ -439,7 +439,7 @@ def _number(value: Any) -> Any:
         return _NAMES[value]
     if _DIGITS.match(value):  # so a whole number beyond 53 bits is written, whatever is declared
         return int(value)
-    raise _MisfitError(f"expected a number or {', '.join(_NAMES)}, got {value[:40]!r}")
+    raise _UnwritableTextError(f"expected a number or {', '.join(_NAMES)}, got {value[:40]!r}")
 
 
 def _is_wide(schema: Mapping[str, object]) -> bool:

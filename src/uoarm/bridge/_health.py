@@ -176,7 +176,7 @@ class ChannelHealth:
         self.stale_after = stale_after
         self._what, self._rate = what, rate
         self._without_peers, self._grace, self._recovers = without_peers, grace, recovers
-        self._rhythm = _Rhythm() if learns else None
+        self._rhythm = _IntervalEstimate() if learns else None
         self._window = 0.0 if rate is None else max(_SHORTEST_SECONDS, _FEWEST / rate)
         # By reason, and what it is about where several things may be wrong for one reason.
         self._faults: dict[tuple[HealthReason, str], ChannelReport] = {}
@@ -224,7 +224,7 @@ class ChannelHealth:
         self._awaited_since = self._counted_since = now
         self._counted, self._missed_at = self.messages, None
         if self._rhythm is not None:
-            self._rhythm = _Rhythm()
+            self._rhythm = _IntervalEstimate()
         return self._mended(now, "a peer is connected", *self._faults)
 
     def refused(self, now: float, cause: str, *, final: bool = False) -> ChannelReport | None:
@@ -391,7 +391,7 @@ class ChannelHealth:
         return ChannelReport(health, text, since, first)
 
 
-class _Rhythm:
+class _IntervalEstimate:
     """How steadily messages come, so that their end is known where no time for it is stated."""
 
     def __init__(self) -> None:

@@ -145,13 +145,13 @@ def deserialiser(
 _LITTLE_ENDIAN = b"\0\1"  # plain CDR, as everything here is written
 
 
-class _Noted(threading.local):
+class _LastWritten(threading.local):
     message: Message = None
     octets: bytes = b""
     definition: str = ""
 
 
-_noted = _Noted()
+_noted = _LastWritten()
 
 
 def note_octets(message: Message, octets: bytes, definition: str) -> None:

@@ -14,7 +14,7 @@ from attrs import evolve
 from uoarm import RobotManager
 from uoarm._support.files import write_whole
 from uoarm.bridge import Registry
-from uoarm.cli._file import STANDARD, Unnamed, takes_configuration
+from uoarm.cli._file import STANDARD, DefaultConfiguration, takes_configuration
 from uoarm.cli._shared import BRIDGE, every_option, fitted, json_option, print_json, reporting
 from uoarm.config import is_blank, load, merge
 from uoarm.config import suggest as suggestion_for
@@ -41,7 +41,7 @@ _timeout_option = click.option(
 
 
 @click.command()
-@takes_configuration(unnamed=Unnamed.IF_THERE)
+@takes_configuration(unnamed=DefaultConfiguration.IF_THERE)
 @click.option("--watch", is_flag=True, help="Look again until Ctrl-C, and print what is different.")
 @every_option
 @_timeout_option
@@ -71,7 +71,7 @@ def discover(file: str | None, *, watch: bool, every: float, timeout: float, as_
 
 
 @click.command()
-@takes_configuration(unnamed=Unnamed.NONE)
+@takes_configuration(unnamed=DefaultConfiguration.NONE)
 @_timeout_option
 @click.option(
     "--merge",

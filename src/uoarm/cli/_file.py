@@ -13,14 +13,14 @@ from click.core import ParameterSource
 
 from uoarm.cli._shared import FunctionArgument
 
-__all__ = ["STANDARD", "Unnamed", "takes_configuration"]
+__all__ = ["STANDARD", "DefaultConfiguration", "takes_configuration"]
 
 STANDARD = "robot.yaml"
 _ENDINGS = (".yaml", ".yml")
 _Command = TypeVar("_Command", bound=Callable[..., Any])
 
 
-class Unnamed(Enum):
+class DefaultConfiguration(Enum):
     """Which configuration a command takes where none is named; the value is said in its help."""
 
     STANDARD = STANDARD
@@ -29,7 +29,7 @@ class Unnamed(Enum):
 
 
 def takes_configuration(
-    *words: str, unnamed: Unnamed = Unnamed.STANDARD, listed: str = ""
+    *words: str, unnamed: DefaultConfiguration = DefaultConfiguration.STANDARD, listed: str = ""
 ) -> Callable[[_Command], _Command]:
     """Give a command its configuration as `file`: written as a word, with -f or in UOARM_CONFIG.
 
@@ -106,13 +106,13 @@ def _sorted(context: click.Context, words: tuple[str, ...], options: dict[str, A
 
 
 def _chosen(
-    context: click.Context, place: str | None, optioned: str | None, unnamed: Unnamed
+    context: click.Context, place: str | None, optioned: str | None, unnamed: DefaultConfiguration
 ) -> str | None:
     """Return the one file that is named, or what holds where none is."""
     is_optioned = context.get_parameter_source("file") is ParameterSource.COMMANDLINE
     if place is not None and is_optioned and place != optioned:
         raise click.UsageError(f"the configuration is named twice: {place} and -f {optioned}")
     named = place if place is not None else optioned
-    if named is not None or unnamed is Unnamed.NONE:
+    if named is not None or unnamed is DefaultConfiguration.NONE:
         return named
-    return STANDARD if unnamed is Unnamed.STANDARD or Path(STANDARD).exists() else None
+    return STANDARD if unnamed is DefaultConfiguration.STANDARD or Path(STANDARD).exists() else None

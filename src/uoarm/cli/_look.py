@@ -18,7 +18,7 @@ import click
 
 from uoarm._version import __version__
 from uoarm.bridge import Registry
-from uoarm.cli._file import Unnamed, takes_configuration
+from uoarm.cli._file import DefaultConfiguration, takes_configuration
 from uoarm.cli._shared import (
     BRIDGE,
     CONFIGURATION,
@@ -176,7 +176,7 @@ def resolve(name: str, file: str, *, explain: bool, timeout: float, as_json: boo
 
 
 @click.command()
-@takes_configuration(unnamed=Unnamed.NONE)
+@takes_configuration(unnamed=DefaultConfiguration.NONE)
 @json_option
 def bridges(*, file: str | None, as_json: bool) -> None:
     """List the installed bridge plugins.
@@ -200,7 +200,7 @@ def bridges(*, file: str | None, as_json: bool) -> None:
 
 
 @click.command()
-@takes_configuration(unnamed=Unnamed.NONE)
+@takes_configuration(unnamed=DefaultConfiguration.NONE)
 @click.option(
     "--service", "is_service", is_flag=True, help="Look at the installed systemd unit instead."
 )

@@ -243,7 +243,7 @@ _ITEMS = 100
 _WHOLE = 10_000  # characters, of a table that nothing is cut from
 
 
-class _Shown:
+class _LineLimit:
     """Which messages have a line of their own: so many in each period, and the others counted."""
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
@@ -275,7 +275,7 @@ def show_live(robot: RobotManager, connection: Connection, messages: Iterable[Me
     """Print the plan, then messages as they come above a table of flows, until they end."""
     console = Console(highlight=False)
     console.print(str(connection.plan), markup=False, soft_wrap=True)
-    shown = _Shown()
+    shown = _LineLimit()
 
     def table() -> Table | Text:
         routes = _routes(robot, connection)

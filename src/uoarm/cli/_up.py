@@ -13,7 +13,7 @@ from uoarm import RobotManager
 from uoarm._raised import foreign, text_of
 from uoarm.bridge import Registry
 from uoarm.cli._discover import rows, with_every_plugin
-from uoarm.cli._file import Unnamed, takes_configuration
+from uoarm.cli._file import DefaultConfiguration, takes_configuration
 from uoarm.cli._serve import cannot_listen, listening_options, say, stop_file_of, stopping
 from uoarm.cli._shared import json_option, needing, reporting
 from uoarm.config import add_functions, load
@@ -29,7 +29,7 @@ _RESOLVE_SECONDS = 10.0
 
 
 @click.command()
-@takes_configuration(unnamed=Unnamed.NONE)
+@takes_configuration(unnamed=DefaultConfiguration.NONE)
 @listening_options
 @click.option(
     "--every",

@@ -64,7 +64,7 @@ class ServerError(errors.UoarmError):
 
 
 @frozen(eq=False)
-class _Asked:
+class _PendingRequest:
     """What waits for an answer; `renewed` is the stream that a Request opens again, if it does."""
 
     fields: Mapping[str, Any]
@@ -183,7 +183,7 @@ class RemoteRobot(ServerQuestions):
         )
         self._ended = asyncio.Event()
         self._ids = itertools.count(1)
-        self._asked: dict[str, _Asked] = {}
+        self._asked: dict[str, _PendingRequest] = {}
         self._streams: dict[str, RemoteStream[Any]] = {}
         self._watchers: set[_Changes] = set()
         self._status: Mapping[str, Any] = {}
@@ -472,7 +472,7 @@ class RemoteRobot(ServerQuestions):
             raise errors.ConnectionClosedError(self._link.closed)
         identity = str(next(self._ids))
         fields = {"op": op, **more} | ({"type": kind} if kind else {})
-        asked = _Asked(fields, asyncio.get_running_loop().create_future(), renewed)
+        asked = _PendingRequest(fields, asyncio.get_running_loop().create_future(), renewed)
         self._asked[identity] = asked
         try:
             # Of a request always, so that it is known of commands by how much they are later.

@@ -25,7 +25,7 @@ from uoarm._support.aio_deadlines import result_within
 from uoarm._wire import Form
 from uoarm.bridge import boot_seconds
 from uoarm.errors import ConnectionClosedError, ControlMessageError, UsageError
-from uoarm.model import Budget, Spending
+from uoarm.model import Budget, BudgetUse
 
 __all__ = ["LARGEST", "Link", "Open", "Take", "trust_fingerprint"]
 
@@ -166,7 +166,7 @@ class Link:
         assert self._socket is not None, "start comes first"
         try:
             async for frame in self._socket:
-                self._receive(self._form.read(frame, Spending(LARGEST)))
+                self._receive(self._form.read(frame, BudgetUse(LARGEST)))
         except ConnectionClosed as error:
             self._is_final = error.rcvd is not None and error.rcvd.code in _FINAL
             if error.rcvd is not None or not self._key:
@@ -216,7 +216,7 @@ class Link:
         """Connect, and take the greeting of a new session."""
         socket = await self._open()
         try:
-            self._receive(self._form.read(await socket.recv(), Spending(LARGEST)))
+            self._receive(self._form.read(await socket.recv(), BudgetUse(LARGEST)))
             if self._resume:
                 await self._write(socket, _timed(_KEEP))
         except BaseException:
@@ -269,7 +269,7 @@ class Link:
         await socket.recv()  # the greeting of a new session
         options = {"key": self._key, "waiting": waiting}
         await self._write(socket, {**_timed(_RESUME), "jsonMessage": options})
-        while (report := self._form.read(await socket.recv(), Spending(LARGEST))).get(
+        while (report := self._form.read(await socket.recv(), BudgetUse(LARGEST))).get(
             "id"
         ) != _RESUME:
             self._receive(report)

@@ -13,7 +13,7 @@ from uoarm._raised import foreign
 from uoarm._support.workers import WorkerPool
 from uoarm.errors import BridgeError, FailureReason
 from uoarm.local._loop import Coroutines
-from uoarm.local._target import Emit, Target, TargetPort, Waits
+from uoarm.local._target import AsyncKind, Emit, Target, TargetPort
 from uoarm.model import Deliver, Endpoint, Message, Options
 
 __all__ = ["Instance", "IteratedSource"]
@@ -259,7 +259,7 @@ class Instance:
     def _service(self, endpoint: Endpoint) -> Callable[[Message, float], Message]:
         port, handler = self._target.port(endpoint), self._handler(endpoint)
         name, read, write = self._target.name, port.reader, port.writer or plain
-        is_coroutine = port.waits(handler) is Waits.REPLY
+        is_coroutine = port.waits(handler) is AsyncKind.REPLY
 
         def answer(message: Message, timeout: float) -> Message:
             reply = handler(message if read is None else read(message))
@@ -286,9 +286,9 @@ class Instance:
     def _awaiting(self, port: TargetPort, handler: Callable[[Any], Any]) -> Callable[[Any], Any]:
         """Return a handler that waits in its caller's thread for what is asynchronous."""
         name, waits = self._target.name, port.waits(handler)
-        if waits is Waits.REPLY:
+        if waits is AsyncKind.REPLY:
             return lambda value: self._coroutines.run(name, handler(value))
-        if waits is Waits.MESSAGES:
+        if waits is AsyncKind.MESSAGES:
             return lambda value: self._coroutines.iterate(name, handler(value))
         return handler
 

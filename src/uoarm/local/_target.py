@@ -23,7 +23,7 @@ from uoarm.local._modules import Modules, written_name
 from uoarm.local._parameters import build_parameters, parameter_mistakes
 from uoarm.model import Endpoint, Message, MessageStructure, Options, Role, Schema
 
-__all__ = ["Emit", "Target", "TargetPort", "Waits", "address_mistake", "find", "structure"]
+__all__ = ["AsyncKind", "Emit", "Target", "TargetPort", "address_mistake", "find", "structure"]
 
 F = TypeVar("F", bound=Callable[..., Any])
 T = TypeVar("T")
@@ -59,7 +59,7 @@ def structure(
     return mark
 
 
-class Waits(Enum):
+class AsyncKind(Enum):
     """What is asynchronous of a handler: nothing, its reply, or each of its messages."""
 
     NOTHING = "nothing"
@@ -321,7 +321,7 @@ class TargetPort:
     def __init__(self, target: Target, endpoint: Endpoint) -> None:
         self._target = target
         self._endpoint = endpoint
-        self._waits: Waits | None = None
+        self._waits: AsyncKind | None = None
 
     @_made_once
     def takes_messages(self) -> bool:
@@ -369,20 +369,20 @@ class TargetPort:
         hint = _NOTHING if method is None else _return_hint(target.hints(method), role)
         return writer(hint, target.name)
 
-    def waits(self, handler: Callable[..., Any]) -> Waits:
+    def waits(self, handler: Callable[..., Any]) -> AsyncKind:
         """Say what calling its handler, or the object that it is, gives to wait for."""
         if self._waits is None:
             self._waits = _waits(handler)
         return self._waits
 
 
-def _waits(handler: Callable[..., Any]) -> Waits:
+def _waits(handler: Callable[..., Any]) -> AsyncKind:
     for asked in (handler, getattr(handler, "__call__", None)):  # noqa: B004 - the method
         if inspect.iscoroutinefunction(asked):
-            return Waits.REPLY
+            return AsyncKind.REPLY
         if inspect.isasyncgenfunction(asked):
-            return Waits.MESSAGES
-    return Waits.NOTHING
+            return AsyncKind.MESSAGES
+    return AsyncKind.NOTHING
 
 
 def address_mistake(address: Sequence[str]) -> str:

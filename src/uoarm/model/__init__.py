@@ -92,7 +92,7 @@ from uoarm.model._status import (
 )
 from uoarm.model._wire import (
     Budget,
-    Spending,
+    BudgetUse,
     count_names,
     finite,
     from_json,
@@ -109,6 +109,7 @@ __all__ = [
     "BridgeSpec",
     "BridgeStatus",
     "Budget",
+    "BudgetUse",
     "ChannelStatus",
     "CommandPhase",
     "CommandPolicy",
@@ -168,7 +169,6 @@ __all__ = [
     "RouteStatus",
     "Schema",
     "Service",
-    "Spending",
     "StatusEvent",
     "StatusMap",
     "Step",

@@ -14,7 +14,7 @@ from attrs import field, frozen
 
 from uoarm.errors import ControlMessageError
 from uoarm.model._message import Message, Options
-from uoarm.model._wire import Budget, Spending, scan_json
+from uoarm.model._wire import Budget, BudgetUse, scan_json
 
 __all__ = ["ControlMessage", "Op", "read_control", "write_control"]
 
@@ -140,7 +140,7 @@ def _octets(text: str) -> int:
 
 
 def _parse(text: str) -> Any:
-    scan_json(text, Spending(_BUDGET))
+    scan_json(text, BudgetUse(_BUDGET))
     try:
         return json.loads(
             text,

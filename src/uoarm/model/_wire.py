@@ -25,7 +25,7 @@ from uoarm.model._plan import Reason, Rejection
 
 __all__ = [
     "Budget",
-    "Spending",
+    "BudgetUse",
     "count_names",
     "finite",
     "from_json",
@@ -304,7 +304,7 @@ class Budget:
     dimensions: int = field(default=8, validator=ge(1))
 
 
-class Spending:
+class BudgetUse:
     """How much of a budget one message has used; one decoder's at a time.
 
     Each method raises ControlMessageError when the budget does not allow it.
@@ -368,7 +368,7 @@ _BRACKETS = bytes.maketrans(b"[{]}", b"\x01\x01\xff\xff")
 _OTHERS = bytes(index for index in range(256) if index not in b"[{]}")
 
 
-def scan_json(text: str, spending: Spending) -> None:
+def scan_json(text: str, spending: BudgetUse) -> None:
     """Refuse text that would cost more than its budget; spend what it costs otherwise.
 
     Linear in the length of the text, and without a pass over its strings where that is not needed:

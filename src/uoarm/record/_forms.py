@@ -17,7 +17,7 @@ from attrs import field, frozen
 from uoarm import cdr
 from uoarm.cdr import RosDefinition, definition_of, deserialiser, structure_of_definition
 from uoarm.errors import BridgeError, ControlMessageError, FailureReason, MessageError
-from uoarm.model import Budget, Message, MessageStructure, Spending, read_json, write_json
+from uoarm.model import Budget, BudgetUse, Message, MessageStructure, read_json, write_json
 from uoarm.record._reading import FileChannel
 
 __all__ = [
@@ -312,7 +312,7 @@ def _json_reader(
 
     def decode(octets: bytes | memoryview) -> Message:
         try:
-            value = read_text(str(octets, "utf-8"), Spending(_BUDGET))
+            value = read_text(str(octets, "utf-8"), BudgetUse(_BUDGET))
         except (ControlMessageError, UnicodeDecodeError) as error:
             raise MessageError(f"cannot be read: {error}") from error
         return value if restore is None else restore(value)

@@ -14,12 +14,12 @@ from uoarm.errors import UsageError
 from uoarm.model import OverflowPolicy, QueuePolicy
 
 __all__ = [
-    "Due",
     "Instant",
     "RecordOptions",
     "RecordedChannel",
     "RecordingSchedule",
     "RecordingStatus",
+    "RecordingStep",
     "read_split",
 ]
 
@@ -161,7 +161,7 @@ class Instant(NamedTuple):
     steady: int
 
 
-class Due(Enum):
+class RecordingStep(Enum):
     """What is to be done at a moment."""
 
     NOTHING = "nothing"
@@ -194,7 +194,9 @@ class RecordingSchedule:
         self._offset += step
         return True
 
-    def due(self, now: Instant, *, file_octets: int, all_octets: int, waiting: bool) -> Due:
+    def due(
+        self, now: Instant, *, file_octets: int, all_octets: int, waiting: bool
+    ) -> RecordingStep:
         """Return what is to be done now, before anything that came now is written.
 
         Args:
@@ -217,23 +219,23 @@ class RecordingSchedule:
         self._quiet_until = min(self._ends(waiting=True))
         if options.duration is not None and self._since(self._began, now) >= options.duration:
             self.end_cause = f"it lasted {options.duration:g} s"
-            return Due.END
+            return RecordingStep.END
         if options.max_size is not None and all_octets >= options.max_size:
             self.end_cause = f"its files have {options.max_size:,} octets"
-            return Due.END
+            return RecordingStep.END
         if abs(step) > _STEP:
             self.split_cause = f"the clock was set by {step / _NANO:+.3f} s"
-            return Due.SPLIT
+            return RecordingStep.SPLIT
         if options.split_size is not None and file_octets >= options.split_size:
             self.split_cause = f"the file has {options.split_size:,} octets"
-            return Due.SPLIT
+            return RecordingStep.SPLIT
         seconds = options.split_seconds
         if seconds is not None and self._since(self._file_began, now) >= seconds:
             self.split_cause = f"the file has {seconds:g} s"
-            return Due.SPLIT
+            return RecordingStep.SPLIT
         if waiting and now.steady - self._flushed >= options.chunk_seconds * _NANO:
-            return Due.FLUSH
-        return Due.NOTHING
+            return RecordingStep.FLUSH
+        return RecordingStep.NOTHING
 
     def file_begins(self, now: Instant) -> None:
         """A new file begins."""

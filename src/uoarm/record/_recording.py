@@ -32,11 +32,11 @@ from uoarm.record._file import (
 )
 from uoarm.record._forms import EVENTS, ChannelForm, form_of, ros_events
 from uoarm.record._options import (
-    Due,
     Instant,
     RecordedChannel,
     RecordingSchedule,
     RecordingStatus,
+    RecordingStep,
     RecordOptions,
 )
 
@@ -373,12 +373,12 @@ class Recording:
             all_octets=self._octets_before + file.octets,
             waiting=file.has_waiting,
         )
-        if due is Due.END:
+        if due is RecordingStep.END:
             self._cause = self._schedule.end_cause
             return None
-        if due is Due.SPLIT:
+        if due is RecordingStep.SPLIT:
             file = self._split(at, before)
-        elif due is Due.FLUSH:
+        elif due is RecordingStep.FLUSH:
             file.flush()
             self._schedule.flushed(at)
         if not file.has_channels:
@@ -543,9 +543,9 @@ class Recording:
         self._keep_events(ring, now)
         ring.trim(now)
         due = self._schedule.due(now, file_octets=0, all_octets=self._octets_before, waiting=False)
-        if due is Due.END:
+        if due is RecordingStep.END:
             self._cause = self._schedule.end_cause
-        return due is not Due.END
+        return due is not RecordingStep.END
 
     def _keep_events(self, ring: Ring, until: Instant) -> None:
         while self._events and self._events[0][0].steady <= until.steady:

@@ -25,14 +25,14 @@ from uoarm.schema._verdict import Loss, MismatchReason, Verdict
 from uoarm.schema.read import Pool, SchemaNode
 from uoarm.schema.regex import CodeUnits
 from uoarm.schema.solve import (
-    EMPTY,
-    Empty,
-    Found,
+    UNSATISFIABLE,
     Judgements,
     Messages,
     Result,
     Solver,
     Unknown,
+    Unsatisfiable,
+    Witness,
     answer,
     differences,
     item_rules,
@@ -389,7 +389,7 @@ def decide(producer: SchemaNode, consumer: SchemaNode, pool: Pool) -> Verdict:
     judgements = Judgements(pool.meter.spend)
     with pool.meter.part("the search"):
         result = _search(producer, consumer, pool, judgements)
-    if isinstance(result, Found):
+    if isinstance(result, Witness):
         return _refusal(producer, consumer, result.value, pool.meter, judgements)
     if isinstance(result, Unknown):
         return Verdict(compatible=False, undecided=result.cause)
@@ -402,7 +402,7 @@ def _search(
     """Look for a message of the producer that the consumer refuses, first where they differ."""
     solver, messages = Solver(pool, answer), Messages(pool.meter)
 
-    def refused(first: SchemaNode, second: SchemaNode, found: Found) -> bool:
+    def refused(first: SchemaNode, second: SchemaNode, found: Witness) -> bool:
         accepts = judgements.accepts
         return accepts(first, found.value) and not accepts(second, found.value)
 
@@ -412,13 +412,13 @@ def _search(
         result = found or solver.solve(((node, True), (second, False)))
         if not path:
             return result
-        if isinstance(result, Found):
+        if isinstance(result, Witness):
             message = messages.place(producer, path, result.value)
             if message is not None and refused(producer, consumer, message):
                 return message
-        if not isinstance(result, Empty):
+        if not isinstance(result, Unsatisfiable):
             return solver.solve(((producer, True), (consumer, False)))
-    return EMPTY
+    return UNSATISFIABLE
 
 
 def _refusal(

@@ -9,12 +9,11 @@ from uoarm.testing._components import Emitter, Loop, MemoryService, Script, Take
 from uoarm.testing._faults import Hang, Proxy, hanging, lying, raising
 from uoarm.testing._instances import find_instance, instances
 from uoarm.testing._memory import MemoryBridge
-from uoarm.testing._resources import Census, free_port, hold_idle
+from uoarm.testing._resources import ResourceSnapshot, free_port, hold_idle
 from uoarm.testing._time import ManualClock, patience, slowness, wait
 
 __all__ = [
     "Background",
-    "Census",
     "Collector",
     "Emitter",
     "Hang",
@@ -23,6 +22,7 @@ __all__ = [
     "MemoryBridge",
     "MemoryService",
     "Proxy",
+    "ResourceSnapshot",
     "Script",
     "Taker",
     "copies",

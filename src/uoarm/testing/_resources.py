@@ -14,7 +14,7 @@ from random import SystemRandom
 from uoarm._arguments import arguments
 from uoarm.testing._time import patience, wait
 
-__all__ = ["Census", "free_port", "hold_idle"]
+__all__ = ["ResourceSnapshot", "free_port", "hold_idle"]
 
 _DESCRIPTORS = ("/proc/self/fd", "/dev/fd")
 _OF_THE_CORE = "uoarm-step"
@@ -54,7 +54,7 @@ def hold_idle(moment: str, *others: int, timeout: float | None = None) -> None:
         raise AssertionError(text) from None
 
 
-class Census:
+class ResourceSnapshot:
     """The threads and descriptors at one moment, to be compared with a later one.
 
     The core's own idle step threads do not count: they end by themselves. Nor do threads that a

@@ -10,7 +10,7 @@ from attrs import frozen
 
 from uoarm.cdr import definition_of, deserialiser, serialiser
 from uoarm.errors import MessageError
-from uoarm.model import Budget, Message, MessageStructure, Spending
+from uoarm.model import Budget, BudgetUse, Message, MessageStructure
 from uoarm.server.front_end import TEXT_FORM, Read, read_message, read_text
 from uoarm_foxglove._protocol import CDR, JSON
 
@@ -88,7 +88,7 @@ def _read_json(budget: Budget, structure: MessageStructure, payload: Message) ->
         text = payload.decode()
     except UnicodeDecodeError as error:
         raise MessageError(f"not JSON: {error}") from error
-    return read_message(TEXT_FORM, structure, read_text(text, Spending(budget)))
+    return read_message(TEXT_FORM, structure, read_text(text, BudgetUse(budget)))
 
 
 def _read_cdr(budget: Budget, structure: MessageStructure, payload: Message) -> Message:

@@ -11,7 +11,7 @@ import orjson
 from attrs import frozen
 
 from uoarm.errors import ControlMessageError
-from uoarm.model import Spending
+from uoarm.model import BudgetUse
 from uoarm.server.front_end import read_text
 
 __all__ = [
@@ -70,7 +70,7 @@ class ServiceRequest:
 ClientFrame: TypeAlias = "PublishedFrame | ServiceRequest | Mapping[str, Any]"
 
 
-def read_frame(frame: str | bytes, spending: Spending) -> ClientFrame:
+def read_frame(frame: str | bytes, spending: BudgetUse) -> ClientFrame:
     """Return what a client sent: the fields of a text, or one of the two binary messages.
 
     Raises:

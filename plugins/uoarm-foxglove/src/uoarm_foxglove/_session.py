@@ -12,7 +12,7 @@ from typing import Any
 
 from uoarm import __version__
 from uoarm.errors import ControlMessageError, UoarmError
-from uoarm.model import Spending
+from uoarm.model import BudgetUse
 from uoarm.server.front_end import (
     Backend,
     BusyError,
@@ -108,7 +108,7 @@ class FoxgloveSession:
         """Return how much there is to decode."""
         return len(frame)
 
-    def decode(self, frame: str | bytes, spending: Spending) -> tuple[Callable[[], None], int]:
+    def decode(self, frame: str | bytes, spending: BudgetUse) -> tuple[Callable[[], None], int]:
         """Return what acts on one frame, and how much memory its message holds."""
         try:
             message = read_frame(frame, spending)

@@ -15,7 +15,7 @@ from mcp.server.streamable_http_manager import StreamableHTTPSessionManager
 from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol
 
 from uoarm.errors import ControlMessageError
-from uoarm.model import Budget, Spending, scan_json
+from uoarm.model import Budget, BudgetUse, scan_json
 from uoarm.server import Limits
 from uoarm.server.front_end import Discoveries, Guest, HttpPlace, RefusedError
 from uoarm_mcp._service import GUEST, AgentService
@@ -117,7 +117,7 @@ class AdmittingApp:
         limits = self._place.backend.limits
         most = min(_BODY_OCTETS, limits.message_bytes)
         budget = Budget(most, limits.elements, limits.depth, limits.dimensions)
-        spending = Spending(budget)
+        spending = BudgetUse(budget)
         try:
             body = await asyncio.wait_for(_body(receive, most), limits.message_seconds)
             if body:

@@ -12,10 +12,10 @@ from attrs import frozen
 from uoarm.errors import ControlMessageError, MessageError
 from uoarm.model import (
     Budget,
+    BudgetUse,
     Message,
     MessageStructure,
     Schema,
-    Spending,
     read_json,
     scan_json,
 )
@@ -111,7 +111,7 @@ class PayloadCodec:
         return text.encode()
 
     def _decode(self, payload: bytes, content_type: str) -> Message:
-        spending = Spending(self.budget)
+        spending = BudgetUse(self.budget)
         spending.octets(len(payload))
         if self.content == "octets":
             return payload

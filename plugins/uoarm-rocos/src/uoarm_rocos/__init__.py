@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from uoarm_rocos._catalogue import Api, ApiKind, DeviceCatalogue, differences
     from uoarm_rocos._catalogue_xml import load_catalogue
     from uoarm_rocos._codec import MessageCodec, XmlCodec
-    from uoarm_rocos._conversation import Wire
+    from uoarm_rocos._conversation import LineParts
     from uoarm_rocos._framing import (
         SERIAL_LIMITS,
         TCP_LIMITS,
@@ -46,6 +46,7 @@ __all__ = [
     "LengthFramer",
     "LineError",
     "LineOptions",
+    "LineParts",
     "LineTransport",
     "MakeWire",
     "MessageCodec",
@@ -53,7 +54,6 @@ __all__ = [
     "SerialTransport",
     "StuffedFramer",
     "TcpTransport",
-    "Wire",
     "WireError",
     "XmlCodec",
     "api_classes",
@@ -74,7 +74,7 @@ _MODULES = {
     "StuffedFramer WireError",
     "_options": "DeviceOptions LineOptions",
     "_structure": "ApiClass ApiRecord api_classes structure_of",
-    "_conversation": "Wire",
+    "_conversation": "LineParts",
     "_transport": "LineTransport SerialTransport TcpTransport",
 }
 _HOMES = {name: module for module, names in _MODULES.items() for name in names.split()}

@@ -25,7 +25,7 @@ from uoarm_rocos._catalogue import Api, Direction
 from uoarm_rocos._catalogue_xml import load_catalogue
 from uoarm_rocos._channels import SinkChannel, SourceChannel
 from uoarm_rocos._codec import XmlCodec
-from uoarm_rocos._conversation import Wire
+from uoarm_rocos._conversation import LineParts
 from uoarm_rocos._device import Device, find
 from uoarm_rocos._discovery import listing
 from uoarm_rocos._framing import SERIAL_LIMITS, TCP_LIMITS, LengthFramer, StuffedFramer
@@ -56,16 +56,18 @@ _OXIMETERS: dict[str, tuple[str, float, Callable[[], OximeterDecoder]]] = {
 }
 _ENGINES: dict[str, Callable[[], Engine]] = {"espeak": EspeakEngine, "festival": FestivalEngine}
 _IS_POSIX = os.name == "posix"
-MakeWire = Callable[[DeviceOptions], Wire]
+MakeWire = Callable[[DeviceOptions], LineParts]
 
 
-def xml_wire(options: DeviceOptions) -> Wire:
+def xml_wire(options: DeviceOptions) -> LineParts:
     """Return the profile's own parts: lengths over TCP, stuffing and CRC on every other line."""
     transport = transport_for(options.url, options.line)
     if options.url.startswith("tcp://"):
-        return Wire(transport, LengthFramer, XmlCodec(TCP_LIMITS), prompt=_IS_POSIX)
+        return LineParts(transport, LengthFramer, XmlCodec(TCP_LIMITS), prompt=_IS_POSIX)
     is_port = "://" not in options.url
-    return Wire(transport, StuffedFramer, XmlCodec(SERIAL_LIMITS), prompt=_IS_POSIX and is_port)
+    return LineParts(
+        transport, StuffedFramer, XmlCodec(SERIAL_LIMITS), prompt=_IS_POSIX and is_port
+    )
 
 
 def make_device(name: str, options: DeviceOptions, wire: MakeWire, changed: Changed) -> Device:

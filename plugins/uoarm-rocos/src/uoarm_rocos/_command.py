@@ -22,9 +22,9 @@ from uoarm_rocos.simulate import (
     Person,
     ProfileServer,
     PtyEnd,
+    Scenario,
     Simulated,
     SimulatedRobot,
-    Story,
     TcpEnd,
     run,
 )
@@ -119,9 +119,9 @@ def oximeter(
 ) -> None:
     """A pulse oximeter that sends its maker's frames."""
     person = Person(pulse=pulse, spo2=spo2, apnoea=apnoea)
-    story = Story(finger_in=finger_in, finger_out=finger_out)
+    scenario = Scenario(finger_in=finger_in, finger_out=finger_out)
     end = _end(line)
-    _serve(Oximeter(kind, person, story), end, _raw(end), line)
+    _serve(Oximeter(kind, person, scenario), end, _raw(end), line)
 
 
 @simulate.command("blood-pressure")

@@ -24,7 +24,7 @@ from uoarm_rocos._health import ConversationIds, HeartbeatWatch, SequenceCheck
 from uoarm_rocos._line import DeviceLine
 from uoarm_rocos._transport import LineTransport
 
-__all__ = ["Conversation", "ConversationListener", "Wire"]
+__all__ = ["Conversation", "ConversationListener", "LineParts"]
 
 _FIRST_HEARTBEAT = 1.0
 _CATALOGUE_SECONDS = 3.0
@@ -32,7 +32,7 @@ _WRAP = 2**32
 
 
 @frozen
-class Wire:
+class LineParts:
     """The replaceable parts of a line: makers of what carries, frames and codes messages.
 
     Attributes:
@@ -73,7 +73,7 @@ class Conversation:
     line: DeviceLine
 
     def __init__(
-        self, wire: Wire, fixed: DeviceCatalogue | None, listener: ConversationListener
+        self, wire: LineParts, fixed: DeviceCatalogue | None, listener: ConversationListener
     ) -> None:
         self.ids = ConversationIds()
         self._wire = wire

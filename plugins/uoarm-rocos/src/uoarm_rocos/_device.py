@@ -14,12 +14,12 @@ from uoarm_rocos._catalogue import Api, ApiKind, DeviceCatalogue, Direction, Err
 from uoarm_rocos._line import DeviceLine
 
 __all__ = [
-    "Answer",
     "Device",
     "DeviceFlow",
     "InputFlow",
     "LineDevice",
     "PendingAnswers",
+    "PendingReply",
     "ReportHealth",
     "find",
     "refusal",
@@ -171,7 +171,7 @@ _REASONS = {
 }
 
 
-class Answer:
+class PendingReply:
     """Waited for by one thread, given once by another."""
 
     def __init__(self) -> None:
@@ -222,15 +222,15 @@ class PendingAnswers:
         # Guards `_waiting` between callers and the line's thread: each answer is given once, by
         # whichever takes it out.
         self._lock = threading.Lock()
-        self._waiting: dict[int, tuple[Answer, str]] = {}
+        self._waiting: dict[int, tuple[PendingReply, str]] = {}
 
-    def expect(self, identity: int, what: str) -> Answer:
+    def expect(self, identity: int, what: str) -> PendingReply:
         """Wait for an answer from now on; `what` is asked.
 
         Raises:
             BridgeError: too many wait already.
         """
-        answer = Answer()
+        answer = PendingReply()
         with self._lock:
             if len(self._waiting) >= _MOST:
                 text = f"{what}: {_MOST} questions already wait for {self._name}"

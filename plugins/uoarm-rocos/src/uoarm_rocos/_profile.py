@@ -23,8 +23,8 @@ from uoarm_rocos._catalogue import (
     differences,
 )
 from uoarm_rocos._channels import ProfileFlow, ProfileInput, ProfileOutput, delivery_queue
-from uoarm_rocos._conversation import Conversation, Wire
-from uoarm_rocos._device import Answer, LineDevice, PendingAnswers, ReportHealth, refusal
+from uoarm_rocos._conversation import Conversation, LineParts
+from uoarm_rocos._device import LineDevice, PendingAnswers, PendingReply, ReportHealth, refusal
 from uoarm_rocos._framing import LineError
 from uoarm_rocos._health import flow_monitor
 from uoarm_rocos._line import DeviceLine
@@ -57,7 +57,7 @@ class ProfileDevice(LineDevice):
     def __init__(
         self,
         name: str,
-        wire: Wire,
+        wire: LineParts,
         timing: Timing,
         catalogue: DeviceCatalogue | None,
         changed: Changed,
@@ -220,7 +220,9 @@ class ProfileDevice(LineDevice):
             text = f"{self.name} has another catalogue than the one that was checked: {found}"
             raise BridgeError(text, FailureReason.CONTRACT)
 
-    def _send_call(self, build: Callable[[int], WireMessage], answer: Answer, end: float) -> None:
+    def _send_call(
+        self, build: Callable[[int], WireMessage], answer: PendingReply, end: float
+    ) -> None:
         """Send a question; over a prompt line read the answer as well, if no other thread reads."""
         if not self.is_prompt:
             self._conversation.send(build)
@@ -228,7 +230,7 @@ class ProfileDevice(LineDevice):
             self._conversation.send(build, end - time.monotonic())
 
     def _send_in_turn(
-        self, build: Callable[[int], WireMessage], answer: Answer, end: float
+        self, build: Callable[[int], WireMessage], answer: PendingReply, end: float
     ) -> bool:
         """Send a question and read the answer, where no other thread reads or sends just now."""
         if not self._line.begin_turn():
@@ -244,7 +246,7 @@ class ProfileDevice(LineDevice):
         finally:
             self._line.end_turn()
 
-    def _ask_for(self, flow: ProfileFlow, what: str) -> Answer:
+    def _ask_for(self, flow: ProfileFlow, what: str) -> PendingReply:
         identity = self._conversation.ids.next()
         answer = self._answers.expect(identity, what)
         with self._state:

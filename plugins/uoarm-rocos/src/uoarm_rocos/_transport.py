@@ -59,7 +59,7 @@ class LineTransport(ABC):
     def write_now(self, data: bytes) -> int:
         """Send as many octets as the line takes at once, waiting for nothing; return how many.
 
-        For a transport of a `Wire` that is `prompt`; called where `write` might be.
+        For a transport of a `LineParts` that is `prompt`; called where `write` might be.
 
         Raises:
             LineError: the line is gone.

@@ -21,7 +21,7 @@ from uoarm_ros1._master import GraphState
 from uoarm_ros1._node import Node
 from uoarm_ros1._options import Ros1Address, Ros1Options
 from uoarm_ros1._publication import TopicPublication
-from uoarm_ros1._subscription import PublisherHeader, TopicSubscription, Wanted
+from uoarm_ros1._subscription import PublisherHeader, SubscriptionOptions, TopicSubscription
 from uoarm_ros1._types import ActionType, TypeStore, framed_writer, reader, structure_of
 
 __all__ = ["ActionCaller", "ServedAction", "described_action"]
@@ -137,7 +137,7 @@ class ActionCaller:
         self._goals: dict[str, _Goal] = {}
         self._numbers = count(1)
         self._subscription = TopicSubscription(
-            Wanted(
+            SubscriptionOptions(
                 node.name,
                 f"{name}/result",
                 kinds.result.name,
@@ -323,7 +323,7 @@ class ServedAction(Channel):
                 ("goal", kinds.goal, self._take_goal),
                 ("cancel", goal_id, self._take_cancel),
             ):
-                wanted = Wanted(
+                wanted = SubscriptionOptions(
                     node.name,
                     f"{name}/{part}",
                     kind.name,

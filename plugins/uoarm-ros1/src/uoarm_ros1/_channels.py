@@ -24,7 +24,7 @@ from uoarm.model import Deliver, Endpoint, Health, Message, MessageStructure
 from uoarm_ros1._definitions import RosRecord
 from uoarm_ros1._node import Node
 from uoarm_ros1._options import Ros1Address, Ros1Options
-from uoarm_ros1._subscription import PublisherHeader, TopicSubscription, Wanted
+from uoarm_ros1._subscription import PublisherHeader, SubscriptionOptions, TopicSubscription
 from uoarm_ros1._types import framed_writer, reader
 
 __all__ = [
@@ -74,10 +74,10 @@ class TopicPlace:
         )
         return ChannelMonitor(health, report, self.clock)
 
-    def wanted(self, record: RosRecord | None) -> Wanted:
+    def wanted(self, record: RosRecord | None) -> SubscriptionOptions:
         """Return what a subscription here takes."""
         options, node = self.node.options, self.port.node
-        return Wanted(
+        return SubscriptionOptions(
             self.node.name,
             self.topic,
             "" if record is None else record.name,

@@ -12,7 +12,7 @@ from uoarm.errors import BridgeError
 from uoarm.model import Endpoint, Role
 from uoarm_ros1._master import GraphState
 from uoarm_ros1._node import Node
-from uoarm_ros1._subscription import PublisherHeader, Wanted, read_publisher_header
+from uoarm_ros1._subscription import PublisherHeader, SubscriptionOptions, read_publisher_header
 from uoarm_ros1._tcpros import ProtocolError
 
 __all__ = ["Graph", "discovered"]
@@ -54,7 +54,7 @@ class Graph:
         key = (name, topic, kind)
         if key not in self._headers:
             node = self._node
-            wanted = Wanted(node.another_name(), topic, kind)
+            wanted = SubscriptionOptions(node.another_name(), topic, kind)
             try:
                 uri = node.uri if name == node.name else node.master.node_uri(name)
                 until = time.monotonic() + _HEADER_SECONDS

@@ -22,7 +22,7 @@ from uoarm_ros1._node_api import NodeApi, ParameterUpdate, PublisherUpdate, Shut
 from uoarm_ros1._options import NodeIdentity, Ros1BridgeOptions
 from uoarm_ros1._publication import TopicPublication
 from uoarm_ros1._server import NodeServer, SocketLoop
-from uoarm_ros1._subscription import TopicSubscription, Wanted
+from uoarm_ros1._subscription import SubscriptionOptions, TopicSubscription
 from uoarm_ros1._tcpros import encode_header
 from uoarm_ros1._types import TypeStore, framed_writer, reader
 
@@ -466,7 +466,7 @@ class Clock:
         record = types.require("rosgraph_msgs/Clock")
         self._node = node
         self._read = reader(record, node.options.budget)
-        self._wanted = Wanted(node.name, "/clock", record.name, record.md5)
+        self._wanted = SubscriptionOptions(node.name, "/clock", record.name, record.md5)
         self._subscription: TopicSubscription | None = None
         self._time: Mapping[str, int] = {"secs": 0, "nsecs": 0}
         node.stamp = self.stamp

@@ -213,7 +213,7 @@ class NodeServer:
 
     def __init__(self, loop: SocketLoop, address: str, answer: Answer, arrived: Arrived) -> None:
         self._loop = loop
-        self._strangers = _Strangers(loop)
+        self._unidentified = _UnidentifiedConnections(loop)
         family = socket.AF_INET6 if ":" in address else socket.AF_INET
         sockets = []
         try:
@@ -227,14 +227,16 @@ class NodeServer:
             raise
         self.api_port, self.port = (opened.getsockname()[1] for opened in sockets)
         self._listeners = (
-            _Listener(sockets[0], loop, self._strangers, lambda given: _Api(*given, answer)),
-            _Listener(sockets[1], loop, self._strangers, lambda given: _Arriving(*given, arrived)),
+            _Listener(sockets[0], loop, self._unidentified, lambda given: _Api(*given, answer)),
+            _Listener(
+                sockets[1], loop, self._unidentified, lambda given: _Arriving(*given, arrived)
+            ),
         )
         for listener in self._listeners:
             loop.add(listener)
 
 
-class _Strangers:
+class _UnidentifiedConnections:
     """Connections that have not said yet what they are for, and callers of the API.
 
     They share one room, which is bounded in number and in octets: who has been silent longest, or
@@ -243,16 +245,18 @@ class _Strangers:
 
     def __init__(self, loop: SocketLoop) -> None:
         self._loop = loop
-        self._held: dict[_Stranger, int] = {}  # octets by connection, the latest to say a word last
+        self._held: dict[
+            _UnidentifiedConnection, int
+        ] = {}  # octets by connection, the latest to say a word last
         self._octets = 0
 
-    def enter(self, stranger: _Stranger) -> None:
+    def enter(self, stranger: _UnidentifiedConnection) -> None:
         """Take one in; another may have to go."""
         if len(self._held) >= _MOST_STRANGERS:
             self._turn_away(next(iter(self._held)))
         self._held[stranger] = 0
 
-    def spoke(self, stranger: _Stranger, octets: int) -> None:
+    def spoke(self, stranger: _UnidentifiedConnection, octets: int) -> None:
         """Take note that one said a word, and of how much of it waits now."""
         if stranger not in self._held:
             return
@@ -261,22 +265,22 @@ class _Strangers:
         while self._octets > _MOST_HELD_OCTETS:
             self._turn_away(max(self._held, key=self._held.__getitem__))
 
-    def has(self, stranger: _Stranger) -> bool:
+    def has(self, stranger: _UnidentifiedConnection) -> bool:
         """Whether one is still here."""
         return stranger in self._held
 
-    def leave(self, stranger: _Stranger) -> bool:
+    def leave(self, stranger: _UnidentifiedConnection) -> bool:
         """Let one go; returns whether it was still here."""
         octets = self._held.pop(stranger, None)
         self._octets -= octets or 0
         return octets is not None
 
-    def _turn_away(self, stranger: _Stranger) -> None:
+    def _turn_away(self, stranger: _UnidentifiedConnection) -> None:
         self.leave(stranger)
         self._loop.discard(stranger)
 
 
-Given = tuple[socket.socket, SocketLoop, _Strangers]
+Given = tuple[socket.socket, SocketLoop, _UnidentifiedConnections]
 
 
 class _Listener(Handler):
@@ -286,11 +290,11 @@ class _Listener(Handler):
         self,
         listening: socket.socket,
         loop: SocketLoop,
-        strangers: _Strangers,
-        make: Callable[[Given], _Stranger],
+        unidentified: _UnidentifiedConnections,
+        make: Callable[[Given], _UnidentifiedConnection],
     ) -> None:
         super().__init__(listening)
-        self._loop, self._strangers, self._make = loop, strangers, make
+        self._loop, self._unidentified, self._make = loop, unidentified, make
 
     def readable(self) -> None:
         try:
@@ -303,37 +307,45 @@ class _Listener(Handler):
             return
         with suppress(OSError):
             connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        self._loop.add(self._make((connection, self._loop, self._strangers)))
+        self._loop.add(self._make((connection, self._loop, self._unidentified)))
 
 
-class _Stranger(Handler):
+class _UnidentifiedConnection(Handler):
     """A connection that has a time limit, and a share of the room for all of its kind."""
 
     def __init__(
-        self, connection: socket.socket, loop: SocketLoop, strangers: _Strangers, seconds: float
+        self,
+        connection: socket.socket,
+        loop: SocketLoop,
+        unidentified: _UnidentifiedConnections,
+        seconds: float,
     ) -> None:
         super().__init__(connection)
-        self._loop, self._strangers = loop, strangers
-        strangers.enter(self)
+        self._loop, self._unidentified = loop, unidentified
+        unidentified.enter(self)
         loop.later(seconds, self._turn_away)
 
     def failed(self, cause: str) -> None:
         del cause
-        self._strangers.leave(self)
+        self._unidentified.leave(self)
 
     def _turn_away(self) -> None:
-        if self._strangers.leave(self):
+        if self._unidentified.leave(self):
             self._loop.discard(self)
 
 
-class _Api(_Stranger):
+class _Api(_UnidentifiedConnection):
     """Calls of the API, one after the other, on one connection."""
 
     def __init__(
-        self, connection: socket.socket, loop: SocketLoop, strangers: _Strangers, answer: Answer
+        self,
+        connection: socket.socket,
+        loop: SocketLoop,
+        unidentified: _UnidentifiedConnections,
+        answer: Answer,
     ) -> None:
         # A master keeps its connections for the next call; one that is idle too long is closed.
-        super().__init__(connection, loop, strangers, _IDLE_SECONDS)
+        super().__init__(connection, loop, unidentified, _IDLE_SECONDS)
         self._reader = HttpReader(_MAX_CALL_OCTETS)
         self._answer = answer
         self._out = bytearray()
@@ -359,7 +371,7 @@ class _Api(_Stranger):
             raise ProtocolError("it does not read its answers")
         if self._out and self.writable():
             self._loop.write(self)
-        self._strangers.spoke(self, self._reader.held + len(self._out))
+        self._unidentified.spoke(self, self._reader.held + len(self._out))
 
     def writable(self) -> bool:
         with suppress(BlockingIOError):
@@ -375,17 +387,21 @@ class _Api(_Stranger):
             self._turn_away()
             return
         before = self._calls
-        if self._strangers.has(self):
+        if self._unidentified.has(self):
             self._loop.later(_ARRIVAL_SECONDS, lambda: self._look(before))
 
 
-class _Arriving(_Stranger):
+class _Arriving(_UnidentifiedConnection):
     """A connection of TCPROS until its header has come."""
 
     def __init__(
-        self, connection: socket.socket, loop: SocketLoop, strangers: _Strangers, arrived: Arrived
+        self,
+        connection: socket.socket,
+        loop: SocketLoop,
+        unidentified: _UnidentifiedConnections,
+        arrived: Arrived,
     ) -> None:
-        super().__init__(connection, loop, strangers, _ARRIVAL_SECONDS)
+        super().__init__(connection, loop, unidentified, _ARRIVAL_SECONDS)
         self._reader = TcprosReader(_MAX_HEADER_OCTETS)
         self._arrived = arrived
 
@@ -394,13 +410,13 @@ class _Arriving(_Stranger):
         if not count:
             raise ConnectionError("closed")
         frames = self._reader.received(count)
-        self._strangers.spoke(self, self._reader.held)
+        self._unidentified.spoke(self, self._reader.held)
         if not frames:
             return
         if len(frames) > 1 or not self._reader.is_between_frames:
             raise ProtocolError("it goes on before its header is answered")
         header = decode_header(frames[0])
-        if not self._strangers.leave(self):
+        if not self._unidentified.leave(self):
             return
         self._loop.release(self)
         try:

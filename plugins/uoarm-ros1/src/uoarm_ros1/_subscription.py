@@ -25,7 +25,7 @@ from uoarm_ros1._tcpros import (
     subscriber_header,
 )
 
-__all__ = ["PublisherHeader", "TopicSubscription", "Wanted", "read_publisher_header"]
+__all__ = ["PublisherHeader", "SubscriptionOptions", "TopicSubscription", "read_publisher_header"]
 
 _CONNECT_SECONDS = 5.0
 _LISTED_SECONDS = 1.0
@@ -37,7 +37,7 @@ _MOST_PUBLISHERS = 256
 
 
 @frozen
-class Wanted:
+class SubscriptionOptions:
     """What a subscription takes.
 
     Attributes:
@@ -85,7 +85,9 @@ class PublisherHeader:
         )
 
 
-def read_publisher_header(uri: str, wanted: Wanted, deadline: float) -> PublisherHeader:
+def read_publisher_header(
+    uri: str, wanted: SubscriptionOptions, deadline: float
+) -> PublisherHeader:
     """Ask a publisher what it publishes, and take nothing of it.
 
     Raises:
@@ -98,7 +100,7 @@ def read_publisher_header(uri: str, wanted: Wanted, deadline: float) -> Publishe
 
 
 def _subscribe(
-    uri: str, wanted: Wanted, deadline: float
+    uri: str, wanted: SubscriptionOptions, deadline: float
 ) -> tuple[socket.socket, dict[str, str], TcprosReader]:
     """Return a connection behind whose headers messages follow."""
     answer = call_api(uri, "requestTopic", wanted.caller, wanted.topic, [["TCPROS"]])
@@ -127,7 +129,7 @@ def _subscribe(
 
 
 def _receive_header(
-    connection: socket.socket, wanted: Wanted, deadline: float
+    connection: socket.socket, wanted: SubscriptionOptions, deadline: float
 ) -> tuple[dict[str, str], TcprosReader]:
     """Return what a publisher answers, and what takes the messages behind it apart."""
     reader = TcprosReader(max(_MAX_HEADER_OCTETS, wanted.most))
@@ -313,7 +315,7 @@ class TopicSubscription:
 
     def __init__(
         self,
-        wanted: Wanted,
+        wanted: SubscriptionOptions,
         take: Callable[[bytes | bytearray, str], object],
         came: Callable[[PublisherHeader], object],
         went: Callable[[str, str, bool], object],

@@ -19,7 +19,7 @@ from uoarm_ros2._discovery import Ros2Graph, ServerPresence
 from uoarm_ros2._health import Report, monitored
 from uoarm_ros2._middleware import NodeRunner, rclpy_errors
 from uoarm_ros2._schema import action_records
-from uoarm_ros2._services import Agreement, Disagreement, answered, require_agreement
+from uoarm_ros2._services import Disagreement, ServerComparison, answered, require_agreement
 from uoarm_ros2._types import import_type
 
 __all__ = ["Action", "ActionSink", "ActionSource"]
@@ -79,7 +79,7 @@ class Action:
         self._client = runner.action_client(import_type(type_name), name)
         self._was_ready = False
         services = (f"{name}/_action/{text}" for text in ("send_goal", "get_result"))
-        self.agreement = Agreement(runner, f"action {name}", services)
+        self.comparison = ServerComparison(runner, f"action {name}", services)
 
     def ready(self) -> bool:
         """Whether a server is matched."""
@@ -97,7 +97,7 @@ class Action:
         if not self._was_ready:
             self._graph.await_match(self._sending, limit)
         self._was_ready = True
-        require_agreement(self.agreement)
+        require_agreement(self.comparison)
 
     def call(
         self,
@@ -195,7 +195,7 @@ class Action:
         """Notice a server that went away or came back."""
         ready, listeners = self.ready(), self._listeners
         self._was_ready = ready
-        found = self.agreement.look() if ready and listeners else Disagreement()
+        found = self.comparison.look() if ready and listeners else Disagreement()
         for listener in listeners:
             listener.judge(found, ready=ready)
         goals = list(self._goals.items())

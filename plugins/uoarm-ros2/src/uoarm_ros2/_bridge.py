@@ -471,7 +471,7 @@ class Ros2Bridge(Bridge):
     def _report_disagreement(self, endpoint: Endpoint, server: ServiceClient | Action) -> None:
         """Report a component that is called beside servers of the same name with another type."""
         with suppress(BridgeError):  # the bridge was closed meanwhile
-            text = server.agreement.look().text
+            text = server.comparison.look().text
             before = self._disagreements.get(endpoint.component, "")
             self._disagreements[endpoint.component] = text
             if text != before:

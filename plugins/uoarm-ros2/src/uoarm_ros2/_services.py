@@ -2,7 +2,7 @@
 
 DDS matches the ends of a service by the names of their types alone. A server whose type has the
 same name and another definition misreads requests; one of another type is not matched, and ROS 2
-does not say so: `Agreement` compares them.
+does not say so: `ServerComparison` compares them.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ from uoarm_ros2._schema import service_records
 from uoarm_ros2._types import import_type
 
 __all__ = [
-    "Agreement",
     "Disagreement",
+    "ServerComparison",
     "ServiceClient",
     "ServiceServer",
     "answered",
@@ -46,7 +46,7 @@ class Disagreement:
     is_total: bool = False
 
 
-class Agreement:
+class ServerComparison:
     """Compares the servers of some services, those of one action, with a client of ours.
 
     Args:
@@ -129,16 +129,18 @@ def answered(future: Any, deadline: float, there: Callable[[], bool], what: str)
     return future.result()
 
 
-def require_agreement(agreement: Agreement) -> None:
+def require_agreement(comparison: ServerComparison) -> None:
     """Raise BridgeError where no server has our definition."""
-    found = agreement.look()
+    found = comparison.look()
     if found.is_total:
         raise BridgeError(found.text, FailureReason.UNAVAILABLE)
 
 
-def _with_disagreement(error: BridgeTimeoutError, agreement: Agreement) -> BridgeTimeoutError:
+def _with_disagreement(
+    error: BridgeTimeoutError, comparison: ServerComparison
+) -> BridgeTimeoutError:
     """Add the servers with another definition, of which one may have been called."""
-    found = agreement.look().text
+    found = comparison.look().text
     return BridgeTimeoutError(f"{error}; {found}") if found else error
 
 
@@ -146,7 +148,7 @@ class ServiceClient:
     """A client of one service, shared by all calls to it; calls may overlap.
 
     Attributes:
-        agreement: whether its servers have our type.
+        comparison: whether its servers have our type.
     """
 
     def __init__(self, runner: NodeRunner, graph: Ros2Graph, name: str, type_name: str) -> None:
@@ -160,7 +162,7 @@ class ServiceClient:
         self._read = reader(reply)
         self._client = runner.client(native, name)
         self._runner = runner
-        self.agreement = Agreement(runner, self._what, [name])
+        self.comparison = ServerComparison(runner, self._what, [name])
 
     def close(self) -> None:
         """Destroy the client, which has no call under way."""
@@ -184,7 +186,7 @@ class ServiceClient:
         with self._runner.calling(self._what):
             if not (self._is_matched and self.ready()):
                 self._await_server(timeout, wait)
-            require_agreement(self.agreement)
+            require_agreement(self.comparison)
             first = ServerPresence()
             future = self._client.call_async(request)
 
@@ -194,7 +196,7 @@ class ServiceClient:
             try:
                 return self._read(answered(future, deadline, there, self._what))
             except BridgeTimeoutError as error:
-                raise _with_disagreement(error, self.agreement) from None
+                raise _with_disagreement(error, self.comparison) from None
             finally:
                 self._client.remove_pending_request(future)
 

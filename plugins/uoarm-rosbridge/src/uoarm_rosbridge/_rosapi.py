@@ -22,7 +22,7 @@ from uoarm_rosbridge._names import find_place
 from uoarm_rosbridge._rosapi_answers import (
     OWN,
     PREFIX,
-    Listed,
+    ListedFunction,
     Question,
     RosapiAnswers,
     arguments_by_name,
@@ -55,7 +55,7 @@ class RosapiCatalogue:
         self._looking: asyncio.Task[None] | None = None
         self._structures: Mapping[str, Mapping[str, MessageStructure]] = {}
         self._types: dict[str, MessageStructure | None] = {}
-        self._listed: dict[str, Listed] = {}
+        self._listed: dict[str, ListedFunction] = {}
 
     async def answer(self, asked: Question) -> bytes:
         """Return the values of an answer, as they are written.
@@ -91,7 +91,7 @@ class RosapiCatalogue:
         for name, function in robot.functions.items():
             known, have = former.get(name), structures.get(name, {})
             if known is None or known.function is not function or known.structures is not have:
-                known = Listed(function, have)
+                known = ListedFunction(function, have)
             listed[name] = known
         self._listed = listed
         types = dict(self._types)

@@ -25,7 +25,15 @@ from uoarm_rosbridge._types import (
     typedefs,
 )
 
-__all__ = ["OWN", "PREFIX", "Listed", "Question", "RosapiAnswers", "arguments_by_name", "question"]
+__all__ = [
+    "OWN",
+    "PREFIX",
+    "ListedFunction",
+    "Question",
+    "RosapiAnswers",
+    "arguments_by_name",
+    "question",
+]
 
 PREFIX = "/rosapi/"
 Arguments: TypeAlias = Mapping[str, Any]
@@ -106,7 +114,7 @@ class Question:
     arguments: tuple[tuple[str, str], ...] = ()
 
 
-class Listed:
+class ListedFunction:
     """One function with the structures that it has now, and what was computed of these.
 
     Args:
@@ -155,7 +163,7 @@ class RosapiAnswers:
     def __init__(
         self,
         role: AccessRole,
-        listed: Iterable[Listed],
+        listed: Iterable[ListedFunction],
         hub: Hub,
         types: Mapping[str, MessageStructure | None],
     ) -> None:

@@ -13,7 +13,7 @@ import orjson
 from attrs import frozen
 
 from uoarm.errors import ControlMessageError
-from uoarm.model import Message, Op, Spending, message_octets
+from uoarm.model import BudgetUse, Message, Op, message_octets
 from uoarm.server.front_end import (
     Backend,
     BusyError,
@@ -121,7 +121,7 @@ class RosbridgeSession:
         """Return how much there may be to decode, with the fragments that this one may complete."""
         return len(frame) + self._fragments.octets
 
-    def decode(self, frame: str | bytes, spending: Spending) -> tuple[Callable[[], None], int]:
+    def decode(self, frame: str | bytes, spending: BudgetUse) -> tuple[Callable[[], None], int]:
         """Return what acts on one frame, now or later, and how much memory its message holds."""
         fields: Mapping[str, Any] = {}
         try:
@@ -237,7 +237,7 @@ class RosbridgeSession:
         except Exception as error:  # noqa: BLE001 - every message that is wrong is reported
             self._fail(fields, error)
 
-    def _collect(self, fields: Mapping[str, Any], spending: Spending) -> Mapping[str, Any] | None:
+    def _collect(self, fields: Mapping[str, Any], spending: BudgetUse) -> Mapping[str, Any] | None:
         """Return the message that this fragment completes."""
         check_fields(fields, ("id", "data", "num", "total"))
         text = self._fragments.add(fields)

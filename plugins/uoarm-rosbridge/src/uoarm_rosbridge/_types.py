@@ -253,7 +253,7 @@ def read_arguments(structure: MessageStructure, arguments: Message) -> Message:
         MessageError: a text is not what its place may carry, or too much is left out.
     """
     named = _named(structure.schema, arguments)
-    return read_message(TEXT_FORM, structure, _Filling().filled(structure.schema, named))
+    return read_message(TEXT_FORM, structure, _MessageCompletion().filled(structure.schema, named))
 
 
 def reader_of(what: str, stated: str) -> Read:
@@ -283,7 +283,7 @@ def _named(schema: Any, arguments: Message) -> Message:
     return arguments
 
 
-class _Filling:
+class _MessageCompletion:
     """One message whose missing fields are added, of which there may be so many."""
 
     def __init__(self) -> None:

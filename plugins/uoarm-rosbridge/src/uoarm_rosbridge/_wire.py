@@ -20,7 +20,7 @@ from attrs import define, field
 from pybase64 import b64encode
 
 from uoarm.errors import ControlMessageError, MessageError
-from uoarm.model import Message, Spending, show_value
+from uoarm.model import BudgetUse, Message, show_value
 from uoarm.server.front_end import dump_parts, read_text, write_binary
 
 __all__ = [
@@ -47,7 +47,7 @@ _MAX_NUMBER = 2**63
 _NANOSECONDS = 1_000_000_000
 
 
-def read_operation(frame: str | bytes, spending: Spending) -> dict[str, Any]:
+def read_operation(frame: str | bytes, spending: BudgetUse) -> dict[str, Any]:
     """Return the fields of a message.
 
     Raises:

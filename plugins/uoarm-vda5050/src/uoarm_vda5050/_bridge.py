@@ -26,7 +26,7 @@ from uoarm.bridge import (
     reading_endpoint,
 )
 from uoarm.model import Endpoint, Health, Message, MessageStructure
-from uoarm_vda5050._channels import Follower, TransportSink, TransportSource, call
+from uoarm_vda5050._channels import TransportSink, TransportSource, VehicleFollower, call
 from uoarm_vda5050._discovery import VehicleDirectory
 from uoarm_vda5050._health import Presence, Vehicle
 from uoarm_vda5050._messages import Headers, Published, VdaCodec, check_of, read_published
@@ -69,7 +69,7 @@ class Vda5050Bridge(Bridge):
             self._published,
             self._reading("factsheet", self._published.body("factsheet"), None),
         )
-        self._followers: dict[Vehicle, Follower] = {}
+        self._followers: dict[Vehicle, VehicleFollower] = {}
         self._names: dict[Vehicle, set[str]] = {}
         self._headers: dict[Vehicle, Headers] = {}
         # Guards followers, names and headers, between the threads of callers and of followers.
@@ -145,7 +145,7 @@ class Vda5050Bridge(Bridge):
             place.check_role(endpoint.role)
         return place
 
-    def _follow(self, place: VehicleAddress, endpoint: Endpoint) -> Follower:
+    def _follow(self, place: VehicleAddress, endpoint: Endpoint) -> VehicleFollower:
         """Return what follows a vehicle that is there."""
         vehicle = place.vehicle
         self._presence.require(vehicle, endpoint.component)
@@ -159,7 +159,7 @@ class Vda5050Bridge(Bridge):
                 self._presence.follow(vehicle, follower.connection)
         return follower
 
-    def _new_follower(self, place: VehicleAddress) -> Follower:
+    def _new_follower(self, place: VehicleAddress) -> VehicleFollower:
         options, vehicle = self._options, place.vehicle
         headers = self._headers.setdefault(vehicle, Headers(self._release, *vehicle))
         codecs = {
@@ -167,7 +167,7 @@ class Vda5050Bridge(Bridge):
             for topic in (*SENT, "state")
         }
         times = Times(options.repeat, options.accept_timeout)
-        return Follower(
+        return VehicleFollower(
             self._broker,
             self._topic(place),
             TransportState(self._release, times, options.max_nodes),

@@ -19,7 +19,7 @@ from uoarm_vda5050._messages import HEADER_IDS, VdaCodec
 from uoarm_vda5050._orders import words_of
 from uoarm_vda5050._transport_state import Action, Feedback, GoalEnded, Send, Status, TransportState
 
-__all__ = ["Follower", "TransportSink", "TransportSource", "call"]
+__all__ = ["TransportSink", "TransportSource", "VehicleFollower", "call"]
 
 _MOST_STATES = 1000
 
@@ -37,7 +37,7 @@ News = Status | Feedback | GoalEnded | StateRead
 _Event = ReceivedMessage | tuple[bool, str]
 
 
-class Follower:
+class VehicleFollower:
     """Follows one vehicle in a thread of its own, from its opening on.
 
     Args:
@@ -239,7 +239,7 @@ class TransportSource(Source):
     """Status changes, feedback or results of the transport orders of one vehicle."""
 
     def __init__(
-        self, endpoint: Endpoint, part: str, follower: Follower, deliver: Delivery, most: int
+        self, endpoint: Endpoint, part: str, follower: VehicleFollower, deliver: Delivery, most: int
     ) -> None:
         super().__init__(endpoint)
         self._kind, self._follower, self._deliver = _PARTS[part], follower, deliver
@@ -277,7 +277,7 @@ class TransportSink(Sink):
     blocking = False
 
     def __init__(
-        self, endpoint: Endpoint, part: str, follower: Follower, link: BrokerConnection
+        self, endpoint: Endpoint, part: str, follower: VehicleFollower, link: BrokerConnection
     ) -> None:
         super().__init__(endpoint)
         self._part, self._follower, self._link = part, follower, link
@@ -300,7 +300,9 @@ class TransportSink(Sink):
         """Nothing is held: what was asked for goes its way."""
 
 
-def call(endpoint: Endpoint, follower: Follower, message: Message, timeout: float) -> Message:
+def call(
+    endpoint: Endpoint, follower: VehicleFollower, message: Message, timeout: float
+) -> Message:
     """Give a goal and return its result; one that is given up is cancelled.
 
     Raises:

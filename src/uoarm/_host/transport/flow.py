@@ -53,7 +53,7 @@ class FlowEnding:
 
 
 @frozen
-class LetGo:
+class WriterReleased:
     """That nothing of a writer stands any more."""
 
     writer: str
@@ -368,7 +368,7 @@ class FlowReceiver:
         self.latency = max(0.0, (now - sent_at) / 1e9)
         if isinstance(more, FlowEnding):
             self._ended(more)
-        elif isinstance(more, LetGo):
+        elif isinstance(more, WriterReleased):
             self._let_go(more.writer)
         elif isinstance(more, Read):
             self._read(more.why)
@@ -411,7 +411,7 @@ class FlowReceiver:
         self._transport.notify(f"{self._key}/handled", header)
 
 
-def _header(octets: bytes) -> tuple[int, int, int, FlowEnding | LetGo | Read | str] | None:
+def _header(octets: bytes) -> tuple[int, int, int, FlowEnding | WriterReleased | Read | str] | None:
     """Return number, skipped, time of a frame, and what else it says, or its writer.
 
     None where it is no header of a flow.
@@ -431,7 +431,7 @@ def _header(octets: bytes) -> tuple[int, int, int, FlowEnding | LetGo | Read | s
         case ["writer", str(writer), True]:
             return number, skipped, sent_at, writer
         case ["writer", str(writer), False]:
-            return number, skipped, sent_at, LetGo(writer)
+            return number, skipped, sent_at, WriterReleased(writer)
     return None
 
 

@@ -12,11 +12,11 @@ from attrs import define, field, frozen
 
 __all__ = [
     "Document",
+    "NodePosition",
     "Path",
     "Position",
     "Problem",
     "ScalarError",
-    "Spot",
     "clip",
     "resolve",
     "write_path",
@@ -86,7 +86,7 @@ Path: TypeAlias = "tuple[str | int, ...]"
 
 
 @define(eq=False)
-class Spot:
+class NodePosition:
     """Where one value stands, and in a mapping its key; `parts` mirrors what is inside it.
 
     A tree beside the values costs the same memory at every depth, where a table by path does not.
@@ -94,7 +94,7 @@ class Spot:
 
     place: Position
     key: Position | None = None
-    parts: dict[str, Spot] | list[Spot] | None = None
+    parts: dict[str, NodePosition] | list[NodePosition] | None = None
 
 
 @frozen
@@ -110,7 +110,7 @@ class Document:
     """
 
     value: object
-    root: Spot
+    root: NodePosition
     problems: tuple[Problem, ...] = ()
     whole: bool = True
     text: str = field(default="", eq=False, repr=False)
@@ -124,10 +124,10 @@ class Document:
         spot, found = self._spot(path)
         return spot.key if found and spot.key is not None else spot.place
 
-    def _spot(self, path: Path) -> tuple[Spot, bool]:
+    def _spot(self, path: Path) -> tuple[NodePosition, bool]:
         spot = self.root
         for part in path:
-            inner: Spot | None = None
+            inner: NodePosition | None = None
             if isinstance(spot.parts, dict) and isinstance(part, str):
                 inner = spot.parts.get(part)
             elif isinstance(spot.parts, list) and isinstance(part, int):

@@ -19,11 +19,11 @@ from attrs import frozen
 
 from uoarm._support.yaml._document import (
     Document,
+    NodePosition,
     Path,
     Position,
     Problem,
     ScalarError,
-    Spot,
     clip,
     resolve,
     write_path,
@@ -68,7 +68,9 @@ class _Frame:
 
     __slots__ = ("anchor", "before", "key", "key_place", "path", "spot", "value")
 
-    def __init__(self, value: Any, spot: Spot, path: Path, anchor: str, before: int) -> None:
+    def __init__(
+        self, value: Any, spot: NodePosition, path: Path, anchor: str, before: int
+    ) -> None:
         self.value = value
         self.spot = spot
         self.path = path
@@ -99,7 +101,7 @@ def read_file(path: File, budget: ReadBudget = _ROBOT) -> Document:
         file=str(path),
         error_code="UOA-101",
     )
-    return Document(None, Spot(_START), (problem,), whole=False)
+    return Document(None, NodePosition(_START), (problem,), whole=False)
 
 
 def _octets(path: File, limit: int) -> bytes:
@@ -135,7 +137,7 @@ def read(text: str, file: str = "", budget: ReadBudget = _ROBOT) -> Document:
         builder.complain(*_syntax(error, text))
     else:
         return Document(builder.root, builder.spot, tuple(builder.problems), text=text)
-    return Document(None, Spot(_START), tuple(builder.problems), whole=False)
+    return Document(None, NodePosition(_START), tuple(builder.problems), whole=False)
 
 
 def _refuse_size_and_characters(text: str, limit: int) -> None:
@@ -154,7 +156,7 @@ class _Builder:
     def __init__(self, file: str, budget: ReadBudget) -> None:
         self._budget = budget
         self.root: object = None
-        self.spot = Spot(_START)
+        self.spot = NodePosition(_START)
         self.problems: list[Problem] = []
         self._file = file
         self._stack: list[_Frame] = []
@@ -218,7 +220,7 @@ class _Builder:
                 self.complain(_place(event), str(error), "write text in quotes", self._here())
         if event.anchor:
             self._anchors[event.anchor] = (value, 1)
-        self._put(value, Spot(_place(event)))
+        self._put(value, NodePosition(_place(event)))
 
     def _key(self, frame: _Frame, event: Any) -> None:
         self._check_tag(event)
@@ -265,7 +267,7 @@ class _Builder:
             )
         value, size = self._anchors[event.anchor]
         self._count(event, size)
-        self._put(value, Spot(_place(event)))
+        self._put(value, NodePosition(_place(event)))
 
     def _begin(self, event: Any) -> None:
         frame = self._stack[-1] if self._stack else None
@@ -277,7 +279,7 @@ class _Builder:
         self._count(event, 1)
         is_mapping = type(event) is yaml.MappingStartEvent
         value: object = {} if is_mapping else []
-        spot = Spot(_place(event), parts={} if is_mapping else [])
+        spot = NodePosition(_place(event), parts={} if is_mapping else [])
         path = self._here()
         self._put(value, spot)
         self._stack.append(_Frame(value, spot, path, event.anchor or "", self._nodes))
@@ -294,7 +296,7 @@ class _Builder:
         frame = self._stack[-1]
         return (*frame.path, len(frame.value) if frame.key is None else frame.key)
 
-    def _put(self, value: object, spot: Spot) -> None:
+    def _put(self, value: object, spot: NodePosition) -> None:
         if not self._stack:
             self.root, self.spot = value, spot
             return

@@ -38,7 +38,7 @@ from uoarm.schema.read._resources import (
 )
 from uoarm.schema.regex import UnsupportedPatternError, is_disputed
 
-__all__ = ["Pool", "SchemaDocument", "Texts", "is_plain"]
+__all__ = ["Pool", "SchemaDocument", "SchemaTexts", "is_plain"]
 
 _MAX_PARTS = 50_000
 _MAX_TEXT_LEVELS = 40
@@ -85,7 +85,7 @@ _OF_STEP = 2_000
 """Octets of a text that take a step's time."""
 
 
-class Texts:
+class SchemaTexts:
     """The first schema of each text that was met in the plain documents of one check."""
 
     def __init__(self, meter: Meter) -> None:
@@ -131,7 +131,7 @@ class Pool:
     def __init__(self, meter: Meter) -> None:
         self.meter = meter
         self._numbers: dict[object, int] = {}
-        self.texts = Texts(meter)
+        self.texts = SchemaTexts(meter)
         self.views: dict[int, View] = {}
         self.nodes: dict[tuple[int, Scope], SchemaNode] = {}
         self.documents: list[SchemaDocument] = []

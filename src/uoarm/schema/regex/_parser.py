@@ -30,12 +30,12 @@ from uoarm.schema.regex._nfa import (
     union,
 )
 
-__all__ = ["Kept", "compile_pattern", "is_disputed"]
+__all__ = ["TextCache", "compile_pattern", "is_disputed"]
 
 T = TypeVar("T")
 
 
-class Kept(Generic[T]):
+class TextCache(Generic[T]):
     """Makes what belongs to a text, and keeps it until others weigh too much.
 
     May be called from several threads; two of them may make the same thing at once.
@@ -115,7 +115,7 @@ def _compile(pattern: str) -> Nfa:
 
 _MAX_KEPT = 60_000
 """States of all automata that are kept, of some 500 octets each."""
-compile_pattern = Kept(
+compile_pattern = TextCache(
     _compile, lambda nfa: sum(len(item.always) for item in nfa.parts()), _MAX_KEPT
 )
 

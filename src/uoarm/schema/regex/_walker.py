@@ -19,7 +19,7 @@ from uoarm.schema.regex._nfa import (
     UnsupportedPatternError,
     contains,
 )
-from uoarm.schema.regex._parser import Kept, compile_pattern
+from uoarm.schema.regex._parser import TextCache, compile_pattern
 
 __all__ = ["CodeUnits", "UnitWalker", "WalkState", "Walker", "found_in", "walker_of"]
 
@@ -222,7 +222,7 @@ def _make(pattern: str) -> Walker:
     return Walker(compile_pattern(pattern))
 
 
-walker_of = Kept(_make, lambda item: item.weight, _MAX_KEPT)
+walker_of = TextCache(_make, lambda item: item.weight, _MAX_KEPT)
 """Returns the walker of a pattern, which remembers what it has walked."""
 
 

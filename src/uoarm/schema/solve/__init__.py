@@ -1,6 +1,6 @@
 """The search for a value that meets some schemas and fails others, and the check of values."""
 
-from uoarm.schema.solve._branch import EMPTY, Empty, Found, Result, Unknown
+from uoarm.schema.solve._branch import UNSATISFIABLE, Result, Unknown, Unsatisfiable, Witness
 from uoarm.schema.solve._differences import Messages, SchemaDifference, differences
 from uoarm.schema.solve._evaluate import (
     Judgements,
@@ -13,15 +13,15 @@ from uoarm.schema.solve._search import answer
 from uoarm.schema.solve._solver import Solver
 
 __all__ = [
-    "EMPTY",
-    "Empty",
-    "Found",
+    "UNSATISFIABLE",
     "Judgements",
     "Messages",
     "Result",
     "SchemaDifference",
     "Solver",
     "Unknown",
+    "Unsatisfiable",
+    "Witness",
     "answer",
     "differences",
     "item_rules",

@@ -9,7 +9,7 @@ from typing import Any, TypeAlias
 from attrs import frozen
 
 from uoarm.schema._values import Keys, Repeated, key_of, kind_of
-from uoarm.schema.solve._branch import EMPTY, Found, Literal, Result, Unknown
+from uoarm.schema.solve._branch import UNSATISFIABLE, Literal, Result, Unknown, Witness
 from uoarm.schema.solve._evaluate import accepts
 from uoarm.schema.solve._layout import Layout
 from uoarm.schema.solve._solver import Asking, Goal, SearchState, Solver
@@ -82,8 +82,8 @@ def distinct(solver: Solver, goals: Sequence[Goal]) -> Generator[Goal, Result, R
                 return found
             candidates[goal] = found
         if not matching.add(candidates[goal]):
-            return EMPTY
-    return Found(matching.values())
+            return UNSATISFIABLE
+    return Witness(matching.values())
 
 
 def several(solver: Solver, goal: Goal, count: int) -> Generator[Goal, Result, list[Any] | Unknown]:
@@ -92,17 +92,17 @@ def several(solver: Solver, goal: Goal, count: int) -> Generator[Goal, Result, l
     grown: set[str] = set()
     beyond: Literal | None = None
     while len(found) < count:
-        result: Result = EMPTY
+        result: Result = UNSATISFIABLE
         if beyond is not None:
             result = yield (*goal, beyond)
-        if not isinstance(result, Found):
+        if not isinstance(result, Witness):
             beyond = None
             values = list(found.values())
             others = solver.make(f"one of {list(found)}", {"enum": values})
             result = yield (*goal, (others, False))
         if isinstance(result, Unknown):
             return result
-        if not isinstance(result, Found):
+        if not isinstance(result, Witness):
             break
         key = key_of(result.value)
         if key in found:
@@ -156,7 +156,7 @@ def _build_distinct(solver: Solver, layout: Layout, longest: int) -> Asking:
         unknown = found if isinstance(found, Unknown) else unknown
         options.append([] if isinstance(found, Unknown) else found)
     result = _choose(solver, layout, options)
-    return result if isinstance(result, Found) else unknown or result
+    return result if isinstance(result, Witness) else unknown or result
 
 
 def _options(
@@ -182,7 +182,7 @@ def _choose(solver: Solver, layout: Layout, options: Options) -> Result:
     while waiting:
         position, counts, last, matching = waiting.pop()
         if position >= layout.least and layout.enough(counts):
-            return Found(matching.values())
+            return Witness(matching.values())
         if position == len(options):
             continue
         first = last if position > layout.generic else 0
@@ -196,7 +196,7 @@ def _choose(solver: Solver, layout: Layout, options: Options) -> Result:
             longer = matching.copy()
             if after is not None and longer.add(option.candidates):
                 waiting.append((position + 1, after, number, longer))
-    return EMPTY
+    return UNSATISFIABLE
 
 
 _MAX_COUNTED = 3_000
@@ -227,10 +227,10 @@ def build_counted(solver: Solver, layout: Layout, fixed: dict[int, Any]) -> Aski
         for signs, goal in layout.classes(length):
             if length in fixed:
                 holds = all(accepts(node, fixed[length]) == sign for node, sign in goal)
-                result: Result = Found(None) if holds else EMPTY
+                result: Result = Witness(None) if holds else UNSATISFIABLE
             else:
                 result = yield goal
-            if isinstance(result, Found):
+            if isinstance(result, Witness):
                 options.append((signs, goal))
             unknown = result if isinstance(result, Unknown) else unknown
         following: dict[tuple[int, ...], tuple[tuple[int, ...], Goal]] = {}
@@ -242,7 +242,7 @@ def build_counted(solver: Solver, layout: Layout, fixed: dict[int, Any]) -> Aski
                     following.setdefault(after, (counts, goal))
         layers.append(following)
         reached = following
-    return unknown or EMPTY
+    return unknown or UNSATISFIABLE
 
 
 def _assemble(
@@ -262,10 +262,10 @@ def _assemble(
             items.append(fixed[position])
             continue
         result = yield goal
-        if not isinstance(result, Found):
+        if not isinstance(result, Witness):
             return result
         items.append(result.value)
-    return Found(items)
+    return Witness(items)
 
 
 _MAX_LENGTH = 4_000_000
@@ -278,7 +278,7 @@ def array_leaf(solver: Solver, state: SearchState) -> Asking:
     """Answer a goal of which only atoms about an array are left."""
     layout = Layout(state.atoms)
     if layout.most is not None and layout.least > layout.most:
-        return EMPTY
+        return UNSATISFIABLE
     if len(layout.counts) > _MAX_COUNTS:
         return Unknown(f"more than {_MAX_COUNTS} contains meet")
     return (yield _place(solver, layout, layout.some))
@@ -298,7 +298,7 @@ def _place(solver: Solver, layout: Layout, demands: Sequence[tuple[int, Literal]
             break
         solver.spend()
         result = yield (*layout.literals(position), literal)
-        if isinstance(result, Found):
+        if isinstance(result, Witness):
             before, least = layout.at.get(position, []), layout.least
             layout.at[position] = [*before, literal]
             layout.least = max(least, position + 1)
@@ -306,16 +306,16 @@ def _place(solver: Solver, layout: Layout, demands: Sequence[tuple[int, Literal]
             layout.at[position], layout.least = before, least
             if not before:
                 del layout.at[position]
-        if isinstance(result, Found):
+        if isinstance(result, Witness):
             return result
         unknown = result if isinstance(result, Unknown) else unknown
-    return unknown or EMPTY
+    return unknown or UNSATISFIABLE
 
 
 def _repeat(solver: Solver, layout: Layout) -> Asking:
     """Build an array with two equal items."""
     if layout.unique:
-        return EMPTY
+        return UNSATISFIABLE
     unknown: Unknown | None = None
     end = layout.generic + 2
     for second in range(1, end):
@@ -328,16 +328,16 @@ def _repeat(solver: Solver, layout: Layout) -> Asking:
                 *layout.literals(second),
                 *layout.signed(signs),
             )
-            if isinstance(result, Found):
+            if isinstance(result, Witness):
                 least = layout.least
                 layout.least = max(least, second + 1)
                 fixed = {first: result.value, second: result.value}
                 result = yield from _build(solver, layout, fixed)
                 layout.least = least
-            if isinstance(result, Found):
+            if isinstance(result, Witness):
                 return result
             unknown = result if isinstance(result, Unknown) else unknown
-    return unknown or EMPTY
+    return unknown or UNSATISFIABLE
 
 
 def _build(solver: Solver, layout: Layout, fixed: dict[int, Any]) -> Asking:
@@ -349,7 +349,7 @@ def _build(solver: Solver, layout: Layout, fixed: dict[int, Any]) -> Asking:
     if layout.unique and layout.least > 1:
         goals = [layout.literals(n) for n in range(min(layout.least, _MAX_DISTINCT))]
         found = yield from distinct(solver, goals)
-        if isinstance(found, Found) and layout.least > _MAX_DISTINCT:
+        if isinstance(found, Witness) and layout.least > _MAX_DISTINCT:
             return Unknown(f"{layout.least:,} distinct items would be needed")
         return found
     items: list[Any] = []
@@ -358,7 +358,7 @@ def _build(solver: Solver, layout: Layout, fixed: dict[int, Any]) -> Asking:
             items.append(fixed[position])
             continue
         result = yield layout.literals(position)
-        if not isinstance(result, Found):
+        if not isinstance(result, Witness):
             return result
         items.append(result.value)
     for position in sorted(fixed):
@@ -368,9 +368,9 @@ def _build(solver: Solver, layout: Layout, fixed: dict[int, Any]) -> Asking:
     more = layout.least - len(items)
     if more > 0:
         result = yield layout.literals(layout.generic)
-        if not isinstance(result, Found):
+        if not isinstance(result, Witness):
             return result
         if more > _MAX_WRITTEN:
-            return Found(Repeated([*((item, 1) for item in items), (result.value, more)]))
+            return Witness(Repeated([*((item, 1) for item in items), (result.value, more)]))
         items.extend([result.value] * more)
-    return Found(items)
+    return Witness(items)

@@ -30,19 +30,19 @@ from uoarm.schema.read import SchemaNode
 
 __all__ = [
     "ATOMS",
-    "EMPTY",
     "KINDS",
+    "UNSATISFIABLE",
     "VIOLATIONS",
     "AnswerCache",
     "Atom",
     "Branch",
     "Choice",
-    "Empty",
-    "Found",
     "Literal",
     "Result",
     "Tags",
     "Unknown",
+    "Unsatisfiable",
+    "Witness",
     "certainly_disjoint",
     "contradicts",
     "run",
@@ -73,14 +73,14 @@ class Choice:
 
 
 @frozen
-class Found:
+class Witness:
     """A value that does."""
 
     value: Any
 
 
 @frozen
-class Empty:
+class Unsatisfiable:
     """No value does."""
 
 
@@ -91,8 +91,8 @@ class Unknown:
     cause: str
 
 
-Result: TypeAlias = "Found | Empty | Unknown"
-EMPTY = Empty()
+Result: TypeAlias = "Witness | Unsatisfiable | Unknown"
+UNSATISFIABLE = Unsatisfiable()
 
 
 _MAX_DEPTH = 20_000

@@ -16,7 +16,7 @@ from attrs import fields
 from uoarm.schema._errors import Meter
 from uoarm.schema._values import Repeated
 from uoarm.schema.read import SchemaNode
-from uoarm.schema.solve._branch import KINDS, Found
+from uoarm.schema.solve._branch import KINDS, Witness
 
 __all__ = ["Messages", "SchemaDifference", "differences"]
 
@@ -131,7 +131,7 @@ class Messages:
         self._meter = meter
         self._made: dict[int, Any] = {}
 
-    def simplest(self, node: SchemaNode) -> Found | None:
+    def simplest(self, node: SchemaNode) -> Witness | None:
         """Return a value that a schema probably allows; None where one would have to be sought."""
         waiting = [node]
         while waiting:
@@ -145,9 +145,9 @@ class Messages:
                 waiting.append(missing[0])
             else:
                 self._made[waiting.pop().number] = self._of_kind(wanted, kind)
-        return Found(self._made[node.number])
+        return Witness(self._made[node.number])
 
-    def likely(self, node: SchemaNode, limits: SchemaNode) -> Iterator[Found]:
+    def likely(self, node: SchemaNode, limits: SchemaNode) -> Iterator[Witness]:
         """Yield values that a plain schema may allow: the simplest, those just beyond limits."""
         simplest = self.simplest(node)
         if simplest is not None:
@@ -156,19 +156,19 @@ class Messages:
         if kind == "number":
             low, high = limits.minimum, limits.maximum
             if low is not None:
-                yield Found(-(-low.numerator // low.denominator) - 1)
+                yield Witness(-(-low.numerator // low.denominator) - 1)
             if high is not None:
-                yield Found(high.numerator // high.denominator + 1)
+                yield Witness(high.numerator // high.denominator + 1)
             if limits.integer_only:
-                yield Found(0.5)
+                yield Witness(0.5)
         elif kind == "string" and limits.max_length is not None and limits.max_length < _MAX_TEXT:
-            yield Found("a" * (limits.max_length + 1))
+            yield Witness("a" * (limits.max_length + 1))
         elif kind == "array" and limits.max_items is not None and limits.max_items < _MAX_ITEMS:
-            item = Found(None) if node.items is None else self.simplest(node.items)
+            item = Witness(None) if node.items is None else self.simplest(node.items)
             if item is not None and not node.prefix:
-                yield Found(_repeated([], item.value, limits.max_items + 1))
+                yield Witness(_repeated([], item.value, limits.max_items + 1))
 
-    def place(self, node: SchemaNode, path: tuple[str | int, ...], value: Any) -> Found | None:
+    def place(self, node: SchemaNode, path: tuple[str | int, ...], value: Any) -> Witness | None:
         """Return a message with a value at a place, and the simplest elsewhere."""
         around = [node]
         for step in path:
@@ -187,7 +187,7 @@ class Messages:
                 value = _repeated(front, value, max(1, subschema.min_items - len(front)))
             else:
                 value = {**self._of_kind(subschema, "object"), step: value}
-        return Found(value)
+        return Witness(value)
 
     def _of_kind(self, node: SchemaNode, kind: str) -> Any:
         """Make a value of which all parts are made."""

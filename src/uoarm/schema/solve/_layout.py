@@ -8,7 +8,7 @@ from typing import Any, TypeAlias
 
 from uoarm.schema._errors import OutOfScopeError
 from uoarm.schema.read import SchemaNode
-from uoarm.schema.solve._branch import Atom, Empty, Literal, Result
+from uoarm.schema.solve._branch import Atom, Literal, Result, Unsatisfiable
 from uoarm.schema.solve._solver import Goal
 
 __all__ = ["ArrayView", "Layout"]
@@ -147,11 +147,11 @@ class ArrayView:
         there = self._layout.least > position
         if some or there:
             result = yield (*known, literal)
-            if isinstance(result, Empty):
+            if isinstance(result, Unsatisfiable):
                 return False
         if many and (there or not some):
             result = yield (*known, (literal[0], not literal[1]))
-            if isinstance(result, Empty):
+            if isinstance(result, Unsatisfiable):
                 return True
         return None
 
@@ -162,7 +162,7 @@ class ArrayView:
             return None
         wanted = literal if some else (literal[0], not literal[1])
         result = yield (*self._layout.literals(start), wanted)
-        return (not some) if isinstance(result, Empty) else None
+        return (not some) if isinstance(result, Unsatisfiable) else None
 
     def _judge_count(self, node: Any, least: int, most: int | None) -> bool | None:
         low, high = self._counts.get(node.number, (0, None))

@@ -13,7 +13,7 @@ from attrs import frozen
 from uoarm.schema._errors import OutOfScopeError
 from uoarm.schema._values import exact, kind_of
 from uoarm.schema.read import SchemaNode
-from uoarm.schema.solve._branch import EMPTY, Found, Literal, Result, Unknown, run
+from uoarm.schema.solve._branch import UNSATISFIABLE, Literal, Result, Unknown, Witness, run
 
 __all__ = [
     "EVERY_NUMBER",
@@ -64,7 +64,7 @@ def find_number(
         and high is not None
         and (low[0] > high[0] or (low[0] == high[0] and (low[1] or high[1])))
     ):
-        return EMPTY
+        return UNSATISFIABLE
     if step is not None:
         return _on_lattice(step, low, high, never, excluded, spend)
     return _anywhere(low, high, never, excluded)
@@ -95,10 +95,10 @@ def _on_lattice(
         most = math.floor(high[0] / step)
         most -= high[1] and most * step == high[0]
     if least is not None and most is not None and least > most:
-        return EMPTY
+        return UNSATISFIABLE
     periods = [(step / fraction).denominator for fraction in never]
     if 1 in periods:
-        return EMPTY
+        return UNSATISFIABLE
     skipped = False
     taken = {int(fraction / step) for fraction in excluded if (fraction / step).denominator == 1}
     for tries, factor in enumerate(_outwards(least, most)):
@@ -107,11 +107,11 @@ def _on_lattice(
         if factor not in taken and all(factor % period for period in periods):
             written = _as_json(factor * step)
             if written is not None:
-                return Found(written)
+                return Witness(written)
             skipped = True
         if tries > _MAX_TRIES + len(taken):
             return Unknown("too many multiples had to be tried")
-    return Unknown(_UNWRITTEN) if skipped else EMPTY
+    return Unknown(_UNWRITTEN) if skipped else UNSATISFIABLE
 
 
 def _outwards(least: int | None, most: int | None) -> Iterable[int]:
@@ -154,16 +154,16 @@ def _anywhere(
 
     if low is not None and high is not None and low[0] == high[0]:
         if not fits(low[0]):
-            return EMPTY
+            return UNSATISFIABLE
         written = _as_json(low[0])
-        return Unknown(_UNWRITTEN) if written is None else Found(written)
+        return Unknown(_UNWRITTEN) if written is None else Witness(written)
     for number in _candidates(low, high):
         written = _as_json(number)
         if written is None and _is_small(number):
             number = exact(float(number))  # noqa: PLW2901 - the nearest that can be written
             written = _as_json(number)
         if written is not None and fits(number):
-            return Found(written)
+            return Witness(written)
     return Unknown(_UNWRITTEN)
 
 
@@ -315,10 +315,10 @@ def find_number_whole(goal: Sequence[Literal], spend: Callable[[int], None]) -> 
             bounds = [("low", *low)] if low is not None else []
             bounds += [("high", *high)] if high is not None else []
             result = find_number([*held, *bounds], frozenset(), spend)
-            if isinstance(result, Found):
+            if isinstance(result, Witness):
                 return result
             unknown = result if isinstance(result, Unknown) else unknown
-    return unknown or EMPTY
+    return unknown or UNSATISFIABLE
 
 
 def _steps(nodes: Sequence[SchemaNode], spend: Callable[[int], None]) -> set[Fraction]:

@@ -7,7 +7,15 @@ from typing import Any, TypeAlias
 
 from uoarm.schema.read import SchemaNode
 from uoarm.schema.regex import TooLong, found_in
-from uoarm.schema.solve._branch import EMPTY, Atom, Empty, Found, Literal, Result, Unknown
+from uoarm.schema.solve._branch import (
+    UNSATISFIABLE,
+    Atom,
+    Literal,
+    Result,
+    Unknown,
+    Unsatisfiable,
+    Witness,
+)
 from uoarm.schema.solve._evaluate import accepts, named_rules
 from uoarm.schema.solve._solver import Asking, Goal, SearchState, Solver
 
@@ -88,18 +96,18 @@ class ObjectView:
             if not self.allows(name):
                 return False
             result = yield self.literals(name)
-            return False if isinstance(result, Empty) else None
+            return False if isinstance(result, Unsatisfiable) else None
         if tag == "somemember":
             if not self.allows(name):
                 return False
             literal: Any = atom[2]
             known = self.literals(name)
             result = yield (*known, literal)
-            if isinstance(result, Empty):
+            if isinstance(result, Unsatisfiable):
                 return False
             if many and name in self.has:
                 result = yield (*known, (literal[0], not literal[1]))
-                return True if isinstance(result, Empty) else None
+                return True if isinstance(result, Unsatisfiable) else None
             return None
         if tag == "least":
             return True if len(self.has) >= name else None
@@ -112,7 +120,7 @@ def object_leaf(solver: Solver, state: SearchState) -> Asking:
     """Answer a goal of which only atoms about an object are left."""
     view = ObjectView(state.atoms)
     if view.most is not None and (view.least > view.most or len(view.has) > view.most):
-        return EMPTY
+        return UNSATISFIABLE
     return (yield _meet_demands(solver, view, view.demands, {}))
 
 
@@ -142,18 +150,18 @@ def _meet_demands(
         if not all(accepts(node, name) == sign for node, sign in wanted):
             continue
         result = yield _with_name(solver, view, rest, extra, name, needed)
-        if isinstance(result, Found):
+        if isinstance(result, Witness):
             return result
         unknown = result if isinstance(result, Unknown) else unknown
     for kind in _name_classes(solver, view, rest):
         named = yield _name_goal(solver, view, [*wanted, *kind], known)
-        if isinstance(named, Found):
+        if isinstance(named, Witness):
             result = yield _with_name(solver, view, rest, extra, named.value, needed)
-            if isinstance(result, Found):
+            if isinstance(result, Witness):
                 return result
             unknown = result if isinstance(result, Unknown) else unknown
         unknown = named if isinstance(named, Unknown) else unknown
-    return unknown or EMPTY
+    return unknown or UNSATISFIABLE
 
 
 def _with_name(
@@ -167,9 +175,9 @@ def _with_name(
     solver.spend()
     literals = (*extra.get(name, ()), *needed)
     if not view.allows(name):
-        return EMPTY
+        return UNSATISFIABLE
     result = yield (*view.literals(name), *literals)
-    if not isinstance(result, Found):
+    if not isinstance(result, Witness):
         return result
     return (yield _meet_demands(solver, view, rest, {**extra, name: literals}))
 
@@ -179,13 +187,13 @@ def _fill(solver: Solver, view: ObjectView, extra: dict[str, tuple[Literal, ...]
     made: dict[str, Any] = {}
     for name in (*view.has, *(n for n in extra if n not in view.has)):
         if not view.allows(name):
-            return EMPTY
+            return UNSATISFIABLE
         result = yield (*view.literals(name), *extra.get(name, ()))
-        if not isinstance(result, Found):
+        if not isinstance(result, Witness):
             return result
         made[name] = result.value
     if view.most is not None and len(made) > view.most:
-        return EMPTY
+        return UNSATISFIABLE
     unknown: Unknown | None = None
     if len(made) < view.least:
         for name in _mentioned(view):
@@ -193,14 +201,14 @@ def _fill(solver: Solver, view: ObjectView, extra: dict[str, tuple[Literal, ...]
                 break
             if name not in made and view.allows(name):
                 result = yield view.literals(name)
-                if isinstance(result, Found):
+                if isinstance(result, Witness):
                     made[name] = result.value
                 unknown = result if isinstance(result, Unknown) else unknown
     if len(made) < view.least:
         shortage = yield from _add_fresh(solver, view, made)
         if shortage is not None:
             return unknown or shortage
-    return Found(made)
+    return Witness(made)
 
 
 def _add_fresh(
@@ -214,15 +222,15 @@ def _add_fresh(
     for kind in _name_classes(solver, view):
         while len(made) < view.least:
             named = yield _name_goal(solver, view, kind, [*mentioned, *made])
-            if not isinstance(named, Found):
+            if not isinstance(named, Witness):
                 unknown = named if isinstance(named, Unknown) else unknown
                 break
             result = yield view.literals(named.value)
-            if not isinstance(result, Found):
+            if not isinstance(result, Witness):
                 unknown = result if isinstance(result, Unknown) else unknown
                 break
             made[named.value] = result.value
-    return None if len(made) >= view.least else unknown or EMPTY
+    return None if len(made) >= view.least else unknown or UNSATISFIABLE
 
 
 def _mentioned(view: ObjectView) -> list[str]:

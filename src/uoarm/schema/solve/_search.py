@@ -10,13 +10,13 @@ from uoarm.schema._values import Repeated, exact, is_small, kind_of, runs_of
 from uoarm.schema.regex import TooLong, UnsupportedPatternError, shortest_word
 from uoarm.schema.solve._arrays import array_leaf
 from uoarm.schema.solve._branch import (
-    EMPTY,
+    UNSATISFIABLE,
     Branch,
     Choice,
-    Empty,
-    Found,
     Result,
     Unknown,
+    Unsatisfiable,
+    Witness,
     contradicts,
     tags_of,
 )
@@ -105,11 +105,11 @@ def answer(solver: Solver, goal: Goal) -> Asking:
             result = Unknown(f"a pattern: {error}")
         except TooLong as error:
             result = Unknown(str(error))
-        if isinstance(result, Found):
+        if isinstance(result, Witness):
             return result
         if isinstance(result, Unknown):
             unknown = result
-    return unknown or EMPTY
+    return unknown or UNSATISFIABLE
 
 
 def _of_kind(solver: Solver, state: SearchState) -> Asking:
@@ -119,7 +119,7 @@ def _of_kind(solver: Solver, state: SearchState) -> Asking:
         except OutOfScopeError:
             pass  # one way of several may still be within it
     if not state.add(Branch(literals=list(state.goal))):
-        return EMPTY
+        return UNSATISFIABLE
     if state.kind == "null":
         return try_values(solver, [None], state)
     if state.kind == "boolean":
@@ -134,7 +134,7 @@ def _search(solver: Solver, state: SearchState) -> Asking:
         solver.spend(len(smallest.values) // 16)  # type: ignore[attr-defined] # a node
         return try_values(solver, smallest.values.values(), state)  # type: ignore[attr-defined] # a node
     if not _exclude_composites(solver, state):
-        return EMPTY
+        return UNSATISFIABLE
     while state.choices:
         solver.spend()
         view = _view(state)
@@ -146,7 +146,7 @@ def _search(solver: Solver, state: SearchState) -> Asking:
             if alive is None:
                 continue
             if not alive:
-                return EMPTY
+                return UNSATISFIABLE
             if len(alive) == 1 and forced is None:
                 forced = alive[0]
                 continue
@@ -154,11 +154,11 @@ def _search(solver: Solver, state: SearchState) -> Asking:
         state.choices = open_choices
         if forced is not None:
             if not state.add(forced):
-                return EMPTY
+                return UNSATISFIABLE
             if _is_finite(state):
                 return (yield _search(solver, state))
             if not _exclude_composites(solver, state):
-                return EMPTY
+                return UNSATISFIABLE
             continue
         if not state.choices:
             break
@@ -197,11 +197,11 @@ def _branch(solver: Solver, state: SearchState) -> Asking:
         solver.meter.hold(octets)
         result = yield _search(solver, trial)
         solver.meter.release(octets)
-        if isinstance(result, Found):
+        if isinstance(result, Witness):
             return result
         if isinstance(result, Unknown):
             unknown = result
-    return unknown or EMPTY
+    return unknown or UNSATISFIABLE
 
 
 def _without_choices(
@@ -212,14 +212,14 @@ def _without_choices(
         return None
     try:
         found = yield from _leaf(solver, state)
-        if isinstance(found, Found):
+        if isinstance(found, Witness):
             if not is_small(found.value, _MAX_TRIED):
                 return None
             found = try_values(solver, [found.value], state)
-            return found if isinstance(found, Found) else None
+            return found if isinstance(found, Witness) else None
     except (OutOfScopeError, UnsupportedPatternError, TooLong):
         return None
-    return found if isinstance(found, Empty) else None
+    return found if isinstance(found, Unsatisfiable) else None
 
 
 def _leaf(solver: Solver, state: SearchState) -> Asking:
@@ -244,7 +244,9 @@ def _find_string(solver: Solver, state: SearchState) -> Result:
     least, most = 0, None
     tags = {atom[0] for atom in state.atoms}
     if "nul" in tags:
-        return EMPTY  # what may be any text is taken to have no NUL; what is listed was tried
+        return (
+            UNSATISFIABLE  # what may be any text is taken to have no NUL; what is listed was tried
+        )
     for tag, *rest in state.atoms:
         size: Any = rest[0] if rest else None
         if tag == "least":
@@ -267,7 +269,7 @@ def _find_string(solver: Solver, state: SearchState) -> Result:
             solver.meter,
             without_nul="nonul" in tags,
         )
-    return EMPTY if found is None else Found(found)
+    return UNSATISFIABLE if found is None else Witness(found)
 
 
 def _patterns(state: SearchState, tag: str) -> list[Any]:

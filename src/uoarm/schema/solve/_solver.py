@@ -20,16 +20,16 @@ from uoarm.schema._values import Key, kind_of
 from uoarm.schema.read import Pool, SchemaDocument, SchemaNode
 from uoarm.schema.regex import TooLong, UnsupportedPatternError
 from uoarm.schema.solve._branch import (
-    EMPTY,
     KINDS,
+    UNSATISFIABLE,
     Atom,
     Branch,
     Choice,
-    Empty,
-    Found,
     Literal,
     Result,
     Unknown,
+    Unsatisfiable,
+    Witness,
     contradicts,
     tags_of,
 )
@@ -175,7 +175,7 @@ class Solver:
                 if frame.key is not None:
                     raise
                 failure = error
-                self._finish(frames, active, EMPTY)
+                self._finish(frames, active, UNSATISFIABLE)
             else:
                 result = self._ask(asked, frames, active)
         assert result is not None
@@ -192,12 +192,12 @@ class Solver:
         self.spend(1 + len(asked) // 16)
         key = _key(asked)
         if key is None:
-            return EMPTY
+            return UNSATISFIABLE
         if key in self._memo:
             result = self._memo[key]
         elif key in active:
             frames[-1].low = min(frames[-1].low, active[key])
-            result = EMPTY
+            result = UNSATISFIABLE
         else:
             active[key] = len(frames)
             self._begin(frames, key, self._answer(self, asked))
@@ -226,9 +226,9 @@ class Solver:
             frames[-1].unknown = frame.unknown or frames[-1].unknown
             return result
         del active[frame.key]
-        if isinstance(result, Empty) and frame.unknown is not None:
+        if isinstance(result, Unsatisfiable) and frame.unknown is not None:
             result = frame.unknown
-        if isinstance(result, Found) or frame.low >= depth:
+        if isinstance(result, Witness) or frame.low >= depth:
             self.meter.hold(_OF_ANSWER + 8 * len(frame.key))
             self._memo[frame.key] = result
         if frames:
@@ -247,8 +247,8 @@ def try_values(solver: Solver, values: Iterable[Any], state: SearchState) -> Res
         if kind_of(value) == state.kind and all(
             judgements.accepts(node, value) == sign for node, sign in state.goal
         ):
-            return Found(value)
-    return EMPTY
+            return Witness(value)
+    return UNSATISFIABLE
 
 
 def possible_kinds(goal: Goal) -> list[str]:

@@ -15,7 +15,7 @@ from websockets.frames import CloseCode
 
 from uoarm._raised import foreign
 from uoarm._support.aio_deadlines import result_within
-from uoarm.model import Spending
+from uoarm.model import BudgetUse
 from uoarm.server._limits import Limits
 from uoarm.server.access import (
     ApprovalError,
@@ -44,7 +44,7 @@ class Session(Protocol):
     def octets(self, frame: str | bytes) -> int:
         """Return how much `decode` would have to decode, with what came before the frame."""
 
-    def decode(self, frame: str | bytes, spending: Spending) -> tuple[Callable[[], None], int]:
+    def decode(self, frame: str | bytes, spending: BudgetUse) -> tuple[Callable[[], None], int]:
         """Return what is to be done about a frame, in the loop; answers then go to the outbox.
 
         And how many octets of memory its message holds, which `Client.in_hand` says meanwhile.
@@ -223,9 +223,9 @@ class ConnectedClient(AdmittedClient):
                 await asyncio.sleep(wait)
                 began = time.monotonic()
 
-    async def _take(self, session: Session, frame: str | bytes) -> Spending:
+    async def _take(self, session: Session, frame: str | bytes) -> BudgetUse:
         """Act on one frame; returns what it cost."""
-        spending = Spending(self.limits.budget)
+        spending = BudgetUse(self.limits.budget)
         decode = functools.partial(foreign, session.decode, frame, spending)
         octets = foreign(session.octets, frame)
         act, self.in_hand = await self._decoder.run(octets, decode)

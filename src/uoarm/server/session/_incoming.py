@@ -223,7 +223,7 @@ class IncomingError(Exception):
         self.code = code
 
 
-class _Pile:
+class _PartialMessage:
     """The octets of a message that is not whole, whatever they come as: a million pieces are none.
 
     From a megabyte on in memory of its own, which the system has back at once: of what the
@@ -276,7 +276,7 @@ class IncomingFrames:
     ) -> None:
         self._most = most
         self._later = later
-        self._pile = _Pile()
+        self._pile = _PartialMessage()
         self.clear()
 
     def clear(self) -> None:
@@ -343,7 +343,7 @@ class IncomingFrames:
             self._drop_pile()
 
     def _drop_pile(self) -> None:
-        pile, self._pile = self._pile, _Pile()
+        pile, self._pile = self._pile, _PartialMessage()
         if len(pile) >= _LARGE_PILE:
             self._later(pile.clear)
 

@@ -19,13 +19,13 @@ from uoarm.bridge import asking, boot_seconds, refuse_loop
 from uoarm.config import completed_schema
 from uoarm.errors import ConnectionClosedError, ControlMessageError, UoarmError, UsageError
 from uoarm.model import (
+    BudgetUse,
     ConfigurationChange,
     ControlMessage,
     LeaseHolder,
     Message,
     Op,
     Plan,
-    Spending,
     StopReport,
     message_octets,
     to_json,
@@ -164,7 +164,7 @@ class NativeSession:
         """Return how much there is to decode."""
         return len(frame)
 
-    def decode(self, frame: str | bytes, spending: Spending) -> tuple[Callable[[], None], int]:
+    def decode(self, frame: str | bytes, spending: BudgetUse) -> tuple[Callable[[], None], int]:
         """Return what answers one frame, now or later, and how much memory its message holds."""
         fields: Mapping[str, Any] = {}
         try:

@@ -337,7 +337,7 @@ class StatusViews:
         self._past = past
         self._views = views
         self._clock = clock
-        self._boards: OrderedDict[AccessRole, _Board] = OrderedDict()
+        self._boards: OrderedDict[AccessRole, _RoleStatus] = OrderedDict()
 
     def make(self, questions: Collection[StatusQuestion]) -> dict[StatusQuestion, StatusAnswer]:
         """Return the answers."""
@@ -360,8 +360,8 @@ class StatusViews:
             answers[question] = StatusAnswer(reports, number)
         return answers
 
-    def _board(self, role: AccessRole) -> _Board:
-        board = self._boards.setdefault(role, _Board())
+    def _board(self, role: AccessRole) -> _RoleStatus:
+        board = self._boards.setdefault(role, _RoleStatus())
         self._boards.move_to_end(role)
         if len(self._boards) > _ROLES:
             self._boards.popitem(last=False)
@@ -438,7 +438,7 @@ class _Part:
         return form.map_of({"changed": form.list_of(changed), "gone": form.write(gone)})
 
 
-class _Board:
+class _RoleStatus:
     """The map as one role sees it, and since which version each part of it is as it is."""
 
     def __init__(self) -> None:

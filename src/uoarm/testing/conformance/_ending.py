@@ -15,7 +15,7 @@ from uoarm.bridge import Bridge, Channel
 from uoarm.errors import BridgeError, FailureReason, UoarmError
 from uoarm.model import Endpoint, Message
 from uoarm.testing._collector import Background, Collector
-from uoarm.testing._resources import Census
+from uoarm.testing._resources import ResourceSnapshot
 from uoarm.testing._time import wait
 from uoarm.testing.conformance._world import World, line, rules, structure_of
 
@@ -230,10 +230,10 @@ class EndingRules:
                 bridge.close()
 
         cycle()
-        census = Census()
+        snapshot = ResourceSnapshot()
         for _ in range(_CYCLES):
             cycle()
-        census.check(world.patience)
+        snapshot.check(world.patience)
 
 
 def _received_by_a_line(world: World, bridge: Bridge, kind: str) -> Collector:

@@ -27,7 +27,7 @@ from uoarm_rocos._catalogue import (
     NamedField,
     StringField,
 )
-from uoarm_rocos._device import Answer, LineDevice
+from uoarm_rocos._device import LineDevice, PendingReply
 from uoarm_rocos._framing import LineError, WireError
 from uoarm_rocos._line import DeviceLine
 from uoarm_rocos._options import Timing
@@ -171,7 +171,7 @@ class Monitor(LineDevice):
         self._open = False
         self._cause = "not connected yet"
         self._disconnection = Disconnection(timing.grace)
-        self._waiting: list[Answer] = []
+        self._waiting: list[PendingReply] = []
         self._line = DeviceLine(name, transport, self, timing.backoff)
         self._line.start()
 
@@ -188,7 +188,7 @@ class Monitor(LineDevice):
         began = time.monotonic()
         fit(api.input, message, f"request to {api.name}")
         self.catalogue(min(timeout, self._timing.wait))
-        answer = Answer()
+        answer = PendingReply()
         with self._state:
             self._check_open()
             if len(self._waiting) >= _MOST_CALLS:

@@ -5,8 +5,8 @@ from uoarm_rocos.simulate._patient import (
     BloodPressureMonitor,
     Oximeter,
     Person,
-    Story,
-    Vitals,
+    Scenario,
+    VitalSigns,
 )
 from uoarm_rocos.simulate._run import LineEnd, LineFaults, PtyEnd, Simulated, TcpEnd, run
 from uoarm_rocos.simulate._server import Job, Model, ProfileServer, SimulatedRobot, robot_catalogue
@@ -22,11 +22,11 @@ __all__ = [
     "Person",
     "ProfileServer",
     "PtyEnd",
+    "Scenario",
     "Simulated",
     "SimulatedRobot",
-    "Story",
     "TcpEnd",
-    "Vitals",
+    "VitalSigns",
     "robot_catalogue",
     "run",
 ]

@@ -22,7 +22,7 @@ from attrs import frozen
 from uoarm_rocos.devices._blood_pressure import ACCEPTED, REFUSED, Measurement, ua767_frame
 from uoarm_rocos.devices._oximeters import contec_frame, nonin1_frame, nonin2_packet
 
-__all__ = ["FORMATS", "BloodPressureMonitor", "Oximeter", "Person", "Story", "Vitals"]
+__all__ = ["FORMATS", "BloodPressureMonitor", "Oximeter", "Person", "Scenario", "VitalSigns"]
 
 _BREATH_HZ, _MAYER_HZ = 0.25, 0.1
 _BREATH_SWING, _MAYER_SWING = 3.0, 2.0
@@ -34,7 +34,7 @@ _TURN = 2 * math.pi
 
 
 @frozen
-class Vitals:
+class VitalSigns:
     """One moment: beats a minute, per cent, height of the pulse wave from 0 to 1, mm Hg.
 
     Attributes:
@@ -71,11 +71,11 @@ class Person:
     diastolic: float = 76.0
     apnoea: float = 0.0
 
-    def at(self, time: float) -> Vitals:
+    def at(self, time: float) -> VitalSigns:
         """Return the vital signs at a time in seconds."""
         breath, mayer = _TURN * _BREATH_HZ * time, _TURN * _MAYER_HZ * time
         beats = self._beats(time, breath, mayer)
-        return Vitals(
+        return VitalSigns(
             pulse=self.pulse + _BREATH_SWING * math.sin(breath) + _MAYER_SWING * math.sin(mayer),
             spo2=self.spo2 - self._desaturation(time),
             wave=_wave(beats, breath),
@@ -115,7 +115,7 @@ _MOST_LATE = 1.0
 
 
 @frozen
-class Story:
+class Scenario:
     """What happens to the finger, in seconds after the device is switched on.
 
     Attributes:
@@ -142,10 +142,12 @@ class Oximeter:
     Args:
         kind: one of `FORMATS`.
         person: whose finger it is.
-        story: what happens to the finger.
+        scenario: what happens to the finger.
     """
 
-    def __init__(self, kind: str, person: Person | None = None, story: Story | None = None) -> None:
+    def __init__(
+        self, kind: str, person: Person | None = None, scenario: Scenario | None = None
+    ) -> None:
         makers = {
             "contec": (_CONTEC_HZ, self._contec),
             "nonin-1": (_NONIN_1_HZ, self._nonin_1),
@@ -153,7 +155,7 @@ class Oximeter:
         }
         self._hertz, self._make = makers[kind]
         self._person = person or Person()
-        self._story = story or Story()
+        self._scenario = scenario or Scenario()
         self._on: float | None = None
         self._count = 0
         self._beat, self._beeping = 0, 0
@@ -180,7 +182,7 @@ class Oximeter:
         return frames
 
     def _contec(self, time: float) -> list[bytes]:
-        state, vitals = self._story.state(time), self._person.at(time)
+        state, vitals = self._scenario.state(time), self._person.at(time)
         if state == "finger-out":
             return [contec_frame(finger_out=True)]
         wave = round(vitals.wave * 127)
@@ -200,7 +202,7 @@ class Oximeter:
         ]
 
     def _nonin_1(self, time: float) -> list[bytes]:
-        state, vitals = self._story.state(time), self._person.at(time)
+        state, vitals = self._scenario.state(time), self._person.at(time)
         if state != "good":
             return [nonin1_frame(flags=0x40 if state == "finger-out" else 0x20)]
         return [nonin1_frame(rate=round(vitals.pulse), spo2=round(vitals.spo2))]
@@ -211,7 +213,7 @@ class Oximeter:
         return [self._packet.pop(0)]
 
     def _nonin_2_packet(self, time: float) -> list[bytes]:
-        state = self._story.state(time)
+        state = self._scenario.state(time)
         if state == "finger-out":
             return nonin2_packet([0] * _PACKET, flags=0x40)
         times = [time + n / _NONIN_2_HZ for n in range(_PACKET)]

@@ -237,7 +237,7 @@ def run(
     device: Simulated, end: LineEnd, stop: threading.Event, faults: LineFaults | None = None
 ) -> None:
     """Run a device until `stop` is set; then everything is closed."""
-    way = _Way(end, faults or LineFaults())
+    way = _FaultyTransport(end, faults or LineFaults())
     try:
         while not stop.is_set():
             if end.meet(_MEET_SECONDS):
@@ -246,7 +246,7 @@ def run(
         end.close()
 
 
-def _serve(device: Simulated, end: LineEnd, way: _Way, stop: threading.Event) -> None:
+def _serve(device: Simulated, end: LineEnd, way: _FaultyTransport, stop: threading.Event) -> None:
     began = time.monotonic()
     device.begin(began)
     way.begin()
@@ -266,7 +266,7 @@ def _serve(device: Simulated, end: LineEnd, way: _Way, stop: threading.Event) ->
             return
 
 
-class _Way:
+class _FaultyTransport:
     """The way to the host, where things go wrong."""
 
     def __init__(self, end: LineEnd, faults: LineFaults) -> None:

@@ -50,7 +50,7 @@ class _Allocator(ctypes.Structure):
     _fields_ = (("functions", ctypes.c_void_p * 5),)
 
 
-class _Taken(ctypes.Structure):
+class _SerialisedBuffer(ctypes.Structure):
     """`rcutils_uint8_array_t`, which the middleware makes as large as it needs."""
 
     _fields_ = (
@@ -116,13 +116,13 @@ def _taking() -> tuple[Any, Any, Any, _Allocator]:
     take = ctypes.CDLL("librcl.so").rcl_take_serialized_message
     take.argtypes = (
         ctypes.c_void_p,
-        ctypes.POINTER(_Taken),
+        ctypes.POINTER(_SerialisedBuffer),
         ctypes.POINTER(_MessageInfo),
         ctypes.c_void_p,
     )
     utilities = ctypes.CDLL("librcutils.so")
     utilities.rcutils_get_default_allocator.restype = _Allocator
-    pointers = (ctypes.POINTER(_Taken), ctypes.c_size_t, ctypes.POINTER(_Allocator))
+    pointers = (ctypes.POINTER(_SerialisedBuffer), ctypes.c_size_t, ctypes.POINTER(_Allocator))
     utilities.rcutils_uint8_array_init.argtypes = pointers
     utilities.rcutils_uint8_array_fini.argtypes = pointers[:1]
     allocator = utilities.rcutils_get_default_allocator()
@@ -142,7 +142,7 @@ def take_with_writer(handle: Any) -> tuple[bytes, bytes] | None:
         InvalidHandle: the subscription was destroyed.
     """
     take, make, free, allocator = _taking()
-    taken, info = _Taken(), _MessageInfo()
+    taken, info = _SerialisedBuffer(), _MessageInfo()
     if make(ctypes.byref(taken), 0, ctypes.byref(allocator)):
         raise OSError("there is no memory for a message")
     try:

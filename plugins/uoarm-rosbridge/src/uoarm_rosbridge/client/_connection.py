@@ -17,7 +17,7 @@ from websockets.sync.client import ClientConnection, connect
 
 from uoarm.bridge import Backoff, Disconnection
 from uoarm.errors import BridgeError, BridgeTimeoutError, ControlMessageError, FailureReason
-from uoarm.model import Health, Spending
+from uoarm.model import BudgetUse, Health
 from uoarm.server.front_end import read_binary, read_text
 from uoarm_rosbridge.client._options import ClientOptions, ServerAccess
 
@@ -357,7 +357,7 @@ class ServerConnection:
         return "the server closed the connection", False
 
     def _take(self, frame: str | bytes) -> None:
-        spending = Spending(self.options.budget)
+        spending = BudgetUse(self.options.budget)
         try:
             if isinstance(frame, str):
                 fields = read_text(frame, spending)

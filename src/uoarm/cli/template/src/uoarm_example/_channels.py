@@ -8,7 +8,7 @@ from typing import Any
 
 from uoarm.bridge import Channel, Delivery, Handler, ReceiveQueue, Sink, Source, foreign
 from uoarm.errors import BridgeError, ControlMessageError, FailureReason, MessageError
-from uoarm.model import Budget, Endpoint, Health, Message, Spending, scan_json
+from uoarm.model import Budget, BudgetUse, Endpoint, Health, Message, scan_json
 from uoarm_example._connection import ExampleConnection
 from uoarm_example._health import Report, monitored
 from uoarm_example._options import ExampleOptions
@@ -36,7 +36,7 @@ def decode(payload: str) -> Message:
     Raises:
         ValueError: it cannot be read.
     """
-    spending = Spending(_BUDGET)
+    spending = BudgetUse(_BUDGET)
     try:
         spending.octets(len(payload))
         scan_json(payload, spending)
@@ -46,7 +46,7 @@ def decode(payload: str) -> Message:
     return message
 
 
-class _Joined:
+class _MemberChannel:
     """What the channels have in common: they are members of the connection, and have a health."""
 
     def __init__(
@@ -122,7 +122,7 @@ class ExampleSource(Source):
         self._deliver = deliver
         topic = endpoint.address[0]
         request = {"do": "subscribe", "topic": topic}
-        self._joined = _Joined(self, options, connection, report, request)
+        self._joined = _MemberChannel(self, options, connection, report, request)
         self._joined.open(self._take, topic, options.backlog)
 
     def facts(self) -> Mapping[str, object]:
@@ -156,7 +156,7 @@ class ExampleSink(Sink):
     ) -> None:
         super().__init__(endpoint)
         self._connection = connection
-        self._joined = _Joined(self, options, connection, report)
+        self._joined = _MemberChannel(self, options, connection, report)
         self._joined.open(None, endpoint.address[0], 1)
 
     def facts(self) -> Mapping[str, object]:
@@ -196,7 +196,7 @@ class ExampleService(Channel):
         self._connection, self._handler = connection, handler
         name = endpoint.address[0]
         request = {"do": "serve", "service": name, **schemas}
-        self._joined = _Joined(self, options, connection, report, request)
+        self._joined = _MemberChannel(self, options, connection, report, request)
         self._joined.open(self._take, name, options.backlog)
 
     def facts(self) -> Mapping[str, object]:
@@ -235,7 +235,7 @@ class ExampleLink(Channel):
             text = f"{source} and {sink} are one topic: it would go round without end"
             raise BridgeError(text, FailureReason.REFUSED)
         request = {"do": "link", "topic": source.address[0], "to": sink.address[0]}
-        self._joined = _Joined(self, options, connection, report, request)
+        self._joined = _MemberChannel(self, options, connection, report, request)
         self._joined.open(None, source.address[0], 1)
 
     def _close(self) -> None:
