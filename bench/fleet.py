@@ -1,22 +1,25 @@
 """A link to another manager: what a hop costs beside a bare WebSocket, and a desk of many managers.
 
-All on loopback. The server that is bare gives back what it gets; both are asked in turns, with the
-same octets. Managers of the table have servers of their own, in threads of one process.
+All on loopback. The robot and the server that is bare are in one process, the desk in another; both
+are asked in turns, with the same octets. Managers of the table have servers of their own, in
+threads of the desk's process.
 """
 
 from __future__ import annotations
 
-import asyncio
+import os
 import resource
-import threading
+import subprocess
+import sys
+import tempfile
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
-from websockets.asyncio.server import ServerConnection, serve
-from websockets.sync.client import connect
+from websockets.sync.client import ClientConnection, connect
 
+from bench._fleet_peer import LARGE, ROBOT, SMALL
 from bench.tables import at, print_table
 from uoarm import RobotManager
 from uoarm.config import loads
@@ -24,40 +27,45 @@ from uoarm.server import ServerOptions, serve_in_thread
 
 ORIGIN = str(Path(__file__).parent / "robot.yaml")
 SIZES = {"100 B": 100, "10 KB": 10_000, "1 MB": 1_000_000}
+STREAMS = {"1 KB": (SMALL, 4000, 60), "921,600 B": (LARGE, 200, 8)}
+"""Octets of a message, how many are read, and how many may be under way."""
+FUNCTIONS = {SMALL: "small", LARGE: "large"}
 ROUNDS, MANAGERS = 5, (1, 10, 50)
-ROBOT = """
-version: 1
-bridges: {python: {}}
-export: {local: [echo]}
-functions:
-  echo: {components: [{name: echo, bridge: python, service: {endpoint: ["_hosted_parts:echo"]}}]}
-"""
 
 Trip = Callable[[bytes], object]
 
 
 def main() -> None:
-    """Print round trips, and what a desk of many managers costs."""
+    """Print round trips, rates, and what a desk of many managers costs."""
     with ExitStack() as stack:
+        robot, bare, credit = stack.enter_context(peers())
+        desk = stack.enter_context(importer(robot))
+        socket = stack.enter_context(connect(bare, compression=None, max_size=None))
         trips = {
-            "bare WebSocket": stack.enter_context(bare()),
-            "call of a function of another manager": stack.enter_context(hop()),
+            "bare WebSocket": bare_trip(socket),
+            "call of a function of another manager": hop(desk),
         }
         samples = {(name, size): list[float]() for name in trips for size in SIZES}
+        rates = {(name, size): list[float]() for name in trips for size in STREAMS}
         for _ in range(ROUNDS):
             for size, octets in SIZES.items():
                 for name, trip in trips.items():
                     count = 200 if octets < 1e6 else 40
                     samples[name, size] += times(trip, bytes(octets), count)
+            for size, (octets, count, window) in STREAMS.items():
+                rates["bare WebSocket", size].append(bare_rate(socket, octets, count))
+                rate = stream_rate(desk, credit, octets, count, window)
+                rates["call of a function of another manager", size].append(rate)
     rows = [(name, *(cell(sorted(samples[name, size])) for size in SIZES)) for name in trips]
     print_table("Round trip (us, median / p99)", ("what", *SIZES), rows)
-    head = (
-        "managers",
-        "until all were called (s)",
-        "status (ms)",
-        "MB each",
-    )
-    print_table("A desk", head, [desk(count) for count in MANAGERS])
+    names = ("bare WebSocket", "call of a function of another manager")
+    table = [
+        (what, *(f"{at(sorted(rates[name, size]), 0.5):,.0f}" for size in STREAMS))
+        for what, name in zip(("bare WebSocket", "output of another manager"), names, strict=True)
+    ]
+    print_table("Messages a second (median of rounds)", ("what", *STREAMS), table)
+    head = ("managers", "until all were called (s)", "status (ms)", "MB each", "a death seen (s)")
+    print_table("A desk", head, [many(count) for count in MANAGERS])
 
 
 def cell(samples: list[float]) -> str:
@@ -76,35 +84,55 @@ def times(trip: Trip, octets: bytes, count: int) -> list[float]:
 
 
 @contextmanager
-def bare() -> Iterator[Trip]:
-    """Have a server in a thread give back what comes over one connection."""
-    loop, ports, closing = asyncio.new_event_loop(), list[int](), asyncio.Event()
-    ready = threading.Event()
+def peers() -> Iterator[tuple[str, str, Path]]:
+    """Have another process; gives addresses of the robot and the bare server, and the pipe."""
+    with tempfile.TemporaryDirectory() as folder:
+        credit = Path(folder) / "credit"
+        os.mkfifo(credit)
+        process = subprocess.Popen(
+            [sys.executable, "-m", "bench._fleet_peer"],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+            env={**os.environ, "FLEET_CREDIT": str(credit)},
+        )
+        assert process.stdout is not None, "it is a pipe"
+        with process:
+            ports = [int(process.stdout.readline()) for _ in range(2)]
+            robot, bare = (f"ws://127.0.0.1:{port}/" for port in ports)
+            yield robot, bare, credit
+            process.terminate()
 
-    async def echo(socket: ServerConnection) -> None:
-        async for octets in socket:
-            await socket.send(octets)
 
-    async def run() -> None:
-        async with serve(echo, "127.0.0.1", 0, max_size=None, compression=None) as server:
-            ports.append(next(iter(server.sockets)).getsockname()[1])
-            ready.set()
-            await closing.wait()
+def bare_trip(socket: ClientConnection) -> Trip:
+    """Return what sends octets and waits until they come back."""
 
-    thread = threading.Thread(target=loop.run_until_complete, args=(run(),))
-    thread.start()
-    ready.wait()
-    url = f"ws://127.0.0.1:{ports[0]}"
-    with connect(url, compression=None, max_size=None) as socket:
+    def trip(octets: bytes) -> object:
+        socket.send(octets)
+        return socket.recv()
 
-        def trip(octets: bytes) -> object:
-            socket.send(octets)
-            return socket.recv()
+    return trip
 
-        yield trip
-    loop.call_soon_threadsafe(closing.set)
-    thread.join()
-    loop.close()
+
+def bare_rate(socket: ClientConnection, octets: int, count: int) -> float:
+    """Return how many messages a second come."""
+    start = time.perf_counter()
+    socket.send(f"{count} {octets}")
+    for _ in range(count):
+        socket.recv()
+    return count / (time.perf_counter() - start)
+
+
+def stream_rate(desk: RobotManager, credit: Path, octets: int, count: int, window: int) -> float:
+    """Return how many messages a second come of an output, with a window of them under way."""
+    with desk.request(FUNCTIONS[octets]) as stream, credit.open("wb", buffering=0) as pipe:
+        start = time.perf_counter()
+        pipe.write(bytes(window))
+        for _ in range(count - 1):
+            stream.get(10)
+            pipe.write(b"0")
+        stream.get(10)
+        return count / (time.perf_counter() - start)
 
 
 @contextmanager
@@ -134,15 +162,25 @@ def importing(urls: list[str]) -> str:
 
 
 @contextmanager
-def hop() -> Iterator[Trip]:
-    """Call a function of another manager."""
-    with served() as url, RobotManager(loads(importing([url]))) as robot:
+def importer(url: str) -> Iterator[RobotManager]:
+    """Have a desk that imports all of one robot."""
+    text = importing([url]) + "".join(
+        f"\n  {name}: {{components: [{{name: {name}, bridge: r0, "
+        f"output: {{endpoint: [{name}]}}}}]}}"
+        for name in FUNCTIONS.values()
+    )
+    with RobotManager(loads(text)) as desk:
+        yield desk
 
-        def trip(octets: bytes) -> object:
-            return robot.call("f0", {"data": octets})
 
-        trip(b"")
-        yield trip
+def hop(desk: RobotManager) -> Trip:
+    """Return what calls a function of another manager."""
+
+    def trip(octets: bytes) -> object:
+        return desk.call("f0", {"data": octets})
+
+    trip(b"")
+    return trip
 
 
 def resident() -> float:
@@ -151,21 +189,28 @@ def resident() -> float:
     return pages * resource.getpagesize() / 1e6
 
 
-def desk(count: int) -> tuple[str, ...]:
+def many(count: int) -> tuple[str, ...]:
     """Return the row of a desk of so many managers."""
     with ExitStack() as stack:
-        urls = [stack.enter_context(served()) for _ in range(count)]
+        dying = stack.enter_context(ExitStack())
+        urls = [dying.enter_context(served())]
+        urls += [stack.enter_context(served()) for _ in range(count - 1)]
         before = resident()
-        robot = stack.enter_context(RobotManager(loads(importing(urls))))
+        desk = stack.enter_context(RobotManager(loads(importing(urls))))
         start = time.perf_counter()
         for number in range(count):
-            robot.call(f"f{number}", {"data": b"1"})
+            desk.call(f"f{number}", {"data": b"1"})
         called = time.perf_counter() - start
         start = time.perf_counter()
-        robot.status()
+        desk.status()
         status = time.perf_counter() - start
         memory = (resident() - before) / count
-    return str(count), f"{called:.2f}", f"{1000 * status:.1f}", f"{memory:.1f}"
+        start = time.perf_counter()
+        dying.close()
+        while not any(dict(bridge.facts)["breaks"] for bridge in desk.status().bridges):
+            time.sleep(0.01)
+        seen = time.perf_counter() - start
+    return str(count), f"{called:.2f}", f"{1000 * status:.1f}", f"{memory:.1f}", f"{seen:.2f}"
 
 
 if __name__ == "__main__":
