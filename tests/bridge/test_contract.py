@@ -37,7 +37,7 @@ from uoarm.model import (
     MessageStructure,
     Role,
 )
-from uoarm.testing import Background, Collector, lying, patience
+from uoarm.testing import Background, Collector, lying, patience, wait
 
 ROOT = Path(__file__).parents[2]
 ENDPOINT = Endpoint("b", "c", Role.OUTPUT, ("x",))
@@ -202,6 +202,35 @@ def test_inner_steps_share_the_outer_thread() -> None:
     deadlines.run("outer", 5, outer)
     assert len(set(threads)) == 1
     assert threads[0] != threading.get_ident()
+
+
+def test_a_step_that_no_thread_waits_for_ends_in_its_own_or_is_given_up() -> None:
+    ended: list[object] = []
+    quick = deadlines.begin("the quick step", lambda: 1, lambda *end: ended.append(end))
+    wait(lambda: ended == [(1, None)], "it did not end")
+    assert quick.give_up_late() is None
+
+    gate, came = threading.Event(), threading.Event()
+
+    def outer() -> None:
+        try:
+            deadlines.run("the stuck step", 0.01, lambda: gate.wait(patience()))
+        finally:
+            came.set()
+
+    late = deadlines.begin("the whole", outer, lambda *end: ended.append(end))
+    errors: list[object] = []
+
+    def is_given_up() -> bool:
+        errors.append(late.give_up_late())
+        return errors[-1] is not None
+
+    wait(is_given_up, "it was not given up")
+    assert "the stuck step did not finish within 0.01 s" in str(errors[-1])
+    assert late.give_up_late() is None
+    gate.set()
+    wait(came.is_set, "it hangs still")
+    assert len(ended) == 1
 
 
 def point(name: str, module: str) -> EntryPoint:

@@ -263,12 +263,14 @@ class Reaching(Bridge):
         self.over.set()
 
 
-def test_a_call_that_is_given_up_is_cancelled_there() -> None:
-    text = """
+REACHING = """
 version: 1
 bridges: {arm: {plugin: python}}
 functions: {reach: {components: [{name: arm, bridge: arm, service: {endpoint: [reach]}}]}}
 """
+
+
+def test_a_call_that_is_given_up_is_cancelled_there() -> None:
     arm = Reaching()
 
     async def work(client: RemoteRobot) -> None:
@@ -279,7 +281,56 @@ functions: {reach: {components: [{name: arm, bridge: arm, service: {endpoint: [r
             await calling
         assert await asyncio.to_thread(arm.over.wait, patience())
 
-    robot = RobotManager(loads(text), registry=Registry(()), bridges={"arm": arm})
+    robot = RobotManager(loads(REACHING), registry=Registry(()), bridges={"arm": arm})
+    with robot, serve_in_thread(robot, ServerOptions(port=0)) as server:
+        run(server, work)
+
+
+def asked_in_thread(
+    client: RemoteRobot, kind: str, timeout: float, session: int = 0
+) -> Awaitable[Message]:
+    """Call a service in a thread that is not the client's."""
+    began: list[object] = []
+    return asyncio.to_thread(
+        client.ask_in_thread, "Call", kind, timeout, session, began.append, jsonMessage={}
+    )
+
+
+@FORMS
+def test_a_thread_asks_beside_the_loop(binary: bool) -> None:
+    """Of JSON the loop writes; of CBOR the thread does."""
+    arm = Reaching()
+
+    async def work(client: RemoteRobot) -> None:
+        with pytest.raises(ResolutionError):
+            await asked_in_thread(client, "nowhere", patience())
+        with pytest.raises(ConnectionClosedError, match="begun anew"):
+            await asked_in_thread(client, "reach", patience(), session=1)
+        assert not arm.called.is_set()
+        with pytest.raises(TimeoutError):
+            await asked_in_thread(client, "reach", 0.2)
+        # It was sent, and ends there, since it is not waited for any more.
+        assert await asyncio.to_thread(arm.over.wait, patience())
+        assert {asked.fields["op"] for asked in client._asked.values()} <= {"Kill"}
+
+    robot = RobotManager(loads(REACHING), registry=Registry(()), bridges={"arm": arm})
+    with robot, serve_in_thread(robot, ServerOptions(port=0)) as server:
+        run(server, work, binary=binary)
+
+
+def test_what_a_thread_gave_up_before_it_was_sent_never_is() -> None:
+    arm = Reaching()
+
+    async def work(client: RemoteRobot) -> None:
+        client._link._end_sending()  # as while the connection is made anew
+        with pytest.raises(TimeoutError):
+            await asked_in_thread(client, "reach", 0.05)
+        client._link._begin_to_send()
+        assert [function["name"] for function in await client.functions()] == ["reach"]
+        assert not client._sending
+        assert not arm.called.is_set()
+
+    robot = RobotManager(loads(REACHING), registry=Registry(()), bridges={"arm": arm})
     with robot, serve_in_thread(robot, ServerOptions(port=0)) as server:
         run(server, work)
 

@@ -5,17 +5,18 @@ from __future__ import annotations
 import asyncio
 import json
 from collections import deque
-from collections.abc import AsyncIterator, Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, cast
 
 import pytest
-from websockets.asyncio.client import ClientConnection, connect
+from websockets.asyncio.client import connect
 from websockets.asyncio.server import ServerConnection, serve
 from websockets.exceptions import ConnectionClosedError
 
 from uoarm._wire import TEXT_FORM
 from uoarm.client import RemoteRobot
 from uoarm.client._link import Link, Take
+from uoarm.client._socket import ClientSocket, Received
 from uoarm.errors import MessageError
 from uoarm.model import StatusEvent, to_json
 from uoarm.testing import patience
@@ -38,12 +39,14 @@ class Socket:
         assert text
         self.sent.append(json.loads(frame))
 
-    async def recv(self) -> str:
+    send_whole = send
+
+    async def next_message(self) -> str:
         return self._messages.popleft()
 
-    async def __aiter__(self) -> AsyncIterator[str]:
+    async def hand_over(self, take: Callable[[Received], object]) -> None:
         while self._messages:
-            yield self._messages.popleft()
+            take(self._messages.popleft())
         raise ConnectionClosedError(None, None)
 
 
@@ -55,10 +58,10 @@ def begin(*sockets: Socket, again: asyncio.Future[None], take: Take = _ignore) -
     """Return a link that gets these sockets, and then what becomes of the future."""
     waiting = deque(sockets)
 
-    async def opening() -> ClientConnection:
+    async def opening() -> ClientSocket:
         if not waiting:
             await again
-        return cast("ClientConnection", waiting.popleft())
+        return cast("ClientSocket", waiting.popleft())
 
     return Link(opening, TEXT_FORM, take)
 
@@ -129,8 +132,8 @@ def test_changes_that_are_not_taken_are_the_newest() -> None:
         )
         socket = Socket({"op": "Reply", "id": "1", "jsonMessage": {}}, *changes)
 
-        async def opening() -> ClientConnection:
-            return cast("ClientConnection", socket)
+        async def opening() -> ClientSocket:
+            return cast("ClientSocket", socket)
 
         client = RemoteRobot(opening, TEXT_FORM)
         watching = client.watch()
@@ -166,8 +169,12 @@ def test_what_the_network_has_not_taken_yet_dies_with_a_drop() -> None:
         async with serve(greet, "127.0.0.1", 0, create_connection=Peer) as server:
             port = next(iter(server.sockets)).getsockname()[1]
 
-            async def opening() -> ClientConnection:
-                return await connect(f"ws://127.0.0.1:{port}/", proxy=None)
+            async def opening() -> ClientSocket:
+                opened = await connect(
+                    f"ws://127.0.0.1:{port}/", proxy=None, create_connection=ClientSocket
+                )
+                assert isinstance(opened, ClientSocket)
+                return opened
 
             link = Link(opening, TEXT_FORM, lambda _: None)
             await link.start(resume=False)

@@ -10,7 +10,7 @@ from attrs import evolve, fields
 from tests.server.test_role_views import ALL, BLIND, GUEST, ROBOT, STATUS
 
 from uoarm._wire import BINARY_FORM, TEXT_FORM, Form, read_binary, read_text
-from uoarm.client._client import _merged_status
+from uoarm.client._answers import merged_status
 from uoarm.model import Budget, BudgetUse, RouteStatus, StatusMap, to_json
 from uoarm.server.access import AccessRole, RoleViews
 from uoarm.server.session._views import StatusQuestion, StatusViews, visible_status
@@ -81,7 +81,7 @@ def test_what_is_known_with_what_has_changed_is_the_whole(
         robot.status = status
         reports = robot.ask(known["version"], role=role, form=form)
         assert reports["since"] == known["version"]
-        known = _merged_status(known, reports)
+        known = merged_status(known, reports)
         assert plain(known) == plain(to_json(visible_status(status, VIEWS.of(role))))
 
 
@@ -99,7 +99,7 @@ def test_the_age_of_a_route_alone_is_not_reported_and_known_all_the_same() -> No
     robot.status = evolve(STATUS, routes=(evolve(ROUTE, age=5.0),))
     reports = robot.ask(known["version"])
     assert "routes" not in reports
-    assert _merged_status(known, reports)["routes"][0]["age"] == 5
+    assert merged_status(known, reports)["routes"][0]["age"] == 5
     assert robot.ask()["routes"][0]["age"] == 5
 
 

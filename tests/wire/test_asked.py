@@ -32,12 +32,24 @@ def test_the_protocol_schema_is_a_schema_and_has_every_operation() -> None:
 
 plain = st.none() | st.booleans() | st.integers(0, 9) | st.text(max_size=3)
 fields = st.dictionaries(
-    st.sampled_from(["type", "id", "jsonMessage", "x-note", "x-timeout", "odd"]),
+    st.sampled_from(
+        ["type", "id", "jsonMessage", "x-note", "x-timeout", "x-sent", "x-managers", "odd"]
+    ),
     plain | st.fixed_dictionaries({}, optional={"every": plain, "receive": plain, "z": plain}),
+)
+# Those that are looked at quickly, with some that are wrong.
+quick = st.fixed_dictionaries(
+    {"type": st.text(max_size=3), "id": st.text(max_size=3), "jsonMessage": plain},
+    optional={
+        "x-timeout": st.integers(-1, 1) | st.floats() | st.booleans(),
+        "x-sent": st.floats() | st.booleans() | st.text(max_size=3),
+        "x-managers": st.lists(st.sampled_from(["a" * 32, "A" * 32, "a" * 33, 1]), max_size=3)
+        | st.just(["b" * 32] * 65),
+    },
 )
 
 
-@given(st.sampled_from(ASKED), fields)
+@given(st.sampled_from(ASKED) | st.sampled_from(["Call", "Data"]), fields | quick)
 def test_the_server_takes_exactly_what_the_schema_allows(op: str, rest: dict[str, Any]) -> None:
     message = {**rest, "op": op}
     schema = {**protocol_schema(), "$ref": f"#/$defs/client.{op}"}

@@ -15,7 +15,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from uoarm._wire._binary import _ENCODERS, _encode_other, read_binary, scan_cbor, write_binary
+from uoarm._wire import _binary
+from uoarm._wire._binary import (
+    _CUT_TAG,
+    _ENCODERS,
+    _encode_other,
+    decoding_octets,
+    read_binary,
+    scan_cbor,
+    write_binary,
+)
 from uoarm.errors import ControlMessageError, MessageError
 from uoarm.model import Budget, BudgetUse
 
@@ -153,6 +162,49 @@ def test_what_no_message_has_is_refused(data: bytes) -> None:
 def test_any_bytes_are_read_or_refused(data: bytes) -> None:
     with contextlib.suppress(ControlMessageError):
         read(data, depth=16)
+
+
+OURS = cbor2.CBORTag(_CUT_TAG, 0)
+
+
+@given(
+    st.binary(max_size=60)
+    | st.recursive(
+        values | st.sampled_from([OURS, array("f", [1.0, 2.0]), np.arange(3)]),
+        lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.binary(), inner, max_size=2),
+    ).map(lambda value: cbor2.dumps(value, encoders=_ENCODERS, default=_encode_other))
+)
+def test_octets_that_are_cut_out_change_nothing(data: bytes) -> None:
+    found = []
+    for least in (1, 1000):
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(_binary, "_CUT_OCTETS", 0)
+            patch.setattr(_binary, "_CUT_LEAST", least)
+            spending = BudgetUse(Budget())
+            try:
+                found.append((read_binary(data, spending), spending.elements))
+            except ControlMessageError:
+                found.append((None, 0))
+    assert repr(found[0]) == repr(found[1])
+
+
+def test_large_octets_are_cut_out_of_data_of_either_kind() -> None:
+    picture = bytes(range(256)) * 3600
+    message = {"a": [picture, picture[:5000]], "b": {"c": array("f", [1.0] * 30_000)}, "d": 1}
+    data = write_binary(message)
+    assert read(data) == message
+    assert read_binary(bytearray(data), BudgetUse(Budget())) == message
+    with pytest.raises(ControlMessageError, match=f"message of {len(data):,} bytes"):
+        read(data + b"1")
+    with pytest.raises(ControlMessageError):
+        read(data[:-1])
+
+
+def test_octets_in_few_items_are_quick_to_read_and_many_items_are_not() -> None:
+    assert decoding_octets(write_binary({"a": bytes(1_000_000)})) < 8192
+    for slow in ([0] * 9000, ["text"] * 9000, {str(number): 0 for number in range(9000)}):
+        data = write_binary(slow)
+        assert decoding_octets(data) == len(data) > 8192
 
 
 def test_what_has_no_form_is_refused_by_name() -> None:

@@ -12,6 +12,7 @@ from uoarm._control.candidates import CandidateWatch
 from uoarm._control.connection import Connection
 from uoarm._control.engine.events import Requested
 from uoarm._control.engine.move import recently
+from uoarm._control.live.bridges import BridgeSet
 from uoarm._control.live.connection_runtime import ConnectionRuntime
 from uoarm._control.live.driver import Driver
 from uoarm._control.live.health import FailureWatch
@@ -170,18 +171,18 @@ class Services:
     """Calls services and watches those that have raised. Thread safe.
 
     Args:
-        bridge: gives the bridge of this name.
+        bridges: that run, and those that are yet to be started.
         driver: takes the verdict on one where it changes.
         clock: seconds.
     """
 
     def __init__(
         self,
-        bridge: Callable[[str], Bridge],
+        bridges: BridgeSet,
         driver: Driver,
         clock: Clock,
     ) -> None:
-        self._bridge = bridge
+        self._bridges = bridges
         self._driver = driver
         self._clock = clock
         # Guards the order of watches: the newest are kept, and two threads may begin one each.
@@ -196,7 +197,7 @@ class Services:
         message: Message,
         wanted: MessageType[Any] | None,
         timeout: float,
-        began: Callable[[Callable[[], bool]], None] | None = None,
+        began: Callable[[Callable[[], bool]], object] | None = None,
     ) -> Any:
         """Call the service of a function, both messages checked.
 
@@ -223,7 +224,10 @@ class Services:
             wanted.require(step.structures["reply"].schema)
         message = as_message(message, place)
         _check(message, step.structures["request"], place)
-        bridge = self._bridge(component.bridge)
+        bridge = self._bridges.running(component.bridge)
+        if bridge is None:  # it was lost since; starting it may take as long as it likes
+            start = partial(self._bridges.get, component.bridge)
+            bridge = deadlines.run(f"starting bridge {component.bridge!r}", timeout, start)
         endpoint = component.service.endpoint
         if endpoint.command is not None and endpoint.command.lifetime is not None:
             timeout = min(timeout, endpoint.command.lifetime)

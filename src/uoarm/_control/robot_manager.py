@@ -136,7 +136,7 @@ class RobotManager(RobotView):
         self._requests = Requests(
             self._revisions, self._driver, self._candidates, self._events, clock
         )
-        self._services = Services(self._bridges.get, self._driver, clock)
+        self._services = Services(self._bridges, self._driver, clock)
         self._offers = Offers(
             self._revisions,
             self,
@@ -286,19 +286,18 @@ class RobotManager(RobotView):
             UsageError: the function is a stream, or a reply may be no `as_type`.
         """
         wanted = None if as_type is None else MessageType(as_type, f"the reply of {name!r}")
-
-        def call() -> Message:
-            provider = self.resolve(name, timeout=timeout).provider
-            return self._services.call(name, provider, message, wanted, timeout)
-
-        return deadlines.run(f"call of {name!r}", timeout, call)
+        began = time.monotonic()
+        # Each of both has its limit, which ends it in whatever thread it runs.
+        provider = self.resolve(name, timeout=timeout).provider
+        left = max(0.0, timeout - (time.monotonic() - began))
+        return self._services.call(name, provider, message, wanted, left)
 
     def _call_planned(
         self,
         plan: Plan,
         message: Message,
         timeout: float,
-        began: Callable[[Callable[[], bool]], None],
+        began: Callable[[Callable[[], bool]], object],
     ) -> Message:
         """Call the service of this very plan, and of no other; otherwise as `call`.
 
@@ -308,13 +307,7 @@ class RobotManager(RobotView):
             timeout: seconds.
             began: called with what cancels the call, once it is about to be made.
         """
-        return deadlines.run(
-            f"call of {plan.function!r}",
-            timeout,
-            partial(
-                self._services.call, plan.function, plan.provider, message, None, timeout, began
-            ),
-        )
+        return self._services.call(plan.function, plan.provider, message, None, timeout, began)
 
     @arguments(
         functions="robot.record('camera', path='run.mcap') records the function of that name"

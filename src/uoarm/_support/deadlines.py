@@ -12,18 +12,19 @@ many hang already is not begun again.
 from __future__ import annotations
 
 import logging
+import math
 import os
 import threading
 import time
 from collections import Counter
 from collections.abc import Callable
-from typing import Any, Generic, TypeVar
+from typing import Any, Generic, TypeAlias, TypeVar
 
 from uoarm._raised import contained
 from uoarm._support.workers import WorkerPool
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason
 
-__all__ = ["BoundedStep", "run"]
+__all__ = ["BoundedStep", "StepUnderWay", "begin", "run"]
 
 T = TypeVar("T")
 
@@ -87,6 +88,7 @@ class _Job(Generic[T]):
         on_late: Callable[[T], None] | None,
         on_give_up: Callable[[], object] | None,
         grace: float,
+        done: Callable[[T | None, Exception | None], object] | None = None,
     ) -> None:
         self.step = step
         self.limit = limit
@@ -97,6 +99,7 @@ class _Job(Generic[T]):
         self._hangs_in = ""
         self._action = action
         self._on_late = on_late
+        self._done = done
         self._is_over = False
         self._finished = threading.Lock()
         self._finished.acquire()
@@ -119,6 +122,13 @@ class _Job(Generic[T]):
         if late:
             _hanging.remove(self._hangs_in)
             self._put_away()
+        elif self._done is not None:
+            self._done(None if self._error else self._result, self._error)
+
+    def give_up_late(self) -> BridgeTimeoutError | None:
+        """Give it up where it is late, and return the error that says so; for `begin`."""
+        is_late = not self.given_up and time.monotonic() >= self.deadline + self.grace
+        return self._late() if is_late and self._give_up() else None
 
     def _put_away(self) -> None:
         if self._error is not None:
@@ -149,9 +159,11 @@ class _Job(Generic[T]):
             if self._finished.acquire(timeout=self.grace):
                 return
             if self._give_up():
-                raise BridgeTimeoutError(
-                    f"{self.step} did not finish within {self.limit:g} s and was given up"
-                )
+                raise self._late()
+
+    def _late(self) -> BridgeTimeoutError:
+        text = f"{self.step} did not finish within {self.limit:g} s and was given up"
+        return BridgeTimeoutError(text)
 
     def _give_up(self) -> bool:
         """Have the result put away when it comes; False where it is there."""
@@ -222,6 +234,29 @@ def run(
         _workers.submit(job.work)
         return job.wait()
     return _run_inside(outer, step, limit, action, on_late, on_give_up, grace)
+
+
+StepUnderWay: TypeAlias = _Job[Any]
+
+
+def begin(
+    step: str,
+    action: Callable[[], T],
+    done: Callable[[T | None, Exception | None], object],
+) -> StepUnderWay:
+    """Run an action in another thread and do not wait for it; the limits are those of its steps.
+
+    Args:
+        step: what is being done, as with `run`.
+        action: called once.
+        done: takes what it returned, or raised, in its thread; not where it was given up.
+
+    Returns:
+        The step: who waits for it calls `give_up_late` every 50 ms or so.
+    """
+    job = _Job(step, math.inf, action, None, None, 0.0, done)
+    _workers.submit(job.work)
+    return job
 
 
 def _run_inside(

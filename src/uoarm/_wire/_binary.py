@@ -8,7 +8,7 @@ import sys
 from array import array
 from collections.abc import Callable, Mapping, Sequence
 from io import BytesIO
-from typing import Any
+from typing import Any, TypeAlias
 
 import cbor2
 import orjson
@@ -16,8 +16,16 @@ import orjson
 from uoarm.errors import ControlMessageError, MessageError
 from uoarm.model import BudgetUse, Message
 
-__all__ = ["join_list", "join_map", "read_binary", "scan_cbor", "write_binary"]
+__all__ = [
+    "decoding_octets",
+    "join_list",
+    "join_map",
+    "read_binary",
+    "scan_cbor",
+    "write_binary",
+]
 
+Octets: TypeAlias = "bytes | bytearray"
 # Runs of items without anything behind their heads but an argument of one size, by group: no
 # argument, 1, 2, 4 and 8 octets. Long lists of numbers are counted at the speed of C.
 _RUNS = re.compile(
@@ -29,21 +37,37 @@ _RUNS = re.compile(
     re.DOTALL,
 )
 _WIDTHS = (0, 1, 2, 3, 5, 9)
-_OCTETS, _TEXT = 2, 3
+_OCTETS, _TEXT, _TAG = 2, 3, 6
 _SMALL, _LARGEST = 24, 27
+_FEW, _COPIED = 512, 128
+_CUT_OCTETS, _CUT_LEAST = 65_536, 4096  # of data, and of what is cut out of it
+_CUT_TAG = 0x756F_6172  # no registered one
+_CUT_HEAD = struct.pack("!BI", 0xDA, _CUT_TAG)
 
 
-def scan_cbor(data: bytes, spending: BudgetUse) -> None:
+def scan_cbor(data: Octets, spending: BudgetUse) -> None:
     """Refuse data with more items than its budget allows; the heads of tags count as items.
-
-    Walks over the heads, jumps over texts and octets, and stops with the last item that is allowed.
-    What is no CBOR is left to the decoder, whose first mistake is where this loses its way.
 
     Raises:
         ControlMessageError: it holds too much.
     """
-    place, end = 0, len(data)
-    items, most = 0, spending.budget.elements - spending.elements
+    spending.add(_items(data, spending.budget.elements - spending.elements))
+
+
+def decoding_octets(data: Octets) -> int:
+    """Return how much of CBOR takes time to decode: octets in few items are only copied."""
+    if len(data) < _LARGE or _items(data, _FEW) > _FEW:
+        return len(data)
+    return len(data) // _COPIED
+
+
+def _items(data: Octets, most: int) -> int:
+    """Count the items of CBOR; stops with the one that is too many.
+
+    Walks over the heads, and jumps over texts and octets. What is no CBOR is left to the decoder,
+    whose first mistake is where this loses its way.
+    """
+    place, end, items = 0, len(data), 0
     while place < end and items <= most:
         run = _RUNS.match(data, place)
         if run is not None:
@@ -63,7 +87,7 @@ def scan_cbor(data: bytes, spending: BudgetUse) -> None:
             place += size
         if major in {_OCTETS, _TEXT}:
             place += length
-    spending.add(items)
+    return items
 
 
 _LARGE = 4096
@@ -108,7 +132,7 @@ def write_binary(message: Message) -> bytes:
         raise MessageError(f"the message has no form as CBOR: {error}") from error
 
 
-def read_binary(data: bytes, spending: BudgetUse) -> Message:
+def read_binary(data: Octets, spending: BudgetUse) -> Message:
     """Return the value that CBOR stands for; numeric arrays come as `array.array`.
 
     Raises:
@@ -119,11 +143,12 @@ def read_binary(data: bytes, spending: BudgetUse) -> Message:
     made = _ItemDecoders(BudgetUse(spending.budget))
     if len(data) > spending.budget.elements:  # else each octet may be an item
         scan_cbor(data, BudgetUse(spending.budget))
-    stream = _Octets(data)
+    rest, cut = _cut(data) if len(data) >= _CUT_OCTETS else (data, {})
+    stream = _Octets(rest)
     try:
         value = cbor2.CBORDecoder(
             stream,
-            semantic_decoders={**_DECODERS, **made.decoders},
+            semantic_decoders={**_DECODERS, **made.decoders, **cut},
             max_depth=spending.budget.depth,
             allow_duplicate_keys=False,
             strict_hashable_types=True,
@@ -133,10 +158,45 @@ def read_binary(data: bytes, spending: BudgetUse) -> Message:
         if isinstance(cause, ControlMessageError):
             raise cause from None
         raise ControlMessageError(f"not CBOR as messages have it: {str(cause)[:200]}") from error
-    if stream.tell() != len(data):
-        raise ControlMessageError(f"more follows the message of {stream.tell():,} bytes")
+    if more := len(rest) - stream.tell():
+        raise ControlMessageError(f"more follows the message of {len(data) - more:,} bytes")
     _examine(value, spending)
     return value
+
+
+def _cut(data: Octets) -> tuple[Octets, dict[int, Any]]:
+    """Take large octets out of CBOR, for each of which the library makes several copies.
+
+    Returns:
+        What is left, with a tag of ours for each of them; and what decodes that. The data as it
+        is, and nothing, where there are none, or many items, or it has that tag itself.
+    """
+    place, end, items = 0, len(data), 0
+    view, parts, octets = memoryview(data), list[bytes | memoryview](), list[memoryview]()
+    kept = 0  # from where on nothing was put into `parts`
+    while place < end:
+        items += 1
+        head, major, more = place, data[place] >> 5, data[place] & 31
+        length, place = more, place + 1
+        if items > _FEW or more > _LARGEST:  # of unknown length, whose pieces stay together
+            return data, {}
+        if more >= _SMALL:
+            size = 1 << (more - _SMALL)
+            length = int.from_bytes(data[place : place + size], "big")
+            place += size
+        if major == _TAG and length == _CUT_TAG:
+            return data, {}
+        if major not in {_OCTETS, _TEXT}:
+            continue
+        place += length
+        if major == _OCTETS and length >= _CUT_LEAST and place <= end:
+            parts += (view[kept:head], _CUT_HEAD, _head(0, len(octets)))
+            octets.append(view[place - length : place])
+            kept = place
+    if not octets:
+        return data, {}
+    parts.append(view[kept:])
+    return b"".join(parts), {_CUT_TAG: lambda number, _: bytes(octets[number])}
 
 
 def join_list(parts: Sequence[bytes]) -> bytes:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import json
+import re
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from functools import cache
@@ -11,7 +12,13 @@ from importlib.resources import files
 from itertools import islice
 from typing import TYPE_CHECKING, Any, final
 
-from uoarm._wire._binary import join_list, join_map, read_binary, write_binary
+from uoarm._wire._binary import (
+    decoding_octets,
+    join_list,
+    join_map,
+    read_binary,
+    write_binary,
+)
 from uoarm._wire._text import make_reader, read_text, text_schema, write_text, write_text_parts
 from uoarm.errors import ControlMessageError, MessageError
 from uoarm.model import BudgetUse, ControlMessage, Message, Op, Schema, message_octets
@@ -43,8 +50,9 @@ _OF_ROSBRIDGE = {
     "send_action_goal", "subscribe",
 }  # fmt: skip
 _QUICK = {"op", "type", "id", "jsonMessage"}
-_TIMED = _QUICK | {"x-sent"}
 _MAX_ID = 128
+_MOST_MANAGERS = 64
+_IDENTITY = re.compile("[0-9a-f]{32}")
 _MAX_NAME = 256
 _SHOWN = 200
 _MOST_REPORTED = 5
@@ -92,12 +100,16 @@ class Form(ABC):
         """Return a mapping whose values are written already."""
 
     @abstractmethod
-    def read(self, frame: str | bytes, spending: BudgetUse) -> Mapping[str, Any]:
+    def read(self, frame: str | bytes | bytearray, spending: BudgetUse) -> Mapping[str, Any]:
         """Return the fields of a control message, in any thread.
 
         Raises:
             ControlMessageError: it cannot be read, or costs more than its budget.
         """
+
+    @abstractmethod
+    def decoding_octets(self, frame: str | bytes) -> int:
+        """Return how many octets of a frame take time to read; quick to say."""
 
     @abstractmethod
     def reader(self, schema: Schema) -> Callable[[Message], Message] | None:
@@ -131,12 +143,15 @@ class _TextForm(Form):
             pieces += (b"" if len(pieces) == 1 else b",", write_text(name), b":", part)
         return b"".join((*pieces, b"}"))
 
-    def read(self, frame: str | bytes, spending: BudgetUse) -> Mapping[str, Any]:
-        if isinstance(frame, bytes):
+    def read(self, frame: str | bytes | bytearray, spending: BudgetUse) -> Mapping[str, Any]:
+        if not isinstance(frame, str):
             raise ControlMessageError(
                 f"a binary frame: expected JSON text; offer {BINARY_FORM.subprotocol} for CBOR"
             )
         return _fields(read_text(frame, spending))
+
+    def decoding_octets(self, frame: str | bytes) -> int:
+        return len(frame)
 
     def reader(self, schema: Schema) -> Callable[[Message], Message] | None:
         return make_reader(schema)
@@ -165,12 +180,15 @@ class _BinaryForm(Form):
     def map_of(self, parts: Mapping[str, bytes]) -> bytes:
         return join_map(parts)
 
-    def read(self, frame: str | bytes, spending: BudgetUse) -> Mapping[str, Any]:
+    def read(self, frame: str | bytes | bytearray, spending: BudgetUse) -> Mapping[str, Any]:
         if isinstance(frame, str):
             raise ControlMessageError(
                 f"a text frame: expected CBOR; offer {TEXT_FORM.subprotocol} for JSON"
             )
         return _fields(read_binary(frame, spending))
+
+    def decoding_octets(self, frame: str | bytes) -> int:
+        return 0 if isinstance(frame, str) else decoding_octets(frame)
 
     def reader(self, schema: Schema) -> None:
         del schema
@@ -217,7 +235,7 @@ def check_asked(fields: Mapping[str, Any]) -> ControlMessage:
     op = fields.get("op")
     if op not in ASKED:
         raise ControlMessageError(_wrong_op(fields))
-    if not (op == "Data" and _is_plain_data(fields)):
+    if not _is_plain(op, fields):
         envelope = dict(fields)
         if op in {"Data", "Call"} and "jsonMessage" in envelope:
             envelope["jsonMessage"] = None  # any message is allowed: spare the walk through it
@@ -247,18 +265,41 @@ def salvage_id(fields: Mapping[str, Any]) -> str | None:
     return identity if isinstance(identity, str) and 0 < len(identity) <= _MAX_ID else None
 
 
-def _is_plain_data(fields: Mapping[str, Any]) -> bool:
-    """Say quickly whether a Data message is right: they come by the thousand."""
-    kind = fields.get("type")
+def _is_plain(op: object, fields: Mapping[str, Any]) -> bool:
+    """Say quickly whether a Data or Call message is right: they come by the thousand."""
+    kind, further = fields.get("type"), fields.keys() - _QUICK
     return (
-        (
-            fields.keys() == _QUICK
-            or (fields.keys() == _TIMED and type(fields["x-sent"]) in {float, int})
-        )
+        len(fields) == len(_QUICK) + len(further)
         and isinstance(kind, str)
         and 0 < len(kind) <= _MAX_NAME
         and salvage_id(fields) is not None
+        and all((check := _PLAIN.get((op, name))) and check(fields[name]) for name in further)
+        and op in {"Data", "Call"}
     )
+
+
+def _is_time(value: object) -> bool:
+    return type(value) in {float, int}
+
+
+def _is_limit(value: object) -> bool:
+    return isinstance(value, int | float) and type(value) is not bool and value > 0
+
+
+def _is_way(value: object) -> bool:
+    return (
+        isinstance(value, list)
+        and 0 < len(value) <= _MOST_MANAGERS
+        and all(isinstance(item, str) and _IDENTITY.fullmatch(item) for item in value)
+    )
+
+
+_PLAIN: Mapping[tuple[object, str], Callable[[object], bool]] = {
+    ("Data", "x-sent"): _is_time,
+    ("Call", "x-timeout"): _is_limit,
+    ("Call", "x-managers"): _is_way,
+}
+"""Further fields of messages that are looked at quickly."""
 
 
 def _wrong_op(fields: Mapping[str, Any]) -> str:

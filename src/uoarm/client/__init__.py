@@ -3,7 +3,8 @@
 Needs the packages of the extra `server`.
 """
 
-from uoarm.client._client import RemoteRobot, ServerAddress, ServerError, connect
+from uoarm.client._answers import ServerError, ThreadAnswer
+from uoarm.client._client import RemoteRobot, ServerAddress, connect
 from uoarm.client._link import trust_fingerprint
 from uoarm.client._stream import RemoteStream
 
@@ -12,6 +13,7 @@ __all__ = [
     "RemoteStream",
     "ServerAddress",
     "ServerError",
+    "ThreadAnswer",
     "connect",
     "trust_fingerprint",
 ]

@@ -13,7 +13,6 @@ from typing import Any, TypeAlias, final, overload
 
 from attrs import field, frozen
 from typing_extensions import Self
-from websockets.asyncio.client import ClientConnection
 from websockets.asyncio.client import connect as open_socket
 from websockets.typing import Subprotocol
 
@@ -23,8 +22,10 @@ from uoarm._hints.applications import MessageType, T, as_message
 from uoarm._support.aio_deadlines import result_within
 from uoarm._wire import BINARY_FORM, TEXT_FORM, Form
 from uoarm.bridge import boot_seconds
+from uoarm.client._answers import ServerError, ThreadAnswer, error_of, merged_status
 from uoarm.client._link import LARGEST, Link, Open
 from uoarm.client._questions import ServerQuestions
+from uoarm.client._socket import ClientSocket
 from uoarm.client._stream import RemoteStream
 from uoarm.model import Message, QueuePolicy, StatusEvent, ValidationMode, format_trouble
 
@@ -35,32 +36,6 @@ _DIAGNOSIS_SECONDS = 1.0
 # What may be asked once more where a drop took the question or its answer.
 _REPEATABLE = frozenset({"Kill", "List", "Resolve"})
 _Changes: TypeAlias = "asyncio.Queue[StatusEvent | None]"
-_KEYS: Mapping[str, Callable[[Mapping[str, Any]], Any]] = {
-    "components": lambda entry: entry["name"],
-    "connections": lambda entry: entry["id"],
-    "routes": lambda entry: (entry["producer"], entry["consumer"]),
-}
-_ERRORS: Mapping[str, Callable[[str], errors.UoarmError]] = {
-    "configuration": errors.ConfigurationError,
-    "resolution": errors.ResolutionError,
-    "bridge": errors.BridgeError,
-    "timeout": errors.BridgeTimeoutError,
-    "message": errors.MessageError,
-    "held": partial(errors.CommandRefusedError, reason="held"),
-    "leased": partial(errors.CommandRefusedError, reason="leased"),
-    "refused": partial(errors.CommandRefusedError, reason="stopped"),
-    "usage": errors.UsageError,
-    "closed": errors.ConnectionClosedError,
-    "unknown": errors.ConnectionClosedError,
-}
-
-
-class ServerError(errors.UoarmError):
-    """The server refused; `code` is that of the protocol: denied, limit, busy, internal."""
-
-    def __init__(self, code: str, text: str) -> None:
-        super().__init__(text)
-        self.code = code
 
 
 @frozen(eq=False)
@@ -68,7 +43,7 @@ class _PendingRequest:
     """What waits for an answer; `renewed` is the stream that a Request opens again, if it does."""
 
     fields: Mapping[str, Any]
-    answer: asyncio.Future[Any]
+    answer: asyncio.Future[Any] | ThreadAnswer
     renewed: RemoteStream[Any] | None = None
 
 
@@ -110,12 +85,13 @@ class ServerAddress:
         form = BINARY_FORM if binary else TEXT_FORM
         return RemoteRobot(partial(self._open, form), form, reconnect, on_link)
 
-    async def _open(self, form: Form) -> ClientConnection:
+    async def _open(self, form: Form) -> ClientSocket:
         shown = {} if self.token is None else {"Authorization": f"Bearer {self.token}"}
         # None would mean that there is to be no TLS.
         secured: Any = {} if self.tls is None else {"ssl": self.tls}
-        return await open_socket(
+        opened = await open_socket(
             self.url,
+            create_connection=ClientSocket,
             subprotocols=[Subprotocol(form.subprotocol)],
             additional_headers={**self.headers, **shown},
             max_size=LARGEST.octets,
@@ -125,6 +101,8 @@ class ServerAddress:
             ping_timeout=self.silence,
             **secured,
         )
+        assert isinstance(opened, ClientSocket), "as it was asked to make"
+        return opened
 
 
 @arguments()
@@ -167,7 +145,7 @@ async def connect(
 
 @final
 class RemoteRobot(ServerQuestions):
-    """A robot elsewhere. Made by `connect`; all methods in the loop in which it was made."""
+    """A robot elsewhere. Made by `connect`; methods are for the loop in which it was made."""
 
     def __init__(
         self,
@@ -190,6 +168,8 @@ class RemoteRobot(ServerQuestions):
         # Streams of a session that is gone, until this one has opened them again.
         self._away: set[RemoteStream[Any]] = set()
         self._renewing: set[asyncio.Task[None]] = set()
+        # What threads asked and the loop has to send, since the socket did not take it at once.
+        self._sending: dict[str, asyncio.Task[None]] = {}
         # Requests that were given up before their answer: what they open is given back.
         self._abandoned: set[str] = set()
 
@@ -305,7 +285,7 @@ class RemoteRobot(ServerQuestions):
         known = self._status
         version = known.get("version")
         since: dict[str, Any] = {} if version is None else {"jsonMessage": {"since": version}}
-        self._status = _merged_status(known, await self.ask("Status", **since))
+        self._status = merged_status(known, await self.ask("Status", **since))
         return self._status
 
     async def _diagnose(self, connection: str) -> str:
@@ -333,6 +313,7 @@ class RemoteRobot(ServerQuestions):
     @asynccontextmanager
     async def running(self, *, resume: bool) -> AsyncIterator[Self]:
         """Connect for the length of a block; `connect` does it."""
+        self._loop = asyncio.get_running_loop()
         await self._link.start(resume=resume)
         reading = asyncio.ensure_future(self._read())
         try:
@@ -358,7 +339,7 @@ class RemoteRobot(ServerQuestions):
 
     def _fail(self, cause: str) -> None:
         """Fail everything that waits for an answer, which will not come."""
-        for asked in self._asked.values():
+        for asked in tuple(self._asked.values()):  # threads ask meanwhile
             if not asked.answer.done():
                 asked.answer.set_exception(errors.ConnectionClosedError(cause))
 
@@ -472,19 +453,85 @@ class RemoteRobot(ServerQuestions):
             raise errors.ConnectionClosedError(self._link.closed)
         identity = str(next(self._ids))
         fields = {"op": op, **more} | ({"type": kind} if kind else {})
-        asked = _PendingRequest(fields, asyncio.get_running_loop().create_future(), renewed)
-        self._asked[identity] = asked
+        answer: asyncio.Future[Any] = asyncio.get_running_loop().create_future()
+        self._asked[identity] = _PendingRequest(fields, answer, renewed)
         try:
             # Of a request always, so that it is known of commands by how much they are later.
             timed = {"x-sent": boot_seconds()} if op == "Request" else {}
             await self._link.send({**fields, **timed, "id": identity})
-            return await asked.answer
+            return await answer
         finally:
             self._asked.pop(identity, None)
             if self._link.is_unanswered(identity) and not self._link.closed:
                 self._give_up(op, identity)
-            if asked.answer.done() and not asked.answer.cancelled():
-                asked.answer.exception()  # it is seen, also where sending failed before
+            if answer.done() and not answer.cancelled():
+                answer.exception()  # it is seen, also where sending failed before
+
+    def ask_in_thread(
+        self,
+        op: str,
+        kind: str,
+        timeout: float,
+        session: int,
+        began: Callable[[ThreadAnswer], object],
+        **more: Any,
+    ) -> Any:
+        """Ask in a thread that is not the loop's, and wait there: what opens no stream.
+
+        Without a turn of the loop before the question is sent, where the socket takes it at once.
+
+        Args:
+            op: of the control message.
+            kind: its `type`.
+            timeout: seconds that the answer may take.
+            session: `restarts`, from before `kind` was found out: in no other session is it sent.
+            began: called with the answer to come, which any thread may fail.
+            more: further fields.
+
+        Raises:
+            TimeoutError: no answer in time.
+            UoarmError: as `ask`; and as the answer was failed with.
+        """
+        identity, answer = str(next(self._ids)), ThreadAnswer()
+        asked = self._asked[identity] = _PendingRequest({"op": op, "type": kind, **more}, answer)
+        is_with_loop = False
+        try:
+            if self._link.closed:  # looked at after it was listed: all that is listed then fails
+                raise errors.ConnectionClosedError(self._link.closed)
+            began(answer)
+            if not self._link.send_at_once({**asked.fields, "id": identity}, session):
+                is_with_loop = True
+                self._in_loop(self._send_for, asked, identity, session)
+            return answer.wait(timeout)
+        finally:
+            if is_with_loop or self._link.is_unanswered(identity):
+                self._in_loop(self._leave, op, identity)
+            else:
+                self._asked.pop(identity, None)
+
+    def _in_loop(self, action: Callable[..., object], *arguments: Any) -> None:
+        with suppress(RuntimeError):  # it is closed, and what waits has failed
+            self._loop.call_soon_threadsafe(action, *arguments)
+
+    def _send_for(self, asked: _PendingRequest, identity: str, session: int) -> None:
+        async def send() -> None:
+            try:
+                await self._link.send({**asked.fields, "id": identity}, session)
+            except errors.UoarmError as error:
+                asked.answer.set_exception(error)
+            finally:
+                self._sending.pop(identity, None)
+
+        if identity in self._asked:
+            self._sending[identity] = asyncio.ensure_future(send())
+
+    def _leave(self, op: str, identity: str) -> None:
+        """Let go of what a thread asked and waits for no more; what was not sent never is."""
+        self._asked.pop(identity, None)
+        if identity in self._sending:
+            self._sending[identity].cancel()
+        if self._link.is_unanswered(identity) and not self._link.closed:
+            self._give_up(op, identity)
 
     def _take(self, received: Mapping[str, Any]) -> None:
         op, message = received["op"], received.get("jsonMessage")
@@ -527,7 +574,7 @@ class RemoteRobot(ServerQuestions):
         if asked is None or asked.answer.done():
             return
         if received["op"] == "Error":
-            asked.answer.set_exception(_error(message))
+            asked.answer.set_exception(error_of(message))
         elif asked.fields["op"] == "Request":
             # Made here, since the first message may follow before the caller has woken.
             stream = asked.renewed
@@ -542,34 +589,3 @@ class RemoteRobot(ServerQuestions):
             if asked.fields["op"] == "Kill":
                 self._streams.pop(received["type"], None)
             asked.answer.set_result(message)
-
-
-def _merged_status(known: Mapping[str, Any], received: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Return the whole status map, of the one that is known and the changes since then."""
-    if "since" not in received:
-        return received
-    elapsed = received["elapsed"]
-    merged = {**known, **received}
-    del merged["since"], merged["elapsed"]
-    for part, key_of in _KEYS.items():
-        change = received.get(part, {})
-        if isinstance(change, list):
-            continue
-        entries = {key_of(entry): entry for entry in known[part]}
-        if part == "routes":
-            for key, route in entries.items():
-                if route["age"] is not None:
-                    entries[key] = {**route, "age": route["age"] + elapsed}
-        for key in change.get("gone", ()):
-            entries.pop(tuple(key) if isinstance(key, list) else key, None)
-        entries.update((key_of(entry), entry) for entry in change.get("changed", ()))
-        merged[part] = list(entries.values())
-    return merged
-
-
-def _error(message: Mapping[str, Any]) -> errors.UoarmError:
-    code, text = message["code"], message["text"]
-    kind = _ERRORS.get(code)
-    error = ServerError(code, text) if kind is None else kind(text)
-    error.error_code = message.get("error_code", error.error_code)
-    return error

@@ -12,11 +12,11 @@ import random
 import socket
 import ssl
 import struct
+import threading
 from collections.abc import Awaitable, Callable, Mapping
 from typing import Any
 from urllib.parse import urlsplit
 
-from websockets.asyncio.client import ClientConnection
 from websockets.exceptions import ConnectionClosed, InvalidHandshake, InvalidStatus
 from websockets.frames import CloseCode
 
@@ -24,6 +24,7 @@ from uoarm._backoff import Backoff
 from uoarm._support.aio_deadlines import result_within
 from uoarm._wire import Form
 from uoarm.bridge import boot_seconds
+from uoarm.client._socket import ClientSocket, Received
 from uoarm.errors import ConnectionClosedError, ControlMessageError, UsageError
 from uoarm.model import Budget, BudgetUse
 
@@ -45,12 +46,12 @@ _FINAL = frozenset({
 # A proxy whose server is away, or a server that is full, answers with these.
 _TRY_AGAIN = frozenset({429, 502, 503, 504})
 
-Open = Callable[[], Awaitable[ClientConnection]]
+Open = Callable[[], Awaitable[ClientSocket]]
 Take = Callable[[Mapping[str, Any]], None]
 
 
 class Link:
-    """Sends and receives control messages; all methods in one loop.
+    """Sends and receives control messages; all methods but `send_at_once` in one loop.
 
     Args:
         opening: makes a WebSocket.
@@ -79,9 +80,13 @@ class Link:
         self._open = opening
         self._form = form
         self._take = take
-        self._socket: ClientConnection | None = None
+        self._socket: ClientSocket | None = None
         self._ready = asyncio.Event()
         self._unanswered: dict[str, None] = {}
+        # Guards, between the loop and threads that send at once, over what is sent: what a thread
+        # sent over the connection before is among the unanswered when the session is taken up.
+        self._changing = threading.Lock()
+        self._at_once: ClientSocket | None = None  # None: the loop must send
         self._key = ""
         self._seconds = 0.0
         self._again_seconds = again_seconds
@@ -100,13 +105,17 @@ class Link:
     async def start(self, *, resume: bool) -> None:
         """Connect; with `resume` ask the server to keep the session over drops."""
         self._socket = await self._open()
-        self._ready.set()
+        self._begin_to_send()
         self._resume = resume
         if resume:
             await self._write(self._socket, _timed(_KEEP))
 
-    async def send(self, fields: Mapping[str, Any]) -> None:
+    async def send(self, fields: Mapping[str, Any], session: int | None = None) -> None:
         """Send one message that will be answered; waits while the connection is renewed.
+
+        Args:
+            fields: of the message.
+            session: in which alone it is sent; None: the one of now.
 
         Raises:
             MessageError: it has no form.
@@ -114,7 +123,7 @@ class Link:
                 what was asked of the one before has failed, and is not done after that.
         """
         frame = self._form.write(fields)
-        session = self.session
+        session = self.session if session is None else session
         await self._ready.wait()
         if self.closed or self._socket is None:
             raise ConnectionClosedError(self.closed)
@@ -122,11 +131,43 @@ class Link:
             raise ConnectionClosedError("the server has begun anew meanwhile; it was not sent")
         self._unanswered[fields["id"]] = None
         try:
-            await self._socket.send(frame, text=self._form.text)
+            await self._socket.send_whole(frame, text=self._form.text)
         except ConnectionClosed as error:
             if not self._key or session != self.session:
                 raise ConnectionClosedError(f"the server is gone: {error}") from error
             # Whether it arrived is known when the session goes on: then it has its answer.
+
+    def send_at_once(self, fields: Mapping[str, Any], session: int) -> bool:
+        """Send one message that will be answered, in this thread; in a session, and no other.
+
+        Returns:
+            False where it was not sent: it is to be sent with `send`.
+
+        Raises:
+            MessageError: it has no form.
+        """
+        if self._form.text:
+            return False
+        frame, identity = self._form.write(fields), fields["id"]
+        with self._changing:
+            socket = self._at_once if session == self.session else None
+            if socket is None:
+                return False
+            self._unanswered[identity] = None  # before its answer can come
+            if socket.try_send(frame):
+                return True
+            self._unanswered.pop(identity, None)
+        return False
+
+    def _begin_to_send(self) -> None:
+        self._ready.set()
+        with self._changing:
+            self._at_once = self._socket
+
+    def _end_sending(self) -> None:
+        self._ready.clear()
+        with self._changing:
+            self._at_once = None
 
     def is_unanswered(self, identity: str) -> bool:
         """Say whether a question was sent, or may have been, and its answer has not come."""
@@ -142,6 +183,7 @@ class Link:
                 self.closed = cause
         finally:
             self.closed = self.closed or "the client was closed"
+            self._end_sending()
             self._ready.set()
 
     def drop(self) -> None:
@@ -165,8 +207,7 @@ class Link:
         """Read one connection to its end; returns why nothing follows it, or nothing."""
         assert self._socket is not None, "start comes first"
         try:
-            async for frame in self._socket:
-                self._receive(self._form.read(frame, BudgetUse(LARGEST)))
+            await self._socket.hand_over(self._take_frame)
         except ConnectionClosed as error:
             self._is_final = error.rcvd is not None and error.rcvd.code in _FINAL
             if error.rcvd is not None or not self._key:
@@ -183,12 +224,13 @@ class Link:
 
     async def _begin_anew(self, cause: str) -> str:
         """Begin another session; returns why that failed, or nothing."""
-        self._ready.clear()
+        self._end_sending()
         self._key = ""
         self._unanswered.clear()
-        self.session += 1
         self._changed(cause)
         self._lost(cause)
+        # After that: a thread that sees this one sees no stream as open that was of the one before.
+        self.session += 1
         loop = asyncio.get_running_loop()
         deadline, failed = loop.time() + self._again_seconds, 0
         why = cause
@@ -206,7 +248,7 @@ class Link:
             except _STRANGE as error:
                 return f"{cause}; {_strange(error)}"
             else:
-                self._ready.set()
+                self._begin_to_send()
                 self._changed("")
                 self._begun()
                 return ""
@@ -216,7 +258,7 @@ class Link:
         """Connect, and take the greeting of a new session."""
         socket = await self._open()
         try:
-            self._receive(self._form.read(await socket.recv(), BudgetUse(LARGEST)))
+            self._take_frame(await socket.next_message())
             if self._resume:
                 await self._write(socket, _timed(_KEEP))
         except BaseException:
@@ -226,7 +268,7 @@ class Link:
 
     async def _renew(self, cause: str) -> str:
         """Go on with the session over a new connection; returns why that failed, or nothing."""
-        self._ready.clear()
+        self._end_sending()
         loop = asyncio.get_running_loop()
         deadline, failed = loop.time() + self._seconds, 0
         why = cause
@@ -244,7 +286,7 @@ class Link:
                 if refused:
                     return f"{cause}; {refused}"
                 self.resumed += 1
-                self._ready.set()
+                self._begin_to_send()
                 self._changed("")
                 return ""
         return why
@@ -263,13 +305,13 @@ class Link:
             self._socket = socket
         return refused
 
-    async def _take_up(self, socket: ClientConnection) -> str:
+    async def _take_up(self, socket: ClientSocket) -> str:
         unanswered = list(self._unanswered)
         waiting, beyond = unanswered[:_MOST_WAITING], unanswered[_MOST_WAITING:]
-        await socket.recv()  # the greeting of a new session
+        await socket.next_message()  # the greeting of a new session
         options = {"key": self._key, "waiting": waiting}
         await self._write(socket, {**_timed(_RESUME), "jsonMessage": options})
-        while (report := self._form.read(await socket.recv(), BudgetUse(LARGEST))).get(
+        while (report := self._form.read(await socket.next_message(), BudgetUse(LARGEST))).get(
             "id"
         ) != _RESUME:
             self._receive(report)
@@ -279,6 +321,9 @@ class Link:
             lost = {"code": "closed", "text": "too much waited when the connection dropped"}
             self._receive({"op": "Error", "id": identity, "jsonMessage": lost})
         return ""
+
+    def _take_frame(self, frame: Received) -> None:
+        self._receive(self._form.read(frame, BudgetUse(LARGEST)))
 
     def _receive(self, received: Mapping[str, Any]) -> None:
         identity = received.get("id")
@@ -291,7 +336,7 @@ class Link:
             self._unanswered.pop(identity, None)
         self._take(received)
 
-    async def _write(self, socket: ClientConnection, fields: Mapping[str, Any]) -> None:
+    async def _write(self, socket: ClientSocket, fields: Mapping[str, Any]) -> None:
         await socket.send(self._form.write(fields), text=self._form.text)
 
 

@@ -64,6 +64,8 @@ class RemoteStream(Generic[T]):
         self._changed = asyncio.Event()
         self._last: tuple[int, int] | None = None  # of the message that was read last
         self._type: MessageType[T] | None = None
+        self._take: Callable[[Message], object] | None = None
+        self._on_end: Callable[[], object] | None = None
 
     def _describe(self, opened: Mapping[str, Any]) -> None:
         self.connection: str = opened["connection"]
@@ -124,13 +126,32 @@ class RemoteStream(Generic[T]):
             self._changed.clear()
             await event_by(self._changed, deadline)
         session, number, message = self._waiting.popleft()
+        self._count(session, number)
+        return cast("T", message) if self._type is None else self._type.read(message)
+
+    def _count(self, session: int, number: int | None) -> None:
+        """Count what is missing before a message."""
         if number is None:
             self._last = None
         else:
             if self._last is not None and self._last[0] == session:
                 self.lost += number - self._last[1] - 1
             self._last = session, number
-        return cast("T", message) if self._type is None else self._type.read(message)
+
+    def hand_over(self, take: Callable[[Message], object], ended: Callable[[], object]) -> None:
+        """Have each message taken as it comes, in the loop, in place of `get`; plain values.
+
+        Args:
+            take: gets first what waits. Returns at once, and raises nothing.
+            ended: called once when no more will come.
+        """
+        while self._waiting:
+            session, number, message = self._waiting.popleft()
+            self._count(session, number)
+            take(message)
+        self._take, self._on_end = take, ended
+        if self.ended:
+            ended()
 
     @arguments()
     async def send(
@@ -149,11 +170,22 @@ class RemoteStream(Generic[T]):
             UsageError: there is no such input.
             ConnectionClosedError: the function has ended.
         """
-        kind = self._there(port)
+        kind, fields = self.question(message, port)
         more: dict[str, Any] = {"x-take-over": True} if take_over else {}
+        await self._ask("Data", kind, **fields, **more)
+
+    def question(self, message: Message, port: str | None = None) -> tuple[str, dict[str, Any]]:
+        """Return what `send` asks the server, its `type` and further fields; in any thread.
+
+        Raises:
+            MessageError: an object in the message holds something else than its own hints say.
+            ConnectionClosedError: the server has begun anew, and has not opened it again yet.
+        """
+        kind = self._there(port)
+        fields: dict[str, Any] = {"jsonMessage": as_message(message, kind)}
         if self.lifetimes:  # one that comes too late is refused there
-            more["x-sent"] = boot_seconds()
-        await self._ask("Data", kind, jsonMessage=as_message(message, kind), **more)
+            fields["x-sent"] = boot_seconds()
+        return kind, fields
 
     @arguments()
     async def stop(self, port: str | None = None) -> None:
@@ -228,6 +260,10 @@ class RemoteStream(Generic[T]):
             if self._taken is not None and number > self._taken + 1:
                 self._refusal = ""
             self._taken = number
+        if self._take is not None:
+            self._count(self.gaps, number)
+            self._take(message)
+            return
         self._waiting.append((self.gaps, number, message))
         self._changed.set()
 
@@ -239,6 +275,8 @@ class RemoteStream(Generic[T]):
         """Take in that no more will come."""
         if not self.ended:
             self.state, self.cause = state, cause
+            if self._on_end is not None:
+                self._on_end()
         self._changed.set()
 
     async def __aiter__(self) -> AsyncIterator[T]:

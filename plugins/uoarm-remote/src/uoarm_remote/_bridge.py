@@ -70,16 +70,19 @@ class RemoteManagerBridge(Bridge):
     ) -> Message:
         del structures
         _options(endpoint)
-        more: dict[str, Any] = {"jsonMessage": message, "x-timeout": timeout}
+        fields = {"jsonMessage": message, "x-timeout": timeout, **self._other.way()}
         with ExitStack() as stack:
-            reply: Message = self._other.ask(
+            reply: Message = self._other.ask_at_once(
                 "Call",
-                endpoint.address[0],
+                lambda: (endpoint.address[0], fields),
                 timeout,
-                began=lambda cancel: stack.enter_context(self.cancelling(cancel)),
-                **more,
+                lambda cancel: stack.enter_context(self.cancelling(cancel)),
             )
         return reply
+
+    def _keeps_time(self, endpoint: Endpoint) -> bool:
+        del endpoint
+        return True  # nothing is waited for but the answer, for so long
 
     def _discover(self) -> tuple[Discovered, ...]:
         if not self._given.discover:

@@ -12,7 +12,7 @@ from typing import Any, TypeAlias
 
 from uoarm.bridge import ChannelHealth, ChannelMonitor, Delivery, ReceiveQueue, Sink, Source
 from uoarm.client import RemoteRobot, RemoteStream
-from uoarm.errors import BridgeTimeoutError, ConnectionClosedError, UoarmError
+from uoarm.errors import BridgeTimeoutError, UoarmError
 from uoarm.model import Endpoint, Health, Message, message_octets
 from uoarm_remote._discovery import wanted_name
 from uoarm_remote._link import ManagerLink
@@ -31,17 +31,24 @@ class _Stream:
     def __init__(self) -> None:
         self.opening = asyncio.Lock()
         self.stream: RemoteStream[Message] | None = None
-        self.members: dict[FunctionSource | FunctionSink, None] = {}
+        self.members: dict[FunctionSource | FunctionSink, bool] = {}  # and whether each is open
         self.standing: deque[Message] = deque(maxlen=_STANDING)
-        self.reading: asyncio.Task[None] | None = None
 
-    def hand_on(self, message: Message, *, latched: bool) -> None:
+    def hand_on(self, stream: RemoteStream[Message], message: Message) -> None:
         """Hand a message to all that are open."""
-        # Not in the frame of `_read`, which would keep the last of them while it waits.
-        if latched:
+        if stream.latched:
             self.standing.append(message)
-        for member in tuple(self.members):
-            member.came(message)
+        for member, is_open in tuple(self.members.items()):
+            if is_open:
+                member.came(message)
+
+    def end(self, stream: RemoteStream[Message]) -> None:
+        """Notify all that are open that the function has ended there."""
+        if self.stream is stream:
+            self.stream = None
+        for member, is_open in tuple(self.members.items()):
+            if is_open:
+                member.ended(stream.state, stream.cause)
 
 
 class FunctionStreams:
@@ -80,7 +87,7 @@ class FunctionStreams:
     ) -> None:
         name, receive, every = channel.key
         shared = self._streams.setdefault(channel.key, _Stream())
-        shared.members[channel] = None
+        shared.members[channel] = False  # from now on what is open stays, for this one
         async with shared.opening:
             stream = shared.stream
             if stream is None or stream.ended:
@@ -90,22 +97,20 @@ class FunctionStreams:
                 stream = await robot.ask("Request", name, jsonMessage=options, **way)
                 shared.stream = stream
                 shared.standing.clear()
-                shared.reading = asyncio.ensure_future(self._read(shared, stream))
-                standing: tuple[Message, ...] = ()
+                self._opened(shared, channel, stream)
+                stream.hand_over(partial(shared.hand_on, stream), partial(shared.end, stream))
             else:
-                standing = tuple(shared.standing)
-        channel.opened(stream, standing)
+                self._opened(shared, channel, stream)
 
-    async def _read(self, shared: _Stream, stream: RemoteStream[Message]) -> None:
-        """Hand on what comes, until the function has ended there."""
-        try:
-            while True:
-                shared.hand_on(await stream.get(), latched=stream.latched)
-        except ConnectionClosedError:
-            if shared.stream is stream:
-                shared.stream = None
-            for member in tuple(shared.members):
-                member.ended(stream.state, stream.cause)
+    def _opened(
+        self,
+        shared: _Stream,
+        channel: FunctionSource | FunctionSink,
+        stream: RemoteStream[Message],
+    ) -> None:
+        channel.opened(stream, tuple(shared.standing))
+        if channel in shared.members:  # not given up meanwhile
+            shared.members[channel] = True
 
     async def _leave(self, channel: FunctionSource | FunctionSink) -> None:
         shared = self._streams.get(channel.key)
@@ -115,8 +120,6 @@ class FunctionStreams:
         async with shared.opening:  # one that joins meanwhile keeps it
             if shared.members or self._streams.get(channel.key) is not shared:
                 return
-            if shared.reading is not None:
-                shared.reading.cancel()
             stream, shared.stream = shared.stream, None
             if stream is not None:
                 # Where the link is down, this waits until it is up; what is opened again waits for
@@ -306,11 +309,12 @@ class FunctionSink(Sink):
         assert stream is not None, "opened before anything is sent"
         lifetime = self.lifetime()
 
-        async def sending(_: RemoteRobot) -> None:
-            await stream.send(message, self._port)
-
         try:
-            self._link.run(sending, lifetime or self._link.timeout, f"Data {self.key[0]}")
+            self._link.ask_at_once(
+                "Data",
+                partial(stream.question, message, self._port),
+                lifetime or self._link.timeout,
+            )
         except BridgeTimeoutError:
             if lifetime is not None:
                 self._link.drop()

@@ -18,7 +18,7 @@ from typing import Any, Protocol, TypeVar
 from websockets.exceptions import InvalidHandshake, InvalidStatus
 
 from uoarm.bridge import Backoff, asking_managers, refuse_loop
-from uoarm.client import RemoteRobot, ServerAddress, trust_fingerprint
+from uoarm.client import RemoteRobot, ServerAddress, ThreadAnswer, trust_fingerprint
 from uoarm.errors import (
     BridgeError,
     BridgeTimeoutError,
@@ -83,6 +83,8 @@ class ManagerLink:
         # Questions under way, in the loop only. They are ended once a break has lasted for the
         # grace: the answer would come only if the link did.
         self._asking: set[asyncio.Task[Any]] = set()
+        # Likewise of threads that wait by themselves.
+        self._waiting: set[ThreadAnswer] = set()
         self.breaks = 0
         self.ahead: float | None = None
 
@@ -116,18 +118,8 @@ class ManagerLink:
         identity = self._identity()
         return {"x-managers": [*asking_managers(), identity]} if identity else {}
 
-    def ask(
-        self,
-        op: str,
-        kind: str,
-        timeout: float,
-        *,
-        began: Callable[[Callable[[], object]], object] = lambda _: None,
-        **fields: Any,
-    ) -> Any:
+    def ask(self, op: str, kind: str, timeout: float, **fields: Any) -> Any:
         """Ask the other manager, in any thread but the link's; returns the answer.
-
-        `began` is called with what cancels the question.
 
         Raises:
             BridgeError: it cannot be reached, or refused; the text says which manager did.
@@ -138,7 +130,53 @@ class ManagerLink:
         async def asking(robot: RemoteRobot) -> Any:
             return await robot.ask(op, kind, **asked)
 
-        return self.run(asking, timeout, f"{op} {kind}".strip(), began)
+        return self.run(asking, timeout, f"{op} {kind}".strip())
+
+    def ask_at_once(
+        self,
+        op: str,
+        question: Callable[[], tuple[str, Mapping[str, Any]]],
+        timeout: float,
+        began: Callable[[Callable[[], object]], object] = lambda _: None,
+    ) -> Any:
+        """Ask what is asked often, without a turn of the link's thread before it is sent.
+
+        Args:
+            op: of the control message.
+            question: returns its `type`, and further fields.
+            timeout: seconds that the answer may take.
+            began: called with what cancels the question.
+
+        Raises:
+            BridgeError: as `ask`.
+        """
+        self._begin()
+        deadline = time.monotonic() + timeout
+        self._tried.wait(timeout)
+        kind = ""
+        waiting: list[ThreadAnswer] = []
+
+        def begin(answer: ThreadAnswer) -> None:
+            waiting.append(answer)
+            self._waiting.add(answer)
+            cancelled = BridgeError(f"{self.place}: {op} {kind} was cancelled")
+            began(lambda: answer.set_exception(cancelled))
+
+        try:
+            robot = self._reached()
+            session = robot.restarts
+            kind, fields = question()
+            left = deadline - time.monotonic()
+            return robot.ask_in_thread(op, kind, left, session, begin, **fields)
+        except TimeoutError:
+            text = f"{self.place}: no answer to {op} {kind} within {timeout:g} s"
+            raise BridgeTimeoutError(text) from None
+        except UoarmError as error:
+            if self._is_closing:
+                raise self._closed(f"{op} {kind}") from None
+            raise translated(self.place, error) from error
+        finally:
+            self._waiting.difference_update(waiting)
 
     def ask_each(
         self, op: str, kinds: Sequence[str], timeout: float
@@ -172,7 +210,6 @@ class ManagerLink:
         work: Callable[[RemoteRobot], Coroutine[Any, Any, T]],
         timeout: float,
         what: str,
-        began: Callable[[Callable[[], object]], object] = lambda _: None,
     ) -> T:
         """Run a coroutine in the loop; otherwise as `ask`."""
         self._begin()
@@ -180,7 +217,6 @@ class ManagerLink:
         # The first attempt is given the time that an answer may take.
         self._tried.wait(timeout)
         future = asyncio.run_coroutine_threadsafe(self._within(work), self._loop)
-        began(future.cancel)
         try:
             return future.result(max(0.0, deadline - time.monotonic()))
         except concurrent.futures.TimeoutError:
@@ -188,9 +224,7 @@ class ManagerLink:
             text = f"{self.place}: no answer to {what} within {timeout:g} s"
             raise BridgeTimeoutError(text) from None
         except concurrent.futures.CancelledError:
-            if self._is_closing:
-                raise self._closed(what) from None
-            raise BridgeError(f"{self.place}: {what} was cancelled") from None
+            raise self._closed(what) from None
         except UoarmError as error:
             raise translated(self.place, error) from error
 
@@ -323,10 +357,7 @@ class ManagerLink:
             member.link_broke(cause)
 
     async def _within(self, work: Callable[[RemoteRobot], Coroutine[Any, Any, T]]) -> T:
-        robot = self._robot
-        if robot is None or not self._is_up:
-            text = f"it is not reached: {self._why_down}"
-            raise BridgeError(text, FailureReason.UNAVAILABLE)
+        robot = self._reached()
         task = asyncio.current_task()
         assert task is not None, "it runs in the loop"
         self._asking.add(task)
@@ -335,11 +366,25 @@ class ManagerLink:
         except asyncio.CancelledError:
             if task in self._asking:
                 raise  # who asked waits no longer
-            why = f"the link broke before the answer: {self._why_down}"
-            text = f"{why}; whether it was done is unknown"
-            raise BridgeError(text, FailureReason.UNAVAILABLE) from None
+            raise self._broken() from None
         finally:
             self._asking.discard(task)
+
+    def _reached(self) -> RemoteRobot:
+        """Return the other manager.
+
+        Raises:
+            BridgeError: it is not reached.
+        """
+        robot = self._robot
+        if robot is None or not self._is_up:
+            text = f"it is not reached: {self._why_down}"
+            raise BridgeError(text, FailureReason.UNAVAILABLE)
+        return robot
+
+    def _broken(self) -> BridgeError:
+        why = f"the link broke before the answer: {self._why_down}"
+        return BridgeError(f"{why}; whether it was done is unknown", FailureReason.UNAVAILABLE)
 
     async def _tick(self) -> None:
         while True:
@@ -348,6 +393,8 @@ class ManagerLink:
             if since is not None and time.monotonic() - since > self._options.grace:
                 while self._asking:
                     self._asking.pop().cancel()
+                for answer in tuple(self._waiting):
+                    answer.set_exception(self._broken())
             self._tick_members()
 
     def _tick_members(self) -> None:

@@ -10,7 +10,7 @@ import sys
 import time
 import zlib
 from collections import Counter, deque
-from collections.abc import Iterable, Iterator
+from collections.abc import Generator, Iterable, Iterator
 from contextlib import suppress
 from functools import lru_cache, partial
 from typing import Any
@@ -152,6 +152,14 @@ class TurnConnection(ServerConnection):
         self._began: float | None = None  # when what is unfinished did
         self._taker: asyncio.Future[None] | None = None
         self._account: Account | None = None
+        self._needed = 0  # octets that the parser waits for
+        reader = self.protocol.reader
+        self._read_exact = reader.read_exact
+        setattr(reader, "read_exact", self._need)  # noqa: B010 - a method of this one alone
+
+    def _need(self, octets: int) -> Generator[None, None, bytes | bytearray]:
+        self._needed = octets
+        return self._read_exact(octets)
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         """Begin; see `asyncio.Protocol`."""
@@ -391,11 +399,13 @@ class TurnConnection(ServerConnection):
 
     def _next_slice(self) -> bytes:
         first, begin = self._unread[0], self._begin
-        self._begin = begin + _SLICE
+        # What belongs to the frame that has begun is no work for the parser.
+        octets = max(_SLICE, self._needed - len(self.protocol.reader.buffer))
+        self._begin = begin + octets
         if self._begin >= len(first):
             self._unread.popleft()
             self._begin = 0
-        portion = first[begin : begin + _SLICE]
+        portion = first[begin : begin + octets]
         self._unparsed -= len(portion)
         return portion
 

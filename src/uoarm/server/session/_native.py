@@ -32,10 +32,11 @@ from uoarm.model import (
 )
 from uoarm.server._failures import LimitError, UnknownError, code_of, error_code_of, without_frames
 from uoarm.server.access import Operation, RoleView
+from uoarm.server.session._calls import ClientCalls
 from uoarm.server.session._client import ConnectedClient
 from uoarm.server.session._discoveries import Discoveries
 from uoarm.server.session._recordings import DeskAnswer, RecordingDesk
-from uoarm.server.session._session_store import ClientCall, ReplyCache, SessionStore
+from uoarm.server.session._session_store import ReplyCache, SessionStore
 from uoarm.server.session._views import (
     FunctionLists,
     ListQuestion,
@@ -54,7 +55,6 @@ from uoarm.server.streams import (
     FeedRegistry,
     MemoryUse,
     feed_key,
-    read_message,
 )
 
 __all__ = ["NativeSession", "Shared"]
@@ -121,10 +121,13 @@ class NativeSession:
         self._discoveries = Discoveries(registry)
         self._shared = shared
         self._ages = CommandAges()
-        self._calls: dict[str | None, ClientCall] = {}  # by the id of the question
+        self._calls = ClientCalls(
+            client, registry, form, self._written, self._emit_frame, self._failed
+        )
         self._stops: set[asyncio.Task[None]] = set()
         self._tasks: dict[asyncio.Task[None], Op] = {}
         self._quick: Mapping[Op, Callable[[ControlMessage], None]] = {
+            Op.CALL: self._call,
             Op.DATA: self._send,
             Op.KILL: self._kill,
             Op.RESUME: self._resume,
@@ -134,7 +137,6 @@ class NativeSession:
             Op.LIST: self._list,
             Op.STATUS: self._status,
             Op.REQUEST: self._request,
-            Op.CALL: self._call,
             Op.RESOLVE: self._resolve,
             Op.CONFIGURE: self._configure,
             Op.DISCOVER: self._discover,
@@ -148,7 +150,7 @@ class NativeSession:
     @property
     def is_in_use(self) -> bool:
         """Whether it has open functions, or something under way."""
-        return bool(self._tasks or self._streams.counters())
+        return bool(self._tasks or self._calls or self._streams.counters())
 
     def who(self) -> dict[str, Any]:
         """Return whose session it is, and which connections it has."""
@@ -162,7 +164,7 @@ class NativeSession:
 
     def octets(self, frame: str | bytes) -> int:
         """Return how much there is to decode."""
-        return len(frame)
+        return self._form.decoding_octets(frame)
 
     def decode(self, frame: str | bytes, spending: BudgetUse) -> tuple[Callable[[], None], int]:
         """Return what answers one frame, now or later, and how much memory its message holds."""
@@ -225,6 +227,7 @@ class NativeSession:
         self._registry.unwatch(self._changed)
         for task in self._tasks:
             task.cancel()
+        self._calls.close()
         self._streams.close()
 
     def _begin(self, asked: ControlMessage, work: Coroutine[Any, Any, None]) -> None:
@@ -246,7 +249,8 @@ class NativeSession:
         """
         most = self._client.limits.calls
         kind = _KINDS.get(op, "calls")
-        if kind and sum(_KINDS.get(task, "calls") == kind for task in self._tasks.values()) >= most:
+        under_way = sum(_KINDS.get(task, "calls") == kind for task in self._tasks.values())
+        if kind and under_way + (len(self._calls) if kind == "calls" else 0) >= most:
             raise LimitError(f"{most} {kind} are under way; wait for an answer first")
         return self._client.account.charge(MemoryUse.ASKED, self._client.in_hand)
 
@@ -295,21 +299,8 @@ class NativeSession:
         notice = {"op": "Status", "type": "waiting", "id": asked.id, "jsonMessage": message}
         self._emit_frame(None, write_or_error(self._form, notice))
 
-    async def _call(self, asked: ControlMessage) -> None:
-        name = str(asked.type)
-        self._client.require(Operation.CALL, name)
-        limit = asked.extensions.get("x-timeout", self._client.limits.call_seconds)
-        assert isinstance(limit, int | float), "the schema says so"
-        read = functools.partial(read_message, self._form)
-        act = functools.partial(self._written, asked)
-        under_way = self._calls[asked.id] = ClientCall()
-        try:
-            frame = await self._registry.call_and(
-                act, name, asked.jsonMessage, read, float(limit), under_way.began
-            )
-        finally:
-            self._calls.pop(asked.id, None)
-        self._emit_frame(asked.id, frame)
+    def _call(self, asked: ControlMessage) -> None:
+        self._calls.begin(asked, self._admit(asked.op))
 
     async def _resolve(self, asked: ControlMessage) -> None:
         name = str(asked.type)
@@ -454,7 +445,7 @@ class NativeSession:
             account = self._client.account
             self._replies = ReplyCache(limits.control_messages, limits.queue_bytes, account)
             self._reply(asked, {"key": key, "seconds": limits.resume_seconds})
-        elif self._tasks or self._streams.counters() or self._replies is not None:
+        elif self.is_in_use or self._replies is not None:
             raise UsageError("Resume with a key must be the first message of a connection")
         else:
             self._store.claim(options["key"], self._client, self.form, asked)
@@ -478,16 +469,13 @@ class NativeSession:
         if options.get("everyone"):
             self._kill_for_everyone(asked)
         elif options.get("call"):
-            under_way = self._calls.get(str(asked.type))
-            if under_way is None:
-                raise UnknownError(f"this client has no call {asked.type!r:.100} under way")
-            self._begin(asked, self._cancel(asked, under_way))
+            self._begin(asked, self._cancel(asked))
         else:
             stream = self._streams.own(str(asked.type))
             self._streams.kill(stream, lambda: self._reply(asked, None))
 
-    async def _cancel(self, asked: ControlMessage, under_way: ClientCall) -> None:
-        cancel = under_way.cancel()
+    async def _cancel(self, asked: ControlMessage) -> None:
+        cancel = self._calls.cancel(str(asked.type))
         if cancel is not None:
             await self._registry.in_worker(cancel)
         self._reply(asked, None)

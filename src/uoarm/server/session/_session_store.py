@@ -1,4 +1,4 @@
-"""Sessions that outlive a short drop of their connection, with their last replies and calls."""
+"""Sessions that outlive a short drop of their connection, with their last replies."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from uoarm.server.access import AccessRole, Credentials, hash_token
 from uoarm.server.session._client import ConnectedClient, Session
 from uoarm.server.streams import Account, MemoryUse
 
-__all__ = ["ClientCall", "KeptSession", "ReplyCache", "Resumable", "SessionStore"]
+__all__ = ["KeptSession", "ReplyCache", "Resumable", "SessionStore"]
 
 _log = logging.getLogger("uoarm.server")
 _KEY_BYTES = 32
@@ -252,24 +252,3 @@ class ReplyCache:
     def get(self, identity: str) -> bytes | None:
         """Return an answer that is kept."""
         return self._frames.get(identity)
-
-
-class ClientCall:
-    """A call of a client's, which may be cancelled: before it has begun, too."""
-
-    def __init__(self) -> None:
-        # `began` comes in the worker, `cancel` in the loop's thread: each says its own first and
-        # then looks for the other's, so that one of them, or both, cancel it.
-        self._cancel: Callable[[], bool] | None = None
-        self._is_cancelled = False
-
-    def began(self, cancel: Callable[[], bool]) -> None:
-        """Take in what cancels it."""
-        self._cancel = cancel
-        if self._is_cancelled:
-            cancel()
-
-    def cancel(self) -> Callable[[], bool] | None:
-        """Have it end early; returns what to do about that outside of the loop, None: nothing."""
-        self._is_cancelled = True
-        return self._cancel

@@ -48,7 +48,7 @@ from uoarm.server.streams._input_sender import InputSender, Read, read_message
 from uoarm.server.streams._known import KnownStructures, KnownTypes
 from uoarm.server.streams._memory import Account, ServerMemory
 from uoarm.server.streams._pending_feeds import OnAbsent, PendingFeeds, is_absent
-from uoarm.server.streams._workers import LoopMailbox, Make, SharedViews, Workers
+from uoarm.server.streams._workers import CallEnded, LoopMailbox, Make, SharedViews, Workers
 
 __all__ = ["ChangeNotice", "FeedRegistry", "Read", "Watcher", "shown_event"]
 
@@ -284,34 +284,9 @@ class FeedRegistry:
         return next((item for item in self.robot.connections() if item.id == identity), None)
 
     async def call(self, name: str, message: Message, read: Read, timeout: float) -> Message:
-        """Call a service in a worker; see `call_and`."""
-        return await self.call_and(lambda answer: answer, name, message, read, timeout)
-
-    async def call_and(
-        self,
-        act: Callable[[Message], T],
-        name: str,
-        message: Message,
-        read: Read,
-        timeout: float,
-        began: Callable[[Callable[[], bool]], None] = lambda _: None,
-    ) -> T:
-        """Call a service in a worker, and do something with its answer there, too.
-
-        Args:
-            act: what the answer is for; may take long.
-            name: a function.
-            message: the request as it came.
-            read: makes its logical value, by the service's structure.
-            timeout: seconds; the limit for all clients holds as well.
-            began: called in the worker with what cancels the call.
-
-        Raises:
-            UsageError: the function is a stream.
-            UoarmError: as `RobotManager.call`, and BusyError.
-        """
+        """Call a service in a worker; the limit for all clients holds as well."""
         limit = min(timeout, self.limits.call_seconds)
-        return await self.call_planned(name, None, message, read, limit, began, act)
+        return await self.call_planned(name, None, message, read, limit, str, lambda reply: reply)
 
     async def call_planned(
         self,
@@ -320,7 +295,7 @@ class FeedRegistry:
         message: Message,
         read: Read,
         timeout: float,
-        began: Callable[[Callable[[], bool]], None],
+        began: Callable[[Callable[[], bool]], object],
         act: Callable[[Message], T],
     ) -> T:
         """Call a service in a worker, of this very plan where one is given, and of no other.
@@ -339,6 +314,35 @@ class FeedRegistry:
             UsageError: the function is a stream.
             UoarmError: as `RobotManager.call`, and BusyError.
         """
+        future: asyncio.Future[T] = asyncio.get_running_loop().create_future()
+
+        def ended(result: T, error: Exception | None) -> None:
+            if future.done():  # no client waits for it any more
+                return
+            if error is None:
+                future.set_result(result)
+            else:
+                future.set_exception(error)
+
+        self.begin_call(wanted, revision, message, read, timeout, began, act, ended)
+        return await future
+
+    def begin_call(
+        self,
+        wanted: Plan | str,
+        revision: int | None,
+        message: Message,
+        read: Read,
+        timeout: float,
+        began: Callable[[Callable[[], bool]], object],
+        act: Callable[[Message], T],
+        ended: CallEnded,
+    ) -> None:
+        """Begin what `call_planned` does; `ended` gets what it returns, or raises, in the loop.
+
+        Raises:
+            BusyError: every worker is taken.
+        """
 
         def work() -> T:
             plan = self.robot.resolve(wanted) if isinstance(wanted, str) else wanted
@@ -352,7 +356,7 @@ class FeedRegistry:
             )
             return act(reply)
 
-        return await self.workers.start(work)
+        self.workers.call(work, ended)
 
     async def resolve(self, name: str) -> Plan:
         """Find a plan in a worker; see `resolve_and`."""

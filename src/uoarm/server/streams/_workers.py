@@ -11,11 +11,12 @@ from collections.abc import Callable, Collection, Hashable, Mapping
 from typing import Any, TypeAlias, TypeVar
 
 from uoarm._raised import contained
+from uoarm._support import deadlines
 from uoarm._support.workers import WorkerPool
 from uoarm.server._failures import BusyError
 from uoarm.server.streams._memory import Shares, acting
 
-__all__ = ["LoopMailbox", "Make", "OpeningTurns", "SharedViews", "Workers"]
+__all__ = ["CallEnded", "LoopMailbox", "Make", "OpeningTurns", "SharedViews", "Workers"]
 
 _AT_ONCE = 2
 _YOUNG_SECONDS = 0.02
@@ -140,7 +141,9 @@ class LoopMailbox:
 
 
 T = TypeVar("T")
+CallEnded: TypeAlias = Callable[[Any, "Exception | None"], object]
 _FREEING = 16
+_GLANCE_SECONDS = 0.05
 
 
 class Workers:
@@ -167,6 +170,8 @@ class Workers:
         self._freeing = WorkerPool("uoarm-serve-free", _FREEING)
         self._stopping = WorkerPool("uoarm-serve-stop")
         self._turns = OpeningTurns(2 * openings)
+        # Calls under way, each with what takes its end. Looked at while there are any.
+        self._calls: dict[deadlines.StepUnderWay, tuple[Hashable, CallEnded]] = {}
         self._to_open: dict[Hashable, deque[Callable[[], None]]] = {}
         self._look: asyncio.TimerHandle | None = None
 
@@ -174,7 +179,7 @@ class Workers:
     def busy(self) -> int:
         """Jobs under way or waiting for a thread."""
         opening = self._opening.busy + sum(map(len, self._to_open.values()))
-        return self._asking.busy + opening + self._freeing.busy
+        return self._asking.busy + len(self._calls) + opening + self._freeing.busy
 
     @property
     def stopping(self) -> int:
@@ -192,8 +197,8 @@ class Workers:
             BusyError: no worker is free.
         """
         owner = acting.get()
-        if not always and not self._asked.admits(owner) and not self._asking.closed:
-            raise BusyError(f"all {self._limit} workers are taken by requests that still wait")
+        if not always:
+            self._admit(owner)
         # Taken before the submit: the thread may be done, and give it back, before `submit`
         # returns.
         self._asked.take(owner)
@@ -202,6 +207,49 @@ class Workers:
         except BusyError:
             self._asked.take(owner, -1)
             raise
+
+    def call(self, action: Callable[[], object], ended: CallEnded) -> None:
+        """Run an action whose steps have limits of their own; one that hangs is given up.
+
+        Only from the loop's thread, in which `ended` is called with what it returned, or raised.
+
+        Raises:
+            BusyError: no worker is free, or the server is closing.
+        """
+        if self._asking.closed:
+            raise _closing()
+        owner = acting.get()
+        self._admit(owner)
+
+        def done(result: object, error: Exception | None) -> None:
+            self._mailbox.put(lambda: self._end_call(step, result, error))
+
+        is_first = not self._calls
+        step = deadlines.begin("a call", action, done)
+        self._calls[step] = owner, ended
+        self._asked.take(owner)
+        if is_first:
+            self._look_at_calls(asyncio.get_running_loop())
+
+    def _look_at_calls(self, loop: asyncio.AbstractEventLoop) -> None:
+        """Give up what is late, every now and then while there are calls."""
+        for step in tuple(self._calls):
+            error = step.give_up_late()
+            if error is not None:
+                self._end_call(step, None, error)
+        if self._calls:
+            loop.call_later(_GLANCE_SECONDS, self._look_at_calls, loop)
+
+    def _end_call(
+        self, step: deadlines.StepUnderWay, result: object, error: Exception | None
+    ) -> None:
+        owner, ended = self._calls.pop(step)
+        self._asked.take(owner, -1)
+        ended(result, error)
+
+    def _admit(self, owner: Hashable) -> None:
+        if not self._asked.admits(owner) and not self._asking.closed:
+            raise BusyError(f"all {self._limit} workers are taken by requests that still wait")
 
     def open(self, action: Callable[[], T]) -> asyncio.Future[T]:
         """Run an action that opens something; it waits for its turn after those before it.

@@ -1,0 +1,231 @@
+"""The WebSocket of a client: messages are handed over as they come, and written in any thread."""
+
+from __future__ import annotations
+
+import asyncio
+import secrets
+import socket
+import struct
+import threading
+from collections import deque
+from collections.abc import Callable
+from contextlib import suppress
+from typing import Any, TypeAlias
+
+from websockets.asyncio.client import ClientConnection
+from websockets.exceptions import ConnectionClosedOK
+from websockets.frames import DATA_OPCODES, CloseCode, Frame, Opcode
+from websockets.protocol import Event, State
+from websockets.typing import BytesLike
+
+try:
+    from websockets.speedups import apply_mask
+except ImportError:  # it was built without a compiler
+    from websockets.utils import apply_mask
+
+__all__ = ["ClientSocket", "Received"]
+
+Received: TypeAlias = "str | bytes | bytearray"
+Take: TypeAlias = Callable[[Received], object]
+_MOST_WAITING = 16
+_MOST_FRAGMENTS = 65_536
+_WHOLE_BINARY, _MASKED = 0x80 | Opcode.BINARY, 0x80
+
+
+class ClientSocket(ClientConnection):
+    """A connection without tasks between the socket and who takes its messages.
+
+    The library wakes a task for each message, and each writer of one waits for its turn in the
+    loop. Here a message is handed over in the turn of the loop in which its octets came, and
+    `try_send` writes in the thread of its caller. All other methods are for the loop's thread.
+    """
+
+    def __init__(self, *arguments: Any, **options: Any) -> None:
+        super().__init__(*arguments, **options)
+        self._waiting: deque[Received] = deque()  # until they are taken, or handed over
+        self._fragments: list[bytes] = []
+        self._is_text = False
+        self._taker: asyncio.Future[None] | None = None
+        self._take: Take | None = None
+        self._ended: asyncio.Future[None] | None = None
+        # Guards what is written, between the loop and threads that write by themselves: a frame
+        # goes out whole before the next begins. Held for as long as the kernel takes octets
+        # without waiting.
+        self._writing = threading.Lock()
+        self._near: socket.socket | None = None  # a second descriptor, for these threads
+        self._is_lost = False
+        # Of a frame that the kernel took a part of; goes before all others.
+        self._rest: list[bytes | memoryview] = []
+
+    async def next_message(self) -> Received:
+        """Return the next message, before any is handed over.
+
+        Raises:
+            ConnectionClosed: no more will come.
+        """
+        while not self._waiting:
+            if self.protocol.state is State.CLOSED:
+                await asyncio.shield(self.connection_lost_waiter)
+                raise self.close_exc
+            self._taker = self.loop.create_future()
+            try:
+                await self._taker
+            finally:
+                self._taker = None
+        message = self._waiting.popleft()
+        if not self.transport.is_closing():
+            self.transport.resume_reading()
+        return message
+
+    async def hand_over(self, take: Take) -> None:
+        """Have each message taken as it comes, until the connection was closed in order.
+
+        Raises:
+            ConnectionClosedError: it ended otherwise.
+            Exception: what `take` raised; nothing is taken after it.
+        """
+        self._ended = self.loop.create_future()
+        self._take = take
+        try:
+            while self._waiting and self._take is not None:
+                self._hand(self._waiting.popleft())
+            if not self.transport.is_closing():
+                self.transport.resume_reading()
+            if not self._ended.done():
+                ends = (self._ended, self.connection_lost_waiter)
+                await asyncio.wait(ends, return_when=asyncio.FIRST_COMPLETED)
+            if self._ended.done():
+                self._ended.result()
+            with suppress(ConnectionClosedOK):
+                raise self.close_exc
+        finally:
+            self._take = None
+            self._ended.cancel()
+
+    async def send_whole(self, content: bytes, *, text: bool) -> None:
+        """Send one message, and wait only where the socket does not take more; raises as `send`."""
+        is_open = self.protocol.state is State.OPEN and not self.transport.is_closing()
+        if self.paused or not is_open:
+            await self.send(content, text=text)
+            return
+        if text:
+            self.protocol.send_text(content)
+        else:
+            self.protocol.send_binary(content)
+        self.send_data()
+
+    def try_send(self, content: bytes) -> bool:
+        """Write one binary message in this thread, whichever it is, and wait for nothing.
+
+        False where nothing was written: the connection is not open, has TLS, or others wait to be
+        written before.
+        """
+        frame = _masked(content)
+        with self._writing:
+            near = self._to_write()
+            if near is None:
+                return False
+            try:
+                sent = near.sendmsg(frame)
+            except OSError:  # it takes nothing now; or the loop learns of the error, too
+                return False
+            for part in frame:
+                if sent < len(part):
+                    self._rest.append(memoryview(part)[sent:])
+                sent = max(0, sent - len(part))
+            if self._rest:
+                self.loop.call_soon_threadsafe(self.send_data)
+        return True
+
+    def _to_write(self) -> socket.socket | None:
+        """Return what a thread may write to, which holds the lock; None: the loop must."""
+        transport = self.transport
+        if self._is_lost or self._rest or self.protocol.state is not State.OPEN:
+            return None
+        if transport.is_closing() or transport.get_write_buffer_size():
+            return None
+        if self._near is None and transport.get_extra_info("sslcontext") is None:
+            self._near = transport.get_extra_info("socket").dup()
+            self._near.setblocking(False)
+        return self._near
+
+    def send_data(self) -> None:
+        """Write what the protocol has to send; see `websockets.asyncio.connection.Connection`."""
+        with self._writing:
+            rest, self._rest = self._rest, []
+            for part in rest:
+                self.transport.write(part)
+            super().send_data()
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """End; see `asyncio.Protocol`."""
+        with self._writing:
+            self._is_lost = True
+            self._rest.clear()
+            if self._near is not None:
+                self._near.close()
+                self._near = None
+        super().connection_lost(exc)
+        self._wake()
+
+    def process_event(self, event: Event) -> None:
+        """Take a data frame, or have the library act on another one."""
+        if not isinstance(event, Frame) or event.opcode not in DATA_OPCODES:
+            super().process_event(event)
+            return
+        if event.opcode is not Opcode.CONT:
+            self._is_text = event.opcode is Opcode.TEXT
+        if event.fin and not self._fragments:  # without a copy, where it need not be
+            self._came(event.data)
+            return
+        self._fragments.append(bytes(event.data))
+        if event.fin:
+            content = b"".join(self._fragments)
+            self._fragments.clear()
+            self._came(content)
+        elif len(self._fragments) > _MOST_FRAGMENTS:
+            self._fragments.clear()
+            self.protocol.fail(CloseCode.MESSAGE_TOO_BIG, "too many fragments")
+
+    def _came(self, content: BytesLike) -> None:
+        try:
+            message: Received
+            if self._is_text:
+                message = str(content, "utf-8")
+            else:
+                message = bytes(content) if isinstance(content, memoryview) else content
+        except UnicodeDecodeError as error:
+            self.protocol.fail(CloseCode.INVALID_DATA, f"{error.reason} at position {error.start}")
+            return
+        if self._take is not None:
+            self._hand(message)
+            return
+        self._waiting.append(message)
+        if len(self._waiting) > _MOST_WAITING:
+            self.transport.pause_reading()
+        self._wake()
+
+    def _hand(self, message: Received) -> None:
+        assert self._take is not None, "set by who calls this"
+        try:
+            self._take(message)
+        except BaseException as error:  # noqa: BLE001 - raised where the messages are waited for
+            self._take = None
+            if self._ended is not None and not self._ended.done():
+                self._ended.set_exception(error)
+
+    def _wake(self) -> None:
+        if self._taker is not None and not self._taker.done():
+            self._taker.set_result(None)
+
+
+def _masked(content: bytes) -> tuple[bytes, bytes]:
+    """Return a whole frame in two parts: the library makes three copies of its content."""
+    length, mask = len(content), secrets.token_bytes(4)
+    if length < 126:  # noqa: PLR2004 - three forms of the length, RFC 6455, 5.2
+        head = struct.pack("!BB", _WHOLE_BINARY, _MASKED | length)
+    elif length < 2**16:
+        head = struct.pack("!BBH", _WHOLE_BINARY, _MASKED | 126, length)
+    else:
+        head = struct.pack("!BBQ", _WHOLE_BINARY, _MASKED | 127, length)
+    return head + mask, apply_mask(content, mask)
