@@ -1,4 +1,4 @@
-"""The page's example runs as printed, with Mosquitto's own programs as peers."""
+"""The example runs as printed, with Mosquitto's own programs as peers."""
 
 from __future__ import annotations
 
@@ -16,12 +16,14 @@ from uoarm_mqtt._options import MqttOptions, TopicOptions
 from uoarm.bridge import options_table
 from uoarm.testing import patience, wait
 
-PAGE = Path(__file__).parents[3] / "docs" / "mqtt.md"
+ROOT = Path(__file__).parents[3]
+PAGE = ROOT / "docs" / "mqtt.md"
+EXAMPLE = ROOT / "examples" / "mqtt" / "README.md"
 
 
 @pytest.mark.needs("mosquitto-clients")
 def test_the_example_runs_as_printed(broker: Broker, tmp_path: Path) -> None:
-    text = PAGE.read_text(encoding="utf-8")
+    text = EXAMPLE.read_text(encoding="utf-8")
     _, peers, robot, commands, printed, program, *_ = (
         found[1] for found in re.finditer(r"```\w+\n(.*?)```", text, re.DOTALL)
     )
@@ -42,7 +44,7 @@ def test_the_example_runs_as_printed(broker: Broker, tmp_path: Path) -> None:
             said[:] = [process.stdout + process.stderr for process in done]
             return not any(process.returncode for process in done)
 
-        wait(answered, "the peers of the page did not come up", patience())
+        wait(answered, "the peers of the example did not come up", patience())
         assert "".join(said) == printed
         assert _run(["-c", program], tmp_path).returncode == 0
         wait(lambda: lamp, "the lamp received nothing", patience())

@@ -20,11 +20,13 @@ from uoarm.bridge import options_table
 from uoarm.model import MessageStructure
 from uoarm.testing import patience, wait
 
-PAGE = Path(__file__).parents[3] / "docs" / "ros1.md"
+ROOT = Path(__file__).parents[3]
+PAGE = ROOT / "docs" / "ros1.md"
+EXAMPLE = ROOT / "examples" / "ros1" / "README.md"
 
 
 def test_the_example_runs_as_printed(master: Master, tmp_path: Path) -> None:
-    text = PAGE.read_text(encoding="utf-8")
+    text = EXAMPLE.read_text(encoding="utf-8")
     _, peers, robot, commands, printed, application, *_ = (
         found[1] for found in re.finditer(r"```\w+\n(.*?)```", text, re.DOTALL)
     )
@@ -41,7 +43,7 @@ def test_the_example_runs_as_printed(master: Master, tmp_path: Path) -> None:
             said[:] = [run.stdout + run.stderr for run in done]
             return not any(run.returncode for run in done)
 
-        wait(answered, "the node of the page did not come up", patience())
+        wait(answered, "the node of the example did not come up", patience())
         assert "".join(said) == printed
         (tmp_path / "application.py").write_text(application)
         done = _run("application", tmp_path)

@@ -1,4 +1,4 @@
-"""The page's example runs as printed; and vehicles without a name are used."""
+"""The example runs as printed; and vehicles without a name are used."""
 
 from __future__ import annotations
 
@@ -19,11 +19,13 @@ from uoarm.bridge import Registry, options_table
 from uoarm.config import inspect
 from uoarm.testing import patience, wait
 
-PAGE = Path(__file__).parents[3] / "docs" / "vda5050.md"
+ROOT = Path(__file__).parents[3]
+PAGE = ROOT / "docs" / "vda5050.md"
+EXAMPLE = ROOT / "examples" / "vda5050" / "README.md"
 
 
 def test_the_example_runs_as_printed(broker: Broker, tmp_path: Path) -> None:
-    text = PAGE.read_text(encoding="utf-8")
+    text = EXAMPLE.read_text(encoding="utf-8")
     _, vehicle, robot, command, *_ = (
         found[1] for found in re.finditer(r"```\w+\n(.*?)```", text, re.DOTALL)
     )
@@ -42,7 +44,7 @@ def test_the_example_runs_as_printed(broker: Broker, tmp_path: Path) -> None:
         return done.returncode == 0
 
     try:
-        wait(answered, "the vehicle of the page did not come up", patience())
+        wait(answered, "the vehicle of the example did not come up", patience())
         result = json.loads(said[0])
         assert result["lastNodeId"] == "shelf"
         assert [action["actionStatus"] for action in result["actions"]] == ["FINISHED"]
@@ -82,7 +84,7 @@ def test_the_tables_of_options_are_what_the_plugin_declares() -> None:
 def test_a_wrong_option_is_reported_with_its_place_and_the_one_that_is_meant(
     tmp_path: Path,
 ) -> None:
-    page = PAGE.read_text(encoding="utf-8")
+    page = EXAMPLE.read_text(encoding="utf-8")
     (text,) = re.findall(r"```yaml\n(version: 1.*?)```", page, re.DOTALL)
     file = tmp_path / "robot.yaml"
     written = text.replace("agv1, state]}", "agv1, state], options: {hedder: true}}")

@@ -376,8 +376,12 @@ class RtmEndpointOptions(EndpointOptions):
     buffer: BufferOptions | None = option(
         None, BufferOptions, "how messages wait at both ends, see below"
     )
-    inport_buffer: BufferOptions | None = option(None, BufferOptions, "the same for the InPort")
-    outport_buffer: BufferOptions | None = option(None, BufferOptions, "the same for the OutPort")
+    inport_buffer: BufferOptions | None = option(
+        None, BufferOptions, "the same for the InPort, before `buffer`"
+    )
+    outport_buffer: BufferOptions | None = option(
+        None, BufferOptions, "the same for the OutPort, before `buffer`"
+    )
     endian: Literal["little", "big"] = option(
         "little",
         {"enum": ["little", "big"]},
@@ -394,7 +398,7 @@ class RtmEndpointOptions(EndpointOptions):
     reset: bool = option(
         False,
         {"type": "boolean"},
-        "with `activate`: reset a component in state ERROR before",
+        "with `activate`: reset a component in state ERROR first",
     )
     event: str = option(
         "",
