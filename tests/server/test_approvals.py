@@ -33,7 +33,7 @@ from uoarm.server.access._approvals import (
     ApprovalWish,
     digest_of,
 )
-from uoarm.server.access._role import Audit, masked
+from uoarm.server.access._role import Audit, AuditFile, masked
 
 FOUNDATION = ApprovalFoundation(1, ("cuff",))
 WISH = ApprovalWish("agent", "call", "cuff", "", {"pressure": 120.0}, FOUNDATION)
@@ -317,6 +317,65 @@ class Approvals(RuleBasedStateMachine):
 
 TestApprovals = Approvals.TestCase
 TestApprovals.settings = settings(max_examples=60, stateful_step_count=30, deadline=None)
+
+
+@pytest.mark.parametrize(
+    "envelope",
+    [
+        ApprovalEnvelope({"pressure": (0, 2**63)}),
+        ApprovalEnvelope({"pressure": (-(10**30), 200)}),
+        ApprovalEnvelope(rate=10**30),
+    ],
+)
+def test_an_envelope_that_some_reader_of_json_cannot_read_is_refused(
+    envelope: ApprovalEnvelope,
+) -> None:
+    with pytest.raises(ApprovalError, match=r"64 bits|times a second"):
+        ApprovalBook().ask("a", evolve(WISH, envelope=envelope), 0.0)
+
+
+def test_nothing_is_done_while_the_audit_log_cannot_be_written(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    path = tmp_path / "log" / "audit.jsonl"
+    path.parent.mkdir()
+    kept = AuditFile(path)
+    try:
+        desk = ApprovalDesk(Audit(), Supervision(lambda: loads(CONFIGURATION)))
+        role = AccessRole("nurse", everything=frozenset({Operation.APPROVE}))
+        first, second = (desk.ask(WISH).id for _ in range(2))
+        desk.decide(first, "nurse", role, approve=True)
+        desk.decide(second, "nurse", role, approve=True)
+        path.write_text(path.read_text("utf-8") + '{"half of', encoding="utf-8")  # a full disk
+        path.parent.rename(tmp_path / "away")
+        with pytest.raises(ApprovalError, match="audit log cannot be written"):
+            desk.use(first, WISH)
+        assert f'it lacks the line {{"approval":"{first}","phase":"used"' in caplog.text
+        (tmp_path / "away").rename(path.parent)
+        assert desk.use(second, WISH).phase is ApprovalPhase.USED
+    finally:
+        kept.close()
+    *_, broken, last = path.read_text("utf-8").splitlines()
+    assert broken == '{"half of'
+    assert json.loads(last)["phase"] == "used"
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="a device of Linux")
+def test_an_audit_log_on_a_full_disk_ends_as_any_other(caplog: pytest.LogCaptureFixture) -> None:
+    kept = AuditFile(Path("/dev/full"))
+    Audit().departure("a session")
+    assert kept.is_failing
+    kept.close()
+    assert "No space left on device" in caplog.text
+
+
+def test_half_a_character_of_a_client_is_in_the_log(caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level(logging.INFO, "uoarm.audit")
+    Audit().approval_denied("\ud800", "agent", "cuff", "there is none")
+    Audit().approval({"phase": "pending"}, {"value": 10**30})
+    lines = [json.loads(record.getMessage()) for record in caplog.records]
+    assert lines[0]["approval"] == "\ud800"
+    assert lines[1]["arguments"] == {"value": 10**30}
 
 
 def test_secrets_and_octets_are_not_in_the_log() -> None:

@@ -36,6 +36,7 @@ __all__ = [
 _MOST_ARGUMENTS = 65_536
 _MOST_RANGES = 64
 _MOST_COUNT = 1_000
+_BEYOND = 2**63
 _LONGEST = 3600.0
 _MOST_PENDING = 32
 _MOST_KEPT = 256
@@ -122,11 +123,14 @@ class ApprovalEnvelope:
             return f"ranges: {_MOST_RANGES} are allowed, got {len(self.ranges)}"
         if not 1 <= self.count <= _MOST_COUNT:
             return f"count: expected 1 to {_MOST_COUNT:,}, got {self.count}"
-        if self.rate is not None and not 0 < self.rate < math.inf:
-            return f"rate: expected a positive number of times a second, got {self.rate}"
+        rate = 1.0 if self.rate is None else self.rate
+        if not 0 < rate < math.inf or not _has_64_bits(rate):
+            return f"rate: expected a positive number of times a second, got {rate!r:.50}"
         for path, (least, greatest) in self.ranges.items():
             if not -math.inf < least <= greatest < math.inf:
                 return f"ranges.{path}: expected two numbers, the least first"
+            if not _has_64_bits(least) or not _has_64_bits(greatest):
+                return f"ranges.{path}: expected numbers of 64 bits"
             value = _at(arguments, path)
             if not _is_number(value):
                 return f"ranges.{path}: the arguments have no number there"
@@ -366,6 +370,11 @@ def _is_number(value: Message) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool)
 
 
+def _has_64_bits(value: float) -> bool:
+    """Say whether every reader of the JSON in which an approval is shown can read a number."""
+    return not isinstance(value, int) or -_BEYOND <= value < _BEYOND
+
+
 def _at(arguments: Message, path: str) -> Message:
     for name in path.split("."):
         if not isinstance(arguments, Mapping) or name not in arguments:
@@ -519,12 +528,15 @@ class ApprovalDesk:
         )
 
     def use(self, identity: str, wanted: ApprovalWish) -> Approval:
-        """Spend an approval; raises as `ApprovalBook.use`."""
+        """Spend an approval; raises as `ApprovalBook.use`, and where that cannot be recorded."""
         try:
-            return self._reported(lambda now: self._book.use(identity, wanted, now))
+            approval = self._reported(lambda now: self._book.use(identity, wanted, now))
         except ApprovalError as error:
             self._audit.approval_denied(identity, wanted.requester, wanted.function, str(error))
             raise
+        if not self._audit.is_kept:
+            raise ApprovalError(f"{identity}: the audit log cannot be written; nothing is done")
+        return approval
 
     def reconfigured(self, revision: int) -> None:
         """End those of other revisions than the one in force."""

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import hashlib
 import hmac
+import json
 import logging
 import os
 import re
 import secrets
+import sys
 import time
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from datetime import datetime
 from enum import Enum
 from fnmatch import fnmatchcase
@@ -245,6 +248,7 @@ LOCAL = Grant("local", EVERYTHING, principal="local")
 """Of everyone, where there is no access file."""
 
 _log = logging.getLogger("uoarm.audit")
+_server_log = logging.getLogger("uoarm.server")
 _PIN = re.compile(r"(^|_)pin$", re.IGNORECASE)
 _AUDIT_MODE = 0o600
 _DEPTH = 16
@@ -274,6 +278,13 @@ class Audit:
     Denials are warnings. What was allowed is information, except that each message sent would
     drown the rest: those are for debugging.
     """
+
+    @property
+    def is_kept(self) -> bool:
+        """Whether the last line is in every file that the log is appended to."""
+        return not any(
+            handler.is_failing for handler in _log.handlers if isinstance(handler, AuditFile)
+        )
 
     def note(
         self, session: str, role: AccessRole, operation: Operation, function: str, *, allowed: bool
@@ -349,17 +360,25 @@ class Audit:
         self._write(logging.INFO, session=session, gone=True)
 
     def _write(self, level: int, **facts: object) -> None:
-        _log.log(level, "%s", orjson.dumps({**facts, "time": time.time()}).decode())
+        entry = {**facts, "time": time.time()}
+        try:
+            line = orjson.dumps(entry).decode()
+        except TypeError:  # of a client: half a character, or a number beyond 64 bits
+            line = json.dumps(entry, default=str)
+        _log.log(level, "%s", line)
 
 
 class AuditFile(WatchedFileHandler):
     """Appends the audit log to a file that only this user may read, until it is closed.
 
     What is there already stays. Where the file was moved away, as by the rotation of logs, the next
-    line begins a new one.
+    line begins a new one. A line that cannot be written, as on a full disk, is in the server's log.
 
     Args:
         path: of the file.
+
+    Attributes:
+        is_failing: whether the last line could not be written.
 
     Raises:
         ConfigurationError: it cannot be written.
@@ -373,18 +392,53 @@ class AuditFile(WatchedFileHandler):
                 f"the audit log cannot be written to {path}: {error.strerror or error}"
             ) from error
         self.setFormatter(logging.Formatter("%(message)s"))
+        self.is_failing = False
+        self._has_failed = False
         self._former_level = _log.level
         if _log.getEffectiveLevel() > logging.INFO:
             _log.setLevel(logging.INFO)
         _log.addHandler(self)
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Append a line."""
+        self._has_failed = False
+        try:
+            super().emit(record)
+        except OSError:  # a file that was moved away, and whose folder is gone
+            self.handleError(record)
+        self.is_failing = self._has_failed
+
+    def handleError(self, record: logging.LogRecord) -> None:  # noqa: N802 - of logging
+        """Take in that a line was not written, in the `except` block of its cause."""
+        self._has_failed = True
+        cause, line = sys.exc_info()[1], record.getMessage()
+        text = "the audit log %s cannot be written: %s; it lacks the line %s"
+        _server_log.error(text, self.baseFilename, cause, line)
+        stream, self.stream = self.stream, None  # it is opened anew for the next line
+        with suppress(OSError):
+            if stream is not None:
+                stream.close()
 
     def close(self) -> None:
         """Append no more. Idempotent."""
         if self in _log.handlers:
             _log.removeHandler(self)
             _log.setLevel(self._former_level)
-        super().close()
+        with suppress(OSError):  # what could not be written was reported
+            super().close()
 
     def _open(self) -> TextIOWrapper:
         descriptor = os.open(self.baseFilename, os.O_WRONLY | os.O_APPEND | os.O_CREAT, _AUDIT_MODE)
-        return os.fdopen(descriptor, "a", encoding="utf-8")
+        stream = os.fdopen(descriptor, "a", encoding="utf-8")
+        if self._is_broken():  # a disk that was full has half of a line
+            stream.write("\n")
+        return stream
+
+    def _is_broken(self) -> bool:
+        """Say whether the last line has no end."""
+        path = Path(self.baseFilename)
+        if not path.is_file() or not path.stat().st_size:
+            return False
+        with path.open("rb") as written:
+            written.seek(-1, os.SEEK_END)
+            return written.read(1) != b"\n"
