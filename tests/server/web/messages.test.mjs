@@ -5,7 +5,7 @@ import { pairOf, shapesOf } from "../../../src/uoarm/server/static/app/shapes.js
 import {
   readAddress, withMove, withOptions, withoutPanel, withPanel, writeAddress,
 } from "../../../src/uoarm/server/static/app/address.js";
-import { pretty, rate, short, span, stamp, timeOf } from "../../../src/uoarm/server/static/app/format.js";
+import { exact, pretty, rate, short, span, stamp, timeOf } from "../../../src/uoarm/server/static/app/format.js";
 import { byUnit, numbersOf, Series } from "../../../src/uoarm/server/static/app/numbers.js";
 import { findPicture, pixelsOf } from "../../../src/uoarm/server/static/app/picture.js";
 
@@ -166,4 +166,11 @@ test("a scan is points in metres, without what sees nothing; a grid's first row 
   assert.deepEqual(shades([100, 0, -1, 0]), [178, 246, 24, 246]);
   assert.deepEqual(shades(btoa("\x64\x00\xff\x00")), [178, 246, 24, 246]);
   assert.equal(findGrid({ info, data: [1] }), null);
+});
+
+test("what a person decides about is shown whole, and turns no text around", () => {
+  const hidden = { text: `${"go ".repeat(100)}faster`, list: Array.from({ length: 60 }, (_, at) => at) };
+  assert.deepEqual(JSON.parse(exact(hidden)), hidden);
+  assert.equal(exact({ text: "a\u202e\u009b\u{e0041}é中" }), '{\n  "text": "a\\u{202e}\\u{9b}\\u{e0041}é中"\n}');
+  assert.equal(exact({ stamp: { sec: 1, nanosec: 2 } }), '{\n  "stamp": {\n    "sec": 1,\n    "nanosec": 2\n  }\n}');
 });

@@ -1,6 +1,6 @@
 // What others ask for that this person may approve: with what it would do, and the decision.
 
-import { pretty, span } from "./format.js";
+import { exact, span } from "./format.js";
 import { html, Notice, Sure } from "./ui.js";
 
 /** What waits for a decision, the oldest first; nothing where there is none. */
@@ -25,8 +25,8 @@ function Asked({ store, of }) {
     <li><div><p role="alert"><b>${of.requester}</b> asks to ${of.operation} <b>${of.function}${of.port && `.${of.port}`}</b>${through}
 ${" "}· ${span(of.left)} left to decide</p>
       ${of.preview && html`<p class="quiet">${of.preview}</p>`}
-      <pre class="message" tabindex="0" aria-label="Arguments">${pretty(of.arguments)}</pre>
-      ${allowsMore(of.envelope) && html`<pre class="message" tabindex="0" aria-label="Also within">${pretty(of.envelope)}</pre>`}</div>
+      <pre class="message" tabindex="0" aria-label="Arguments">${exact(of.arguments)}</pre>
+      ${allowsMore(of.envelope) && html`<pre class="message" tabindex="0" aria-label="Also within">${exact(of.envelope)}</pre>`}</div>
       <div class="bar"><${Sure} act=${() => decide(true)} question="Confirm: approve"
           label=${`Approve what ${of.requester} asks for`}>Approve</${Sure}>
         <button type="button" class="button" onClick=${() => decide(false)}>Refuse</button></div></li>`;

@@ -53,6 +53,11 @@ export function stamp(value) {
   return `${new Date(seconds * 1000 + parts / 1e6).toISOString().replace("T", " ").replace("Z", "")} UTC`;
 }
 
+/** What a person decides about: all of it, and nothing that is not seen or that turns text around. */
+export const exact = (message) =>
+  JSON.stringify(message, null, 2).replace(/[\p{Cc}\p{Cf}\p{Zl}\p{Zp}]/gu, (sign) =>
+    sign === "\n" ? sign : `\\u{${sign.codePointAt(0).toString(16)}}`);
+
 /** Any message as indented text, cut where it is long: lists, strings, the whole. Times are times. */
 export function pretty(message, { items = 40, letters = 200, whole = 20000 } = {}) {
   const cut = (_, value) => {
