@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 import asyncio
+import threading
 from contextlib import suppress
 from typing import Any
 
 import pytest
 from agents import Agents
+from attrs import evolve
 from components import CONFIGURATION, script
+from uoarm_mcp._actions import AgentActions
 
 from uoarm import RobotManager
 from uoarm.client import ServerError
 from uoarm.config import loads
 from uoarm.errors import BridgeError
-from uoarm.testing import wait
+from uoarm.testing import patience, wait
 
 PRESS = {"pressure": 120.0}
 
@@ -182,6 +185,72 @@ def test_stop_stops_what_the_agent_moved(agents: Agents) -> None:
     agents.facts("send_drive", {"speed": 0.5, "x-approval": facts["handle"]})
     assert agents.facts("stop")["stopped"] == ["drive.default"]
     wait(lambda: script.came[-1:] == [{"speed": 0.0}], "it is stopped")
+
+
+def test_stop_stops_an_action_that_cannot_be_cancelled(agents: Agents, robot: RobotManager) -> None:
+    before, _, press = CONFIGURATION.partition("  press:\n")
+    press = press.replace('          cancel: {endpoint: ["components:Walker"]}\n', "", 1)
+    text = f"{before}  press:\n{press.replace('maximum: 5', 'maximum: 99', 1)}"
+    robot.apply(loads(text, origin=robot.config.origin))
+    facts = agents.facts("press", {"value": 99})
+    agents.approve(facts["handle"])
+    agents.facts("press", {"value": 99, "x-approval": facts["handle"]})
+    assert agents.facts("stop") == {"stopped": ["press.goal"], "cancelled": []}
+    wait(lambda: script.came == [{"value": 99}, {"value": 0}], "it is stopped")
+
+
+def test_a_wait_that_ends_leaves_the_other_one_its_decision(
+    agents: Agents, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    handle = asked(agents)
+    client, nurse, waiting = agents.client(), agents.remote(), threading.Event()
+
+    async def without_limit(seconds: float, event: asyncio.Event) -> None:
+        if seconds:
+            waiting.set()
+            await event.wait()
+
+    monkeypatch.setattr("uoarm_mcp._robot_tools.within", without_limit)
+
+    async def wait_twice() -> Any:
+        long = asyncio.ensure_future(client.call_tool("wait", {"handle": handle, "seconds": 30}))
+        await asyncio.to_thread(waiting.wait, patience())
+        await client.call_tool("wait", {"handle": handle, "seconds": 0})
+        await nurse.approve(handle)
+        return await long
+
+    assert agents.run(wait_twice()).structured_content["state"] == "approved"
+
+
+def test_an_approval_is_not_spent_where_no_more_work_may_begin(
+    agents: Agents, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    handle = asked(agents)
+    agents.approve(handle)
+    with monkeypatch.context() as patched:
+        patched.setattr("uoarm_mcp._goals._MOST_RUNNING", 0)
+        assert "wait for one of them first" in press(agents, handle)
+    assert agents.facts("cuff", {**PRESS, "x-approval": handle})["state"] == "succeeded"
+
+
+def test_what_is_opened_is_what_was_approved(
+    agents: Agents, robot: RobotManager, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    text = CONFIGURATION.replace("  numbers:\n", "  numbers:\n    approve: true\n")
+    robot.apply(loads(text, origin=robot.config.origin))
+    facts = agents.facts("read_numbers", {"seconds": 0})
+    agents.approve(facts["handle"])
+    # Between the use of the approval and the opening another component takes over.
+    checked = AgentActions.check_foundation
+
+    def check(actions: AgentActions, made: Any, wish: Any, plan: Any) -> None:
+        taken_over = evolve(wish.foundation, components=("another",))
+        checked(actions, made, evolve(wish, foundation=taken_over), plan)
+
+    monkeypatch.setattr(AgentActions, "check_foundation", check)
+    text = agents.refused("read_numbers", {"seconds": 0, "x-approval": facts["handle"]})
+    assert "runs numbers, which was not approved" in text
+    assert agents.facts("status")["open"] == []
 
 
 def test_without_an_access_file_nothing_that_moves_can_be_done(serve: Any) -> None:

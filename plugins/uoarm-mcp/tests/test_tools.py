@@ -3,17 +3,21 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
+import threading
 from pathlib import Path
 from typing import Any
 
+import httpx2
 import pytest
-from agents import Agents, text_of
+from agents import TOKENS, Agents, text_of
 from components import script
+from mcp.server.session import ServerSession
 from mcp.shared.exceptions import MCPError
 
 from uoarm import RobotManager
-from uoarm.testing import Script, wait
+from uoarm.testing import Script, patience, wait
 
 MODES = ("auto", "legacy", "2026-07-28")
 
@@ -216,3 +220,58 @@ def test_what_is_used_no_more_is_closed_and_ended_with_the_rights(
     text = access.read_text(encoding="utf-8")
     access.write_text(text.replace("name: agent, role: agent", "name: agent, role: guest"))
     wait(lambda: not robot.connections(), "the streams of the agent are closed")
+
+
+def test_one_agent_does_not_take_the_sessions_of_all(
+    agents: Agents, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("uoarm_mcp._http._MOST_SESSIONS", 1)
+    agents.client("agent", "legacy")
+    body = {
+        "jsonrpc": "2.0",
+        "id": 1,
+        "method": "initialize",
+        "params": {
+            "protocolVersion": "2025-11-25",
+            "capabilities": {},
+            "clientInfo": {"name": "test", "version": "1"},
+        },
+    }
+    headers = {
+        "Authorization": f"Bearer {TOKENS['agent']}",
+        "Accept": "application/json, text/event-stream",
+    }
+    refused = httpx2.post(agents.url, json=body, headers=headers, timeout=patience())
+    assert refused.status_code == 503
+    other = agents.client("other", "legacy")
+    assert agents.run(other.call_tool("add", {"a": 1, "b": 2})).is_error is False
+
+
+@pytest.mark.filterwarnings("ignore::mcp.shared.exceptions.MCPDeprecationWarning")
+def test_a_client_that_does_not_read_has_one_notice_under_way(
+    agents: Agents, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("uoarm_mcp._service._NOTICE_SECONDS", 0.0)
+    begun: list[str] = []
+    read = threading.Event()
+
+    async def send(session: ServerSession, uri: Any) -> None:
+        del session
+        begun.append(str(uri))
+        await asyncio.to_thread(read.wait, patience())
+
+    monkeypatch.setattr(ServerSession, "send_resource_updated", send)
+    client = agents.client("agent", "legacy")
+    agents.run(client.subscribe_resource("uoarm://stream/numbers"))
+    try:
+        for number in range(20):
+            script.numbers.put({"value": number})
+            wait(lambda: latest(agents)["messages"] == [{"value": number}], "it came")  # noqa: B023
+        assert begun == ["uoarm://stream/numbers"]
+    finally:
+        read.set()
+    wait(lambda: len(begun) == 2, "there is one notice for all that came meanwhile")
+
+
+def latest(agents: Agents) -> Any:
+    return agents.facts("read_numbers", {"seconds": 0})

@@ -83,6 +83,7 @@ class AgentActions:
         if self.reason(made):
             if not handle:
                 return succeeded(self.ask(made, wish))
+            self._goals.check_room()  # or the approval would be spent on nothing
             approval = self._desk.use(handle, wish)
             goal_handle = handle if approval.uses == 1 else f"{handle}-{approval.uses}"
         elif handle:
@@ -94,8 +95,12 @@ class AgentActions:
         if made.kind is ToolKind.CALL:
             work = partial(self._call, plan, revision, message, _read)
         elif made.kind is ToolKind.GOAL:
-            own = {port.name for port in plan.provider.component.inputs if port.source is None}
-            work = partial(self._give_goal, made, wish, message, can_cancel="cancel" in own)
+            own = {port.name: port for port in plan.provider.component.inputs if not port.source}
+            command = own["goal"].endpoint.command
+            can_stop = command is not None and command.stop is not None
+            work = partial(
+                self._give_goal, made, wish, message, can_cancel="cancel" in own, can_stop=can_stop
+            )
         else:
             work = partial(self._send, made, wish, message)
         return await self._pursue(goal, work)
@@ -161,7 +166,7 @@ class AgentActions:
         self, made: FunctionTool, wish: ApprovalWish, message: Message, goal: AgentGoal
     ) -> RenderedMessage:
         del goal
-        check = partial(self._check_foundation, made, wish)
+        check = partial(self.check_foundation, made, wish)
         await self._streams.send(made.function, made.port, message, check)
         return RenderedMessage(None)
 
@@ -173,6 +178,7 @@ class AgentActions:
         goal: AgentGoal,
         *,
         can_cancel: bool,
+        can_stop: bool,
     ) -> RenderedMessage:
         """Give a goal to an action, and wait for its end; its cancellation reaches the action."""
         loop = asyncio.get_running_loop()
@@ -196,7 +202,7 @@ class AgentActions:
             fail,
             message_octets(message),
             read=_read,
-            check=partial(self._check_foundation, made, wish),
+            check=partial(self.check_foundation, made, wish),
         )
         actions = self._backend.actions
         runner = actions.join(made.function, sent)
@@ -213,6 +219,8 @@ class AgentActions:
             runner.start(sent)
             if can_cancel:
                 goal.cancel = cancel
+            if can_stop:
+                goal.stop = partial(runner.stop, sent)
             values, state = await ended
         finally:
             if not sent.ended:
@@ -222,7 +230,8 @@ class AgentActions:
         goal.state = state
         return rendered
 
-    def _check_foundation(self, made: FunctionTool, wish: ApprovalWish, plan: Plan) -> None:
+    def check_foundation(self, made: FunctionTool, wish: ApprovalWish, plan: Plan) -> None:
+        """Refuse a plan that runs, where another one was approved; raises DeniedError."""
         found = ApprovalFoundation.of(plan, self._backend.robot.revision)
         if self.reason(made) and found != wish.foundation:
             raise DeniedError(

@@ -129,6 +129,7 @@ class Agent:
         options = dict(arguments)
         handle = options.pop(APPROVAL, "")
         output = options.get("output", made.outputs[0])
+        check = None
         if self._actions.reason(made):
             plan, revision = await self._actions.find_plan(made.function)
             wish = self._actions.wish(made, options, plan, revision)
@@ -136,11 +137,13 @@ class Agent:
                 facts = self._actions.ask(made, wish)
                 return succeeded({"messages": [], **facts})
             self._backend.approvals.use(handle, wish)
+            check = partial(self._actions.check_foundation, made, wish)
         collector, end = await self.streams.read(
             f"{made.function}.{output}",
             options.get("count", 1),
             options.get("seconds", _READ_SECONDS),
             latest=options.get("latest", True),
+            check=check,
         )
         messages = collector.messages
         pictures: list[ImageContent] = []

@@ -204,6 +204,7 @@ class CatalogueMaker:
                 function, ToolKind.CALL, "", structures["request"], structures["reply"]
             )
         own = [port.name for port in component.inputs if port.source is None]
+        is_only = len(own) == 1
         if is_action(component):
             # Goals and cancellations are sent by this tool and by `cancel`, and in no other way.
             yield self._acting(
@@ -215,7 +216,7 @@ class CatalogueMaker:
             )
             own = [name for name in own if name not in {"goal", "cancel"}]
         for name in own:
-            port = name if len(own) > 1 else ""
+            port = "" if is_only else name
             yield self._acting(function, ToolKind.SEND, port, structures[f"input.{name}"], None)
         outputs = tuple(output.name for output in component.outputs)
         if outputs:

@@ -34,6 +34,7 @@ class AgentGoal:
         cause: why it failed.
         feedback: what came last before the result.
         cancel: asks for its end; returns whether that could be asked.
+        stop: stops what it moves, in the loop; returns whether anything is.
         done: set at its end.
         is_reported: whether its end was reported.
     """
@@ -45,6 +46,7 @@ class AgentGoal:
     cause: str = ""
     feedback: Message = None
     cancel: Callable[[], bool] | None = None
+    stop: Callable[[], bool] | None = None
     is_cancelled: bool = False
     is_reported: bool = False
     began: float = field(factory=time.monotonic)
@@ -122,11 +124,19 @@ class AgentGoals:
         goal.is_cancelled = True
         return goal.cancel is not None and goal.cancel()
 
+    def running(self) -> list[AgentGoal]:
+        """Return those that are under way, oldest first."""
+        return [goal for goal in self._goals.values() if not goal.done.is_set()]
+
+    def stop_own(self) -> list[str]:
+        """Stop what goals under way move by an input; returns which."""
+        return [f"{goal.function}.goal" for goal in self.running() if goal.stop and goal.stop()]
+
     def close(self) -> None:
-        """Ask for the end of all that is under way."""
-        for goal in self._goals.values():
-            if not goal.done.is_set():
-                self.cancel(goal)
+        """Stop what moves, and ask for the end of all that is under way."""
+        self.stop_own()
+        for goal in self.running():
+            self.cancel(goal)
 
     async def _run(
         self,

@@ -11,6 +11,7 @@ from typing import Any
 import uvicorn
 from mcp.server.auth.middleware.bearer_auth import AuthenticatedUser
 from mcp.server.auth.provider import AccessToken
+from mcp.server.lowlevel import Server
 from mcp.server.streamable_http_manager import StreamableHTTPSessionManager
 from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol
 
@@ -25,7 +26,7 @@ __all__ = ["PATH", "serve_http"]
 PATH = "/mcp"
 _BODY_OCTETS = 1_048_576
 _CERTIFICATE = "uoarm.certificate"
-_MOST_SESSIONS = 256
+_MOST_SESSIONS = 64
 _IDLE_SECONDS = 600.0
 _KEPT_SECONDS = 60
 _HEAD_OCTETS = 65_536
@@ -39,13 +40,7 @@ _Send = Callable[[MutableMapping[str, Any]], Awaitable[None]]
 async def serve_http(place: HttpPlace, version: str) -> None:
     """Serve agents until this is cancelled."""
     service = AgentService(place.backend, Discoveries(place.backend), version)
-    sessions = StreamableHTTPSessionManager(
-        service.protocol,
-        session_idle_timeout=_IDLE_SECONDS,
-        max_request_body_size=_BODY_OCTETS,
-        max_sessions=_MOST_SESSIONS,
-        json_response=True,  # a call answers at once or with a handle: nothing is streamed to it
-    )
+    sessions = GuestSessions(service.protocol)
     config = uvicorn.Config(
         AdmittingApp(place, service, sessions),
         http=functools.partial(_BoundedProtocol, place.backend.limits),  # type: ignore[arg-type]
@@ -62,16 +57,66 @@ async def serve_http(place: HttpPlace, version: str) -> None:
     config.load()
     config.ssl = place.tls
     server = _QuietServer(config)
-    async with sessions.run():
-        serving = asyncio.ensure_future(server.serve(list(place.sockets)))
-        try:
-            await asyncio.shield(serving)
-        finally:
-            service.close()
-            server.should_exit = server.force_exit = True
-            with contextlib.suppress(Exception):
-                await asyncio.wait({serving}, timeout=place.backend.limits.stop_seconds / 8)
-            serving.cancel()
+    serving = asyncio.ensure_future(server.serve(list(place.sockets)))
+    try:
+        await asyncio.shield(serving)
+    finally:
+        service.close()
+        server.should_exit = server.force_exit = True
+        with contextlib.suppress(Exception):
+            await asyncio.wait({serving}, timeout=place.backend.limits.stop_seconds / 8)
+        serving.cancel()
+        await sessions.close()
+        for connection in tuple(server.server_state.connections):
+            connection.transport.abort()  # of a client that does not read
+
+
+class GuestSessions:
+    """The sessions of earlier revisions, of each guest its own, so that no one takes all of them.
+
+    They end with the guest's rights.
+
+    Args:
+        protocol: what they speak.
+    """
+
+    def __init__(self, protocol: Server[Any]) -> None:
+        self._protocol = protocol
+        self._managers: dict[Guest, asyncio.Future[StreamableHTTPSessionManager]] = {}
+        self._running: dict[Guest, asyncio.Task[None]] = {}
+
+    async def of(self, guest: Guest) -> StreamableHTTPSessionManager:
+        """Return what answers a guest."""
+        if guest not in self._managers:
+            self._managers[guest] = asyncio.get_running_loop().create_future()
+            self._running[guest] = asyncio.ensure_future(self._run(guest))
+            guest.on_end(lambda: self._end(guest))
+        return await asyncio.shield(self._managers[guest])
+
+    async def close(self) -> None:
+        """End all of them. Idempotent."""
+        running = list(self._running.values())
+        for guest in list(self._running):
+            self._end(guest)
+        if running:
+            await asyncio.wait(running)
+
+    async def _run(self, guest: Guest) -> None:
+        manager = StreamableHTTPSessionManager(
+            self._protocol,
+            session_idle_timeout=_IDLE_SECONDS,
+            max_request_body_size=_BODY_OCTETS,
+            max_sessions=_MOST_SESSIONS,
+            json_response=True,  # a call answers at once or with a handle: nothing is streamed
+        )
+        async with manager.run():
+            self._managers[guest].set_result(manager)
+            await asyncio.Event().wait()  # until it is cancelled
+
+    def _end(self, guest: Guest) -> None:
+        self._managers.pop(guest, None)
+        if guest in self._running:
+            self._running.pop(guest).cancel()
 
 
 class AdmittingApp:
@@ -83,9 +128,7 @@ class AdmittingApp:
         sessions: what answers.
     """
 
-    def __init__(
-        self, place: HttpPlace, service: AgentService, sessions: StreamableHTTPSessionManager
-    ) -> None:
+    def __init__(self, place: HttpPlace, service: AgentService, sessions: GuestSessions) -> None:
         self._place = place
         self._service = service
         self._sessions = sessions
@@ -138,10 +181,9 @@ class AdmittingApp:
             await self._service.prepare(guest)
         token = AccessToken(token="-", client_id=guest.identity, scopes=[])  # noqa: S106
         admitted = {**scope, GUEST: guest, "user": AuthenticatedUser(token)}
+        sessions = await self._sessions.of(guest)
         # What lasts, as a stream of notices, ends with the guest's rights.
-        task = asyncio.ensure_future(
-            self._sessions.handle_request(admitted, _again(body, receive), send)
-        )
+        task = asyncio.ensure_future(sessions.handle_request(admitted, _again(body, receive), send))
         if guest not in self._under_way:
             self._under_way[guest] = set()
             guest.on_end(lambda: self._end(guest))

@@ -289,12 +289,12 @@ class RobotTools:
     async def _stop(self, arguments: Mapping[str, Any]) -> dict[str, Any]:
         del arguments
         if not self._guest.role.allows_all(Operation.STOP):
-            cancelled = [
-                goal.handle
-                for goal in self._goals.all()
-                if not goal.done.is_set() and self._goals.cancel(goal)
-            ]
-            return {"stopped": self._streams.stop_own(), "cancelled": cancelled}
+            # What moves is stopped first: bridges that are asked to cancel may take their time.
+            stopped = [*self._streams.stop_own(), *self._goals.stop_own()]
+            cancelled = await self._backend.in_worker(
+                lambda: [goal.handle for goal in self._goals.running() if self._goals.cancel(goal)]
+            )
+            return {"stopped": stopped, "cancelled": cancelled}
         self._guest.require_all(Operation.STOP)
         view = self._view
         report, shown = await self._backend.stop_all(
@@ -328,11 +328,7 @@ class RobotTools:
         else:
             approval = self._desk.find(handle, self._guest.principal)
             if approval is not None and approval.phase is ApprovalPhase.PENDING:
-                event = self._decided.setdefault(handle, asyncio.Event())
-                try:
-                    await within(seconds, event)
-                finally:
-                    self._decided.pop(handle, None)
+                await within(seconds, self._decided.setdefault(handle, asyncio.Event()))
         return await self._goal_status(arguments)
 
     async def _cancel(self, arguments: Mapping[str, Any]) -> dict[str, Any]:
@@ -348,9 +344,8 @@ class RobotTools:
         return goal.facts()
 
     def _changed(self, approval: Approval) -> None:
-        event = self._decided.get(approval.id)
-        if event is not None and approval.phase is not ApprovalPhase.PENDING:
-            event.set()
+        if approval.phase is not ApprovalPhase.PENDING and approval.id in self._decided:
+            self._decided.pop(approval.id).set()
 
 
 @cache

@@ -300,25 +300,38 @@ class AgentService:
         function, output = await agent.stream_of(uri)
         loop = asyncio.get_running_loop()
         last, timer = float("-inf"), None
+        sending, is_due = None, False
 
         def fire() -> None:
-            nonlocal last, timer
+            nonlocal last, timer, sending
             last, timer = time.monotonic(), None
-            task = asyncio.ensure_future(send())
-            self._publishing.add(task)
-            task.add_done_callback(self._publishing.discard)
+            sending = asyncio.ensure_future(send())
+            sending.add_done_callback(sent)
+
+        def sent(_: object) -> None:
+            nonlocal sending, is_due
+            sending = None
+            if is_due:
+                is_due = False
+                notify()
 
         def notify() -> None:
-            nonlocal timer
-            if timer is None:
+            nonlocal timer, is_due
+            if sending is not None:
+                is_due = True  # a client that does not read has one notice under way, not all
+            elif timer is None:
                 pause = max(0.0, last + _NOTICE_SECONDS - time.monotonic())
                 timer = loop.call_later(pause, fire)
 
         stop = await agent.streams.watch(f"{function}.{output}", notify)
 
         def end() -> None:
+            nonlocal is_due
+            is_due = False
             if timer is not None:
                 timer.cancel()
+            if sending is not None:
+                sending.cancel()
             stop()
 
         return end

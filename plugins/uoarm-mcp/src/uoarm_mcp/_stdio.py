@@ -9,16 +9,21 @@ import queue
 import signal
 import threading
 from collections import deque
-from collections.abc import AsyncIterator, Callable, Iterator
+from collections.abc import AsyncIterator, Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from importlib.metadata import version
-from typing import cast
+from typing import Any, cast
 
+import orjson
 from anyio import AsyncFile
 from mcp.server.stdio import stdio_server
+from mcp_types import INVALID_REQUEST, PARSE_ERROR, jsonrpc_message_adapter
+from pydantic import ValidationError
 
 from uoarm import RobotManager
-from uoarm.server import Server, ServerOptions
+from uoarm.errors import ControlMessageError
+from uoarm.model import Budget, Spending, scan_json
+from uoarm.server import Limits, Server, ServerOptions
 from uoarm.server.front_end import Discoveries
 from uoarm_mcp._service import AgentService
 
@@ -53,7 +58,8 @@ async def serve_stdio(
             server.backend, Discoveries(server.backend), version("uoarm-mcp"), guest
         )
         with _wire() as (incoming, outgoing):
-            lines, written = _InputLines(incoming), _OutputLines(outgoing)
+            written = _OutputLines(outgoing)
+            lines = _InputLines(incoming, _budget(server.backend.limits), written)
             for number in (signal.SIGTERM, signal.SIGINT):
                 # As if the client had closed its end: what is under way ends in the same way.
                 loop.add_signal_handler(number, lines.end)
@@ -88,14 +94,23 @@ def _wire() -> Iterator[tuple[int, int]]:
         os.dup2(outgoing, 1)
 
 
+def _budget(limits: Limits) -> Budget:
+    octets = min(_LINE_OCTETS, limits.message_bytes)
+    return Budget(octets, limits.elements, limits.depth, limits.dimensions)
+
+
 class _InputLines:
     """Lines of a descriptor, read in a daemon thread, which no one waits for.
 
     `os.read` holds no lock of a file object: the interpreter can end while the thread waits in it.
+    A line that is no message, or costs more than its budget, is answered here: the SDK leaves it
+    out, and its client would wait.
     """
 
-    def __init__(self, descriptor: int) -> None:
+    def __init__(self, descriptor: int, budget: Budget, answers: _OutputLines) -> None:
         self._descriptor = descriptor
+        self._budget = budget
+        self._answers = answers
         self._loop = asyncio.get_running_loop()
         self._lines: deque[str | None] = deque()
         self._came = asyncio.Event()
@@ -116,7 +131,26 @@ class _InputLines:
             if line is None:
                 return
             self._room.release()
-            yield line
+            error = self._error(line)
+            if error is None:
+                yield line
+            else:
+                await self._answers.write(f"{orjson.dumps(error).decode()}\n")
+
+    def _error(self, line: str) -> Mapping[str, Any] | None:
+        """Return the answer to what is no message, None where it is one."""
+        try:
+            scan_json(line, Spending(self._budget))
+            jsonrpc_message_adapter.validate_json(line, by_name=False)
+        except ControlMessageError as refused:
+            code, text = INVALID_REQUEST, str(refused)
+        except ValidationError as refused:
+            is_json = refused.errors(include_input=False)[0]["type"] != "json_invalid"
+            code = INVALID_REQUEST if is_json else PARSE_ERROR
+            text = f"expected one message of JSON-RPC in a line of {_LINE_OCTETS:,} octets at most"
+        else:
+            return None
+        return {"jsonrpc": "2.0", "id": None, "error": {"code": code, "message": text}}
 
     def _read(self) -> None:
         rest = bytearray()
@@ -132,8 +166,7 @@ class _InputLines:
             if not is_late:
                 rest += last
             if len(rest) > _LINE_OCTETS:
-                # No JSON: the protocol answers that it cannot be read.
-                self._put(f"a line may have {_LINE_OCTETS:,} octets")
+                self._put("too long")  # no JSON, and answered as such
                 is_late = True
                 rest.clear()
         with suppress(RuntimeError):  # the loop is closed

@@ -6,12 +6,11 @@ import asyncio
 from collections.abc import Callable
 from contextlib import suppress
 from functools import partial
-from typing import Any
 
 from attrs import define, field
 
-from uoarm.errors import ConnectionClosedError
-from uoarm.model import LeaseHolder, Message, ValidationMode, message_octets
+from uoarm.errors import ConnectionClosedError, UoarmError
+from uoarm.model import LeaseHolder, Message, Plan, ValidationMode, message_octets
 from uoarm.server.front_end import (
     TEXT_FORM,
     Account,
@@ -129,11 +128,25 @@ class AgentStreams:
         return [key.name for key in self._held]
 
     async def read(
-        self, name: str, count: int, seconds: float, *, latest: bool
+        self,
+        name: str,
+        count: int,
+        seconds: float,
+        *,
+        latest: bool,
+        check: Callable[[Plan], None] | None = None,
     ) -> tuple[ReadMessages, str]:
-        """Return messages of a function's output, and why no more will come."""
+        """Return messages of a function's output, and why no more will come.
+
+        Args:
+            name: of the function and the output.
+            count: how many are wanted.
+            seconds: for how long they are waited for.
+            latest: whether the newest one that came before is one of them.
+            check: called with the plan of the connection; may refuse it.
+        """
         key, collector = FeedKey(name, ValidationMode.ALWAYS), ReadMessages(count)
-        held = await self.take(key, collector)
+        held = await self.take(key, collector, check)
         try:
             if latest and not collector.messages and held.newest is not None:
                 collector.add(held.newest)
@@ -147,7 +160,7 @@ class AgentStreams:
         return collector, held.end
 
     async def send(
-        self, function: str, port: str, message: Message, check: Callable[[Any], None]
+        self, function: str, port: str, message: Message, check: Callable[[Plan], None]
     ) -> None:
         """Send one message to an input of a function, and wait until it is handed over.
 
@@ -158,11 +171,10 @@ class AgentStreams:
             check: called with the plan of the connection before anything is sent.
         """
         key = FeedKey(function, ValidationMode.ALWAYS, receive=False)
-        held = await self.take(key)
+        held = await self.take(key, check=check)
         try:
             connection = held.feed.connection
             assert connection is not None, "join returns feeds that are open"
-            check(connection.plan)
             if held.sender is None:
                 held.sender = self._backend.sender(connection, self._account, _read, self._holder)
             done: asyncio.Future[None] = asyncio.get_running_loop().create_future()
@@ -204,7 +216,8 @@ class AgentStreams:
                 for port in own:
                     command = port.endpoint.command
                     if command is not None and command.stop is not None:
-                        held.sender.stop(port.name, lambda _: None)
+                        # Named as in `send`: what waits for the same input fails.
+                        held.sender.stop(port.name if own[1:] else None, lambda _: None)
                         stopped.append(f"{key.function}.{port.name}")
         return stopped
 
@@ -216,12 +229,19 @@ class AgentStreams:
         for key in list(self._held):
             self._leave(key, self._held[key])
 
-    async def take(self, key: FeedKey, first: ReadMessages | None = None) -> HeldStream:
+    async def take(
+        self,
+        key: FeedKey,
+        first: ReadMessages | None = None,
+        check: Callable[[Plan], None] | None = None,
+    ) -> HeldStream:
         """Return what is open, opening it at need; give it back with `give_back`.
 
         Args:
             key: what.
             first: where it has to be opened, gets its messages from the first one on.
+            check: called with the plan of the connection; what it refuses and no one uses is
+                closed at once.
         """
         held = self._held.get(key)
         if held is None:
@@ -232,11 +252,24 @@ class AgentStreams:
                 opening = self._opening[key] = asyncio.ensure_future(self._open(key, first))
                 opening.add_done_callback(lambda _: self._opening.pop(key, None))
             held = await asyncio.shield(opening)
+        if check is not None:
+            self._check(key, held, check)
         held.users += 1
         if held.timer is not None:
             held.timer.cancel()
             held.timer = None
         return held
+
+    def _check(self, key: FeedKey, held: HeldStream, check: Callable[[Plan], None]) -> None:
+        connection = held.feed.connection
+        if held.is_left or connection is None:
+            raise ConnectionClosedError(f"{key.function!r} has been closed; try again")
+        try:
+            check(connection.plan)
+        except UoarmError:
+            if not held.users:
+                self._leave(key, held)
+            raise
 
     def give_back(self, key: FeedKey, held: HeldStream) -> None:
         """Use it no more; it stays open for a while."""

@@ -189,6 +189,18 @@ class StreamRunner:
             if identity is not None and self._sending is not None:
                 self._sending.send({"goal_id": identity}, "cancel", done, _CANCEL_OCTETS)
 
+    def stop(self, goal: Goal) -> bool:
+        """Have the input that takes goals send its stop message; one that waits is not given.
+
+        Returns whether the goal was given, and so something is stopped.
+        """
+        if self._sending is None or goal in self._waiting:
+            self.cancel(goal, _ignore)
+            return False
+        with suppress(BusyError):  # enough stops of it are under way
+            self._sending.stop("goal", _ignore)
+        return True
+
     def abandon(self, goal: Goal) -> None:
         """Cancel a goal whose client has gone, if it can be."""
         goal.ended = True
