@@ -209,8 +209,7 @@ class RtmBridgeOptions(BridgeOptions):
     idl: str | tuple[str, ...] = option(
         (),
         {"anyOf": [_IDL, {"type": "array", "items": _IDL}]},
-        "IDL files or texts with further types and interfaces; `#include "
-        '"BasicDataType.idl"` finds ours',
+        'IDL files or texts with further types; `#include "BasicDataType.idl"` finds ours',
     )
     idl_folder: str = option(
         ".",
@@ -220,14 +219,14 @@ class RtmBridgeOptions(BridgeOptions):
     call_timeout: float | None = option(
         None,
         {"type": "number", "exclusiveMinimum": 0, "maximum": 60},
-        "of one CORBA call, connecting included; left out: 2. An operation has the limit of "
-        "the call and `timeout` of its endpoint, and this only where it is written down",
+        "seconds for one CORBA call, connecting included; left out: 2. Calls of operations "
+        "have it only where it is written down",
         unit="s",
     )
     max_message: int = option(
         1 << 26,
         {"type": "integer", "minimum": 1 << 16, "maximum": 1 << 30},
-        "bytes of one GIOP message, up to 1 GiB; one figure for all bridges of a process",
+        "bytes of one GIOP message, up to 1 GiB, for all bridges of a process",
     )
     watch: float = option(
         1.0,
@@ -238,7 +237,7 @@ class RtmBridgeOptions(BridgeOptions):
     observe: bool = option(
         True,
         {"type": "boolean"},
-        "whether components are asked to report changes of their states",
+        "whether components are asked to report changes",
     )
     text: str = option(
         "utf-8",
@@ -248,13 +247,12 @@ class RtmBridgeOptions(BridgeOptions):
     address: str = option(
         "127.0.0.1",
         _TEXT,
-        "interface that our side listens on; `0.0.0.0`, or one address, for components on "
-        "other machines",
+        "the interface that our side listens on; `0.0.0.0`, or one address, for other machines",
     )
     component: str = option(
         "",
         {"type": "string", "pattern": "^[A-Za-z0-9_]+$"},
-        "name of the bridge's own component; left out: `uoarm_` and the bridge's name",
+        "name of our own component; left out: `uoarm_` and the bridge's name",
     )
 
     @property
@@ -353,8 +351,7 @@ class RtmEndpointOptions(EndpointOptions):
     subscription: Literal["flush", "new", "periodic"] = option(
         "flush",
         {"enum": ["flush", "new", "periodic"]},
-        "how an OutPort pushes: `flush` at once, `new` from a thread as soon as something "
-        "waits, `periodic`",
+        "how an OutPort pushes: `flush` at once, `new` from a thread, `periodic`",
     )
     rate: float = option(
         20,
@@ -365,13 +362,12 @@ class RtmEndpointOptions(EndpointOptions):
     push_policy: str | None = option(
         None,
         {"enum": list(_PUSH)},
-        "which waiting messages are pushed (`new`, `periodic`): the `new`est (usual), "
-        "`fifo`, `all`, or `skip`",
+        "which waiting messages are pushed: the `new`est (usual), `fifo`, `all`, or `skip`",
     )
     skip_count: int | None = option(
         None,
         {"type": "integer", "minimum": 0, "maximum": _MOST_SKIPPED},
-        "with `skip`: how many are left out before each that is pushed; left out: 0",
+        "how many `skip` leaves out before each that is pushed; left out: 0",
     )
     buffer: BufferOptions | None = option(
         None, BufferOptions, "how messages wait at both ends, see below"
@@ -385,15 +381,13 @@ class RtmEndpointOptions(EndpointOptions):
     endian: Literal["little", "big"] = option(
         "little",
         {"enum": ["little", "big"]},
-        "byte order. `big` is refused for OutPorts that push and InPorts that pull, as "
-        "components in C++ take no notice of it",
+        "byte order; `big` not for OutPorts that push and InPorts that pull: C++ takes no notice",
     )
     activate: Literal[False, True, "keep"] = option(
         False,
         {"enum": [False, True, "keep"]},
-        "`true`: activate the component on request, and deactivate it when its last channel "
-        "closes, unless it was active before. `keep`: also when another program has "
-        "deactivated it",
+        "`true`: activate the component on request, and deactivate it at the end, unless it "
+        "was active before. `keep`: also when another program has deactivated it",
     )
     reset: bool = option(
         False,
@@ -403,38 +397,37 @@ class RtmEndpointOptions(EndpointOptions):
     event: str = option(
         "",
         _TEXT,
-        "of a port of a state machine: the event that a message is, such as `minute` at "
+        "of a state machine's port: the event that a message is, such as `minute` at "
         "`[Microwave0.rtc, event, TimedLong]`",
     )
     timeout: float | None = option(
         None,
         _ABOVE_ZERO,
-        "of one message to an InPort, or of one call, in place of the bridge's `call_timeout`",
+        "seconds for one message to an InPort, or for one call",
         unit="s",
     )
     instance: str = option(
         "",
         _TEXT,
-        "of a service at our own component: name of the provided interface; left out: the "
-        "interface's name in lower case. `rtcon` connects the same names",
+        "of our own service: name of the provided interface, as `rtcon` connects it; left "
+        "out: the interface's name in lower case",
     )
     interface: str = option(
         "",
         _TEXT,
-        "its type; left out: the interface's name; for components in C++ "
-        "`SimpleService::MyService`",
+        "its type; left out: the interface's name; for C++ `SimpleService::MyService`",
     )
     stale_after: float | None = option(
         None,
         _ABOVE_ZERO,
-        "seconds without a message after which an output counts as lost; left out: never",
+        "seconds without a message after which an output is lost; left out: never",
         unit="s",
     )
     properties: Mapping[str, str] | None = option(
         None,
         {"type": "object", "additionalProperties": _TEXT},
-        "further connector properties, before the other options; not byte order and data "
-        "type, and no interface type but `corba_cdr`",
+        "further connector properties, before the other options; not byte order, data type "
+        "or interface type",
     )
 
     @property
