@@ -22,7 +22,7 @@ from pydantic import ValidationError
 
 from uoarm import RobotManager
 from uoarm.errors import ControlMessageError
-from uoarm.model import Budget, Spending, scan_json
+from uoarm.model import Budget, BudgetUse, scan_json
 from uoarm.server import Limits, Server, ServerOptions
 from uoarm.server.front_end import Discoveries
 from uoarm_mcp._service import AgentService
@@ -140,7 +140,7 @@ class _InputLines:
     def _error(self, line: str) -> Mapping[str, Any] | None:
         """Return the answer to what is no message, None where it is one."""
         try:
-            scan_json(line, Spending(self._budget))
+            scan_json(line, BudgetUse(self._budget))
             jsonrpc_message_adapter.validate_json(line, by_name=False)
         except ControlMessageError as refused:
             code, text = INVALID_REQUEST, str(refused)
