@@ -11,11 +11,11 @@ from bench.pages import ROOT, page_figures, pages, sentences_of
 # `python -m bench.pages` prints the figures. Lower these with what they count; never raise one, and
 # add none.
 WORDS = 1700
-MEAN_WORDS = 708
-MEDIAN_WORDS = 597
+MEAN_WORDS = 698
+MEDIAN_WORDS = 590
 SENTENCE = 18.0  # words of a sentence on average
 LONGER_PAGES: dict[str, int] = {
-    "errors.md": 3200,  # every code, made of the table in the code
+    "errors.md": 2800,  # every code, made of the table in the code
 }
 LONGER_SENTENCES: dict[str, float] = {}
 # Figures of speech and pronouns in the place of a noun, and `octets` for bytes.
