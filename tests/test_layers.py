@@ -71,7 +71,7 @@ WITHIN = {
     "_control": [
         {"engine", "discovery", "offered_function"},
         {"live"},
-        {"offers", "candidates", "connection"},
+        {"candidates", "connection"},
         {"requests", "configuration_changes"},
         {"robot_view"},
         {"robot_manager"},

@@ -15,7 +15,7 @@ from uoarm._control.engine.move import forget_earlier
 from uoarm._control.engine.state import listed
 from uoarm._control.live import parts
 from uoarm._control.live.revisions import Revision
-from uoarm._control.live.threads import EventDispatcher, Job, Lanes, keep_newest
+from uoarm._control.live.threads import EventDispatcher, Job, keep_newest
 from uoarm._support.ordered import OrderedMap
 from uoarm.config import loads
 from uoarm.model import ConnectionState, Health, StatusEvent
@@ -129,18 +129,22 @@ def test_records_of_names_that_come_and_go_are_forgotten() -> None:
     assert len(dispatcher._records) == 1000
 
 
-def test_a_lane_for_which_there_was_no_thread_is_served_with_its_next_job() -> None:
-    done: list[str] = []
-    is_full = [True]
+def test_what_finds_no_thread_is_done_when_there_is_one(
+    stage: Stage, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    connection = stage.robot.request("camera")
+    driver, is_full = stage.robot._driver, True
+    submit = driver._workers.submit
 
-    def start(job: Job) -> None:
-        if is_full[0]:
+    def full(job: Job) -> bool:
+        if is_full:
             raise RuntimeError("can't start new thread")
-        job()
+        return submit(job)
 
-    lanes = Lanes(start)
-    with pytest.raises(RuntimeError):
-        lanes.put("offer", lambda: done.append("first"))
-    is_full[0] = False
-    lanes.put("offer", lambda: done.append("second"))
-    assert done == ["first", "second"]
+    monkeypatch.setattr(driver._workers, "submit", full)
+    stage.one.die("best")
+    wait(lambda: len(driver._unstarted) > 0)
+    assert not connection.gaps
+    is_full = False
+    wait(lambda: connection.gaps)
+    assert connection.state is ConnectionState.RUNNING

@@ -15,8 +15,27 @@ from uoarm._dataplane import Outlet, Route
 from uoarm.bridge import Bridge, Sink, Source
 from uoarm.config import loads
 from uoarm.errors import BridgeError
-from uoarm.model import Deliver, Endpoint, FailureLimits, Gap, MessageStructure, RouteStatus, Step
-from uoarm.testing import ManualClock, MemoryBridge, losses
+from uoarm.model import (
+    ConnectionState,
+    Deliver,
+    Endpoint,
+    FailureLimits,
+    Gap,
+    MessageStructure,
+    RouteStatus,
+    Step,
+)
+from uoarm.testing import (
+    Background,
+    Hang,
+    ManualClock,
+    MemoryBridge,
+    hanging,
+    losses,
+    patience,
+    raising,
+    wait,
+)
 
 ROBOT = """
 version: 1
@@ -155,6 +174,96 @@ def test_what_a_component_emits_while_no_consumer_takes_it_is_in_the_status() ->
         assert losses(robot.status()).total() == 0
         outlet.deliver(1)
         assert losses(robot.status()) == {"undelivered": 1}
+
+
+CHAIN = """
+version: 1
+failover: {wait: 600}
+bridges: {eye: {plugin: memory}, one: {plugin: memory}, two: {plugin: memory}}
+functions:
+  camera:
+    components: [{name: camera, bridge: eye, output: {endpoint: [camera]}}]
+  found:
+    components:
+      - {name: near, bridge: one, priority: 2, output: {endpoint: [near]},
+         inputs: {view: {from: camera, endpoint: [near]}, hint: {endpoint: [hint]}}}
+      - {name: far, bridge: two, priority: 1, output: {endpoint: [far]},
+         inputs: {view: {from: camera, endpoint: [far]}, hint: {endpoint: [hint]}}}
+"""
+
+
+class LateInput(MemoryBridge):
+    """A framework in which one input takes its time to open."""
+
+    def __init__(self, name: str, hang: Hang) -> None:
+        super().__init__(name, {})
+        self._hang = hang
+
+    def _open_sink(self, endpoint: Endpoint, structure: MessageStructure) -> Sink:
+        if endpoint.port == "hint":
+            self._hang.wait()
+        return super()._open_sink(endpoint, structure)
+
+
+def test_what_was_lost_in_a_plan_that_was_given_up_while_a_part_of_it_opened_is_counted() -> None:
+    hang = Hang()
+    eye, one, two = MemoryBridge("eye"), MemoryBridge("one"), LateInput("two", hang)
+    camera = eye.emitter("camera", {"type": "integer"})
+    one.loop("near", {"type": "integer"})
+    far = two.loop("far", {"type": "integer"})
+    for bridge in (one, two):
+        bridge.taker("hint", {"type": "integer"})
+    with RobotManager(loads(CHAIN), bridges={"eye": eye, "one": one, "two": two}) as robot:
+        connection = robot.request("found")
+        one.die("near")
+        assert hang.entered.wait(patience())
+        sink = next(channel for channel in far.channels() if isinstance(channel, Sink))
+        with raising(sink, "_send", BridgeError("it is full")):
+            for number in range(20):
+                camera.emit(number)
+        two.die("far")
+        wait(lambda: connection.state is ConnectionState.WAITING)
+        hang.release()
+        wait(lambda: sink.closed)
+        wait(lambda: losses(robot.status()).total() == 20)
+
+
+class OneAtATime(MemoryBridge):
+    """A framework that notes, for each output that it opens, how many are open already."""
+
+    def __init__(self) -> None:
+        super().__init__("one")
+        self.opened: list[Source] = []
+        self.beside: list[int] = []
+
+    def _open_source(
+        self, endpoint: Endpoint, structure: MessageStructure, deliver: Deliver
+    ) -> Source:
+        self.beside.append(sum(not source.closed or source.is_closing for source in self.opened))
+        self.opened.append(super()._open_source(endpoint, structure, deliver))
+        return self.opened[-1]
+
+
+def test_a_component_that_is_wanted_again_while_it_closes_is_opened_after_that(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    bridge = OneAtATime()
+    bridge.loop("finder", {"type": "integer"})
+    with RobotManager(loads(ROBOT), bridges={"one": bridge}) as robot:
+        connection = robot.request("found")
+        with hanging(bridge.opened[0], "_close") as hang:
+
+            def wait_over(live: LiveComponent, timeout: float) -> None:
+                hang.release()
+                original(live, timeout)
+
+            original = LiveComponent.wait_over
+            monkeypatch.setattr(LiveComponent, "wait_over", wait_over)
+            killing = Background(connection.kill)
+            assert hang.entered.wait(patience())
+            robot.request("found", timeout=patience())
+            killing.result()
+        assert bridge.beside == [0, 0]
 
 
 def _outlets(robot: RobotManager) -> list[Outlet]:

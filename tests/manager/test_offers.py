@@ -8,7 +8,6 @@ from typing import Any
 import pytest
 
 from uoarm import RobotManager
-from uoarm._control.offers import OfferWant, Work
 from uoarm.config import loads
 from uoarm.errors import ConfigurationError, MessageError, ResolutionError
 from uoarm.model import Endpoint, Health, OfferState, OfferStatus, Role
@@ -317,42 +316,6 @@ offer: {{net: {{turn: {{output: {{endpoint: [angle]{port}}}}}}}}}
         (status,) = manager.offer(timeout=patience())
     assert (status.state is OfferState.OPEN) is fits, status.cause
     assert fits or "`meaning: strict` demands" in status.cause
-
-
-def test_pauses_grow_to_half_a_minute() -> None:
-    want, pauses, now = OfferWant(), [], 0.0
-    for _ in range(8):
-        assert want.next_work(now) is Work.OPEN
-        want.failed("no", now)
-        assert want.due is not None
-        pauses.append(want.due - now)
-        now = want.due
-    assert pauses == [1, 2, 4, 8, 16, 30, 30, 30]
-
-
-def test_what_breaks_again_and_again_is_opened_with_pauses() -> None:
-    want, opened = OfferWant(), []
-    for now in range(20):
-        if want.next_work(now) is Work.OPEN:
-            opened.append(now)
-            want.opened()
-            want.ended(OfferState.OPENING, "it fell over")
-            assert want.next_work(now) is Work.CLOSE
-            want.closed(now)
-    assert opened == [0, 1, 2, 4, 8, 16]
-    want.retry(18)
-    assert want.next_work(18) is Work.OPEN
-
-
-def test_what_is_ended_while_it_opens_is_closed() -> None:
-    want = OfferWant()
-    assert want.next_work(0) is Work.OPEN
-    want.end()
-    assert want.next_work(0) is None
-    want.opened()
-    assert want.next_work(0) is Work.CLOSE
-    want.closed(0)
-    assert (want.next_work(0), want.due, want.state) == (None, None, OfferState.CLOSED)
 
 
 @pytest.mark.parametrize(

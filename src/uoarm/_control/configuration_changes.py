@@ -18,7 +18,6 @@ from uoarm import config
 from uoarm._arguments import arguments
 from uoarm._control.live.driver import Driver
 from uoarm._control.live.revisions import Revisions
-from uoarm._control.offers import Offers
 from uoarm._resolve import without_candidates
 from uoarm._support import deadlines
 from uoarm._support.files import written_beside
@@ -118,7 +117,6 @@ class ConfigurationChanges:
         types: of bridges, by name.
         revisions: of the configuration.
         driver: has the connections move to their new plans.
-        offers: follow the configuration.
         before: called with a configuration that is to be in force, before it is.
     """
 
@@ -128,14 +126,12 @@ class ConfigurationChanges:
         types: Mapping[str, BridgeType],
         revisions: Revisions,
         driver: Driver,
-        offers: Offers,
         before: Callable[[Robot], None],
     ) -> None:
         self._file = file
         self._types = types
         self._revisions = revisions
         self._driver = driver
-        self._offers = offers
         self._before = before
 
     def note(self, robot: Robot) -> None:
@@ -169,7 +165,7 @@ class ConfigurationChanges:
                 partial(self._revisions.stage, robot, self._driver, is_new_code=reloads_code),
                 on_late=lambda late: late.bridges.close(),
             )
-            gone = self._offers.connections_without(robot)
+            gone = self._driver.offers.connections_without(robot)
             ending = [
                 connection
                 for connection in staged.change.connections
@@ -188,7 +184,7 @@ class ConfigurationChanges:
                 with self._file.written(robot.text) if keeps else nullcontext():
                     refused.pop_all()  # from here on the bridges are those in force
                     self._driver.configure(staged, timeout)
-                    self._offers.follow()
+                    self._driver.offers.follow()
             if keeps:
                 self._revisions.note_kept()
             return self._revisions.history()[-1]

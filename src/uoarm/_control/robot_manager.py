@@ -21,15 +21,12 @@ from uoarm._control.candidates import CandidateWatch
 from uoarm._control.configuration_changes import ConfigurationChanges, KeptFile
 from uoarm._control.connection import Connection
 from uoarm._control.discovery import Discovery
-from uoarm._control.engine.state import State
 from uoarm._control.live.bridges import BridgeSet
 from uoarm._control.live.driver import Driver
 from uoarm._control.live.revisions import Revisions
 from uoarm._control.live.safety import EmergencyStop, StopFile
 from uoarm._control.live.staleness import StalenessWatch
 from uoarm._control.live.threads import EventDispatcher
-from uoarm._control.offered_function import offered_structures
-from uoarm._control.offers import Offers
 from uoarm._control.requests import Requests, Services
 from uoarm._control.robot_view import RobotView
 from uoarm._dataplane import Clock
@@ -45,7 +42,6 @@ from uoarm.errors import (
 from uoarm.model import (
     Deliver,
     Message,
-    Offer,
     OfferStatus,
     Plan,
     QueuePolicy,
@@ -114,10 +110,6 @@ class RobotManager(RobotView):
             self._differs,
         )
         self._driver = Driver(
-            State(
-                robot.failover,
-                {component.name: component.bridge for component in robot.components()},
-            ),
             bridges=self._bridges,
             events=self._events,
             revisions=self._revisions,
@@ -127,6 +119,7 @@ class RobotManager(RobotView):
                 None if stop_file is None else StopFile(Path(stop_file).absolute()),
                 self._bridges.stopping,
             ),
+            functions=self,
         )
         self._discovery = Discovery(self._bridges.get)
         self._discovering = threading.Lock()
@@ -137,15 +130,6 @@ class RobotManager(RobotView):
             self._revisions, self._driver, self._candidates, self._events, clock
         )
         self._services = Services(self._bridges, self._driver, clock)
-        self._offers = Offers(
-            self._revisions,
-            self,
-            self._bridges,
-            self._events,
-            clock,
-            self._driver,
-            self._hold_offer,
-        )
         self._staleness = StalenessWatch(
             self._driver.live.shared,
             self._driver.live.feeding,
@@ -157,7 +141,6 @@ class RobotManager(RobotView):
             self.registry.types,
             self._revisions,
             self._driver,
-            self._offers,
             self._watch_rates,
         )
         self._watch_rates(robot)
@@ -444,7 +427,7 @@ class RobotManager(RobotView):
             every offer as it is then, with the cause where it failed.
         """
         self._require_open()
-        return self._offers.begin(timeout)
+        return self._driver.offers.begin(timeout)
 
     @arguments()
     def stop_all(self, *, timeout: float = 2.0) -> StopReport:
@@ -493,7 +476,7 @@ class RobotManager(RobotView):
             self._discovery.close()
             self._candidates.close()
             self._staleness.close()
-            self._offers.close()
+            self._driver.offers.close()
             self._driver.close()
             for failure in self._bridges.close():
                 _log.warning("%s", failure)
@@ -504,16 +487,11 @@ class RobotManager(RobotView):
             self._staleness.start()
 
     def _noticed(self, event: HealthEvent) -> None:
-        if not self._offers.reported(event):
+        if not self._driver.offers.reported(event):
             self._driver.report(event)
 
     def _differs(self, place: str, difference: str) -> None:
         self._events.post(f"lock {place}", "differs", difference)
-
-    def _hold_offer(self, offer: Offer, bridge: Bridge) -> None:
-        guard = self._revisions.current.guard
-        if guard is not None:
-            guard.hold_offer(offer.name, offered_structures(offer, bridge))
 
     def __repr__(self) -> str:
         name = self.config.origin or "in memory"

@@ -13,7 +13,6 @@ from uoarm._control.discovery import Discovery, check_availability, with_rates
 from uoarm._control.live.bridges import BridgeSet
 from uoarm._control.live.threads import EventDispatcher
 from uoarm._control.offered_function import offered_structures
-from uoarm._control.offers import Offers
 from uoarm._control.requests import Requests, Services
 from uoarm._resolve import Unavailable
 from uoarm._support import deadlines
@@ -41,7 +40,6 @@ class RobotView(ConfiguredRobot):
     # Guards the discovery that is kept between looks, which is for one thread at a time.
     _discovering: threading.Lock
     _events: EventDispatcher
-    _offers: Offers
     _requests: Requests
     _services: Services
 
@@ -77,12 +75,12 @@ class RobotView(ConfiguredRobot):
             routes=(
                 *(route for route in shared if route is not None),
                 *own,
-                *self._offers.routes(),
+                *self._driver.offers.routes(),
             ),
             machines=self._bridges.machines.statuses(),
             deaths=tuple(sorted(self._driver.deaths.copy().items())),
             takeovers=tuple(sorted(self._driver.takeovers.copy().items())),
-            offers=self._offers.statuses(),
+            offers=self._driver.offers.statuses(),
             held=self._driver.live.emergency_stop.held(),
             lock=() if guard is None else guard.status(),
         )

@@ -26,6 +26,7 @@ __all__ = [
     "CancelBatch",
     "CheckPreferred",
     "Close",
+    "CloseOffer",
     "Drain",
     "FindReplacement",
     "Finish",
@@ -34,6 +35,7 @@ __all__ = [
     "Listen",
     "LocalAction",
     "Open",
+    "OpenOffer",
     "Publish",
     "Release",
     "Reply",
@@ -43,6 +45,7 @@ __all__ = [
     "Stop",
     "SwitchInputs",
     "WakeAt",
+    "WakeOffers",
     "Warn",
 ]
 
@@ -90,7 +93,7 @@ class Close:
 
     Attributes:
         placement: whose losses are counted with it; those of one that drained since it was
-            replaced.
+            replaced. None: those of the parts.
         lost: components of it that died: what was under way in them is lost.
         ends: whether the connection has ended: comes back as `Ended`.
     """
@@ -191,6 +194,24 @@ class Release:
     # That in which the replacement is sought and opened next, so that it comes after this.
     lane: str
     components: tuple[int, ...]
+
+
+@frozen
+class OpenOffer:
+    """Open an offer: request its function, and open its side in the framework; `OfferOpened`."""
+
+    lane: str
+    name: str
+    number: int
+
+
+@frozen
+class CloseOffer:
+    """Close what is open for an offer; comes back as `OfferClosed`."""
+
+    lane: str
+    name: str
+    number: int
 
 
 @frozen
@@ -314,6 +335,11 @@ class WakeAt:
 
 
 @frozen
+class WakeOffers:
+    """Wake those who wait for offers to be tried, or closed."""
+
+
+@frozen
 class Warn:
     """Write to the log what no caller and no listener gets."""
 
@@ -332,6 +358,8 @@ CallAction: TypeAlias = (
     | CheckPreferred
     | SwitchInputs
     | Release
+    | OpenOffer
+    | CloseOffer
 )
 # Quick and without foreign code: done at once, in order, by the thread that owns the state.
 LocalAction: TypeAlias = (
@@ -347,6 +375,7 @@ LocalAction: TypeAlias = (
     | RetireBridge
     | Adopt
     | WakeAt
+    | WakeOffers
     | Warn
 )
 Action: TypeAlias = CallAction | LocalAction

@@ -32,6 +32,10 @@ __all__ = [
     "HealthReported",
     "InputsSwitched",
     "Killed",
+    "OfferClosed",
+    "OfferOpened",
+    "OfferReported",
+    "OffersWanted",
     "Opened",
     "PreferredChecked",
     "RanOut",
@@ -245,6 +249,55 @@ class InputsSwitched:
 
 
 @frozen
+class OffersWanted:
+    """These functions are to be open in frameworks, and no others.
+
+    Attributes:
+        names: of the offers.
+        replaced: those that are offered otherwise from now on.
+    """
+
+    names: tuple[str, ...]
+    replaced: frozenset[str] = frozenset()
+
+
+@frozen
+class OfferOpened:
+    """An offer is open.
+
+    Attributes:
+        number: of the opening.
+        cause: why it is not; empty: it is.
+    """
+
+    name: str
+    number: int
+    cause: str = ""
+
+
+@frozen
+class OfferClosed:
+    """What was open for an offer is closed."""
+
+    name: str
+    number: int
+
+
+@frozen
+class OfferReported:
+    """A bridge reports of its side of an offer, or a connection behind it has ended.
+
+    Attributes:
+        number: of the opening that it is about.
+    """
+
+    name: str
+    number: int
+    health: Health
+    cause: str
+
+
+@frozen
 class TimeReached:
     """The time has come that was asked for."""
 
@@ -272,6 +325,10 @@ Event: TypeAlias = (
     | ReplacementSought
     | PreferredChecked
     | InputsSwitched
+    | OffersWanted
+    | OfferOpened
+    | OfferClosed
+    | OfferReported
     | TimeReached
     | Stopped
     | Configured
@@ -372,4 +429,6 @@ _READERS: Mapping[str, Callable[[Any], object]] = {
     ),
     "superseded": frozenset,
     "functions": frozenset,
+    "names": tuple,
+    "replaced": frozenset,
 }

@@ -20,6 +20,7 @@ from uoarm.model import (
     Edge,
     FailoverPolicy,
     Health,
+    OfferState,
     Plan,
     PortRef,
     Step,
@@ -36,6 +37,7 @@ __all__ = [
     "EdgeRecord",
     "Kind",
     "Move",
+    "OfferRecord",
     "Part",
     "Parts",
     "Placement",
@@ -482,6 +484,45 @@ class Switchover:
         return RULES[self.reason]
 
 
+class OfferRecord(NamedTuple):
+    """That one function is open in a framework: a want of the manager itself.
+
+    Attributes:
+        state: as the status shows it.
+        cause: of that.
+        number: id of what is open, opens or closes; 0: nothing.
+        is_busy: whether it opens, or closes.
+        is_tried: whether the first attempt is over.
+        is_wanted: whether it is to be open; else it closes and goes.
+        is_renewed: whether it begins anew then, as the configuration has another of the name.
+        ended: what it is over for, and why: OPENING where it broke, FINISHED.
+        failures: attempts in a row that failed, or did not last.
+        begun: when it was opened last.
+        retry_at: when it is to be opened; None: no time changes anything.
+        earliest: when it may be tried again, where what failed is well again.
+    """
+
+    name: str
+    state: OfferState = OfferState.OPENING
+    cause: str = ""
+    number: int = 0
+    is_open: bool = False
+    is_busy: bool = False
+    is_tried: bool = False
+    is_wanted: bool = True
+    is_renewed: bool = False
+    ended: tuple[OfferState, str] | None = None
+    failures: int = 0
+    begun: float = 0.0
+    retry_at: float | None = None
+    earliest: float = 0.0
+
+    @property
+    def shown(self) -> tuple[str, str]:
+        """What listeners learn: the state, and its cause where something is wrong."""
+        return self.state.value, "" if self.state is OfferState.OPEN else self.cause
+
+
 # Persistent maps: an event makes new ones that share with those before all that it did not touch,
 # so that it costs what it touches. Threads that read see one state, from which nothing vanishes.
 # They have no order; where one matters, it is by the numbers in the records.
@@ -511,6 +552,7 @@ class State:
         configurers: callers that wait until all those have moved.
         candidates: how many changes of candidates there were in this revision.
         replaced: the candidates that were superseded by the last of these, newest last.
+        offers: what the manager keeps open in frameworks, and what of that closes, by name.
     """
 
     policy: FailoverPolicy
@@ -549,6 +591,7 @@ class State:
     configurers: tuple[str, ...] = ()
     candidates: int = 0
     replaced: tuple[frozenset[str], ...] = ()
+    offers: HashTrieMap[str, OfferRecord] = _NOTHING
 
     def shared(self) -> tuple[ComponentRecord, ...]:
         """Return the instances that new users share, without those that only drain."""

@@ -13,8 +13,8 @@ from collections.abc import Callable, Collection
 from itertools import filterfalse
 from typing import Any, NamedTuple
 
-from uoarm._control.engine import failover, switchover
-from uoarm._control.engine.actions import Action, Close, Forget, Publish, Reply
+from uoarm._control.engine import failover, offers, switchover
+from uoarm._control.engine.actions import Action, Announce, Close, Forget, Publish, Reply
 from uoarm._control.engine.draft import Draft, InputInUseError, connection_of
 from uoarm._control.engine.events import (
     CandidatesChanged,
@@ -25,6 +25,10 @@ from uoarm._control.engine.events import (
     HealthReported,
     InputsSwitched,
     Killed,
+    OfferClosed,
+    OfferOpened,
+    OfferReported,
+    OffersWanted,
     Opened,
     PreferredChecked,
     RanOut,
@@ -46,7 +50,7 @@ from uoarm._control.engine.state import (
     oldest_first,
 )
 from uoarm.errors import ConnectionClosedError, ResolutionError, UsageError
-from uoarm.model import ConnectionState, Plan, PortRef
+from uoarm.model import ConnectionState, Health, Plan, PortRef
 
 __all__ = ["Remaining", "desired", "difference", "step"]
 
@@ -279,9 +283,11 @@ def _opened(draft: Draft, event: Opened) -> None:
     draft.batches = draft.batches.remove(event.batch)
     waiting = draft.waiting_for(batch)
     late = draft.settle(batch, event.done)
+    connection = connection_of(batch.user)
     if late:
-        draft.actions.append(Close(f"late {event.batch}", "", late))
-    record = draft.connections.get(connection_of(batch.user))
+        # With the connection that they were opened for: messages may have been lost in them.
+        draft.actions.append(Close(f"late {event.batch}", connection, late))
+    record = draft.connections.get(connection)
     if event.error is not None and record is not None:
         _failed_to_open(draft, record, batch.user, event.error)
     # Those that shared what has failed have it opened in a batch of their own, and fail by
@@ -381,6 +387,14 @@ def _reply_when_closed(draft: Draft) -> None:
         draft.closers = ()
 
 
+def _health_reported(draft: Draft, event: HealthReported) -> None:
+    failover.health_reported(draft, event)
+    # What an offer failed for may be well now, and mostly is this.
+    is_news = any(isinstance(action, Announce) for action in draft.actions)
+    if event.health is Health.OK and is_news:
+        offers.retry_offers(draft)
+
+
 def _time_reached(draft: Draft, event: TimeReached) -> None:
     # The timer keeps one time only, the earliest. So all that waits is looked at; each says anew
     # when it is due where that is not yet, and times that lie close together are one event.
@@ -388,6 +402,7 @@ def _time_reached(draft: Draft, event: TimeReached) -> None:
     for record in oldest_first(draft.connections[identity] for identity in draft.timed):
         failover.look_again(draft, draft.connections[record.id])
         switchover.look_for_preferred(draft, draft.connections[record.id])
+    offers.settle_offers(draft)
 
 
 def _replacement_sought(draft: Draft, event: ReplacementSought) -> None:
@@ -406,13 +421,17 @@ _HANDLERS: dict[type[Any], Callable[[Draft, Any], None]] = {
     Resolved: _resolved,
     Killed: _killed,
     Opened: _opened,
-    HealthReported: failover.health_reported,
+    HealthReported: _health_reported,
     Drained: _drained,
     RanOut: _ran_out,
     Ended: _ended,
     ReplacementSought: _replacement_sought,
     PreferredChecked: switchover.preferred_checked,
     InputsSwitched: switchover.inputs_switched,
+    OffersWanted: offers.offers_wanted,
+    OfferOpened: offers.offer_opened,
+    OfferClosed: offers.offer_closed,
+    OfferReported: offers.offer_reported,
     TimeReached: _time_reached,
     Stopped: _stopped,
     Configured: switchover.configured,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import threading
+import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import Any
 
@@ -33,6 +34,7 @@ _BUSY_SECONDS = 60.0
 _OPEN_SECONDS = 60.0
 _CLOSE_SECONDS = 2.0
 _TURN_SECONDS = 0.1
+_GLANCE_SECONDS = 0.005
 _STOP_SECONDS = 0.5
 _NEWEST = QueuePolicy(length=1, policy=OverflowPolicy.LATEST)
 _LOSSES = frozenset({"under_way", "lost_on_link"})
@@ -102,6 +104,19 @@ class LiveComponent:
     def is_closed(self) -> bool:
         """Whether it was closed, after its last user or its death."""
         return self._doomed
+
+    @property
+    def is_over(self) -> bool:
+        """Whether it was closed, and none of its channels is open or opens any more."""
+        return self._doomed and not self._busy.locked() and not self.channels
+
+    def wait_over(self, timeout: float) -> None:
+        """Wait until it `is_over`, but not for longer. Any thread but one that opens it."""
+        deadline = time.monotonic() + timeout
+        # By looking: to notify would cost each component an event, for a wait that seldom comes.
+        pause = threading.Event()
+        while not self.is_over and time.monotonic() < deadline:
+            pause.wait(_GLANCE_SECONDS)
 
     @property
     def is_hanging(self) -> bool:

@@ -28,6 +28,7 @@ from uoarm._control.engine.step import step
 from uoarm._control.live.bridges import BridgeSet
 from uoarm._control.live.connection_runtime import ConnectionRuntime, LetThrough, record_takeover
 from uoarm._control.live.edge import LiveEdge
+from uoarm._control.live.offers import Offers
 from uoarm._control.live.parts import LiveParts
 from uoarm._control.live.revisions import (
     Revisions,
@@ -37,6 +38,7 @@ from uoarm._control.live.revisions import (
 )
 from uoarm._control.live.safety import EmergencyStop
 from uoarm._control.live.threads import EventDispatcher, Job, Lanes, Timer, keep_newest
+from uoarm._control.offered_function import Functions
 from uoarm._dataplane import Clock
 from uoarm._forks import generation
 from uoarm._interrupts import Uninterrupted
@@ -56,6 +58,7 @@ _LISTED_CHANGES = 20
 _LANES = 8
 _PATIENCE_SECONDS = 0.05
 _OPEN_SECONDS = 60.0
+_AGAIN_SECONDS = 0.5
 _log = logging.getLogger("uoarm")
 _log_of_events = logging.getLogger("uoarm.control")
 
@@ -64,16 +67,17 @@ class Driver:
     """Runs the control plane of one manager. All methods may be called from any thread.
 
     Args:
-        state: to begin with.
         bridges: of the manager.
         events: where changes are announced.
         revisions: of the configuration, in which plans are found.
         clock: seconds.
         emergency_stop: holds all inputs that move something.
+        functions: where the functions of offers are requested.
 
     Attributes:
         state: of this moment. A reader takes it once: each is whole, and never changed.
         live: what is open, as objects.
+        offers: what is open in frameworks.
         deaths: how often each component was lost, of the thousand that were last.
         takeovers: how often a plan took over, by function, of as many.
         timer: of the one time that is waited for.
@@ -81,17 +85,19 @@ class Driver:
 
     def __init__(
         self,
-        state: State,
         *,
         bridges: BridgeSet,
         events: EventDispatcher,
         revisions: Revisions,
         clock: Clock,
         emergency_stop: EmergencyStop,
+        functions: Functions,
     ) -> None:
         self._process = generation()
-        self.state = state
-        self.live = LiveParts(state, bridges, clock, self._judged, emergency_stop, events.post)
+        robot = revisions.current.robot
+        self.state = State(robot.failover, _bridges_of(robot.components()))
+        self.offers = Offers(self, revisions, functions, bridges, events, clock)
+        self.live = LiveParts(self.state, bridges, clock, self._judged, emergency_stop, events.post)
         self.deaths: dict[str, int] = {}
         self.takeovers: dict[str, int] = {}
         self._bridges = bridges
@@ -108,7 +114,9 @@ class Driver:
         # interpreter; but those that a bridge holds up must hold up no others.
         self._workers = WorkerPool("uoarm-lane", _LANES, patience=_PATIENCE_SECONDS)
         self._lanes = Lanes(self._start)
-        self.timer = Timer(clock, partial(self.post, ev.TimeReached()))
+        # Lanes for which there was no thread; appended by any thread, taken by the timer's.
+        self._unstarted: deque[Job] = deque()
+        self.timer = Timer(clock, self._reach_time)
         # Read by the threads that open, which take a look before each part: one look too early
         # opens one part more, which comes back with the others and is closed.
         self._cancelled: set[int] = set()
@@ -173,14 +181,6 @@ class Driver:
                 self.live.runtimes.pop(runtime.id, None)
             raise
 
-    def put(self, lane: str, job: Job) -> None:
-        """Have a job of the manager's own done by a worker, after the others of its lane.
-
-        Raises:
-            RuntimeError: the system gives no more threads; the next job of the lane tries again.
-        """
-        self._lanes.put(lane, job)
-
     @property
     def is_foreign(self) -> bool:
         """Whether this is a forked child: what is open is its parent's, and locks may be held."""
@@ -206,7 +206,7 @@ class Driver:
             staged.revision.number,
             f"configuration {staged.revision.number}",
             robot.failover,
-            {component.name: component.bridge for component in robot.components()},
+            _bridges_of(robot.components()),
             staged.difference.superseded,
             staged.difference.functions,
         )
@@ -248,8 +248,7 @@ class Driver:
             return
         difference = compare(before, robot)
         if difference.changes:
-            both = (*before.components(), *robot.components())
-            every = {component.name: component.bridge for component in both}
+            every = _bridges_of((*before.components(), *robot.components()))
             number += 1
             text, superseded = (
                 "; ".join(difference.changes[:_LISTED_CHANGES]),
@@ -417,6 +416,12 @@ class Driver:
                 self._call(action, partial(self._drain, action, edges))
             case act.Release():
                 self._call(action, partial(self.live.release, action.components))
+            case act.OpenOffer():
+                self._call(action, partial(self.offers.open, action))
+            case act.CloseOffer():
+                self._call(action, partial(self.offers.close_offer, action))
+            case act.WakeOffers():
+                self.offers.wake()
             case act.Listen():
                 self.live.listen(action.connection, action.ports)
             case act.Stop():
@@ -569,8 +574,24 @@ class Driver:
 
     def _start(self, job: Job) -> None:
         """Have a lane served by a worker; what comes late is closed after the manager, too."""
-        if not self._workers.submit(job):
-            threading.Thread(target=job, name="uoarm-late", daemon=True).start()
+        try:
+            if not self._workers.submit(job):
+                threading.Thread(target=job, name="uoarm-late", daemon=True).start()
+        except RuntimeError as error:
+            # The system gives no more threads. The lane counts as driven, so that no later job of
+            # it would have it served: it is tried again with the time.
+            _log.warning("a lane waits for a thread: %s", error)
+            self._unstarted.append(job)
+            self.timer.wake_at(self._clock() + _AGAIN_SECONDS)
+
+    def _reach_time(self) -> None:
+        for _ in range(len(self._unstarted)):
+            self._start(self._unstarted.popleft())
+        self.post(ev.TimeReached())
+
+
+def _bridges_of(components: Iterable[Component]) -> dict[str, str]:
+    return {component.name: component.bridge for component in components}
 
 
 def _end(

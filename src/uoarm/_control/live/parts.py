@@ -44,6 +44,7 @@ T = TypeVar("T")
 _HANGING = 4
 _DRAIN_SECONDS = 30.0
 _PLAN_DRAIN_SECONDS = 2.0
+_LEAVING_SECONDS = 2.0
 
 
 @define(eq=False)
@@ -51,11 +52,11 @@ class Ending:
     """Objects in no other list any more, and what is accounted for with them.
 
     Attributes:
-        user: the name under which the plan used them; empty: they were of none.
+        user: the name under which the plan used them; empty: that plan had ended already.
         ports, edges, components: to be closed, producers first.
         placed_edges, placed_components: all of the plan that ends.
         lost: components of it that died.
-        runtime: of the connection; None where nothing is accounted for.
+        runtime: of the connection; None where it has ended, and nothing is accounted for.
     """
 
     user: str
@@ -117,6 +118,9 @@ class LiveParts:
         self.edges: dict[int, LiveEdge] = {}
         self.ports: dict[int, ApplicationPorts] = {}
         self._draining: dict[str, Ending] = {}
+        # From when they are in no other list to when they are closed: a replaced bridge is in use
+        # so long, and no other instance opens beside them. Changed in one call each, by the owner
+        # of the state and by lanes, and copied by who looks.
         self._ending: set[LiveComponent] = set()
         self._hanging: dict[str, list[LiveComponent]] = {}
 
@@ -173,7 +177,7 @@ class LiveParts:
         Args:
             connection: which accounts for it.
             parts: to be closed.
-            placement: the plan that ends; None: nothing is accounted for.
+            placement: the plan that ends; None: parts that opened after theirs had ended.
             lost: its components that died.
         """
         user = "" if placement is None else placement.user
@@ -198,7 +202,8 @@ class LiveParts:
         Bridges are asked: not for the thread that owns the state.
         """
         plan = action.placement.plan
-        if action.recalled:  # a stop message may go out
+        # A stop message may go out, or an earlier instance is waited for.
+        if action.recalled or any(live.component.name in plan.names for live in self._left()):
             return False
         if all(part.kind in PORTS for part in action.parts) and all(
             port.source is not None for port in plan.provider.component.inputs
@@ -283,7 +288,7 @@ class LiveParts:
 
     def uses(self, bridge: Bridge) -> bool:
         """Say whether a component of a bridge is open, or on its way to be closed."""
-        lives = (*self.components.copy().values(), *tuple(self._ending))
+        lives = (*self.components.copy().values(), *self._left())
         return any(live.bridge is bridge for live in lives)
 
     def drain(self, edges: Iterable[LiveEdge]) -> None:
@@ -310,17 +315,20 @@ class LiveParts:
     def _ending_of(
         self, connection: str, parts: Parts, placement: Placement | None, lost: Iterable[int]
     ) -> Ending:
-        placed = () if placement is None else placement.components.values()
-        placed_edges = self.edges_of(placement)
+        user, placed, edges = "", parts.components, parts.edges
+        if placement is not None:
+            user, edges = placement.user, placement.edges
+            placed = tuple(placement.components.values())
+        placed_edges = _there(self.edges, edges)
         return Ending(
-            user="" if placement is None else placement.user,
+            user=user,
             ports=_taken(self.ports, parts.ports),
             edges=_taken(self.edges, parts.edges),
             components=_there(self.components, parts.components),
             placed_edges=placed_edges,
             placed_components=_there(self.components, placed),
             lost=_there(self.components, lost),
-            runtime=None if placement is None else self.runtimes.get(connection),
+            runtime=self.runtimes.get(connection),
         )
 
     def _replaced_by(self, action: Open) -> list[LiveComponent]:
@@ -347,6 +355,11 @@ class LiveParts:
         component = record.step.component
         self._refuse_hanging(component.name)
         bridge = self._bridges.get(component.bridge)
+        # What the framework gives to two instances that are open at once is counted by both, and
+        # a device may be open once only (`test_late_losses.py`).
+        for left in self._left():
+            if left.component.name == component.name and left.bridge is bridge:
+                left.wait_over(_LEAVING_SECONDS)
         limits, report = self.state.policy.failing, partial(self._judged, record.id)
         failures = FailureWatch(component.name, limits, self._clock, report)
         subject, function = f"component {component.name}", component.function
@@ -415,10 +428,17 @@ class LiveParts:
             joined.close()
         for live in ending.components:
             live.close()
-            self._ending.discard(live)
             if live.is_hanging:
                 self._hanging.setdefault(live.component.name, []).append(live)
+        # Not those that another thread opens still, which closes them as it comes out.
+        for live in self._left():
+            if live.is_over or live.is_hanging:
+                self._ending.discard(live)
         self._bridges.retire_replaced(self.uses)
+
+    def _left(self) -> tuple[LiveComponent, ...]:
+        """Return what is being closed, or is to be; any thread."""
+        return tuple(self._ending) if self._ending else ()
 
     def _refuse_hanging(self, name: str) -> None:
         if not self._hanging:

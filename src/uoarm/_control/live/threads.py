@@ -48,7 +48,7 @@ class Lanes:
     """Does the jobs of each lane one after another, those of several lanes at the same time.
 
     Args:
-        start: begins a call in a worker thread; it does not wait for it.
+        start: begins a call in a worker thread; it neither waits for it nor raises.
     """
 
     def __init__(self, start: Callable[[Job], None]) -> None:
@@ -81,12 +81,7 @@ class Lanes:
             if lane.is_driven:
                 return
             lane.is_driven = True
-        try:
-            self._start(partial(self._serve, name, lane))
-        except RuntimeError:  # the system gives no more threads: the next job tries again
-            with self._lock:
-                lane.is_driven = False
-            raise
+        self._start(partial(self._serve, name, lane))
 
     def reply(self, name: str, error: BaseException | None) -> None:
         """End the `drive` of a lane after the jobs that are in it; nothing where there is none."""
@@ -169,17 +164,13 @@ class Timer:
 
     def __init__(self, clock: Clock, reached: Callable[[], None]) -> None:
         self._clock = clock
-        self._reached: tuple[Callable[[], None], ...] = (reached,)
+        self._reached = reached
         # Guards the one time that is waited for. No list of times: what is not yet due is said so
         # again.
         self._changed = threading.Condition(threading.Lock())
         self._due: float | None = None
         self._is_closed = False
         self._thread: threading.Thread | None = None
-
-    def share(self, reached: Callable[[], None]) -> None:
-        """Call this, too, whenever a time is reached that was asked for."""
-        self._reached = (*self._reached, reached)
 
     def wake_at(self, time: float) -> None:
         """Call back at this time, or at an earlier one asked for. Any thread."""
@@ -200,8 +191,7 @@ class Timer:
 
     def _run(self) -> None:
         while self._wait():
-            for reached in self._reached:
-                reached()
+            self._reached()
 
     def _wait(self) -> bool:
         """Wait until the earliest time; False when there will be none."""

@@ -1,0 +1,245 @@
+"""What is open for offers, as objects; the engine says when each opens, closes and is tried again.
+
+Nothing waits for an offer but those who ask for one, and a change of the configuration.
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections.abc import Callable, Mapping
+from typing import Protocol
+
+from uoarm._control.engine import actions as act
+from uoarm._control.engine import events as ev
+from uoarm._control.engine.state import OfferRecord, State
+from uoarm._control.live.bridges import BridgeSet
+from uoarm._control.live.revisions import Revisions
+from uoarm._control.live.threads import EventDispatcher
+from uoarm._control.offered_function import Functions, OfferedFunction, offered_structures
+from uoarm._dataplane import Clock
+from uoarm._interrupts import Uninterrupted
+from uoarm.bridge import HealthEvent
+from uoarm.errors import UoarmError
+from uoarm.model import Health, Offer, OfferState, OfferStatus, Robot, RouteStatus, StatusEvent
+
+__all__ = ["Offers"]
+
+_log = logging.getLogger("uoarm")
+_LEAVING_SECONDS = 5.0
+_CHANGES = frozenset({"failed", "closed", "waiting", "replaced"})
+
+
+class StateOwner(Protocol):
+    """Owns the state of this moment."""
+
+    state: State
+
+    def post(self, event: ev.Event) -> None:
+        """Take an event."""
+
+
+class Offers:
+    """Keeps what the configuration in force offers open, once it has begun. Thread safe.
+
+    Args:
+        owner: decides, and has `open` and `close` called in the lane of each offer.
+        revisions: of the configuration; what the one in force offers is kept open.
+        functions: where functions are requested, as every application does.
+        bridges: of the manager.
+        events: listened to for what becomes of the connections behind offers.
+        clock: a monotonic clock, in seconds.
+    """
+
+    def __init__(
+        self,
+        owner: StateOwner,
+        revisions: Revisions,
+        functions: Functions,
+        bridges: BridgeSet,
+        events: EventDispatcher,
+        clock: Clock,
+    ) -> None:
+        self._owner = owner
+        self._revisions = revisions
+        self._functions = functions
+        self._bridges = bridges
+        self._events = events
+        self._clock = clock
+        # Guards what is wanted, up to its event: a change of configuration adds some while the
+        # manager closes.
+        self._wanting = threading.Lock()
+        self._wanted: Mapping[str, Offer] = {}
+        self._has_begun = False
+        self._is_closed = False
+        self._stop_listening: Callable[[], None] | None = None
+        # Each entry is written in the lane of its offer, and read by any thread.
+        self._opened: dict[str, tuple[int, OfferedFunction]] = {}
+        self._working: set[int] = set()
+        self._changed = threading.Condition()
+
+    def begin(self, timeout: float) -> tuple[OfferStatus, ...]:
+        """Open what is offered and keep it open; waits until each was tried once. Idempotent."""
+        self._has_begun = True
+        self.follow()
+        names = tuple(self._wanted)
+
+        def are_tried() -> bool:
+            records = map(self._owner.state.offers.get, names)
+            return all(record is None or record.is_tried for record in records)
+
+        self._wait(are_tried, timeout)
+        return self.statuses()
+
+    def follow(self) -> None:
+        """Offer what the configuration in force offers, where it has begun, and nothing else.
+
+        Waits five seconds at most for what is offered no more.
+        """
+        with Uninterrupted():
+            with self._wanting:
+                if self._is_closed or not self._has_begun:
+                    return
+                self._want({offer.name: offer for offer in self._revisions.current.robot.offers})
+            self._wait(self._has_left, _LEAVING_SECONDS)
+
+    def close(self) -> None:
+        """Offer nothing more. Waits five seconds at most for what hangs."""
+        with self._wanting:
+            self._is_closed = True
+            self._want({})
+        if self._stop_listening is not None:
+            self._stop_listening()
+        self._wait(self._has_left, _LEAVING_SECONDS)
+
+    def wake(self) -> None:
+        """Wake those who wait for offers, as something has become of one."""
+        with self._changed:
+            self._changed.notify_all()
+
+    def open(self, action: act.OpenOffer) -> ev.Event | None:
+        """Open an offer; called in its lane."""
+        offer = self._wanted.get(action.name)
+        if offer is None:  # it closes: what becomes of its opening is not looked at
+            return ev.OfferOpened(action.name, action.number, "it is offered no more")
+        self._working.add(threading.get_ident())
+        try:
+            bridge = self._bridges.get(offer.bridge)
+            guard = self._revisions.current.guard
+            if guard is not None:
+                guard.hold_offer(offer.name, offered_structures(offer, bridge))
+            opened = OfferedFunction(offer, self._functions, bridge, self._clock)
+            # Before it opens: a channel may report at once.
+            self._opened[action.name] = action.number, opened
+            opened.open()
+        except Exception as error:  # noqa: BLE001 - the status shows it whatever it is
+            if not isinstance(error, UoarmError):
+                _log.exception("offering %s failed", offer.name)
+            self._opened.pop(action.name, None)
+            cause = str(error) or type(error).__name__
+            return ev.OfferOpened(action.name, action.number, cause)
+        finally:
+            self._working.discard(threading.get_ident())
+        self._owner.post(ev.OfferOpened(action.name, action.number))
+        # What ended before it could be known whose connection it was.
+        self._judge(action.name, action.number, opened)
+        return None
+
+    def close_offer(self, action: act.CloseOffer) -> ev.Event:
+        """Close what is open for an offer; called in its lane."""
+        self._working.add(threading.get_ident())
+        try:
+            found = self._opened.pop(action.name, None)
+            if found is not None:
+                found[1].close()
+        except Exception:  # noqa: BLE001 - it counts as closed, or it would never open again
+            _log.exception("closing offer %s failed", action.name)
+        finally:
+            self._working.discard(threading.get_ident())
+        return ev.OfferClosed(action.name, action.number)
+
+    def reported(self, event: HealthEvent) -> bool:
+        """Take what a bridge reports; True where it concerns an offer and nothing else."""
+        channel, is_whole = event.channel, event.channel is None and event.component is None
+        is_ours = False
+        for name, (number, opened) in self._opened.copy().items():
+            is_own = event.component == name or (channel is not None and opened.owns(channel))
+            if event.bridge != opened.offer.bridge or not (is_whole or is_own):
+                continue
+            is_ours = is_ours or not is_whole
+            is_over = event.health in {Health.LOST, Health.FINISHED}
+            if (channel is None or not channel.closed) and (is_over or not is_whole):
+                self._owner.post(ev.OfferReported(name, number, event.health, event.cause))
+        return is_ours
+
+    def statuses(self) -> tuple[OfferStatus, ...]:
+        """Return what the status map shows of offers."""
+        if not self._has_begun:
+            return ()
+        records = self._owner.state.offers
+        return tuple(
+            self._status(offer, records.get(offer.name))
+            for offer in self._revisions.current.robot.offers
+        )
+
+    def routes(self) -> tuple[RouteStatus, ...]:
+        """Return the counters of what goes out to frameworks and comes in from them."""
+        there = self._opened.copy().values()
+        return tuple(route for _, opened in there for route in opened.routes())
+
+    def connections_without(self, robot: Robot) -> frozenset[str]:
+        """Return the connections behind offers that another configuration has no more."""
+        there = self._opened.copy().values()
+        gone = (opened for _, opened in there if opened.offer not in robot.offers)
+        return frozenset(connection for opened in gone for connection in opened.connections)
+
+    def _want(self, wanted: Mapping[str, Offer]) -> None:
+        if not wanted and not self._wanted:
+            return
+        if self._stop_listening is None:
+            self._stop_listening = self._events.listen(self._note_event)
+        before, self._wanted = self._wanted, wanted
+        replaced = {name for name, offer in before.items() if wanted.get(name, offer) != offer}
+        self._owner.post(ev.OffersWanted(tuple(wanted), frozenset(replaced)))
+        for name, (number, opened) in self._opened.copy().items():
+            if not self._bridges.is_in_use(opened.bridge):
+                cause = f"bridge {opened.offer.bridge!r} is another one"
+                self._owner.post(ev.OfferReported(name, number, Health.LOST, cause))
+
+    def _has_left(self) -> bool:
+        return all(record.is_wanted for record in self._owner.state.offers.values())
+
+    def _wait(self, is_done: Callable[[], bool], timeout: float) -> None:
+        # Code of a component may close the manager, or change the configuration, while an offer
+        # opens or closes: that would wait for itself.
+        if threading.get_ident() not in self._working:
+            with self._changed:
+                self._changed.wait_for(is_done, timeout)
+
+    def _status(self, offer: Offer, record: OfferRecord | None) -> OfferStatus:
+        _, opened = self._opened.get(offer.name, (0, None))
+        state = OfferState.CLOSED if self._is_closed else OfferState.OPENING
+        return OfferStatus(
+            name=offer.name,
+            function=offer.function,
+            bridge=offer.bridge,
+            state=state if record is None else record.state,
+            endpoints=tuple(endpoint.address for endpoint in offer.endpoints),
+            connections=() if opened is None else opened.connections,
+            calls=0 if opened is None else opened.calls,
+            failed=0 if opened is None else opened.failed,
+            cause="" if record is None else record.cause,
+        )
+
+    def _note_event(self, event: StatusEvent) -> None:
+        """Look at every offer after what may have become of the connections behind it."""
+        if event.subject.startswith("connection ") and event.change in _CHANGES:
+            for name, (number, opened) in self._opened.copy().items():
+                opened.provider_changed()
+                self._judge(name, number, opened)
+
+    def _judge(self, name: str, number: int, opened: OfferedFunction) -> None:
+        if opened.broken is not None:
+            self._owner.post(ev.OfferReported(name, number, Health.LOST, opened.broken))
+        elif opened.finished is not None:
+            self._owner.post(ev.OfferReported(name, number, Health.FINISHED, opened.finished))
