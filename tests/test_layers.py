@@ -69,9 +69,9 @@ RANK = {name: rank for rank, names in enumerate(LAYERS) for name in names}
 BY_MODULE = {"_control"}
 WITHIN = {
     "_control": [
-        {"engine", "discovery", "offered_function"},
+        {"engine", "offered_function"},
         {"live"},
-        {"candidates", "connection"},
+        {"discovery", "connection"},
         {"requests", "configuration_changes"},
         {"robot_view"},
         {"robot_manager"},

@@ -489,6 +489,7 @@ class World:
             return self._resolve(action, self.plans, self.state.revision)
         if isinstance(action, act.Release):
             return None
+        assert not isinstance(action, act.OpenOffer | act.CloseOffer), "nothing is on offer here"
         if isinstance(action, act.FindReplacement):
             return self._find(action)
         if isinstance(action, act.CheckPreferred):

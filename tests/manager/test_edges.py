@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 
 import pytest
 from tests.manager import stage
 
-from uoarm import ResolutionError, RobotManager
+from uoarm import Connection, ResolutionError, RobotManager
+from uoarm._control.live.component import LiveEdge
+from uoarm._dataplane import Clock
 from uoarm._resolve import NoPlanError
-from uoarm.testing import patience
+from uoarm.config import loads
+from uoarm.testing import Background, MemoryBridge, patience, wait
 
 Make = Callable[[str], RobotManager]
 
@@ -76,3 +80,28 @@ def test_a_scale_that_leaves_the_range_is_refused(make_robot: Make) -> None:
     text = robot("narrow", "take_broad", ", map: {value: {from: value, scale: 1000}}")
     with pytest.raises(ResolutionError, match="value"):
         make_robot(text).resolve("wanted")
+
+
+def test_a_check_that_is_wished_for_while_its_edge_opens_is_made(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    one, two = MemoryBridge("one"), MemoryBridge("two")
+    one.emitter("eye", {"type": "integer"})
+    two.loop("finder", {"type": "integer"})
+    bridges = {"one": one, "two": two}
+    asked: list[Background[Connection]] = []
+    open_edge = LiveEdge.open
+
+    with RobotManager(loads(stage.FACE), bridges=bridges) as robot:
+
+        def opening(edge: LiveEdge, clock: Clock) -> None:
+            open_edge(edge, clock)
+            asked.append(Background(partial(robot.request, "face", validate="always")))
+            wait(lambda: len(robot._driver.state.connections) == 2)
+
+        monkeypatch.setattr(LiveEdge, "open", opening)
+        robot.request("face", validate="off")
+        asked[0].result()
+        (edge,) = robot._driver.live.feeding()
+        assert edge.route is not None
+        assert edge.route.check is not None

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from uoarm._control.candidates import Rounds
+from uoarm._control.discovery import Rounds
 from uoarm.config import loads
 
 ONE, OTHER = (loads("version: 1\nbridges: {}\nfunctions: {}\n") for _ in range(2))

@@ -52,12 +52,7 @@ _log = logging.getLogger("uoarm")
 
 
 class _Twin(Generic[Threaded_co]):
-    """What has the methods of something that blocks, awaited; closed at the end of `async with`.
-
-    Args:
-        threaded: that something.
-        executor: its threads wait.
-    """
+    """What has the methods of something that blocks, awaited; closed at the end of `async with`."""
 
     def __init__(self, threaded: Threaded_co, executor: ThreadPoolExecutor) -> None:
         self._threaded = threaded

@@ -1,12 +1,9 @@
-"""Changes of the configuration while the manager runs: tried, refused or put into force.
-
-`ConfiguredRobot` is what applications call of it.
-"""
+"""Changes of the configuration while the manager runs: tried, refused or put into force."""
 
 from __future__ import annotations
 
 import uuid
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, nullcontext
 from functools import partial
 from os import PathLike
@@ -17,15 +14,16 @@ from attrs import evolve
 from uoarm import config
 from uoarm._arguments import arguments
 from uoarm._control.live.driver import Driver
-from uoarm._control.live.revisions import Revisions
+from uoarm._control.live.revisions import Revisions, StagedRevision
+from uoarm._control.live.staleness import StalenessWatch
 from uoarm._resolve import without_candidates
 from uoarm._support import deadlines
 from uoarm._support.files import written_beside
-from uoarm.bridge import BridgeType, Registry
+from uoarm.bridge import Registry
 from uoarm.errors import ConfigurationError, ConnectionClosedError, UsageError
 from uoarm.model import ConfigurationChange, Effect, Robot
 
-__all__ = ["ConfigurationChanges", "ConfiguredRobot", "KeptFile"]
+__all__ = ["ConfiguredRobot", "KeptFile"]
 
 _MOST_OCTETS = 10_000_000
 
@@ -35,9 +33,6 @@ class KeptFile:
 
     Of two writers none undoes the other's change unseen: where another writer has written since,
     nothing is. For one thread at a time.
-
-    Args:
-        robot: the configuration as it was read.
     """
 
     def __init__(self, robot: Robot) -> None:
@@ -109,106 +104,14 @@ def _writing(place: Path, intro: str = "") -> Iterator[None]:
         raise ConfigurationError(f"{intro}{place} cannot be written: {error}") from error
 
 
-class ConfigurationChanges:
-    """Changes the configuration, one change at a time; for any thread.
-
-    Args:
-        file: of the configuration, where a change is kept that is to be kept.
-        types: of bridges, by name.
-        revisions: of the configuration.
-        driver: has the connections move to their new plans.
-        before: called with a configuration that is to be in force, before it is.
-    """
-
-    def __init__(
-        self,
-        file: KeptFile,
-        types: Mapping[str, BridgeType],
-        revisions: Revisions,
-        driver: Driver,
-        before: Callable[[Robot], None],
-    ) -> None:
-        self._file = file
-        self._types = types
-        self._revisions = revisions
-        self._driver = driver
-        self._before = before
-
-    def note(self, robot: Robot) -> None:
-        """Note a configuration that was read from its file and is in force."""
-        self._file.note(robot)
-
-    def apply(
-        self,
-        robot: Robot,
-        *,
-        is_dry_run: bool,
-        is_forced: bool,
-        revision: int | None,
-        keeps: bool,
-        reloads_code: bool,
-        timeout: float,
-    ) -> ConfigurationChange:
-        """Put a configuration into force; arguments and errors as `RobotManager.apply` has them."""
-        what = "finding out what the change of configuration would do"
-        with self._revisions.alone(timeout):
-            self._revisions.require(revision)
-            robot = config.with_code(config.assign(robot, self._types), None)
-            if keeps:
-                robot = evolve(robot, text=self._file.prepare(self._written(robot)))
-            robot = config.with_code(
-                robot, self._revisions.current.robot, uuid.uuid4().hex if reloads_code else ""
-            )
-            staged = deadlines.run(
-                what,
-                timeout,
-                partial(self._revisions.stage, robot, self._driver, is_new_code=reloads_code),
-                on_late=lambda late: late.bridges.close(),
-            )
-            gone = self._driver.offers.connections_without(robot)
-            ending = [
-                connection
-                for connection in staged.change.connections
-                if connection.effect is Effect.ENDS and connection.connection not in gone
-            ]
-            with ExitStack() as refused:
-                refused.callback(staged.bridges.close)
-                if is_dry_run:
-                    return staged.change
-                if ending and not is_forced:
-                    text = "\n".join(f"  {effect}" for effect in ending)
-                    raise ConfigurationError(
-                        f"the change would end connections; force it, or kill them first:\n{text}"
-                    )
-                self._before(robot)
-                with self._file.written(robot.text) if keeps else nullcontext():
-                    refused.pop_all()  # from here on the bridges are those in force
-                    self._driver.configure(staged, timeout)
-                    self._driver.offers.follow()
-            if keeps:
-                self._revisions.note_kept()
-            return self._revisions.history()[-1]
-
-    def _written(self, robot: Robot) -> str:
-        """Return the text of a configuration, which must be all that is in it.
-
-        Raises:
-            UsageError: it was built, or changed since it was read.
-        """
-        read = config.loads(robot.text, robot.origin) if robot.text else Robot({}, {})
-        known = config.assign(read, self._types)
-        if not robot.text or not config.is_same(known, without_candidates(robot)):
-            raise UsageError("only a configuration that was read from text can be kept in a file")
-        return robot.text
-
-
 class ConfiguredRobot:
     """The part of a robot manager that has a configuration, which may change while it runs."""
 
     registry: Registry
     _driver: Driver
     _revisions: Revisions
-    _changes: ConfigurationChanges
+    _file: KeptFile
+    _staleness: StalenessWatch
 
     @property
     def config(self) -> Robot:
@@ -266,15 +169,33 @@ class ConfiguredRobot:
                 connections were changing already.
         """
         self._require_open()
-        return self._changes.apply(
-            robot,
-            is_dry_run=dry_run,
-            is_forced=force,
-            revision=revision,
-            keeps=keep,
-            reloads_code=reload_code,
-            timeout=timeout,
-        )
+        with self._revisions.alone(timeout):
+            self._revisions.require(revision)
+            robot = config.with_code(config.assign(robot, self.registry.types), None)
+            if keep:
+                robot = evolve(robot, text=self._file.prepare(self._written(robot)))
+            code = uuid.uuid4().hex if reload_code else ""
+            robot = config.with_code(robot, self._revisions.current.robot, code)
+            staged = deadlines.run(
+                "finding out what the change of configuration would do",
+                timeout,
+                partial(self._revisions.stage, robot, self._driver, is_new_code=reload_code),
+                on_late=lambda late: late.bridges.close(),
+            )
+            with ExitStack() as refused:
+                refused.callback(staged.bridges.close)
+                if dry_run:
+                    return staged.change
+                if not force:
+                    self._require_none_ends(staged)
+                self._watch_rates(robot)
+                with self._file.written(robot.text) if keep else nullcontext():
+                    refused.pop_all()  # from here on the bridges are those in force
+                    self._driver.configure(staged, timeout)
+                    self._driver.offers.follow()
+            if keep:
+                self._revisions.note_kept()
+            return self._revisions.history()[-1]
 
     @arguments(path="apply(robot) takes a Robot")
     def reload(
@@ -302,7 +223,7 @@ class ConfiguredRobot:
             robot, dry_run=dry_run, force=force, reload_code=reload_code, timeout=timeout
         )
         if change.is_applied:
-            self._changes.note(robot)
+            self._file.note(robot)
         return change
 
     @arguments()
@@ -344,6 +265,34 @@ class ConfiguredRobot:
         A hundred, or fewer of large ones: about 32 MiB in all, and at least the one before.
         """
         return self._revisions.history()
+
+    def _require_none_ends(self, staged: StagedRevision) -> None:
+        # What is offered no more ends with its offer.
+        gone = self._driver.offers.connections_without(staged.revision.robot)
+        ending = [
+            f"  {effect}"
+            for effect in staged.change.connections
+            if effect.effect is Effect.ENDS and effect.connection not in gone
+        ]
+        if ending:
+            text = "the change would end connections; force it, or kill them first:"
+            raise ConfigurationError("\n".join([text, *ending]))
+
+    def _written(self, robot: Robot) -> str:
+        """Return the text of a configuration, which must be all that is in it.
+
+        Raises:
+            UsageError: it was built, or changed since it was read.
+        """
+        read = config.loads(robot.text, robot.origin) if robot.text else Robot({}, {})
+        known = config.assign(read, self.registry.types)
+        if not robot.text or not config.is_same(known, without_candidates(robot)):
+            raise UsageError("only a configuration that was read from text can be kept in a file")
+        return robot.text
+
+    def _watch_rates(self, robot: Robot) -> None:
+        if any(output.expect for component in robot.components() for output in component.outputs):
+            self._staleness.start()
 
     def _require_open(self) -> None:
         if self._driver.is_foreign:

@@ -86,7 +86,6 @@ class _GoalWatch:
     was replaced, would wait for ever; so the status says it in the provider's place.
 
     Args:
-        connection: by which goals go in.
         give: takes a status in the framework.
     """
 
@@ -148,12 +147,6 @@ class OfferedFunction:
     A connection goes on behind its handle when a provider dies, so that what is open in the
     framework stays as it is; the next provider emits and takes what the first one did. Calls of
     a service are proven again where another candidate answers them.
-
-    Args:
-        offer: what to open.
-        functions: where its function is requested.
-        bridge: of the offer.
-        clock: seconds.
     """
 
     def __init__(self, offer: Offer, functions: Functions, bridge: Bridge, clock: Clock) -> None:

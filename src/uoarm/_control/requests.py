@@ -8,8 +8,8 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any
 
-from uoarm._control.candidates import CandidateWatch
 from uoarm._control.connection import Connection
+from uoarm._control.discovery import CandidateWatch
 from uoarm._control.engine.events import Requested
 from uoarm._control.engine.move import recently
 from uoarm._control.live.bridges import BridgeSet
@@ -52,11 +52,8 @@ class Requests:
     """Finds plans and opens connections, for any thread.
 
     Args:
-        revisions: of the configuration, in which plans are found.
-        driver: opens what a plan needs.
         candidates: of functions with needs; the first round of discovery is waited for.
         events: where what a callback raises is reported.
-        clock: seconds.
     """
 
     def __init__(
@@ -173,7 +170,6 @@ class Services:
     Args:
         bridges: that run, and those that are yet to be started.
         driver: takes the verdict on one where it changes.
-        clock: seconds.
     """
 
     def __init__(

@@ -17,10 +17,9 @@ from typing import Any, final, overload
 from uoarm import config
 from uoarm import record as recorder
 from uoarm._arguments import arguments
-from uoarm._control.candidates import CandidateWatch
-from uoarm._control.configuration_changes import ConfigurationChanges, KeptFile
+from uoarm._control.configuration_changes import KeptFile
 from uoarm._control.connection import Connection
-from uoarm._control.discovery import Discovery
+from uoarm._control.discovery import CandidateWatch, Discovery
 from uoarm._control.live.bridges import BridgeSet
 from uoarm._control.live.driver import Driver
 from uoarm._control.live.revisions import Revisions
@@ -88,7 +87,7 @@ class RobotManager(RobotView):
         stop_file: str | PathLike[str] | None = None,
     ) -> None:
         self.registry = registry or Registry()
-        file = KeptFile(robot)
+        self._file = KeptFile(robot)
         robot = config.assign(robot, self.registry.types)
         self._identity = secrets.token_hex(16)
         self._events = EventDispatcher(clock)
@@ -135,13 +134,6 @@ class RobotManager(RobotView):
             self._driver.live.feeding,
             partial(self._driver.report, is_avoided=True),
             clock,
-        )
-        self._changes = ConfigurationChanges(
-            file,
-            self.registry.types,
-            self._revisions,
-            self._driver,
-            self._watch_rates,
         )
         self._watch_rates(robot)
         # Those that run still end with the manager, whose connections they hold.
@@ -481,10 +473,6 @@ class RobotManager(RobotView):
             for failure in self._bridges.close():
                 _log.warning("%s", failure)
             self._events.close()
-
-    def _watch_rates(self, robot: Robot) -> None:
-        if any(output.expect for component in robot.components() for output in component.outputs):
-            self._staleness.start()
 
     def _noticed(self, event: HealthEvent) -> None:
         if not self._driver.offers.reported(event):

@@ -65,7 +65,6 @@ class OutputReceiver:
     """The application's inbox, into which the route of one plan at a time delivers.
 
     Args:
-        queue: what to do when the application is slower than the messages.
         on_raised: called with what a callback of the application raised first.
 
     Attributes:
@@ -90,6 +89,8 @@ class OutputReceiver:
         They are counted as `replaced`.
         """
 
+        # Both routes may bring messages as one plan takes over from another: each asks, for each of
+        # its messages, whether it is the one. `deliver_from` replaces that in one step.
         def arrive(message: Message) -> None:
             if route is self._delivering.route:
                 self.arrived += 1
@@ -138,11 +139,8 @@ class Sender:
     sender learns which client commands it, and when its turn has come, after its queue.
 
     Args:
-        live: the open component.
-        name: its input.
         user: id of the connection, for the status map.
         validate: OFF trusts the application; anything else checks every message it sends.
-        clock: seconds.
 
     Attributes:
         place: the input, for errors.

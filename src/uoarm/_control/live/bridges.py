@@ -49,9 +49,6 @@ class Restarts:
 
     The first restart is free. Each later one waits twice as long as the one before, from 0.25 s
     to 30 s. A bridge that has lived for a minute starts with a clean record.
-
-    Args:
-        clock: a monotonic clock, in seconds.
     """
 
     def __init__(self, clock: Clock) -> None:
@@ -151,12 +148,7 @@ class BridgeSet:
     """Makes, keeps and closes bridges by name.
 
     Args:
-        specs: the bridges of the configuration.
-        registry: the plugins that make them.
-        listener: notified of every health event.
         ready: instances to use instead of making them; closed with the others.
-        clock: seconds, for the waits between restarts.
-        listening: where hosts on other machines join.
         origin: the configuration file, for those who look at the processes of hosts.
         manager: identity of the manager that uses them.
     """
@@ -213,7 +205,8 @@ class BridgeSet:
         with self._lock:
             self._require_open()
             turn = self._turns.setdefault(name, threading.Lock())
-        with turn:  # one that is slow to start holds up no other
+        # One that is slow to start holds up no other; the second who asks for it finds it made.
+        with turn:
             bridge = self._bridges.get(name)
             if bridge is not None:
                 return bridge
@@ -368,6 +361,8 @@ class BridgeSet:
         bears the same name, so that nothing more is reported of the lost one.
         """
         if event.channel is None and event.component is None:
+            # Listed as dead before the listener knows: what it has sought next asks `get`, which
+            # must not give out this one.
             with self._lock:
                 self._health[event.bridge] = event.health, event.cause
                 if event.health is Health.LOST and event.bridge in self._bridges:
@@ -406,14 +401,7 @@ class BridgeSet:
 
 
 class StagedBridges:
-    """The bridges of a configuration that is not in force yet; new ones start when needed.
-
-    Args:
-        running: the bridges in force.
-        before: their configuration.
-        specs: the bridges of the new one.
-        joining: where machines join in it.
-    """
+    """The bridges of a configuration that is not in force yet; new ones start when needed."""
 
     def __init__(
         self,

@@ -1,4 +1,4 @@
-"""Live components: the open channels of one component, opened once and closed once."""
+"""What is open of a plan: components with their channels, and the edges between them."""
 
 from __future__ import annotations
 
@@ -6,12 +6,16 @@ import logging
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from functools import partial
 from typing import Any
 
+from attrs import define, evolve, field
+
+from uoarm._adapt import transfer
 from uoarm._control.live.bridges import facts_of
 from uoarm._control.live.health import FailureWatch, InputWatch, OutputWatch
 from uoarm._control.live.safety import EmergencyStop, InputLease
-from uoarm._dataplane import MessageCheck, Outlet, make_check
+from uoarm._dataplane import Clock, MessageCheck, Outlet, Route, make_check
 from uoarm._raised import foreign, text_of
 from uoarm.bridge import Bridge, Channel, Sink, Source
 from uoarm.errors import BridgeError, ConnectionClosedError, UoarmError
@@ -19,15 +23,18 @@ from uoarm.model import (
     ChannelStatus,
     CommandStatus,
     Component,
+    Edge,
+    Input,
     Message,
     MessageStructure,
     OverflowPolicy,
     QueuePolicy,
+    RouteStatus,
     Step,
     ValidationMode,
 )
 
-__all__ = ["LiveComponent"]
+__all__ = ["LiveComponent", "LiveEdge"]
 
 _log = logging.getLogger("uoarm")
 _BUSY_SECONDS = 60.0
@@ -36,6 +43,7 @@ _CLOSE_SECONDS = 2.0
 _TURN_SECONDS = 0.1
 _GLANCE_SECONDS = 0.005
 _STOP_SECONDS = 0.5
+_DRAIN_SECONDS = 5.0
 _NEWEST = QueuePolicy(length=1, policy=OverflowPolicy.LATEST)
 _LOSSES = frozenset({"under_way", "lost_on_link"})
 
@@ -48,7 +56,6 @@ class LiveComponent:
 
     Args:
         step: of the first plan that needs it.
-        bridge: opens its channels.
         failures: watches what it raises.
         emergency_stop: holds its inputs that move something.
         announce: called, with a sentence, when an input has another holder of its lease.
@@ -416,3 +423,160 @@ def _channel_statuses(
         lifetime, limits = (None, ()) if policy is None else (policy.lifetime, policy.limits)
         lease = leases[name].status() if name in leases else None
         yield ChannelStatus(f"{direction}.{name}", facts, lost, command, lifetime, limits, lease)
+
+
+@define(eq=False)
+class LiveEdge:
+    """An edge between two open components.
+
+    Args:
+        producer: the open component at its beginning.
+        consumer: the open component at its end.
+        strictness: gives how many messages its strictest user wishes to be checked now.
+        held: whether messages wait for `release`, because another edge feeds the input still;
+            those that come meanwhile are dropped and counted.
+    """
+
+    edge: Edge
+    producer: LiveComponent
+    consumer: LiveComponent
+    strictness: Callable[[], ValidationMode]
+    held: bool = False
+    route: Route | None = field(default=None, init=False)
+    link: Channel | None = field(default=None, init=False)
+    _input: Input = field(init=False)
+    # Guards the making of route and link: a switchover releases an edge that its batch opens.
+    _ready: threading.Lock = field(factory=threading.Lock, init=False)
+    # Held from the wish of the users to the check that follows from it, from the owner of the state
+    # against threads that bring messages: of two that change it, the later one reads later.
+    _checking: threading.Lock = field(factory=threading.Lock, init=False)
+
+    @_input.default
+    def _find_input(self) -> Input:
+        return self.consumer.component.input(self.edge.input)
+
+    @property
+    def _ends(self) -> tuple[str, str]:
+        edge = self.edge
+        return f"{edge.producer}.{edge.output}", f"{edge.consumer}.{edge.input}"
+
+    def open(self, clock: Clock) -> None:
+        """Open it where it is not open yet, unchecked until `renew_check`.
+
+        A native link that is held is left for `release`.
+
+        Raises:
+            BridgeError: a bridge could not open the input, or not link both ends.
+        """
+        with self._ready:
+            if self.route is None and self.link is None:
+                if not self._is_native:
+                    self._open_route(clock)
+                elif not self.held:
+                    self._open_link(clock)
+
+    def release(self, clock: Clock) -> None:
+        """Let messages through from now on.
+
+        Raises:
+            BridgeError: a bridge could not link both ends.
+        """
+        if self.route is not None:
+            with self.producer.outlets[self.edge.output].letting_through(self.route):
+                self.held = False
+        self.held = False
+        self.open(clock)
+        self.renew_check()
+        if self.route is not None:
+            self.producer.open_output(self.edge.output)
+
+    def renew_check(self, *, is_suspected: bool = False) -> None:
+        """Check messages as its users wish now; never those of a native link. Any thread."""
+        if self.route is None:
+            return
+        with self._checking:
+            self.route.check = self.producer.check(
+                self.edge.output,
+                self.edge.producer_structure,
+                self.strictness(),
+                is_suspected=is_suspected,
+            )
+
+    def status(self) -> RouteStatus | None:
+        """Return what the status map shows; None while the edge is being opened."""
+        if self.route is not None:
+            status = self.route.status()
+            later = self.consumer.watch(self.edge.input).refusal
+            return evolve(status, refusal=later) if later and not status.refusal else status
+        if self.link is None:
+            return None
+        return RouteStatus(*self._ends, 0, 0, native=True, facts=facts_of(self.link))
+
+    def finish(self) -> None:
+        """Take nothing more from the producer, let what waits pass, then close."""
+        if self.route is not None:
+            self.producer.outlets[self.edge.output].detach(self.route)
+            self.route.drain(_DRAIN_SECONDS)
+        self.close()
+
+    def close(self) -> None:
+        """Close it, also for the second time."""
+        if self.route is not None:
+            self.consumer.watch(self.edge.input).suspect.pop(self, None)
+            self.producer.outlets[self.edge.output].detach(self.route)
+            self.route.close()
+        if self.link is not None:
+            try:
+                self.link.close()
+            except BridgeError as error:
+                _log.warning("%s", error)
+
+    @property
+    def _is_native(self) -> bool:
+        """Whether the bridge may connect both ends itself: they are its own, of one structure.
+
+        Commands never go past the watchdog of their input.
+        """
+        bridge = self.producer.bridge
+        return (
+            bridge.capabilities.link
+            and bridge is self.consumer.bridge
+            and self.edge.mapping is None
+            and self._input.endpoint.command is None
+            and self.edge.producer_structure == self.edge.consumer_structure
+        )
+
+    def _judge(self, message: Message, is_adapted: bool) -> None:  # noqa: FBT001 - a callback
+        edge = self.edge
+        structure = edge.consumer_structure if is_adapted else edge.producer_structure
+        self.producer.judge(edge.output, structure, message)
+
+    def _open_link(self, clock: Clock) -> None:
+        output = self.producer.component.output(self.edge.output)
+        assert output is not None, "the resolver checked every output"
+        self.link = self.producer.bridge.link(output.endpoint, self._input.endpoint)
+        if self.link is None:
+            self._open_route(clock)
+
+    def _open_route(self, clock: Clock) -> None:
+        send, default_queue = self.consumer.open_input(self.edge.input, lambda: route.closed)
+        queue = self._input.queue or default_queue
+
+        def hand(message: Message) -> None:
+            if self.held:
+                route.take_back("replaced")
+            else:
+                send(message)
+
+        route = self.route = Route(
+            *self._ends,
+            hand if self.held else send,
+            clock=clock,
+            transfer=transfer(self.edge),
+            queue=queue,
+            watch=self.consumer.watch(self.edge.input),
+        )
+        route.judge = self._judge
+        suspect = self.consumer.watch(self.edge.input).suspect
+        suspect[self] = partial(self.renew_check, is_suspected=True)
+        self.producer.outlets[self.edge.output].attach(route)

@@ -13,8 +13,7 @@ from attrs import evolve
 from uoarm._control.engine.actions import HandOver
 from uoarm._control.engine.state import ConnectionRecord
 from uoarm._control.live.application_ports import ApplicationPorts, OutputReceiver
-from uoarm._control.live.component import LiveComponent
-from uoarm._control.live.edge import LiveEdge
+from uoarm._control.live.component import LiveComponent, LiveEdge
 from uoarm._spans import past_span
 from uoarm.model import Gap, QueuePolicy, RouteStatus
 
@@ -170,8 +169,6 @@ class ConnectionRuntime:
     """One connection, as the threads see it that move messages and those that read its handle.
 
     Args:
-        identity: of the connection.
-        queue: what to do when the application is slower than the messages.
         on_raised: called with what a callback of the application raised first.
 
     Attributes:
@@ -195,6 +192,7 @@ class ConnectionRuntime:
 
     def publish(self, record: ConnectionRecord) -> None:
         """Show the connection as it is now; at its end, its inbox closes."""
+        # The record first: who is woken by the closed inbox reads in it how the connection ended.
         self.record = record
         if record.state.is_over:
             self.receiver.inbox.close(discard=record.is_killed)
@@ -215,6 +213,7 @@ class ConnectionRuntime:
             ports: where the application touches the next one.
         """
         before, after = action.before, action.after
+        # Ports before the receiver: who sends on the first message of the next plan sends into it.
         self.ports = ports
         self.receiver.deliver_from(ports.route, ports.outlet)
         stays = before.ports == after.ports

@@ -26,8 +26,8 @@ from uoarm._control.engine.events import write_event
 from uoarm._control.engine.state import Part, State
 from uoarm._control.engine.step import step
 from uoarm._control.live.bridges import BridgeSet
+from uoarm._control.live.component import LiveEdge
 from uoarm._control.live.connection_runtime import ConnectionRuntime, LetThrough, record_takeover
-from uoarm._control.live.edge import LiveEdge
 from uoarm._control.live.offers import Offers
 from uoarm._control.live.parts import LiveParts
 from uoarm._control.live.revisions import (
@@ -67,11 +67,6 @@ class Driver:
     """Runs the control plane of one manager. All methods may be called from any thread.
 
     Args:
-        bridges: of the manager.
-        events: where changes are announced.
-        revisions: of the configuration, in which plans are found.
-        clock: seconds.
-        emergency_stop: holds all inputs that move something.
         functions: where the functions of offers are requested.
 
     Attributes:
@@ -109,7 +104,7 @@ class Driver:
         self._owning = threading.Lock()
         # One for each wait, not for each connection: two threads that kill one at once both get a
         # reply.
-        self._numbers = itertools.count()  # of those who wait
+        self._numbers = itertools.count()
         # Thousands of lanes begin with the death of a bridge. A thread for each would fight for the
         # interpreter; but those that a bridge holds up must hold up no others.
         self._workers = WorkerPool("uoarm-lane", _LANES, patience=_PATIENCE_SECONDS)

@@ -114,9 +114,6 @@ class FailureWatch:
     at all, and what of that matches. The component is as well as the worst.
 
     Args:
-        name: of the component.
-        limits: when it is lost.
-        clock: seconds.
         notify: called each time the verdict changes.
 
     Attributes:
@@ -201,10 +198,6 @@ class FailureWatch:
 class InputWatch:
     """Watches one input: what a route that feeds it reports of its messages.
 
-    Args:
-        component: watches all of it; the attribute, too.
-        port: name of the input.
-
     Attributes:
         is_later: whether the channel reports what became of messages, later than `send` returns.
         suspect: called, by edge that feeds it, when messages came that were wrong themselves.
@@ -249,12 +242,7 @@ class InputWatch:
 
 
 class OutputWatch:
-    """Watches one output: what its bridge can read, and what the checks of its messages find.
-
-    Args:
-        component: watches all of it; the attribute, too.
-        port: name of the output.
-    """
+    """Watches one output: what its bridge can read, and what the checks of its messages find."""
 
     __slots__ = ("_port", "_reading", "component")
 

@@ -51,8 +51,6 @@ class Machines:
     An address that cannot be had is tried again whenever a bridge of another machine is needed.
 
     Args:
-        specs: the bridges of the configuration.
-        listening: where machines join.
         notify: called for every bridge of another machine whether a host for it is there, unless
             the bridge reports more of itself: it runs, or was lost.
         state: says how a bridge is: None when it neither runs nor was lost.
@@ -230,8 +228,6 @@ class _Listener:
     """Listens at one address, from the first need on; tries again where that failed.
 
     Args:
-        listening: the address; None: there is none.
-        names: the machines that may join.
         before: who listens there until this one does.
     """
 

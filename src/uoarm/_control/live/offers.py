@@ -45,10 +45,7 @@ class Offers:
     Args:
         owner: decides, and has `open` and `close` called in the lane of each offer.
         revisions: of the configuration; what the one in force offers is kept open.
-        functions: where functions are requested, as every application does.
-        bridges: of the manager.
         events: listened to for what becomes of the connections behind offers.
-        clock: a monotonic clock, in seconds.
     """
 
     def __init__(

@@ -27,9 +27,8 @@ from uoarm._control.engine.state import (
 )
 from uoarm._control.live.application_ports import ApplicationPorts
 from uoarm._control.live.bridges import BridgeSet
-from uoarm._control.live.component import LiveComponent
+from uoarm._control.live.component import LiveComponent, LiveEdge
 from uoarm._control.live.connection_runtime import ConnectionRuntime, Counting
-from uoarm._control.live.edge import LiveEdge
 from uoarm._control.live.health import FailureWatch
 from uoarm._control.live.safety import EmergencyStop
 from uoarm._dataplane import Clock
@@ -87,11 +86,7 @@ class LiveParts:
     """The objects of open parts.
 
     Args:
-        state: to begin with.
-        bridges: gives the bridge of a component, starting it where it must.
-        clock: seconds.
         judged: called, with a component's id, when the verdict on what it raises changes.
-        emergency_stop: holds all inputs that move something.
         announce: takes a subject, a change, its cause and the function, for listeners.
 
     Attributes:
@@ -113,6 +108,9 @@ class LiveParts:
         self._clock = clock
         self.emergency_stop = emergency_stop
         self._announce = announce
+        # By the ids of the state. Lanes add what they have opened, and the owner of the state takes
+        # out what is to be closed, in one call each; who goes over one makes a copy first. What is
+        # not here any more as a lane comes to it was given up: `open` takes the `KeyError` so.
         self.runtimes: dict[str, ConnectionRuntime] = {}
         self.components: dict[int, LiveComponent] = {}
         self.edges: dict[int, LiveEdge] = {}
@@ -122,6 +120,7 @@ class LiveParts:
         # so long, and no other instance opens beside them. Changed in one call each, by the owner
         # of the state and by lanes, and copied by who looks.
         self._ending: set[LiveComponent] = set()
+        # Those of which a thread has not come back, so that their number can be bounded.
         self._hanging: dict[str, list[LiveComponent]] = {}
 
     def shared(self) -> tuple[LiveComponent, ...]:
@@ -232,6 +231,8 @@ class LiveParts:
             UoarmError: the next one could not be opened.
             ConnectionClosedError: the batch was cancelled.
         """
+        # Before the first part: a command that finds its input open must find also what it is to
+        # stop before it is sent.
         replaced = self._replaced_by(action)
         for live in _there(self.components, action.recalled):
             live.recall(replaced, self.components.copy().values())
@@ -248,6 +249,8 @@ class LiveParts:
                 if batch in cancelled:
                     raise ConnectionClosedError(f"{action.connection} was given up")
                 opening[part.kind](part)
+                # After it is open and in its table: `Opened` says no more than is there, also
+                # where another thread reads the list as this one is given up.
                 done.append(part)
         except KeyError as error:  # what it needs was taken out meanwhile
             raise ConnectionClosedError(f"{action.connection} was given up") from error
@@ -263,6 +266,8 @@ class LiveParts:
         if ending.runtime is None:
             return
         losses = ending.runtime.losses
+        # After all is closed: what was under way arrives, or is counted by what lost it. The gap
+        # was noted by `HandOver`, which came before in the same lane.
         gone = losses.close(ending.lost if ends else ending.gone())
         routes = losses.ended_edges(ending.placed_edges) if ends else ending.ended()
         gap = ending.runtime.take_gap(ending.user)
@@ -273,6 +278,7 @@ class LiveParts:
 
     def finish(self, ending: Ending) -> None:
         """Let what is under way in a plan pass, and no new messages; its components stay open."""
+        # Producers first, so that what the one lets pass is waited for in the next.
         for joined in ending.placed_edges:
             if joined in ending.edges:
                 joined.finish()
@@ -388,6 +394,8 @@ class LiveParts:
         )
         joined.open(self._clock)
         self.edges[record.id] = joined
+        # After it is listed: a user that wishes more came before this look, or finds it there.
+        joined.renew_check()
 
     def _strictness(self, edge: int) -> ValidationMode:
         record = self.state.edges.get(edge)
@@ -395,6 +403,7 @@ class LiveParts:
 
     def _receive(self, action: Open) -> None:
         runtime, ports = self._ports_of(action)
+        # Before it is attached: a message that comes at once would be dropped as `replaced`.
         if action.is_receiving:
             runtime.receiver.deliver_from(ports.route, ports.outlet)
         ports.attach()  # an output that retains a message gives it at once

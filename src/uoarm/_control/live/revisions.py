@@ -329,9 +329,6 @@ class Revisions:
     """Holds the revision in force and says what another would do. Thread safe.
 
     Args:
-        robot: the configuration to begin with.
-        bridges: of the manager.
-        clock: a monotonic clock, in seconds.
         notify: called for what is not as in the lock, with the place and a sentence.
 
     Raises:
@@ -354,6 +351,7 @@ class Revisions:
         structures = StructureCache(bridges.get, _hold(guard))
         resolver = Resolver(robot, structures, check_edge, clock=clock)
         self.current = Revision(0, robot, structures, resolver, robot, guard)
+        # Put by the thread of a change, which waits then, and taken by the owner of the state.
         self._staged: dict[int, StagedRevision] = {}
         first = ConfigurationChange(0, is_applied=True, time=time.time(), robot=robot)
         self._history = deque([first])
@@ -459,6 +457,7 @@ class Revisions:
 
     def adopt(self, number: int) -> None:
         """Let a revision be the one in force. Quick, and calls nothing foreign."""
+        # The revision last: who finds it finds its bridges and its structures in place.
         staged = self._staged.pop(number)
         staged.revision.structures.use(self._bridges.get)
         self._bridges.adopt(staged.bridges)

@@ -40,11 +40,7 @@ __all__ = ["EmergencyStop", "InputLease", "Lease", "StopFile"]
 
 
 class StopFile:
-    """Whether all is stopped, kept over restarts. Thread safe.
-
-    Args:
-        path: of the file; its folder is made when it is needed.
-    """
+    """Whether all is stopped, kept over restarts. Thread safe."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -97,11 +93,6 @@ _SHARE = 0.8  # of the time, for the answer of an input; the rest is for what it
 class _Call:
     """A call under way of a service that moves something.
 
-    Args:
-        bridge: in which it runs.
-        endpoint: of the service.
-        number: by which the bridge knows the call.
-
     Attributes:
         is_cancelled: whether it was cancelled by an emergency stop.
     """
@@ -136,7 +127,6 @@ class EmergencyStop:
     Each is stopped in a thread of its own, so that none waits for one that hangs.
 
     Args:
-        clock: seconds.
         file: is there while all is held; where it is there already, all is held from the beginning.
         elsewhere: returns the bridges behind which everything that moves is stopped, too.
     """
@@ -400,11 +390,7 @@ def _outcome(moved: Sink | _Call, function: str, answer: CommandStatus | str) ->
 
 
 class Lease:
-    """One holder at a time, until it gives it back, sends nothing for a while, or is overridden.
-
-    Args:
-        policy: of the input.
-    """
+    """One holder at a time, until it gives it back, sends nothing for a while, or is overridden."""
 
     def __init__(self, policy: LeasePolicy) -> None:
         self._duration = policy.duration
@@ -465,11 +451,9 @@ class InputLease:
     """The lease of one open input. Thread safe.
 
     Args:
-        policy: of the input.
         place: of the input, `base.default`.
         announce: called with a sentence on who holds it, whenever a client's call changes that;
             a lapse is not announced.
-        clock: seconds.
     """
 
     def __init__(

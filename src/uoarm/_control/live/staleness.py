@@ -8,8 +8,7 @@ from typing import TypeAlias
 
 from attrs import define, field
 
-from uoarm._control.live.component import LiveComponent
-from uoarm._control.live.edge import LiveEdge
+from uoarm._control.live.component import LiveComponent, LiveEdge
 from uoarm._dataplane import Clock, Route
 from uoarm.bridge import HealthEvent
 from uoarm.model import Expectation, Health
@@ -59,12 +58,6 @@ class StalenessWatch:
     gets too little to work on is not to blame. What feeds one of which something is expected is
     itself expected to emit at all. It counts from when the first consumer is attached to an
     output, and anew from when something else feeds its component.
-
-    Args:
-        components: gives what is open now.
-        edges: gives what feeds these.
-        report: takes the health event of a component that is stale.
-        clock: a monotonic clock, in seconds.
     """
 
     def __init__(

@@ -60,6 +60,7 @@ class Lanes:
 
     def reserve(self, name: str) -> None:
         """Leave what comes into a new lane to a call of `drive`."""
+        # Before the event that puts the first job, as a lane that is not there is a worker's.
         with self._lock:
             self._lanes[name] = _Lane(is_driven=True)
 
@@ -124,6 +125,7 @@ class Lanes:
         """Have a worker thread do the jobs of a lane that was reserved, unless `drive` began."""
         with self._lock:
             lane = self._lanes.get(name)
+            # Exactly one thread does its jobs: the caller's where that came first, else a worker.
             if lane is None or lane.has_begun:
                 return
             lane.has_begun = True
@@ -134,6 +136,8 @@ class Lanes:
             try:
                 job = lane.jobs.get_nowait()
             except Empty:
+                # Looked at again with the lock, with which jobs are put: one that comes now finds
+                # this lane gone, and begins another.
                 with self._lock:
                     if lane.jobs.empty():
                         self._lanes.pop(name, None)
@@ -158,7 +162,6 @@ class Timer:
     waits. The thread begins with the first time asked for.
 
     Args:
-        clock: seconds.
         reached: called in the timer's thread.
     """
 
