@@ -16,6 +16,7 @@ from typing import (
     get_origin,
     get_type_hints,
 )
+from weakref import WeakKeyDictionary
 
 import attrs
 from typing_extensions import NotRequired, Required, is_typeddict
@@ -50,6 +51,9 @@ _SIMPLE: Mapping[object, Mapping[str, object]] = {
     types.NoneType: {"type": "null"},
 }
 _BUFFERS = (bytes, bytearray, memoryview)
+# To evaluate the hints of a class takes most of the time of describing a component, and is asked
+# for again and again. Any thread; two that find the same do no harm.
+_KNOWN: WeakKeyDictionary[type, Mapping[str, Any]] = WeakKeyDictionary()
 _MAX_DEPTH = 32
 
 
@@ -95,8 +99,7 @@ def is_plain(hint: Any, depth: int = 0) -> bool:
     if depth > _MAX_DEPTH:
         return True  # its structure is refused
     if is_typeddict(hint):
-        fields = get_type_hints(hint, include_extras=True).values()
-        return all(is_plain(field, depth + 1) for field in fields)
+        return all(is_plain(field, depth + 1) for field in _hints_of(hint).values())
     origin, arguments = get_origin(hint), get_args(hint)
     if origin is Annotated:
         is_octets = any(isinstance(note, OctetsMark) for note in arguments[1:])
@@ -184,17 +187,25 @@ def _tuple(arguments: tuple[Any, ...], depth: int) -> Mapping[str, object]:
 def _fields_of(hint: Any) -> dict[str, tuple[Any, bool]] | None:
     """Return name to (hint, required) of a record type, None for any other."""
     if is_typeddict(hint):
-        hints = get_type_hints(hint, include_extras=True)
+        hints = _hints_of(hint)
         return {name: (value, _is_required(hint, name, value)) for name, value in hints.items()}
     if not is_record(hint):
         return None
-    hints = get_type_hints(hint, include_extras=True)
+    hints = _hints_of(hint)
     if is_named_tuple(hint):
         names = list(hint._fields)
     else:
         found: Iterable[Any] = attrs.fields(hint) if attrs.has(hint) else dataclasses.fields(hint)
         names = [item.name for item in found if item.init]
     return {name: (hints.get(name, Any), True) for name in names}
+
+
+def _hints_of(kind: Any) -> Mapping[str, Any]:
+    """Return the hints of a class by field; those that cannot be evaluated yet raise NameError."""
+    found = _KNOWN.get(kind)
+    if found is None:
+        found = _KNOWN[kind] = get_type_hints(kind, include_extras=True)
+    return found
 
 
 def _is_required(record: Any, name: str, hint: Any) -> bool:
