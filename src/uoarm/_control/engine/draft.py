@@ -388,15 +388,15 @@ class Draft(State):
 
     def waiting_for(self, batch: Batch) -> list[str]:
         """Return the connections that use a part of a batch and so waited for it, oldest first."""
-        # Its own first: it waits also where all its parts are ports.
+        # Its own, too: it waits also where all its parts are ports.
         users = {batch.user}
         # Of ports, which are one connection's own, there are no records.
         for number in {part.id for part in batch.parts}:
             record = self.components.get(number) or self.edges.get(number)
-            # Mostly it is the only one.
             if record is not None and (len(record.users) > 1 or batch.user not in record.users):
                 users.update(record.users)
-        return by_age(map(connection_of, users))
+        # Mostly it is the only one, and need not be sorted.
+        return by_age(map(connection_of, users)) if len(users) > 1 else [connection_of(batch.user)]
 
     def rivals(self, plan: Plan) -> dict[int, EdgeRecord]:
         """Return the edges that feed what a plan would feed from elsewhere, by their ids."""

@@ -54,7 +54,7 @@ def offer_opened(draft: Draft, event: OfferOpened) -> None:
         record = record._replace(
             number=0, failures=record.failures + 1, state=OfferState.FAILED, cause=event.cause
         )
-        record = _resting(draft, record, _PAUSES.pause(record.failures))
+        record = record._replace(retry_at=draft.now + _PAUSES.pause(record.failures))
     else:
         record = record._replace(is_open=True, state=OfferState.OPEN, cause="")
     _settle(draft, record)
@@ -75,7 +75,7 @@ def offer_closed(draft: Draft, event: OfferClosed) -> None:
         lasted = draft.now - record.begun
         failures = record.failures + 1 if lasted < _PAUSES.most else 0
         pause = _PAUSES.pause(failures - 1) if failures > 1 else 0.0
-        _settle(draft, _resting(draft, record._replace(failures=failures), pause))
+        _settle(draft, record._replace(failures=failures, retry_at=draft.now + pause))
     draft.actions.append(WakeOffers())
 
 
@@ -101,7 +101,7 @@ def retry_offers(draft: Draft) -> None:
     """Try at once what failed and waits to be tried again, as something may be well by now."""
     for record in _by_name(draft):
         if record.retry_at is not None and record.is_tried:
-            soon = max(draft.now, record.earliest)
+            soon = max(draft.now, record.begun + _LEAST_SECONDS)
             _settle(draft, record._replace(retry_at=min(record.retry_at, soon)))
 
 
@@ -118,11 +118,6 @@ def _by_name(draft: Draft) -> list[OfferRecord]:
 def _begun(draft: Draft, name: str) -> OfferRecord:
     is_alone = all(record.is_wanted for record in draft.offers.values())
     return OfferRecord(name, retry_at=draft.now + (0.0 if is_alone else _LEAVING_SECONDS))
-
-
-def _resting(draft: Draft, record: OfferRecord, seconds: float) -> OfferRecord:
-    earliest = draft.now + min(seconds, _LEAST_SECONDS)
-    return record._replace(retry_at=draft.now + seconds, earliest=earliest)
 
 
 def _settle(draft: Draft, record: OfferRecord) -> None:

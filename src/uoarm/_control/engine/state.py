@@ -56,8 +56,7 @@ class ComponentHealth:
     """What was reported last of each part; one part that is well covers up no other.
 
     Attributes:
-        health: the worst of all.
-        cause: of that; where it was just reported, the newest.
+        health: the worst of all, and its `cause`; where it was just reported, the newest.
     """
 
     health: Health = Health.OK
@@ -89,6 +88,7 @@ _WELL = ComponentHealth()
 _NOTHING: HashTrieMap[Any, Any] = HashTrieMap()
 _NONE: HashTrieSet[Any] = HashTrieSet()
 _STRICTNESS = tuple(ValidationMode)
+_RANKS = {mode: rank for rank, mode in enumerate(_STRICTNESS)}
 
 
 class Kind(Enum):
@@ -127,8 +127,7 @@ class Parts:
     """Parts without a user: what is to be closed.
 
     Attributes:
-        components: ids, producers first.
-        edges: ids, those of the first producers first.
+        components, edges: ids, producers first.
         ports: ids of application ports.
     """
 
@@ -216,14 +215,15 @@ class EdgeRecord(NamedTuple):
         """Return the edge with a user that wishes this mode; None: it uses it no more."""
         counts, before = list(self.counts), self.users.get(user)
         if before is not None:
-            counts[_STRICTNESS.index(before)] -= 1
+            counts[_RANKS[before]] -= 1
         if mode is None:
             users = self.users.remove(user)
         else:
-            counts[_STRICTNESS.index(mode)] += 1
+            counts[_RANKS[mode]] += 1
             users = self.users.insert(user, mode)
-        counted = zip(reversed(_STRICTNESS), reversed(counts), strict=True)
-        strictest = next((mode for mode, count in counted if count), ValidationMode.OFF)
+        strictest = ValidationMode.OFF
+        for wished, count in zip(_STRICTNESS, counts, strict=True):
+            strictest = wished if count else strictest
         return EdgeRecord(*self[:4], users, tuple(counts), strictest, self.is_held)
 
 
@@ -253,12 +253,7 @@ class Placement(NamedTuple):
 
 
 class Batch(NamedTuple):
-    """Parts that are being opened for a placement.
-
-    Attributes:
-        user: of the placement.
-        parts: in their order.
-    """
+    """Parts that are being opened for a placement, in their order."""
 
     user: str
     parts: tuple[Part, ...]
@@ -272,7 +267,6 @@ class DrainingPlan(NamedTuple):
 
     Attributes:
         connection: whose plan it was.
-        placement: the plan.
         lost: ids of its components that died.
     """
 
@@ -358,10 +352,8 @@ class ConnectionRecord(NamedTuple):
     Attributes:
         id: `c1`, `c2`, ...
         wanted: the function, and the output where one is named.
-        validate: how many messages are checked.
         waiter: the caller that waits for the reply to the request; empty: none any more.
-        state: as it was published last.
-        cause: of that.
+        state: as it was published last, and `cause`.
         has_callback: whether a callback waits for the messages, so that there must be an output.
         output: of the provider, whose messages the application receives.
         current: the plan that is open, or was until the end; None before the first one is.
@@ -488,8 +480,7 @@ class OfferRecord(NamedTuple):
     """That one function is open in a framework: a want of the manager itself.
 
     Attributes:
-        state: as the status shows it.
-        cause: of that.
+        state: as the status shows it, and `cause`.
         number: id of what is open, opens or closes; 0: nothing.
         is_busy: whether it opens, or closes.
         is_tried: whether the first attempt is over.
@@ -499,7 +490,6 @@ class OfferRecord(NamedTuple):
         failures: attempts in a row that failed, or did not last.
         begun: when it was opened last.
         retry_at: when it is to be opened; None: no time changes anything.
-        earliest: when it may be tried again, where what failed is well again.
     """
 
     name: str
@@ -515,7 +505,6 @@ class OfferRecord(NamedTuple):
     failures: int = 0
     begun: float = 0.0
     retry_at: float | None = None
-    earliest: float = 0.0
 
     @property
     def shown(self) -> tuple[str, str]:
@@ -543,11 +532,9 @@ class State:
         timed: connections that may wait for a time.
         failed: when a component died last, longest ago first.
         avoided: the same for those that emitted too little or raised too often.
-        requests: how many there were.
         number: the last id given.
         is_closing: whether no request is taken any more.
         closers: callers that wait until every connection has ended.
-        revision: of the configuration.
         outdated: connections whose plan may be another in this revision.
         configurers: callers that wait until all those have moved.
         candidates: how many changes of candidates there were in this revision.

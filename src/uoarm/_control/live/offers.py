@@ -82,8 +82,12 @@ class Offers:
         names = tuple(self._wanted)
 
         def are_tried() -> bool:
-            records = map(self._owner.state.offers.get, names)
-            return all(record is None or record.is_tried for record in records)
+            # No generator, which would swallow a Ctrl-C that comes as `all` lets go of it.
+            for name in names:
+                record = self._owner.state.offers.get(name)
+                if record is not None and not record.is_tried:
+                    return False
+            return True
 
         self._wait(are_tried, timeout)
         return self.statuses()
