@@ -30,8 +30,8 @@ _LEAVING_SECONDS = 5.0
 _CHANGES = frozenset({"failed", "closed", "waiting", "replaced"})
 
 
-class StateOwner(Protocol):
-    """Owns the state of this moment."""
+class Reconciler(Protocol):
+    """Owns the state of this moment, and takes events."""
 
     state: State
 
@@ -50,7 +50,7 @@ class Offers:
 
     def __init__(
         self,
-        owner: StateOwner,
+        owner: Reconciler,
         revisions: Revisions,
         functions: Functions,
         bridges: BridgeSet,
