@@ -16,11 +16,12 @@ from websockets.exceptions import ConnectionClosedError
 from uoarm.client._socket import ClientSocket, Received
 from uoarm.testing import patience
 
+SECONDS = 0.05
 Serve = Callable[[ServerConnection], Awaitable[None]]
 
 
 @asynccontextmanager
-async def connected(attend: Serve) -> AsyncIterator[ClientSocket]:
+async def connected(attend: Serve, silence: float | None = None) -> AsyncIterator[ClientSocket]:
     async with serve(attend, "127.0.0.1", 0, max_size=None, compression=None) as server:
         port = next(iter(server.sockets)).getsockname()[1]
         opening = connect(
@@ -28,6 +29,9 @@ async def connected(attend: Serve) -> AsyncIterator[ClientSocket]:
             proxy=None,
             max_size=None,
             compression=None,
+            ping_interval=silence,
+            ping_timeout=silence,
+            close_timeout=2 * patience(),
             create_connection=ClientSocket,
         )
         async with opening as opened:
@@ -179,5 +183,44 @@ def test_nothing_is_written_to_a_connection_that_ends_and_no_descriptor_is_left(
                 await connection.hand_over(lambda _: None)
             assert near.fileno() == -1
             assert not connection.try_send(b"two")
+
+    run(work)
+
+
+def test_a_peer_that_answers_nothing_is_dropped_without_waiting_for_a_goodbye() -> None:
+    over = asyncio.Event()
+
+    async def attend(connection: ServerConnection) -> None:
+        connection.transport.pause_reading()
+        await over.wait()
+        connection.transport.abort()
+
+    async def work() -> None:
+        async with connected(attend, SECONDS) as connection:
+            with pytest.raises(ConnectionClosedError) as caught:
+                await connection.hand_over(lambda _: None)
+            over.set()
+            assert caught.value.sent is None  # a server that gets a word ends the session
+            assert "nothing came for 0.05 s" in str(caught.value.__cause__)
+
+    run(work)
+
+
+def test_what_comes_is_a_sign_of_life_though_no_ping_is_answered() -> None:
+    ready = asyncio.Event()
+
+    async def attend(connection: ServerConnection) -> None:
+        connection.transport.pause_reading()
+        await ready.wait()
+        await connection.send("late")
+        connection.transport.resume_reading()
+        await connection.wait_closed()
+
+    async def work() -> None:
+        async with connected(attend, patience()) as connection:
+            before = connection.silent_at
+            ready.set()
+            assert await connection.next_message() == "late"
+            assert connection.silent_at > before
 
     run(work)

@@ -21,7 +21,8 @@ PAGE = (Path(__file__).parents[3] / "docs" / "fleet.md").read_text(encoding="utf
 @pytest.mark.parametrize("kind", [FunctionOptions, ManagerOptions])
 def test_the_tables_of_options_are_those_of_the_page(kind: type[EndpointOptions]) -> None:
     assert options_table(kind.schema()) in PAGE
-    properties: Any = kind.schema()["properties"]
+    schema: Any = kind.schema()
+    properties = schema["properties"]
     assert not [
         name
         for name, option in properties.items()

@@ -9,9 +9,7 @@ import asyncio
 import hashlib
 import hmac
 import random
-import socket
 import ssl
-import struct
 import threading
 from collections.abc import Awaitable, Callable, Mapping
 from typing import Any
@@ -34,7 +32,6 @@ __all__ = ["LARGEST", "Link", "Open", "Take", "trust_fingerprint"]
 LARGEST = Budget(octets=268_435_456, elements=2_000_000, depth=512, dimensions=32)
 # What reading a message raises that is none, or lacks what the protocol says it has.
 _STRANGE = (ControlMessageError, AttributeError, LookupError, TypeError, ValueError)
-_RESET = struct.pack("ii", 1, 0)  # SO_LINGER: on, for no time
 _KEEP, _RESUME = "keep", "resume"
 _MOST_WAITING = 4096
 # Closed for what this client did or may not do: it would be so again.
@@ -187,16 +184,9 @@ class Link:
             self._ready.set()
 
     def drop(self) -> None:
-        """Break the connection, so that what it has not sent yet is never sent; then go on.
-
-        The system keeps what the network has not taken and sends it when that is back, though the
-        socket is closed; it throws it away only where the connection is reset.
-        """
-        if self._socket is not None and not self._socket.transport.is_closing():
-            transport = self._socket.transport
-            found: socket.socket = transport.get_extra_info("socket")
-            found.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _RESET)
-            transport.abort()
+        """Break the connection, so that what it has not sent yet is never sent; then go on."""
+        if self._socket is not None:
+            self._socket.drop()
 
     async def close(self) -> None:
         """Say goodbye, so that the server keeps nothing."""
@@ -212,7 +202,7 @@ class Link:
             self._is_final = error.rcvd is not None and error.rcvd.code in _FINAL
             if error.rcvd is not None or not self._key:
                 return f"the connection to the server ended: {error}"
-            cause = f"the connection to the server dropped: {error}"
+            cause = f"the connection to the server dropped: {error.__cause__ or error}"
             self._changed(cause)
             return await self._renew(cause)
         except _STRANGE as error:

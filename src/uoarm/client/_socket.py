@@ -13,7 +13,7 @@ from contextlib import suppress
 from typing import Any, TypeAlias
 
 from websockets.asyncio.client import ClientConnection
-from websockets.exceptions import ConnectionClosedOK
+from websockets.exceptions import ConnectionClosed, ConnectionClosedOK
 from websockets.frames import DATA_OPCODES, CloseCode, Frame, Opcode
 from websockets.protocol import Event, State
 from websockets.typing import BytesLike
@@ -27,6 +27,7 @@ __all__ = ["ClientSocket", "Received"]
 
 Received: TypeAlias = "str | bytes | bytearray"
 Take: TypeAlias = Callable[[Received], object]
+_RESET = struct.pack("ii", 1, 0)  # SO_LINGER: on, for no time
 _MOST_WAITING = 16
 _MOST_FRAGMENTS = 65_536
 _WHOLE_BINARY, _MASKED = 0x80 | Opcode.BINARY, 0x80
@@ -48,6 +49,7 @@ class ClientSocket(ClientConnection):
         self._taker: asyncio.Future[None] | None = None
         self._take: Take | None = None
         self._ended: asyncio.Future[None] | None = None
+        self._came_at = self.loop.time()
         # Guards what is written, between the loop and threads that write by themselves: a frame
         # goes out whole before the next begins. Held for as long as the kernel takes octets
         # without waiting.
@@ -148,6 +150,48 @@ class ClientSocket(ClientConnection):
             self._near = transport.get_extra_info("socket").dup()
             self._near.setblocking(False)
         return self._near
+
+    async def keepalive(self) -> None:
+        """Drop the connection when nothing comes any more, not even what answers a ping.
+
+        Without a word: the library would say goodbye to who does not answer, and wait for that for
+        seconds more; and a server that did get it would end the session. The answer to a ping may
+        be behind much else, which is a sign of life, too.
+        """
+        interval, limit = self.ping_interval, self.ping_timeout
+        if interval is None or limit is None:
+            return
+        with suppress(ConnectionClosed):
+            while True:
+                await asyncio.sleep(interval)
+                answer = asyncio.ensure_future(await self.ping())
+                while not answer.done() and (left := self.silent_at - self.loop.time()) > 0:
+                    await asyncio.wait((answer,), timeout=left)
+                if not answer.done():
+                    self.set_connection_exc(TimeoutError(f"nothing came for {limit:g} s"))
+                    self.drop()
+                    return
+
+    @property
+    def silent_at(self) -> float:
+        """When the peer counts as silent, in seconds of the loop, unless something comes."""
+        return self._came_at + (self.ping_interval or 0.0) + (self.ping_timeout or 0.0)
+
+    def data_received(self, data: bytes) -> None:
+        """Take what arrived; see `asyncio.Protocol`."""
+        self._came_at = self.loop.time()
+        super().data_received(data)
+
+    def drop(self) -> None:
+        """Break the connection, so that what it has not sent yet is never sent.
+
+        The system keeps what the network has not taken and sends it when that is back, though the
+        socket is closed; it throws it away only where the connection is reset.
+        """
+        if not self.transport.is_closing():
+            near: socket.socket = self.transport.get_extra_info("socket")
+            near.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _RESET)
+            self.transport.abort()
 
     def send_data(self) -> None:
         """Write what the protocol has to send; see `websockets.asyncio.connection.Connection`."""
