@@ -33,6 +33,7 @@ __all__ = ["RemoteRobot", "ServerAddress", "ServerError", "connect"]
 
 _HELD = 1024
 _DIAGNOSIS_SECONDS = 1.0
+_GOODBYE_SECONDS = 1.5  # for which a server that does not answer holds up the end
 # What may be asked once more where a drop took the question or its answer.
 _REPEATABLE = frozenset({"Kill", "List", "Resolve"})
 _Changes: TypeAlias = "asyncio.Queue[StatusEvent | None]"
@@ -99,6 +100,7 @@ class ServerAddress:
             open_timeout=self.timeout,
             ping_interval=self.silence / 3,
             ping_timeout=self.silence,
+            close_timeout=_GOODBYE_SECONDS,
             **secured,
         )
         assert isinstance(opened, ClientSocket), "as it was asked to make"

@@ -49,6 +49,7 @@ class ClientSocket(ClientConnection):
         self._taker: asyncio.Future[None] | None = None
         self._take: Take | None = None
         self._ended: asyncio.Future[None] | None = None
+        self._discards = False
         self._came_at = self.loop.time()
         # Guards what is written, between the loop and threads that write by themselves: a frame
         # goes out whole before the next begins. Held for as long as the kernel takes octets
@@ -101,7 +102,7 @@ class ClientSocket(ClientConnection):
             with suppress(ConnectionClosedOK):
                 raise self.close_exc
         finally:
-            self._take = None
+            self._take, self._discards = None, True
             self._ended.cancel()
 
     async def send_whole(self, content: bytes, *, text: bool) -> None:
@@ -229,9 +230,11 @@ class ClientSocket(ClientConnection):
             self._came(content)
         elif len(self._fragments) > _MOST_FRAGMENTS:
             self._fragments.clear()
-            self.protocol.fail(CloseCode.MESSAGE_TOO_BIG, "too many fragments")
+            self._refuse(CloseCode.MESSAGE_TOO_BIG, "too many fragments")
 
     def _came(self, content: BytesLike) -> None:
+        if self._discards:  # nothing is waited for but the peer's goodbye, which is behind it
+            return
         try:
             message: Received
             if self._is_text:
@@ -239,7 +242,7 @@ class ClientSocket(ClientConnection):
             else:
                 message = bytes(content) if isinstance(content, memoryview) else content
         except UnicodeDecodeError as error:
-            self.protocol.fail(CloseCode.INVALID_DATA, f"{error.reason} at position {error.start}")
+            self._refuse(CloseCode.INVALID_DATA, f"{error.reason} at position {error.start}")
             return
         if self._take is not None:
             self._hand(message)
@@ -249,12 +252,17 @@ class ClientSocket(ClientConnection):
             self.transport.pause_reading()
         self._wake()
 
+    def _refuse(self, code: CloseCode, why: str) -> None:
+        self._discards = True
+        self.protocol.fail(code, why)
+        self.send_data()
+
     def _hand(self, message: Received) -> None:
         assert self._take is not None, "set by who calls this"
         try:
             self._take(message)
         except BaseException as error:  # noqa: BLE001 - raised where the messages are waited for
-            self._take = None
+            self._take, self._discards = None, True
             if self._ended is not None and not self._ended.done():
                 self._ended.set_exception(error)
 

@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from typing import Any
 
-from uoarm.bridge import Description, Discovered
+from uoarm.bridge import MOST_HOPS, Description, Discovered
 from uoarm.errors import BridgeError, FailureReason, UoarmError
-from uoarm.model import Endpoint, MessageStructure, Role
+from uoarm.model import Endpoint, MessageStructure, Role, Schema, message_octets
 from uoarm_remote._link import ManagerLink
 
 __all__ = ["described", "discovered", "wanted_name"]
 
+_MOST_OCTETS = 4_194_304
+_MOST_IDENTITY = 64
+_log = logging.getLogger("uoarm")
 _MOST = 200
 """Functions that are looked at when one discovers: each costs a question."""
 
@@ -29,8 +34,8 @@ def described(link: ManagerLink, endpoint: Endpoint, timeout: float) -> Descript
         BridgeError: it is not exported to this manager, cannot be had now, or has no such port.
     """
     found = link.ask("Resolve", endpoint.address[0], timeout)
-    managers = tuple(map(str, found.get("managers", ())))
-    structures = _structures(found)
+    with _reading_plan(link.place, endpoint.address[0]):
+        managers, structures = _managers(found), _structures(found)
     if endpoint.role is Role.SERVICE:
         request, reply = structures.get("request"), structures.get("reply")
         if request is None or reply is None:
@@ -46,18 +51,29 @@ def discovered(link: ManagerLink, bridge: str, timeout: float) -> tuple[Discover
     names = [str(function["name"]) for function in functions]
     plans = link.ask_each("Resolve", names, timeout)
     return tuple(
-        Discovered(name, tuple(_endpoints(found, bridge, name)), detail=link.url)
+        Discovered(name, _ports_of(found, bridge, name, link.place), detail=link.url)
         for name, found in zip(names, plans, strict=True)
     )
 
 
-def _endpoints(
-    found: Mapping[str, Any] | UoarmError, bridge: str, name: str
-) -> Iterator[tuple[Endpoint, Description]]:
+def _ports_of(
+    found: Mapping[str, Any] | UoarmError, bridge: str, name: str, place: str
+) -> tuple[tuple[Endpoint, Description], ...]:
+    """Return the ports of a function; none of one that cannot be had now."""
     if isinstance(found, UoarmError):
-        return  # it cannot be had now: shown without ports
-    structures = _structures(found)
-    managers = tuple(map(str, found.get("managers", ())))
+        return ()
+    try:
+        with _reading_plan(place, name):
+            return tuple(_endpoints(found, bridge, name))
+    except BridgeError as error:  # the others of this manager are right
+        _log.warning("%s", error)
+        return ()
+
+
+def _endpoints(
+    found: Mapping[str, Any], bridge: str, name: str
+) -> Iterator[tuple[Endpoint, Description]]:
+    structures, managers = _structures(found), _managers(found)
     if "request" in structures:
         description = Description(
             request=structures["request"], reply=structures["reply"], managers=managers
@@ -71,19 +87,45 @@ def _endpoints(
             yield Endpoint(bridge, name, role, address), description
 
 
+@contextmanager
+def _reading_plan(place: str, function: str) -> Iterator[None]:
+    """Turn what reading a plan of another manager raises into an error that names that manager."""
+    try:
+        yield
+    except (AttributeError, LookupError, TypeError, ValueError) as error:
+        text = f"{place}: its plan of {function!r} cannot be read: {type(error).__name__}: {error}"
+        raise BridgeError(text, FailureReason.BAD_MESSAGE) from error
+
+
+def _managers(found: Mapping[str, Any]) -> tuple[str, ...]:
+    """Return the identities of the managers through which messages pass."""
+    way = found.get("managers", [])
+    if not isinstance(way, list) or len(way) > MOST_HOPS:
+        raise ValueError(f"expected {MOST_HOPS} managers at most on the way, got {way!r:.100}")
+    return tuple(str(identity)[:_MOST_IDENTITY] for identity in way)
+
+
 def _structures(found: Mapping[str, Any]) -> dict[str, MessageStructure]:
     """Return the structures of what provides a function, without inputs that are fed there."""
     provider = found["plan"]["steps"][-1]
+    if message_octets(provider, most=_MOST_OCTETS) > _MOST_OCTETS:
+        raise ValueError(f"what provides it is described in more than {_MOST_OCTETS:,} octets")
     fed = {
         f"input.{port['name']}" for port in provider["component"]["inputs"] if port.get("source")
     }
     return {
         str(name): MessageStructure(
-            structure["schema"], native_type=str(structure.get("native_type", ""))
+            _schema(structure["schema"]), native_type=str(structure.get("native_type", ""))
         )
         for name, structure in provider["structures"].items()
         if name not in fed
     }
+
+
+def _schema(given: Any) -> Schema:
+    if not isinstance(given, dict | bool):
+        raise TypeError(f"expected a schema, got {type(given).__name__}")
+    return given
 
 
 def _ports(kind: str, structures: Mapping[str, object]) -> list[str]:
