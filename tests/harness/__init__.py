@@ -15,14 +15,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis.strategies import none
 from tests.harness import _delays, _kit, _leaks, _limits, _needs, _places
-from tests.harness._steps import longest_step
+from tests.harness._steps import longest_step, waits
 from xdist.remote import Producer
 from xdist.scheduler import LoadScopeScheduling
 
 from uoarm.testing import patience, slowness
 from uoarm.testing._time import default_limits
 
-__all__ = ["Scheduler", "longest_step"]
+__all__ = ["Scheduler", "longest_step", "waits"]
 
 # Now, as other conftests read the environment when they are imported.
 _places.isolate()

@@ -1,17 +1,18 @@
-"""What the steps of an event loop cost: the fixture `longest_step`."""
+"""What an event loop does: the fixtures `longest_step` and `waits`."""
 
 from __future__ import annotations
 
 import sys
 import threading
 import time
-from asyncio import Handle
+from asyncio import BaseEventLoop, Handle, TimerHandle
 from collections import defaultdict
 from collections.abc import Callable
+from typing import Any
 
 import pytest
 
-__all__ = ["longest_step"]
+__all__ = ["longest_step", "waits"]
 
 
 @pytest.fixture
@@ -33,3 +34,21 @@ def longest_step(monkeypatch: pytest.MonkeyPatch) -> Callable[[str], float]:
     monkeypatch.setitem(sys.modules, "uvloop", None)  # its loop reports no steps
     monkeypatch.setattr(Handle, "_run", timed)
     return longest.__getitem__
+
+
+@pytest.fixture
+def waits(monkeypatch: pytest.MonkeyPatch) -> Callable[[str], list[float]]:
+    """Return the seconds of all timers, so far, that the loop in the thread of that name was given.
+
+    What looks at something again and again has one for each look.
+    """
+    seconds: dict[str, list[float]] = defaultdict(list)
+    later = BaseEventLoop.call_later
+
+    def noted(loop: BaseEventLoop, delay: float, *arguments: Any, **options: Any) -> TimerHandle:
+        seconds[threading.current_thread().name].append(delay)
+        return later(loop, delay, *arguments, **options)
+
+    monkeypatch.setitem(sys.modules, "uvloop", None)  # its loop is another one
+    monkeypatch.setattr(BaseEventLoop, "call_later", noted)
+    return seconds.__getitem__

@@ -4,17 +4,37 @@ from __future__ import annotations
 
 import asyncio
 import threading
+from collections.abc import Callable
 
+import pytest
 from tests.server.conftest import Between, Connect, Serve
 from tests.server.robot import script
 from tests.server.talk import Talk, eventually
 
 from uoarm.client import connect
 from uoarm.server import Limits, Server
-from uoarm.testing import Background, hold_idle, patience
+from uoarm.server.access import Admission
+from uoarm.testing import Background, hold_idle, patience, wait
 
 CLIENTS = 10
 SELDOM_SECONDS = 0.2
+
+
+def test_a_server_without_clients_looks_twice_a_second(
+    waits: Callable[[str], list[float]], serve: Serve, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    read: list[Admission] = []
+
+    def refresh(admission: Admission) -> None:
+        read.append(admission)
+
+    monkeypatch.setattr(Admission, "refresh", refresh)
+    serve()
+    looks = waits("uoarm-serve")
+    looks.clear()  # those of its start
+    wait(lambda: len(looks) >= 3)
+    assert set(looks) == {0.5}
+    assert not read, "there is no access file"
 
 
 def test_clients_that_wait_cost_hardly_anything(server: Server, talk: Connect) -> None:

@@ -180,14 +180,13 @@ class Server:
             raise
         self._watches = [
             asyncio.ensure_future(_repeat(self._look_after_clients, "looking after the clients")),
-            # Reading and checking a file takes its time; a folder on the network may even hang.
-            asyncio.ensure_future(
-                _repeat(
-                    lambda: asyncio.to_thread(self._admission.refresh), "reading the access file"
-                )
-            ),
-            asyncio.ensure_future(_repeat(self._give_memory_back, "giving memory back")),
         ]
+        if self._settings.access is not None:
+            # Reading and checking a file takes its time; a folder on the network may even hang.
+            reading = _repeat(
+                lambda: asyncio.to_thread(self._admission.refresh), "reading the access file"
+            )
+            self._watches.append(asyncio.ensure_future(reading))
 
     async def stop(self) -> None:
         """Take no more clients, let what waits be written, close properly; bounded in time."""
@@ -395,9 +394,7 @@ class Server:
             if role(client.credentials) != client.role:
                 client.dismiss("its rights have changed or ended; connect again")
             client.check(now)
-
-    async def _give_memory_back(self) -> None:
-        """Have the allocator return, which it does not by itself, what a crowd of clients took."""
+        # Have the allocator return, which it does not by itself, what a crowd of clients took.
         count = len(tuple(self._sockets))
         self._crowd = max(self._crowd, count)
         if self._crowd >= _CROWD and count <= self._crowd / 2:

@@ -62,7 +62,7 @@ async def serve_http(place: HttpPlace, version: str) -> None:
         await asyncio.shield(serving)
     finally:
         service.close()
-        server.should_exit = server.force_exit = True
+        server.end()
         with contextlib.suppress(Exception):
             await asyncio.wait({serving}, timeout=place.backend.limits.stop_seconds / 8)
         serving.cancel()
@@ -299,7 +299,25 @@ class _BoundedProtocol(HttpToolsProtocol):
 
 
 class _QuietServer(uvicorn.Server):
-    """One that leaves the process's signals to the server that it is a part of."""
+    """One that leaves the process's signals to the server that it is a part of.
+
+    And that waits for its end: the library's looks ten times a second whether it has come, to make
+    the head `date` anew, which is not sent here.
+    """
+
+    def __init__(self, config: uvicorn.Config) -> None:
+        super().__init__(config)
+        self._ending = asyncio.Event()
+
+    def end(self) -> None:
+        """Begin to end."""
+        self.should_exit = self.force_exit = True
+        self._ending.set()
+
+    async def main_loop(self) -> None:
+        """Serve until the end; see `uvicorn.Server`."""
+        await self.on_tick(0)
+        await self._ending.wait()
 
     @contextlib.contextmanager
     def capture_signals(self) -> Iterator[None]:
