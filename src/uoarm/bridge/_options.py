@@ -130,18 +130,18 @@ class PeerOptions(EndpointOptions):
     peer: str = option(
         "required",
         {"enum": ["required", "optional"]},
-        "`optional`: available without another end, as for publishing outward",
+        "`optional`: available without another end",
     )
     stale_after: float | None = option(
         None,
         {"type": "number", "exclusiveMinimum": 0, "maximum": 86400},
-        "of an output: seconds without a message after which it is lost; left out: never",
+        "seconds without a message until an output is lost; left out: never",
         unit="s",
     )
     at_once: int = option(
         8,
         {"type": "integer", "minimum": 1, "maximum": 64},
-        "of what is offered: requests or goals that are handled at the same time",
+        "offered requests or goals that are handled at a time",
     )
 
     @property

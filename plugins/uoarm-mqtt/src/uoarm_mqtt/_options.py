@@ -65,13 +65,15 @@ class BrokerOptions(BridgeOptions):
     password_env: str = option(
         "",
         _TEXT,
-        "an environment variable that holds the password, which is never an option itself",
+        "an environment variable that holds the password",
     )
-    password_file: str = option("", _PATH, "a file that holds it")
+    password_file: str = option(
+        "", _PATH, "a file that holds the password, which is never an option itself"
+    )
     plain_password: bool = option(
         False,
         {"type": "boolean"},
-        "whether a password may cross a network without TLS; on loopback it may",
+        "whether a password may cross a network without TLS",
     )
     client_id: str = option(
         "",
@@ -81,20 +83,17 @@ class BrokerOptions(BridgeOptions):
     keepalive: int = option(
         15,
         {"type": "integer", "minimum": 1, "maximum": 65535},
-        "seconds of silence after which the broker is asked; it is given up after twice as many",
+        "seconds of silence until the broker is asked; it is given up after twice as many",
         unit="s",
     )
     grace: float = option(
         30.0,
         _SECONDS,
-        "seconds that a break may last before it is a loss; the broker is asked to keep QoS "
-        "1 and 2 as long",
+        "seconds of a break until it is a loss; the broker is asked to keep QoS 1 and 2 as long",
         unit="s",
     )
     backlog: int = option(1000, _COUNT, "messages of a channel that may wait, each way")
-    max_octets: int = option(
-        1_048_576, _COUNT, "of one payload; this and the next two are checked before it is decoded"
-    )
+    max_octets: int = option(1_048_576, _COUNT, "of one payload")
     max_values: int = option(100_000, _COUNT, "in one payload")
     max_depth: int = option(64, {"type": "integer", "minimum": 1, "maximum": 200}, "of one payload")
 
@@ -157,8 +156,8 @@ class MqttOptions(BrokerOptions):
     presence: AnnouncementOptions | None = option(
         None,
         AnnouncementOptions,
-        "`{topic, online, offline}`: where this bridge announces itself, retained, "
-        "`offline` by its last will",
+        "`{topic, online, offline}`: where this bridge announces itself, retained and by "
+        "its last will",
     )
     structures: Mapping[str, Any] = option(
         {},
@@ -176,13 +175,13 @@ class MqttOptions(BrokerOptions):
     retained_wait: float = option(
         0.2,
         {"type": "number", "minimum": 0, "maximum": 4},
-        "seconds that a retained message may come after the broker has answered",
+        "seconds that a retained message may come after the broker's answer",
         unit="s",
     )
     replies: str = option(
         "uoarm/replies",
         _TEXT,
-        "replies come to this topic, with the client's name as one more level",
+        "topic of replies, with the client's name as one more level",
     )
     discover: DiscoveryOptions = option(
         DiscoveryOptions(), DiscoveryOptions, "`{topics, seconds, most}`, see below"
@@ -210,15 +209,13 @@ class TopicOptions(EndpointOptions):
     retain: bool = option(
         False,
         {"type": "boolean"},
-        "an input: the broker keeps what is sent. An output: new consumers first get the "
-        "last message of each topic, until an empty payload clears it; without it, what is "
-        "retained is ignored",
+        "an input: the broker keeps what is sent. An output: new consumers first get each "
+        "topic's last message; without it, what is retained is ignored",
     )
     share: str = option(
         "",
         {"type": "string", "pattern": "^[^/+#]+$"},
-        "group of a shared subscription, in which each message goes to one member; outputs "
-        "and served functions, without `retain`",
+        "group of a shared subscription, where each message goes to one member; not with `retain`",
     )
     with_topic: bool = option(
         False,
@@ -228,7 +225,7 @@ class TopicOptions(EndpointOptions):
     expiry: int = option(
         0,
         {"type": "integer", "minimum": 0, "maximum": 2**32 - 1},
-        "seconds after which the broker drops what no client has taken; 0: never",
+        "seconds until the broker drops what no client has taken; 0: never",
         unit="s",
     )
     presence: PresenceOptions | None = option(

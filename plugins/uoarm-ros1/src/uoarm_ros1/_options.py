@@ -43,18 +43,18 @@ class Ros1BridgeOptions(BridgeOptions):
     master: str = option(
         "",
         {"type": "string", "pattern": r"^http://[^/@?#\s]+/?$"},
-        "of the ROS master; left out: `ROS_MASTER_URI`, else port 11311 here",
+        "left out: `ROS_MASTER_URI`, else port 11311 here",
     )
     host: str = option(
         "",
         _TEXT,
-        "under which other nodes reach this one; left out: `ROS_HOSTNAME`, `ROS_IP`, else "
-        "this machine's address towards the master",
+        "under which nodes reach this one; left out: `ROS_HOSTNAME`, `ROS_IP`, else the "
+        "address towards the master",
     )
     node: str = option(
         "",
         {"type": "string", "pattern": "^[A-Za-z][A-Za-z0-9_]*$"},
-        "name of the node; two nodes of one name end each other; left out: one that no other has",
+        "two nodes of one name end each other; left out: one that no other has",
     )
     namespace: str = option(
         "",
@@ -80,7 +80,7 @@ class Ros1BridgeOptions(BridgeOptions):
     silence: float = option(
         5.0,
         _PERIOD,
-        "seconds without a message after which a publisher is asked whether it lives",
+        "seconds without a message until a publisher is asked whether it lives",
         unit="s",
     )
     use_sim_time: bool = option(
@@ -130,31 +130,31 @@ class Ros1Options(PeerOptions):
     wait: float | None = option(
         None,
         {**_SECONDS, "maximum": 86400},
-        "seconds to wait for the other end; left out: as the bridge does",
+        "seconds to wait for the other end; left out: as the bridge",
         unit="s",
     )
     node: str = option(
         "",
         {"type": "string", "pattern": f"^{_GRAPH_NAME}$"},
-        "of an output the one node whose messages are taken, of an input one that must "
-        "subscribe; left out: all",
+        "of an output the one node that is read, of an input one that must subscribe; left "
+        "out: all",
     )
     latch: int = option(
         0,
         {"type": ["boolean", "integer"], "minimum": 0, "maximum": 1000},
-        "of an input: how many of the last messages each new subscriber gets, as for "
-        "`/tf_static`; `true`: the last one",
+        "of an input: how many last messages a new subscriber gets, as of `/tf_static`; "
+        "`true`: one",
     )
     queue: int = option(
         100,
         {"type": "integer", "minimum": 1, "maximum": 100_000},
-        "of an input: messages that may wait for one subscriber; then the oldest are "
-        "dropped and counted",
+        "of an input: messages that may wait for a subscriber; then the oldest are dropped "
+        "and counted",
     )
     nodelay: bool = option(
         True,
         {"type": "boolean"},
-        "of an output: the publisher is asked to send small messages at once",
+        "of an output: the publisher is asked not to delay small messages",
     )
     definition: str = option("", _TEXT, "the text of the type, where no peer says it")
 

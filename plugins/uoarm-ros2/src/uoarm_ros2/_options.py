@@ -62,9 +62,7 @@ class Ros2BridgeOptions(BridgeOptions):
         {"type": "string", "pattern": "^[A-Za-z_][A-Za-z0-9_]*$"},
         "name of the bridge's node; left out: `uoarm_` and the bridge's name",
     )
-    namespace: str = option(
-        "", {"type": "string"}, "of the bridge's node; relative names are resolved in it"
-    )
+    namespace: str = option("", {"type": "string"}, "of the bridge's node, and of relative names")
     definitions: tuple[str, ...] = option(
         (),
         {
@@ -72,19 +70,18 @@ class Ros2BridgeOptions(BridgeOptions):
             "items": {"type": "string", "minLength": 1, "x-uoarm-path": True},
             "maxItems": 64,
         },
-        "folders of `.msg` files for message types that are not installed",
+        "folders of `.msg` files for types that are not installed",
     )
     wait: float = option(
         _WAIT_SECONDS,
         _SECONDS,
-        "seconds to wait for the other end; the graph counts as formed that long after the start",
+        "seconds to wait for the other end, and after the start for the graph",
         unit="s",
     )
     shared_memory: int | None = option(
         None,
         {"type": "integer", "minimum": 1, "maximum": 1024},
-        "MiB of shared memory for readers on this machine; left out: half a MiB, less than "
-        "one picture",
+        "MiB of shared memory for readers on this machine; left out: half a MiB",
     )
     settle: float = option(
         0.05, _SECONDS, "seconds given to a matched publisher to match us in turn", unit="s"
@@ -136,20 +133,20 @@ class Ros2Options(PeerOptions):
     stale_after: float | None = option(
         None,
         {"type": "number", "exclusiveMinimum": 0},
-        "seconds without a message after which it is lost; left out: three times the "
-        "`deadline` that every publisher offers, a second at least",
+        "seconds without a message until it is lost; left out: three times the `deadline` "
+        "of every publisher, a second at least",
         unit="s",
     )
     node: str = option(
         "",
         {"type": "string", "pattern": f"^({_GRAPH_NAME})?$", "examples": ["/camera"]},
-        "the node behind the component; left out: the component's name",
+        "the node behind the component; left out: of the component's name",
     )
     activate: bool | str = option(
         False,
         {"enum": [False, True, "keep"]},
-        "of a lifecycle node, `true`: active while something of the component is open; "
-        "`keep`: also when another client has deactivated it",
+        "`true`: a lifecycle node is active while the component is in use; `keep`: also "
+        "when another client deactivates it",
     )
     afterwards: str = option(
         "deactivate",

@@ -77,7 +77,7 @@ class QosOptions(EndpointOptions):
     history: str = option(
         "keep_last",
         {"enum": ["keep_last", "keep_all"]},
-        "or `keep_all`: the sender waits for slow readers, while else the oldest message gives way",
+        "or `keep_all`: the sender waits for slow readers; else the oldest message gives way",
     )
     depth: int | None = option(
         None,
@@ -87,7 +87,7 @@ class QosOptions(EndpointOptions):
     deadline: float | str | None = option(
         "auto",
         _AUTO_SECONDS,
-        "seconds within which each message follows the last one; null: none",
+        "seconds until the next message must come; null: none",
         unit="s",
     )
     lifespan: float | None = option(
@@ -104,7 +104,7 @@ class QosOptions(EndpointOptions):
     lease_duration: float | str | None = option(
         "auto",
         _AUTO_SECONDS,
-        "seconds without a sign of life after which a publisher is lost; null: none",
+        "seconds without a sign of life until a publisher is lost; null: none",
         unit="s",
     )
 

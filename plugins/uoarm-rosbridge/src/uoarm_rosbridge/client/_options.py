@@ -72,14 +72,11 @@ class ClientOptions(BridgeOptions):
     tls: TlsOptions | None = option(
         None, TlsOptions, "`{ca, certificate, key}`, files in PEM; left out: as the system trusts"
     )
-    token_file: str = option(
-        "", _FILE, "a file whose line is shown as a bearer token, as `uoarm serve` takes it"
-    )
+    token_file: str = option("", _FILE, "a file whose line is shown as a bearer token")
     auth: AuthenticationOptions | None = option(
         None,
         AuthenticationOptions,
-        "`{secret_file, client, dest, level}`: the operation `auth` of rosauth, first on "
-        "each connection",
+        "`{secret_file, client, dest, level}`: `auth` of rosauth, first on each connection",
     )
     plain_secrets: bool = option(
         False,
@@ -89,7 +86,7 @@ class ClientOptions(BridgeOptions):
     compression: str = option(
         "cbor",
         {"enum": [*_COMPRESSIONS]},
-        "`cbor-raw`: messages come as ROS serialised them, for pictures; `none`: as JSON",
+        "`cbor-raw`: as ROS serialised them, for pictures; `none`: as JSON",
     )
     wait: float = option(3.0, _SECONDS, "seconds to wait for an answer of rosapi", unit="s")
     check: float = option(
@@ -101,13 +98,13 @@ class ClientOptions(BridgeOptions):
     grace: float = option(
         5.0,
         _SECONDS,
-        "seconds that the connection may be away before everything behind it is lost",
+        "seconds of a break until everything behind it is lost",
         unit="s",
     )
     silence: float = option(
         10.0,
         {"type": "number", "minimum": 0.5, "maximum": 3600},
-        "seconds without an answer to a ping until the server counts as lost",
+        "seconds without an answer to a ping until the server is lost",
         unit="s",
     )
     max_octets: int = option(16_777_216, _COUNT, "of one message that comes")
@@ -178,13 +175,13 @@ class Port(PeerOptions):
     queue: int = option(
         100,
         {"type": "integer", "minimum": 1, "maximum": 100_000},
-        "messages that may wait here for one consumer; then the oldest are dropped and counted",
+        "messages that may wait for a consumer; then the oldest are dropped and counted",
     )
     latch: bool = option(
         False,
         {"type": "boolean"},
-        "of an input: the server keeps the last message for later subscribers. Of an "
-        "output: new consumers first get the last message, as of a map",
+        "of an input: the server keeps the last message. Of an output: new consumers get "
+        "the last message first",
     )
     compression: str | None = option(
         None,
