@@ -21,6 +21,8 @@ TESTS = Path(__file__).parents[1]
 class HostedWorld(World):
     """The components of the in-process suite, and two that are driven through a file."""
 
+    runs_code = True
+
     def __init__(self, folder: Path) -> None:
         self._folder = folder
 

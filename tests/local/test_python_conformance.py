@@ -18,6 +18,8 @@ HERE = Path(__file__).parent
 class PythonWorld(World):
     """The classes and functions of `parts.py`."""
 
+    runs_code = True
+
     def __init__(self) -> None:
         self._killed = [threading.Event() for _ in range(2)]
         self._released = threading.Event()

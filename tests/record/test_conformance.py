@@ -63,7 +63,9 @@ class WrittenBridge(RecordingBridge):
         return super()._describe(endpoint)
 
     def _open_sink(self, endpoint: Endpoint, structure: MessageStructure) -> Sink:
-        form = self._world.forms[endpoint.address[0]]
+        form = self._world.forms.get(endpoint.address[0])
+        if form is None:
+            raise BridgeError(f"{endpoint} is not written", FailureReason.NOT_FOUND)
         return Sink(endpoint, lambda message: self._world.write(form, message), lambda: None)
 
 

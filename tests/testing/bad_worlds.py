@@ -8,7 +8,7 @@ from collections.abc import Callable
 from typing import Any
 
 from attrs import frozen
-from tests.testing.test_memory_conformance import OPTIONS, MemoryWorld
+from tests.testing.test_memory_conformance import OPTIONS, MemoryWorld, check
 
 from uoarm.bridge import Bridge, BridgeType, Delivery, HealthEvent, Registry, Sink, Source
 from uoarm.model import Deliver, Endpoint, Health, Message, MessageStructure, Options
@@ -49,9 +49,7 @@ class BadWorld(MemoryWorld):
         self.ended = threading.Event()
         self.leaks: list[tuple[int, int]] = []
         self.bridges: list[MemoryBridge] = []
-        self.declared = BridgeType(
-            "memory", "for tests", self.create, OPTIONS, _check_address, contract=2
-        )
+        self.declared = BridgeType("memory", "for tests", self.create, OPTIONS, check, contract=2)
         if spoil.__name__.startswith("declares"):
             spoil(self, None)  # type: ignore[arg-type] # before there is a bridge
 
@@ -103,10 +101,6 @@ class Bug:
     caught: Callable[..., None]
     says: str
     pair: str = "byte"
-
-
-def _check_address(address: tuple[str, ...], options: Options) -> str:
-    return "" if len(address) == 1 else "expected one name"
 
 
 def step(name: str, replace: Callable[[BadWorld, MemoryBridge, Any], Any]) -> Spoil:

@@ -19,6 +19,8 @@ from tests.testing.bad_bridges import BUGS
 from tests.testing.bad_descriptions import declares
 from tests.testing.bad_endings import joins_its_delivery, queued
 from tests.testing.bad_messages import loses_the_first
+from tests.testing.bad_moments import reports_under_a_lock
+from tests.testing.bad_services import CALL_BUGS, noting_breaks
 from tests.testing.bad_worlds import (
     BLOCKING,
     CLOSING,
@@ -35,9 +37,9 @@ from tests.testing.bad_worlds import (
     step,
 )
 
-from uoarm.bridge import Bridge, Description, Discovered, HealthEvent, Registry, Source
+from uoarm.bridge import Bridge, Description, Discovered, Registry, Source
 from uoarm.errors import UoarmError
-from uoarm.model import Endpoint, Health, Message, Role
+from uoarm.model import Endpoint, Message, Role
 from uoarm.testing import MemoryBridge
 from uoarm.testing._time import default_limits
 from uoarm.testing.conformance import BridgeConformance, World
@@ -78,6 +80,7 @@ _OF_THE_MEMORY = {
     "makes one call at a time",
     "waits in closing for the delivery that closes",
     "says that it is drained while messages wait",
+    "reports under a lock that its facts take",
 }
 """Bugs that are made of what only the memory bridge has; below are others of their kind."""
 
@@ -116,23 +119,8 @@ def _ghost(world: Any, bridge: Any, discover: Any) -> Any:
     return lambda: (*discover(), Discovered("ghost", ((endpoint, Description()),)))
 
 
-def _noting_breaks(bridge: Any) -> threading.Event:
-    """Return what is set while the bridge has reported a break to its one listener."""
-    broken, watch = threading.Event(), bridge.watch
-
-    def watched(listener: Callable[[HealthEvent], None]) -> None:
-        def notice(event: HealthEvent) -> None:
-            (broken.clear if event.health is Health.OK else broken.set)()
-            listener(event)
-
-        watch(notice)
-
-    bridge.watch = watched
-    return broken
-
-
 def _closes_once_mended(world: Any, bridge: Any) -> None:
-    broken = _noting_breaks(bridge)
+    broken = noting_breaks(bridge)
 
     def change(_: Any, __: Any, made: Source) -> None:
         def close() -> None:
@@ -146,7 +134,7 @@ def _closes_once_mended(world: Any, bridge: Any) -> None:
 
 
 def _opens_for_nothing(world: Any, bridge: Any) -> None:
-    broken, opens = _noting_breaks(bridge), bridge._open_source
+    broken, opens = noting_breaks(bridge), bridge._open_source
     bridge._open_source = lambda endpoint, *more: (
         Source(endpoint, lambda: None) if broken.is_set() else opens(endpoint, *more)
     )
@@ -212,6 +200,7 @@ def _needs_what_it_does_not_require(world: Any) -> Any:
 
 GENERAL: tuple[Bug, ...] = (
     *(bug for bug in BUGS if bug.name not in _OF_THE_MEMORY),
+    *CALL_BUGS,
     Bug(
         MESSAGES,
         "cuts texts after 255 characters",
@@ -269,6 +258,13 @@ GENERAL: tuple[Bug, ...] = (
         step("_discover", _ghost),
         Describing.test_discovered_components_can_be_described,
         "ghost",
+    ),
+    Bug(
+        LINKS,
+        "reports a break under a lock that its facts take",
+        reports_under_a_lock,
+        Breaking.test_a_break_is_reported_of_an_output_that_is_open_alone,
+        "it was not reported",
     ),
     Bug(
         LINKS,

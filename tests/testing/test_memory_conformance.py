@@ -53,6 +53,8 @@ OPTIONS: dict[str, Any] = {
 class MemoryWorld(World):
     """Loops, emitters to be killed, and three services, made anew on every bridge."""
 
+    runs_code = True
+
     def __init__(self) -> None:
         self._made: MemoryBridge | None = None
         self._hang = Hang()
@@ -64,8 +66,8 @@ class MemoryWorld(World):
 
     def registry(self) -> Registry:
         made = Registry([])
-        check = lambda address, _: "" if len(address) == 1 else "expected one name"  # noqa: E731
-        made.add(BridgeType("memory", "for tests", self.create, OPTIONS, check, contract=2))
+        declared = BridgeType("memory", "for tests", self.create, OPTIONS, check, contract=2)
+        made.add(declared)
         return made
 
     def create(self, name: str, options: Options) -> Bridge:
@@ -150,6 +152,13 @@ class MemoryWorld(World):
 
     def _hold(self, _: Any) -> Any:
         self._hang.wait()
+
+
+def check(address: tuple[str, ...], options: Options) -> str:
+    """Say what is wrong with an address or its options."""
+    if options:
+        return f"there are no options, got {list(options)}"
+    return "" if len(address) == 1 else "expected one name"
 
 
 def at(name: str, role: Role) -> Endpoint:

@@ -219,6 +219,14 @@ BUGS: tuple[Bug, ...] = (
         "a break was not reported",
     ),
     Bug(
+        "says nothing of a broker that is killed while an output is open alone",
+        _link.BrokerConnection,
+        "_down",
+        nothing,
+        Breaking.test_a_break_is_reported_of_an_output_that_is_open_alone,
+        "it was not reported",
+    ),
+    Bug(
         "drops what is sent while the broker is away",
         _channels.MqttSink,
         "_send",

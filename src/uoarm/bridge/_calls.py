@@ -42,6 +42,9 @@ class CallsUnderWay:
         self._early: dict[int, None] = {}
         self._here = _Here()
 
+    def __len__(self) -> int:
+        return len(self._calls)
+
     def begin(self, call: CallUnderWay) -> CallUnderWay | None:
         """List a call in this thread; return the one that this thread is in already.
 

@@ -9,7 +9,10 @@ from typing import Protocol, cast, runtime_checkable
 
 from uoarm.model import Deliver, Message
 
-__all__ = ["Delivery", "Gate"]
+__all__ = ["UNSAID", "Delivery", "Gate"]
+
+UNSAID = "it cannot be read"
+"""Why a message cannot be read of which a bridge does not say why."""
 
 _TURN_SECONDS = 0.05
 _WHY_LENGTH = 1000
@@ -109,7 +112,7 @@ class Gate:
         with self._turn:
             if not self._is_shut:
                 self.unread += 1
-                self.refusal = why[:_WHY_LENGTH] or "it cannot be read"
+                self.refusal = why[:_WHY_LENGTH] or UNSAID
                 if self._delivery is not None:
                     self._delivery.unreadable(self.refusal)
 

@@ -107,10 +107,9 @@ class DeclaredOptions:
         """
 
 
+@attrs.frozen
 class EndpointOptions(DeclaredOptions):
-    """The options of one endpoint."""
-
-    __slots__ = ()
+    """The options of one endpoint. The class itself has none, and so refuses any."""
 
     @classmethod
     def of_endpoint(cls, endpoint: Endpoint) -> Self:

@@ -22,6 +22,7 @@ from uoarm.bridge import (
     Channel,
     Description,
     Discovered,
+    EndpointOptions,
     ServiceStructures,
     Sink,
     Source,
@@ -371,6 +372,7 @@ def uoarm_bridge_types() -> list[BridgeType]:
             summary="plain Python functions, generators and classes, in this process",
             create=PythonBridge,
             bridge_options=PythonOptions,
+            endpoint_options=EndpointOptions,  # it has none
             check_endpoint=_check_endpoint,
             check_parameters=_check_parameters,
             describe=_describe_here,

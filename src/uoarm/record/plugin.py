@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from attrs import frozen
 
-from uoarm.bridge import Bridge, BridgeOptions, BridgeType, hookimpl, option
+from uoarm.bridge import Bridge, BridgeOptions, BridgeType, EndpointOptions, hookimpl, option
 from uoarm.model import Options
 
 __all__ = ["PlaybackOptions", "uoarm_bridge_types"]
@@ -72,6 +72,7 @@ def uoarm_bridge_types() -> list[BridgeType]:
             summary="channels of MCAP files and of bags of ROS, played again",
             create=_create,
             bridge_options=PlaybackOptions,
+            endpoint_options=EndpointOptions,  # it has none
             topic=_topic,
             contract=2,
         )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection
+from collections.abc import Collection, Iterator, Mapping
 from typing import Any
 
 import pytest
@@ -12,11 +12,13 @@ from jsonschema import Draft202012Validator
 
 from uoarm.bridge import CONTRACT_VERSION, Bridge, BridgeType
 from uoarm.errors import BridgeError, ConfigurationError, FailureReason
-from uoarm.model import BridgeSpec
-from uoarm.testing.conformance._world import World, example_of, rules, structure_of
+from uoarm.model import BridgeSpec, Role
+from uoarm.testing._resources import Census
+from uoarm.testing.conformance._world import World, example_of, line, rules, structure_of
 
 __all__ = ["Declaring", "Describing"]
 
+_FAILURES = 5
 _ABSENT = (FailureReason.NOT_FOUND, FailureReason.UNAVAILABLE)
 _REFUSED = (*_ABSENT, FailureReason.BAD_ENDPOINT)
 _ODD: tuple[Any, ...] = (None, True, -1, 0.5, "no such value", [None], {"no such": "thing"})
@@ -42,6 +44,17 @@ class Describing:
             first, again = bridge.describe(endpoint), bridge.describe(endpoint)
             assert first == again, f"{endpoint} was described by {first}, then by {again}"
 
+    def test_describing_says_the_same_while_messages_pass(
+        self, world: World, bridge: Bridge, kind: str
+    ) -> None:
+        pair = world.pair(kind)
+        before = [bridge.describe(endpoint) for endpoint in (pair.sink, pair.source)]
+        with line(world, bridge, kind) as through:
+            through.carries(through.example())
+            for endpoint, first in zip((pair.sink, pair.source), before, strict=True):
+                again = bridge.describe(endpoint)
+                assert first == again, f"{endpoint} was described by {first}, then by {again}"
+
     def test_what_is_not_there_is_named(self, world: World, bridge: Bridge) -> None:
         endpoint = world.missing()
         with pytest.raises(BridgeError) as caught:
@@ -53,10 +66,35 @@ class Describing:
 
     def test_what_is_not_there_does_not_open(self, world: World, bridge: Bridge, kind: str) -> None:
         structure = structure_of(bridge, world.pair(kind), incoming=False)
+        missing = world.missing()
         with pytest.raises(BridgeError) as caught:
-            bridge.open_source(world.missing(), structure, lambda _: None)
+            bridge.open_source(missing, structure, lambda _: None)
         _hold_reason(caught.value, _ABSENT)
+        with pytest.raises(BridgeError) as caught:
+            bridge.open_sink(evolve(missing, role=Role.INPUT), structure)
+        _hold_reason(caught.value, _REFUSED)  # its address may say that it is an output
         assert bridge.open_channels == 0
+
+    def test_what_does_not_open_leaves_nothing_behind(
+        self, world: World, bridge: Bridge, kind: str
+    ) -> None:
+        structure = structure_of(bridge, world.pair(kind), incoming=False)
+        missing = world.missing()
+
+        def fail() -> None:
+            for step in (
+                lambda: bridge.describe(missing),
+                lambda: bridge.open_source(missing, structure, lambda _: None),
+                lambda: bridge.open_sink(evolve(missing, role=Role.INPUT), structure),
+            ):
+                with pytest.raises(BridgeError):
+                    step()
+
+        fail()
+        census = Census()
+        for _ in range(_FAILURES):
+            fail()
+        census.check(world.patience)
 
     def test_an_address_without_parts_is_refused(
         self, world: World, bridge: Bridge, kind: str
@@ -145,6 +183,28 @@ class Declaring:
             else:
                 raise AssertionError(f"the option {name!r} takes whatever it is given")
 
+    def test_an_option_of_a_port_that_is_not_known_is_refused(
+        self, world: World, declared: BridgeType, kind: str
+    ) -> None:
+        pair = world.pair(kind)
+        for endpoint in (pair.sink, pair.source):
+            options = {**endpoint.options, "no_such_option": 1}
+            if declared.endpoint_options is not None:
+                with pytest.raises(ValueError, match="no_such_option"):
+                    declared.endpoint_options.of(options)
+                continue
+            check = declared.check_endpoint
+            wrong = "" if check is None else check(endpoint.address, options)
+            assert wrong, "it is taken: declare `endpoint_options`, or have `check_endpoint` say so"
+
+    def test_each_default_is_what_may_be_written(self, declared: BridgeType) -> None:
+        kind = declared.endpoint_options
+        for schema in (declared.options_schema, {} if kind is None else kind.schema()):
+            for name, known in _known_options(schema):
+                if "default" in known:
+                    found = list(Draft202012Validator(known).iter_errors(known["default"]))
+                    assert not found, f"{name}: its default is refused: {found[0].message}"
+
     def test_an_option_that_is_required_is_missed(
         self, world: World, spec: BridgeSpec, declared: BridgeType
     ) -> None:
@@ -174,6 +234,16 @@ class Declaring:
         pair = world.pair(kind)
         for endpoint in (pair.sink, pair.source):
             assert check(endpoint.address, endpoint.options) == ""
+
+
+def _known_options(schema: Any, at: str = "") -> Iterator[tuple[str, Any]]:
+    """Yield the options that a schema describes, those within others too, by their paths."""
+    if isinstance(schema, Mapping):
+        for name, known in schema.get("properties", {}).items():
+            yield f"{at}{name}", known
+            yield from _known_options(known, f"{at}{name}.")
+        for part in ("additionalProperties", "items"):
+            yield from _known_options(schema.get(part), at)
 
 
 def _create(world: World, spec: BridgeSpec) -> Bridge:

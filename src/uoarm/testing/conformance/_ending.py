@@ -11,13 +11,13 @@ from typing import ClassVar
 
 import pytest
 
-from uoarm.bridge import Bridge, Channel
+from uoarm.bridge import Bridge, Channel, HealthEvent
 from uoarm.errors import BridgeError, FailureReason, UoarmError
-from uoarm.model import Endpoint, Message
+from uoarm.model import Endpoint, Health, Message
 from uoarm.testing._collector import Background, Collector
 from uoarm.testing._resources import ResourceSnapshot
 from uoarm.testing._time import wait
-from uoarm.testing.conformance._world import World, line, rules, structure_of
+from uoarm.testing.conformance._world import World, example_of, line, rules, structure_of
 
 __all__ = ["EndingRules"]
 
@@ -122,6 +122,37 @@ class EndingRules:
             # Before the sink is closed: what began may be an earlier message, come late.
             sending.result(world.patience)
 
+    def test_a_bridge_closes_while_a_delivery_is_held_up(self, world: World, kind: str) -> None:
+        bridge, pair, collector = world.bridge(), world.pair(kind), Collector()
+        structure = structure_of(bridge, pair, incoming=False)
+        bridge.open_source(pair.source, structure, collector.deliver)
+        sink = bridge.open_sink(pair.sink, structure_of(bridge, pair, incoming=True))
+        with collector.held():
+            sending = Background(lambda: sink.send(example_of(structure)))
+            collector.wait_begun(1, world.patience)
+            Background(bridge.close).result(world.patience)
+        with suppress(BridgeError):  # the sink was closed under it
+            sending.result(world.patience)
+
+    def test_what_is_well_and_what_is_closed_in_order_is_reported_as_no_fault(
+        self, world: World, bridge: Bridge, kind: str
+    ) -> None:
+        """The input may miss its last receiver; nothing is wrong with an output that is closed."""
+        faults: list[HealthEvent] = []
+        ignored: list[Channel] = []
+
+        def listen(event: HealthEvent) -> None:
+            if event.health is not Health.OK and event.channel not in ignored:
+                faults.append(event)
+
+        with line(world, bridge, kind) as through:
+            bridge.watch(listen)
+            through.carries(through.example())
+            ignored.append(through.sink)
+            through.source.close()
+            bridge.watch(None)
+        assert not faults, f"nothing was wrong, and this was reported: {faults}"
+
     def test_a_closed_bridge_refuses_everything(self, world: World, kind: str) -> None:
         bridge, pair = world.bridge(), world.pair(kind)
         structure = structure_of(bridge, pair, incoming=True)
@@ -218,6 +249,24 @@ class EndingRules:
 
         text = "the bridge still holds what a closed channel delivered to, or called"
         wait(are_gone, text, world.patience)
+
+    def test_no_thread_and_no_descriptor_of_a_channel_outlives_it(
+        self, world: World, bridge: Bridge, kind: str
+    ) -> None:
+        """While its bridge lives, which opens channels for as long as a robot runs."""
+        with line(world, bridge, kind) as lasting:
+            lasting.carries(lasting.example())
+
+            def cycle() -> None:
+                with line(world, bridge, kind) as through:
+                    through.carries(through.example())
+
+            for _ in range(_CYCLES):  # until pools of threads, also those of the world, are full
+                cycle()
+            census = Census()
+            for _ in range(_CYCLES):
+                cycle()
+            census.check(world.patience)
 
     def test_no_thread_and_no_descriptor_stays_behind(self, world: World) -> None:
         def cycle() -> None:

@@ -4,19 +4,21 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import closing, contextmanager, suppress
 from functools import partial
 
 import pytest
 
 from uoarm.bridge import Bridge, Channel, HealthEvent, Sink
-from uoarm.errors import BridgeError, UoarmError
+from uoarm.bridge._gate import UNSAID
+from uoarm.errors import BridgeError, FailureReason, UoarmError
 from uoarm.model import Endpoint, Health, Message
 from uoarm.testing._collector import Background, Collector, same
 from uoarm.testing._time import wait
 from uoarm.testing.conformance._world import (
     Line,
     World,
+    examples_of_service,
     hold_bridge_idle,
     line,
     rules,
@@ -26,6 +28,7 @@ from uoarm.testing.conformance._world import (
 __all__ = ["Breaking", "DisturbanceRules", "HealthLog"]
 
 _AGAIN = 3
+_SHORT_SECONDS = 0.5
 
 
 class HealthLog:
@@ -34,7 +37,12 @@ class HealthLog:
     def __init__(self, world: World, bridge: Bridge) -> None:
         self.patience = world.patience
         self.events: list[HealthEvent] = []
-        bridge.watch(self.events.append)
+        bridge.watch(self._take)
+
+    def _take(self, event: HealthEvent) -> None:
+        # Facts may be asked for from any thread, so also from the one that reports.
+        _ = None if event.channel is None else event.channel.facts()
+        self.events.append(event)
 
     def of(self, endpoint: Endpoint, channel: Channel | None = None) -> list[HealthEvent]:
         """Return what concerns an endpoint: its channel, its component, or the whole bridge."""
@@ -64,7 +72,7 @@ class HealthLog:
 @contextmanager
 def _broken(world: World) -> Iterator[None]:
     """Break the world for a while, or skip the test where it cannot be broken."""
-    if not world.broken():
+    if not Background(world.broken).result(world.patience):
         pytest.skip("nothing in this world can be broken and mended")
     try:
         yield
@@ -86,9 +94,69 @@ class Breaking:
                 event = _worse(log, through)
                 assert event.cause, f"{event} has no cause"
                 hold_bridge_idle(world, bridge, "while the link is broken")
+                early = [item for item in _about(log, through) if item.health is Health.OK]
+                assert not early, f"it was reported to be well while it was broken: {early}"
             if event.health is Health.DEGRADED:
                 log.wait(*_end(log, through), lambda item: item.health in {Health.OK, Health.LOST})
             _once(log)
+
+    def test_a_break_is_reported_of_an_output_that_is_open_alone(
+        self, world: World, bridge: Bridge, kind: str
+    ) -> None:
+        """Nothing is sent to it that could fail: without a report its silence goes unnoticed."""
+        log, pair = HealthLog(world, bridge), world.pair(kind)
+        structure = structure_of(bridge, pair, incoming=False)
+        source = bridge.open_source(pair.source, structure, lambda _: None)
+        try:
+            with _broken(world):
+                log.wait(pair.source, source, lambda item: item.health is not Health.OK)
+        finally:
+            with suppress(BridgeError):  # it may have been lost
+                source.close()
+
+    def test_what_is_asked_while_it_is_broken_ends_in_words(
+        self, world: World, bridge: Bridge, kind: str
+    ) -> None:
+        """It may be answered, too: from what the bridge knows, or by what is not broken."""
+        log, pair, served = HealthLog(world, bridge), world.pair(kind), world.served()
+        limit = world.patience
+        with line(world, bridge, kind) as through, _broken(world):
+            _worse(log, through)
+            asked: list[Callable[[], object]] = [
+                lambda: bridge.describe(pair.source, timeout=limit),
+                lambda: through.sink.drain(_SHORT_SECONDS),
+            ]
+            if served is not None:
+                endpoint, request = served.endpoint, served.request
+                asked.append(lambda: bridge.call(endpoint, request, timeout=_SHORT_SECONDS))
+            for ask in asked:
+                _hold_refused_in_words(ask, limit)
+
+    def test_a_served_function_answers_again_once_it_is_mended(
+        self, world: World, bridge: Bridge, kind: str
+    ) -> None:
+        places, log = world.servable(), HealthLog(world, bridge)
+        if places is None:
+            pytest.skip("the bridge does not serve")
+        offered, called = places
+        replies: list[Message] = []
+        serving = closing(bridge.serve(offered, lambda _: replies[0]))
+        with serving as channel, line(world, bridge, kind) as through:
+            request, reply = examples_of_service(bridge, called)
+            replies.append(reply)
+            with _broken(world):
+                is_lost = _worse(log, through).health is Health.LOST
+            if is_lost or any(item.health is Health.LOST for item in log.of(offered, channel)):
+                return  # what was lost is served anew by the manager
+            _well(log, through)
+
+            def answers() -> bool:
+                try:
+                    return same(bridge.call(called, request, timeout=_SHORT_SECONDS), reply)
+                except BridgeError:
+                    return False
+
+            wait(answers, f"{offered} is not served again", world.patience)
 
     def test_messages_pass_again_once_it_is_mended_each_once(
         self, world: World, bridge: Bridge, kind: str
@@ -158,6 +226,16 @@ class Breaking:
             through.send(through.example())
             collector.wait(1, world.patience)
             source.close()
+
+
+def _hold_refused_in_words(ask: Callable[[], object], limit: float) -> None:
+    """Hold that a step ends, with whatever it returns or with a refusal of the bridge's own."""
+    try:
+        Background(ask).result(limit + _SHORT_SECONDS)
+    except BridgeError as error:
+        if error.reason is FailureReason.RAISED:
+            text = f"{error} came by itself, and not of the bridge"
+            raise AssertionError(text) from error
 
 
 def _worse(log: HealthLog, through: Line) -> HealthEvent:
@@ -315,8 +393,10 @@ class DisturbanceRules:
                 world.patience,
             )
             assert not through.collector.messages, "the payload was delivered"
+            why = through.source.refusal.replace(UNSAID, "")
             through.carries(through.example())
             assert len(through.collector.messages) == 1, "the payload was delivered"
+            assert why, "it was not said why: `deliver.unreadable(why)`"
             assert through.source.unreadable == 1, "it was said of a message that can be read"
             lost = [event for event in report.events if event.health is Health.LOST]
             assert not lost, f"one payload ended the channel: {lost}"
@@ -354,12 +434,19 @@ class DisturbanceRules:
     def test_a_delivery_that_lasts_does_not_stop_others(
         self, world: World, bridge: Bridge, kind: str
     ) -> None:
-        """Another channel still opens and describes while one consumer is stuck."""
+        """What is asked of the bridge and of its channels is answered meanwhile."""
+        asked: list[Callable[[], object]] = [
+            bridge.facts,
+            lambda: bridge.describe(world.pair(kind).sink),
+        ]
+        if bridge.capabilities.discover:
+            asked.append(bridge.discover)
         with line(world, bridge, kind) as stuck, stuck.collector.held():
             sending = Background(lambda: stuck.send(stuck.example()))
             stuck.collector.wait_begun(1, world.patience)
             try:
-                Background(lambda: bridge.describe(world.pair(kind).sink)).result(world.patience)
+                for ask in (*asked, stuck.source.facts, stuck.sink.facts):
+                    Background(ask).result(world.patience)
             finally:
                 stuck.source.close()
         sending.result(world.patience)

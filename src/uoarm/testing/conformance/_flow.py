@@ -5,6 +5,7 @@ Calls come back, fail and end in time; served functions and links can be reached
 
 from __future__ import annotations
 
+import threading
 from functools import partial
 from typing import Any, ClassVar
 
@@ -13,14 +14,15 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from uoarm.bridge import Bridge
-from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason
-from uoarm.model import Message
+from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, MessageError
+from uoarm.model import Endpoint, Message
 from uoarm.testing._collector import Background, Collector, same
 from uoarm.testing._instances import instances
+from uoarm.testing._time import wait
 from uoarm.testing.conformance._world import (
     Served,
     World,
-    example_of,
+    examples_of_service,
     find_other_type,
     hold_bridge_idle,
     hold_idle_between,
@@ -155,9 +157,11 @@ class Flow:
     def test_two_receivers_get_the_same(self, world: World, bridge: Bridge, kind: str) -> None:
         with line(world, bridge, kind) as first, line(world, bridge, kind) as second:
             world.await_receivers(kind, 2)
-            first.send(first.example())
-            for receiver in (first, second):
-                receiver.collector.wait(1, world.patience)
+            for count in (1, 2):  # what comes twice comes before the second
+                first.send(first.example())
+                for receiver in (first, second):
+                    came = receiver.collector.wait(count, world.patience)
+                    assert len(came) == count, f"{count} were sent, {len(came)} came"
 
     def test_what_waits_takes_hardly_any_processor_time(self, world: World, bridge: Bridge) -> None:
         """Before the first message, while few pass, after them, and after channels were closed."""
@@ -171,6 +175,14 @@ class Flow:
             hold_bridge_idle(world, bridge, "after channels were closed")
 
 
+def _places_of_service(world: World) -> tuple[Endpoint, Endpoint]:
+    """Return where a function can be served and called, or skip the test."""
+    places = world.servable()
+    if places is None:
+        pytest.skip("the bridge does not serve")
+    return places
+
+
 _CALLERS = 8
 _SHORT_SECONDS = 0.5
 _FAILING_SECONDS = 2.0  # a framework without a form for failures lets the caller wait
@@ -179,6 +191,8 @@ _FAILING_SECONDS = 2.0  # a framework without a form for failures lets the calle
 @rules("the-steps")
 class ServiceRules:
     """`call`, `serve` and `link`."""
+
+    kinds: ClassVar[tuple[str, ...]] = ()
 
     @pytest.fixture
     def served(self, world: World) -> Served:
@@ -235,6 +249,18 @@ class ServiceRules:
         )
         assert same(reply, served.reply), f"the reply is {reply!r}, expected {served.reply!r}"
 
+    def test_a_call_that_is_late_ends_in_the_bridge_too(
+        self, world: World, bridge: Bridge, served: Served
+    ) -> None:
+        """The core gives it up at once; its thread stays as long as `_call` does."""
+        silent = served.silent
+        if silent is None or world.runs_code:
+            pytest.skip("nothing ends a call to a service that is silent in this world")
+        with pytest.raises(BridgeTimeoutError):
+            bridge.call(silent, served.request, timeout=_SHORT_SECONDS)
+        under_way = bridge._pending_calls  # noqa: SLF001 - which steps run is the core's
+        wait(lambda: not len(under_way), "`_call` goes on after its timeout", world.patience)
+
     def test_what_the_bridge_cannot_do_is_refused(self, world: World, bridge: Bridge) -> None:
         endpoint = world.missing()
         able = bridge.capabilities
@@ -251,10 +277,7 @@ class ServiceRules:
     def test_a_served_function_answers_until_it_is_closed(
         self, world: World, bridge: Bridge
     ) -> None:
-        places = world.servable()
-        if places is None:
-            pytest.skip("the bridge does not serve")
-        offered, called = places
+        offered, called = _places_of_service(world)
         requests: list[Message] = []
 
         def answer(request: Message) -> Message:
@@ -262,23 +285,53 @@ class ServiceRules:
             return reply
 
         channel = bridge.serve(offered, answer)
-        description = bridge.describe(called)
-        assert description.request is not None
-        assert description.reply is not None
-        request, reply = example_of(description.request), example_of(description.reply)
+        request, reply = examples_of_service(bridge, called)
         assert same(bridge.call(called, request), reply)
         assert same(requests, [request])
         channel.close()
         with pytest.raises(BridgeError):
             bridge.call(called, request, timeout=_SHORT_SECONDS)
+        assert len(requests) == 1, "the function was called after the close"
+
+    def test_a_function_can_be_served_again(self, world: World, bridge: Bridge) -> None:
+        offered, called = _places_of_service(world)
+        replies: list[Message] = []
+        for _ in range(2):
+            channel = bridge.serve(offered, lambda _: replies[-1])
+            request, reply = examples_of_service(bridge, called)
+            replies.append(reply)
+            assert same(bridge.call(called, request), reply)
+            channel.close()
+
+    def test_a_served_function_that_takes_its_time_holds_up_nothing_else(
+        self, world: World, bridge: Bridge
+    ) -> None:
+        offered, called = _places_of_service(world)
+        begun, may_go_on = threading.Event(), threading.Event()
+
+        def answer(_: Message) -> Message:
+            begun.set()
+            may_go_on.wait()
+            return reply
+
+        channel = bridge.serve(offered, answer)
+        request, reply = examples_of_service(bridge, called)
+        with line(world, bridge, self.kinds[0]) as through:
+            calling = Background(lambda: bridge.call(called, request, timeout=world.patience))
+            try:
+                assert begun.wait(world.patience), "the function was not called"
+                carrying = Background(lambda: through.carries(through.example()))
+                carrying.result(2 * world.patience)
+                Background(lambda: bridge.describe(called)).result(world.patience)
+            finally:
+                may_go_on.set()
+            assert same(calling.result(world.patience), reply)
+        channel.close()
 
     def test_a_served_function_that_raises_fails_its_caller(
         self, world: World, bridge: Bridge
     ) -> None:
-        places = world.servable()
-        if places is None:
-            pytest.skip("the bridge does not serve")
-        offered, called = places
+        offered, called = _places_of_service(world)
         replies: list[Message] = []
 
         def answer(_: Message) -> Message:
@@ -287,16 +340,40 @@ class ServiceRules:
             raise ArithmeticError("the handler raises")
 
         channel = bridge.serve(offered, answer)
-        description = bridge.describe(called)
-        assert description.request is not None
-        assert description.reply is not None
-        request = example_of(description.request)
+        request, reply = examples_of_service(bridge, called)
         with pytest.raises(BridgeError):
             bridge.call(called, request, timeout=_FAILING_SECONDS)
-        replies.append(example_of(description.reply))
+        replies.append(reply)
         again = Background(lambda: bridge.call(called, request)).result(world.patience)
         assert same(again, replies[0])
         channel.close()
+
+    def test_a_served_function_whose_reply_fits_nothing_fails_its_caller(
+        self, world: World, bridge: Bridge
+    ) -> None:
+        offered, called = _places_of_service(world)
+        replies: list[Message] = []
+        channel = bridge.serve(
+            offered, lambda _: replies[0] if replies else {"no_such_field_anywhere": object()}
+        )
+        request, reply = examples_of_service(bridge, called)
+        with pytest.raises(BridgeError):
+            bridge.call(called, request, timeout=_FAILING_SECONDS)
+        replies.append(reply)
+        again = Background(lambda: bridge.call(called, request)).result(world.patience)
+        assert same(again, reply)
+        channel.close()
+
+    def test_a_request_that_fits_nothing_is_refused_in_words(
+        self, world: World, bridge: Bridge, served: Served
+    ) -> None:
+        if world.runs_code:
+            pytest.skip("what a function raises is its own")
+        with pytest.raises((BridgeError, MessageError)) as caught:
+            bridge.call(served.endpoint, {"no_such_field_anywhere": object()})
+        reason = getattr(caught.value, "reason", None)
+        assert reason is not FailureReason.RAISED, f"{caught.value} came by itself, and not of it"
+        assert same(bridge.call(served.endpoint, served.request), served.reply)
 
     def test_a_link_carries_messages_without_the_manager(
         self, world: World, bridge: Bridge

@@ -33,6 +33,7 @@ __all__ = [
     "Victim",
     "World",
     "example_of",
+    "examples_of_service",
     "find_other_type",
     "hold_bridge_idle",
     "hold_idle_between",
@@ -217,6 +218,10 @@ class World(ABC):
     Must implement: `pair`, `missing`, and `spec` or `bridge`. What else is not overridden is not
     tested, and the test says that it was skipped and why.
     """
+
+    runs_code: bool = False
+    """Whether services are functions of the bridge's own process: none ends a call to one, and what
+    it raises for a request that does not fit is its own."""
 
     @property
     def patience(self) -> float:
@@ -426,6 +431,14 @@ def example_of(structure: MessageStructure) -> Message:
     return verdict.build_counterexample()
 
 
+def examples_of_service(bridge: Bridge, called: Endpoint) -> tuple[Message, Message]:
+    """Return a request and a reply of a service that is served."""
+    description = bridge.describe(called)
+    assert description.request is not None
+    assert description.reply is not None
+    return example_of(description.request), example_of(description.reply)
+
+
 def rules(section: str) -> Callable[[type[T]], type[T]]:
     """Have the failures of a class of tests name the endpoint, the rule and its section.
 
@@ -454,7 +467,7 @@ def _naming(test: Callable[..., None], section: str) -> Callable[..., None]:
     def run(*given: Any, **named: Any) -> None:
         try:
             test(*given, **named)
-        except (Exception, pytest.fail.Exception) as error:
+        except (Exception, SystemExit, GeneratorExit, pytest.fail.Exception) as error:
             text = f"{_place(named)}: the rule is: {rule_of(test)} ({PAGE}#{section})"
             raise AssertionError(f"{text}\n{error}") from error
 
