@@ -38,11 +38,17 @@ __all__ = ["FileChannel", "McapReader", "RecordedFile", "StoredMessage"]
 
 _CHUNK = struct.Struct("<QQQI")
 _FOOTER_OCTETS = HEAD.size + 20 + len(MAGIC)
+_NO_TIME = 2**64
 _FOOTER, _SCHEMA, _CHANNEL, _CHUNK_RECORD = 2, 3, 4, 6
 _CHUNK_INDEX, _STATISTICS, _DATA_END = 8, 11, 15
 _MOST_SUMMARY = 67_108_864
-_MOST_CHANNELS = 10_000
+_MOST_DEFINITIONS = 67_108_864
+_MOST_METADATA = 1000
 _MOST_HELD = 268_435_456
+_MOST_MESSAGES = 1_000_000
+"""Of one part: what each takes in memory is ten times what it may have in a file."""
+_MESSAGE_COST = 272
+"""Octets of memory that a message which was read takes beside its data, measured."""
 _LOOSE_OCTETS = 1 << 20
 _MOST_NOTES = 20
 
@@ -133,6 +139,7 @@ class McapReader:
         self._ids: dict[int, FileChannel] = {}
         self._schemas: dict[int, tuple[str, str, bytes]] = {}
         self._parts: list[_Part] = []
+        self._definitions = 0  # octets of those that were taken in
         self._has_schemas = True  # of all channels that say that they have one
         self._size, self._size_read = 0, len(MAGIC)
         self._cache = _PartCache(self._found_in)
@@ -289,7 +296,7 @@ class McapReader:
 
     def _forget(self) -> None:
         self._channels, self._ids, self._schemas, self._parts = {}, {}, {}, []
-        self._has_schemas = True
+        self._definitions, self._has_schemas = 0, True
         self.notes.clear()
 
     def _indexed(self, file: BinaryIO, place: int, octets: int) -> _Part:
@@ -353,7 +360,7 @@ class McapReader:
             return
 
     def _note(self, text: str) -> None:
-        if len(self.notes) < _MOST_NOTES:
+        if len(self.notes) < _MOST_NOTES and text not in self.notes:
             self.notes.append(text)
 
     def _take_record(self, file: BinaryIO, opcode: int, place: int, octets: int) -> _Part | None:
@@ -370,38 +377,48 @@ class McapReader:
                 place - HEAD.size, HEAD.size + octets, is_chunk=False, start=time, end=time
             )
         elif opcode == _CHUNK_RECORD:
-            part = _Part(place, octets, is_chunk=True, start=0, end=0)
-            times = []
+            part = _Part(place, octets, is_chunk=True, start=_NO_TIME, end=-1)
             for inner, content in inner_records(self._chunk(file, part), place):
                 if inner == MESSAGE_RECORD:
-                    times.append(MESSAGE.unpack_from(content)[2])
+                    time = MESSAGE.unpack_from(content)[2]
+                    part.start, part.end = min(part.start, time), max(part.end, time)
                 elif inner in {_SCHEMA, _CHANNEL}:
-                    self._take_definition(inner, bytes(content))
-            if times:
-                part.start, part.end = min(times), max(times)
-                return part
+                    try:
+                        self._take_definition(inner, bytes(content))
+                    except DamageError as error:  # the rest of the chunk may be well
+                        self._note(str(error))
+            return part if part.end >= 0 else None
         return None
 
     def _take_definition(self, opcode: int, octets: bytes) -> None:
         content = RecordContent(octets)
-        if opcode == _CHANNEL:
-            self._take_channel(content)
-            return
         number = content.number(2)
-        self._schemas[number] = (content.text(), content.text(), content.octets(4))
+        if opcode == _CHANNEL and number in self._ids:
+            content.number(2)
+            if self._ids[number].topic != content.text():
+                self._note(f"channel {number} is stated anew, as another: the first holds")
+            return
+        if opcode == _SCHEMA and number in self._schemas:
+            return  # stated again, as some writers do in each chunk
+        if self._definitions + len(octets) > _MOST_DEFINITIONS:
+            text = f"its schemas and channels have more than {_MOST_DEFINITIONS:,} octets"
+            raise DamageError(f"{text}: the rest of them is left out")
+        if opcode == _CHANNEL:
+            self._take_channel(number, content)
+        else:
+            self._schemas[number] = (content.text(), content.text(), content.octets(4))
+        self._definitions += len(octets)
 
-    def _take_channel(self, content: RecordContent) -> None:
-        number, schema = content.number(2), content.number(2)
+    def _take_channel(self, number: int, content: RecordContent) -> None:
+        schema = content.number(2)
         topic, encoding = content.text(), content.text()
         inner = RecordContent(content.octets(4))
-        metadata = {}
+        metadata: dict[str, str] = {}
         while not inner.is_over:
             key = inner.text()
             metadata[key] = inner.text()
-        if number in self._ids:
-            return
-        if len(self._ids) >= _MOST_CHANNELS:
-            raise DamageError(f"it has more than {_MOST_CHANNELS:,} channels")
+            if len(metadata) > _MOST_METADATA:
+                raise DamageError(f"{topic:.100} has more than {_MOST_METADATA:,} metadata")
         self._has_schemas = self._has_schemas and (not schema or schema in self._schemas)
         name, kind, data = self._schemas.get(schema, ("", "", b""))
         channel = FileChannel(topic, encoding, name, kind, data, metadata)
@@ -432,6 +449,12 @@ class McapReader:
                         number, _, at, _ = MESSAGE.unpack_from(content)
                         found.setdefault(number, []).append((at, content[MESSAGE.size :]))
                     count += 1
+                    if count > _MOST_MESSAGES:
+                        damage = (
+                            f"the chunk at {part.at - HEAD.size:,} has more records than are "
+                            f"read: {_MOST_MESSAGES:,}"
+                        )
+                        break
                     if is_ahead and not count % _TURN_RECORDS:
                         time.sleep(0)
             except DamageError as error:
@@ -550,4 +573,4 @@ class _PartCache:
 
 
 def _octets_of(messages: Iterable[_Timed]) -> int:
-    return sum(len(data) for _, data in messages)
+    return sum(_MESSAGE_COST + len(data) for _, data in messages)
