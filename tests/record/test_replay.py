@@ -85,6 +85,10 @@ def test_what_was_recorded_comes_out_again(tape: Path) -> None:
     assert picture == {"width": 3, "name": "eye", "data": b"abc"}
 
 
+def test_a_recording_may_have_any_name(tape: Path) -> None:
+    assert played(tape.rename(tape.with_name("run")), "/counter", len(MESSAGES)) == MESSAGES
+
+
 def test_it_says_that_it_is_recorded_and_what_it_has(tape: Path) -> None:
     made = RecordingBridge("tape", PlaybackOptions.of({"file": str(tape)}))
     (found,) = made.discover()
@@ -97,6 +101,16 @@ def test_it_says_that_it_is_recorded_and_what_it_has(tape: Path) -> None:
     assert described["/counter"].note.startswith("recorded: run.mcap")
     assert made.facts()["recorded"] == "run.mcap"
     made.close()
+
+
+def test_the_status_says_that_a_candidate_is_recorded(
+    tape: Path, bridge: MemoryBridge, make_robot: Any
+) -> None:
+    bridge.emitter("clicks", COUNT)
+    robot = make_robot(REPLAY.replace("FILE", json.dumps(str(tape))))
+    counter = robot.check_availability()[0]
+    assert counter.candidates[0].notes == ()
+    assert "available; of_then.output.default: recorded: run.mcap, from " in str(counter)
 
 
 def test_it_takes_over_when_the_sensor_dies(

@@ -518,6 +518,24 @@ def test_a_phone_needs_no_scrolling_sideways(browser: Browser, visit: Visit, pla
     assert browser.js(f"{controls}.filter(one => {beyond}).length") == 0
 
 
+def test_what_was_not_asked_yet_is_no_mistake(browser: Browser, visit: Visit) -> None:
+    watching = browser.command(
+        "Page.addScriptToEvaluateOnNewDocument",
+        source="window.seen = new Set(); addEventListener('DOMContentLoaded', () => "
+        "new MutationObserver(() => document.querySelectorAll('.notice, [role=status]')"
+        ".forEach((notice) => seen.add(notice.innerText)))"
+        ".observe(document, { subtree: true, childList: true }))",
+    )
+    try:
+        visit("#/configuration")
+        browser.until("document.querySelector('.found-bridge')")
+    finally:
+        browser.command("Page.removeScriptToEvaluateOnNewDocument", **watching)
+    seen = " ".join(browser.js("[...seen]"))
+    assert "Asking the frameworks" in seen
+    assert "not connected" not in seen
+
+
 def test_a_phone_begins_with_the_list(browser: Browser, visit: Visit) -> None:
     browser.show(375, 720, phone=True)
     visit()

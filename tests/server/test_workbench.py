@@ -287,6 +287,29 @@ tokens: [{{name: person, role: guest, sha256: {hash_token("right")}}}]
     browser.complaints.clear()  # the refusals before the token: a browser reports them all
 
 
+def test_who_may_only_look_sees_what_gives_the_rights(
+    browser: Browser, serve: Serve, tmp_path: Path
+) -> None:
+    access = tmp_path / "access.yaml"
+    access.write_text(GUEST.format(right=hash_token("right")), encoding="utf-8")
+    port = serve(access=access).ports[0]
+    browser.go(f"http://127.0.0.1:{port}/#/graph/function/camera")
+    browser.click(".lock input")
+    browser.write("right")
+    browser.press("Enter")
+    needs = "To {}, a role needs the {}; uoarm token NAME --role ROLE"
+    browser.until(says(".panel", needs.format("record it", "rights request and record")))
+    for function, to, right in (
+        ("camera", "watch it", "request"),
+        ("drive", "call it", "call"),
+        ("echo", "send to it", "send"),
+    ):
+        browser.js(f"location.hash = '#/graph/function/{function}/use'")
+        browser.until(says(".panel", needs.format(to, f"right {right}")))
+        assert not browser.js("document.querySelector('.panel .button')")
+    browser.complaints.clear()  # the refusals before the token: a browser reports them all
+
+
 @pytest.mark.needs("record")
 class TestRecordings:
     """A button that records."""
@@ -365,6 +388,20 @@ functions:
             while played[-1] != 8:
                 played.append(connection.get(patience())["n"])
             assert played[-9:] == [*range(9)]
+
+    def test_it_is_seen_everywhere_that_this_was_recorded(
+        self, browser: Browser, visit: Visit
+    ) -> None:
+        visit("#/graph/function/then/use")
+        browser.click(".panel .button.main", "Watch")
+        browser.until(says(".panel .notice.warn", "comes from a recording"))
+        browser.until(says(".panel .facts", "of_then (recorded)"))
+        browser.until(says('[data-card="function/then"] .row', "recorded"))
+        browser.click(".tabs a", "Overview")
+        browser.until(says(".panel .part-head", "recorded"))
+        browser.click(".panel [aria-label='Close (Escape)']")
+        browser.click("nav a", "List")
+        browser.until(says('[data-item="then"]', "of_then (recorded)"))
 
     def test_it_cannot_be_moved_without_the_right(
         self, browser: Browser, serve: Serve, tmp_path: Path
@@ -449,5 +486,15 @@ class TestPanels:
         visit("#/list/function/camera&function/echo/use")
         browser.until("document.querySelectorAll('.panel').length === 2")
         assert browser.js("document.documentElement.scrollWidth") == 390
+        # Each as tall as what is in it, and below the button that stops everything.
+        browser.until(
+            "[...document.querySelectorAll('.panel-body')]"
+            ".every((body) => body.scrollHeight <= body.clientHeight + 1)"
+        )
+        assert browser.js(
+            "(({ x, y, width, height }) => document.elementFromPoint(x + width / 2, y + height / 2)"
+            ".closest('.stop-all') !== null)"
+            "(document.querySelector('.stop-all').getBoundingClientRect())"
+        )
         browser.click('[data-panel="function/echo"] [aria-label="Close (Escape)"]')
         browser.until(f"{PANELS} === 'function/camera'")

@@ -561,8 +561,10 @@ def check_availability(
 
     def ask(component: Component) -> Availability:
         answer = structures.structures(component)
-        cause = answer.sentence if isinstance(answer, Unavailable) else ""
-        return Availability(component.name, component.bridge, component.priority, cause)
+        found = component.name, component.bridge, component.priority
+        if isinstance(answer, Unavailable):
+            return Availability(*found, answer.sentence)
+        return Availability(*found, notes=answer.warnings)
 
     with ThreadPoolExecutor(_AT_ONCE, thread_name_prefix="uoarm-availability") as pool:
         found = {

@@ -141,12 +141,21 @@ class OfferStatus:
 
 @frozen
 class Availability:
-    """One candidate for a function; `cause` says why it cannot be had, empty when it can."""
+    """One candidate for a function.
+
+    Attributes:
+        component: its name.
+        bridge: through which it is reached.
+        priority: of it.
+        cause: why it cannot be had, empty when it can.
+        notes: what a plan with it would say, such as that it is a recording.
+    """
 
     component: str
     bridge: str
     priority: int
     cause: str = ""
+    notes: tuple[str, ...] = ()
 
 
 @frozen
@@ -172,7 +181,7 @@ class FunctionStatus:
         lines = [f"{self.name}  {state}"]
         for candidate in self.candidates:
             mark = "*" if candidate.component == self.provider else " "
-            text = candidate.cause or "available"
+            text = candidate.cause or "; ".join(("available", *candidate.notes))
             lines.append(
                 f"  {mark} {candidate.priority:>4}  {candidate.component}"
                 f"  ({candidate.bridge})  {text}"

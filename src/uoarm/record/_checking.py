@@ -6,6 +6,7 @@ Recordings of ROS 1, and of rosbag2 in its other formats, are read with the pack
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
 from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any, Protocol
@@ -28,6 +29,7 @@ from uoarm.model import (
 from uoarm.record._file import require_mcap
 from uoarm.record._forms import EVENTS_TOPIC, reading_of
 from uoarm.record._reading import FileChannel, McapReader, RecordedFile, StoredMessage
+from uoarm.record._records import MAGIC
 
 __all__ = [
     "BagReader",
@@ -235,7 +237,10 @@ def open_recording(path: Path) -> RecordedFile:
         PluginError: what it takes is not installed.
     """
     require_mcap()
-    return McapReader(path) if path.suffix == ".mcap" else BagReader(path)
+    begin = b""
+    with suppress(OSError), path.open("rb") as file:
+        begin = file.read(len(MAGIC))  # a recording may have any name
+    return McapReader(path) if path.suffix == ".mcap" or begin == MAGIC else BagReader(path)
 
 
 def check_recording(path: Path, robot: CheckedRobot) -> RecordingCheck:

@@ -2,7 +2,7 @@ import assert from "node:assert/strict";
 import { test } from "node:test";
 import { makeCards, makeEdges } from "../../../src/uoarm/server/static/app/cards.js";
 import { saidOf } from "../../../src/uoarm/server/static/app/timeline.js";
-import { endOf, join, search } from "../../../src/uoarm/server/static/app/system.js";
+import { endOf, join, sayThrough, search } from "../../../src/uoarm/server/static/app/system.js";
 
 const FUNCTIONS = [
   { name: "camera", description: "pictures", components: [{ name: "cam", bridge: "ros", priority: 1, uses: [] }] },
@@ -29,6 +29,13 @@ test("rates, drops and health are joined to components and applications", () => 
   assert.deepEqual([camera.rows[0].rate, camera.rows[0].lost, camera.health], [10, 3, "ok"]);
   assert.deepEqual(faces.rows.map((row) => row.open), [false, true]);
   assert.equal(system.connections[0].rate, 9);
+});
+
+test("components that play a recording are marked", () => {
+  const bridges = [{ name: "ros", plugin: "recording", health: "ok", open_channels: 2, cause: "" }];
+  const system = join(FUNCTIONS, { ...STATUS, bridges });
+  assert.deepEqual(system.functions.flatMap((func) => func.rows.map((row) => row.recorded)), [true, true, false]);
+  assert.equal(sayThrough(system, ["cam", "haar"]), "cam (recorded) → haar");
 });
 
 test("what died is shown with its cause until it runs again", () => {

@@ -12,7 +12,7 @@ export function sayCard({ kind, title, health, data }) {
   if (kind === "machine") return `Machine ${title}, ${sayMachine(data)}`;
   if (kind === "connection") return `${title} uses ${data.function}, ${data.state}, ${rate(data.rate)}`;
   const open = data.rows.filter((row) => row.open);
-  const running = open.map((row) => `${row.name} ${row.health} ${rate(row.rate)}`).join(", ");
+  const running = open.map((row) => `${row.name}${row.recorded ? ", recorded," : ""} ${row.health} ${rate(row.rate)}`).join(", ");
   return `Function ${title}, ${plural(data.rows.length, "component")}, ${running || "not running"}`;
 }
 
@@ -54,7 +54,7 @@ function Row({ row }) {
   return html`
     <div class="row ${row.open ? "open" : ""}" style=${{ height: `${rowHeight(row)}px` }}>
       <div class="row-line"><${Health} of=${row.health} /><span class="row-name">${row.name}</span>
-        <${Framework} name=${row.bridge} /></div>
+        <${Framework} name=${row.bridge} recorded=${row.recorded} /></div>
       ${row.open && !row.cause && html`<div class="row-figures">${figures(row)}</div>`}
       ${row.cause && html`<div class="row-figures cause" title=${row.cause}>${row.cause}</div>`}
     </div>`;

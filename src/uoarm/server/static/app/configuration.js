@@ -39,16 +39,16 @@ export function Configuration({ store, query }) {
         setBridges(report.bridges);
         setTrouble("");
       } catch (error) {
-        if (!over) setTrouble(error.message);
+        if (!over && error.code !== "closed") setTrouble(error.message); // the head of the page says that
       }
       if (!over) timer = setTimeout(look, EVERY);
     };
-    look();
+    if (store.link === "open") look();
     return () => {
       over = true;
       clearTimeout(timer);
     };
-  }, []);
+  }, [store.link]);
   const take = async (bridge, component) => {
     try {
       const { text } = await store.wire.ask("Discover", "", { take: { bridge, component } });
@@ -66,6 +66,7 @@ export function Configuration({ store, query }) {
       ${refusal && html`<${Notice} kind="bad" title="The configuration is not shown"><pre>${refusal}</pre></${Notice}>`}
       <h2>What frameworks show</h2>
       ${trouble && html`<${Notice} kind="bad" title="Not shown">${trouble}</${Notice}>`}
+      ${!bridges && !trouble && html`<p class="quiet" role="status">Asking the frameworks …</p>`}
       ${bridges && html`<ul class="found">${found.filter((bridge) => bridge.configured).map((bridge) => html`
         <${Bridge} key=${`${bridge.bridge} ${bridge.plugin}`} of=${bridge} take=${refusal ? null : take}
           untaken=${untaken?.bridge === bridge.bridge ? untaken : null} />`)}</ul>`}

@@ -21,6 +21,8 @@ export function List({ system, shown, panels, select }) {
     </section>`;
 }
 
+const kindOf = ({ service, outputs }) => (service ? "service" : outputs.length > 0 ? "stream" : "input");
+
 function Item({ of, users, selected, select }) {
   const open = of.rows.filter((row) => row.open);
   const cause = of.rows.find((row) => row.cause)?.cause;
@@ -29,9 +31,9 @@ function Item({ of, users, selected, select }) {
     <li><button type="button" class="item" aria-pressed=${selected} data-item=${of.name}
       onClick=${(event) => select({ kind: "function", title: of.name }, isBeside(event))}>
       <span class="item-name"><${Health} of=${of.health} /><b>${of.name}</b>
-        <span class="kind">${of.service ? "service" : "stream"}</span></span>
+        <span class="kind">${kindOf(of)}</span></span>
       <span class="item-note">${of.description}</span>
-      <span class="item-figures">${open.map((row) => html`<span key=${row.name}>${row.name} <b>${rate(row.rate)}</b>
+      <span class="item-figures">${open.map((row) => html`<span key=${row.name}>${row.name}${row.recorded && " (recorded)"} <b>${rate(row.rate)}</b>
         ${row.age !== null && html` · ${span(row.age)} ago`}
         ${row.lost > 0 && html` · <span class="bad">${short(row.lost)} dropped</span>`}</span>`)}
         ${cause && html`<span class="cause">${cause}</span>`}</span>

@@ -4,10 +4,10 @@ import { keyOf, withChange, writeAddress } from "./address.js";
 import { Call } from "./call.js";
 import { Explain } from "./explain.js";
 import { rate, short, span } from "./format.js";
-import { Kill } from "./kill.js";
+import { Kill, Right } from "./kill.js";
 import { Recordings } from "./recordings.js";
 import { Send } from "./send.js";
-import { holdersOf, nameOf } from "./system.js";
+import { holdersOf, nameOf, sayThrough } from "./system.js";
 import { Facts, Framework, Health, html, Notice } from "./ui.js";
 import { Watch } from "./watch.js";
 
@@ -30,10 +30,11 @@ function FunctionPanel({ store, address, panel, act, keep }) {
 }
 
 function Use({ store, func, panel, act, keep }) {
-  if (func.service) return html`<${Call} store=${store} name=${func.name} keep=${keep} />`;
+  const needs = (operation, to, part) => html`<${Right} store=${store} operations=${[operation]} name=${func.name} to=${to}>${part}</${Right}>`;
+  if (func.service) return needs("call", "call it", html`<${Call} store=${store} name=${func.name} keep=${keep} />`);
   return html`
-    ${func.outputs.length > 0 && html`<${Watch} store=${store} func=${func} panel=${panel} act=${act} keep=${keep} />`}
-    ${func.inputs.length > 0 && html`<${Send} store=${store} func=${func} keep=${keep} />`}`;
+    ${func.outputs.length > 0 && needs("request", "watch it", html`<${Watch} store=${store} func=${func} panel=${panel} act=${act} keep=${keep} />`)}
+    ${func.inputs.length > 0 && needs("send", "send to it", html`<${Send} store=${store} func=${func} keep=${keep} />`)}`;
 }
 
 function Overview({ store, func }) {
@@ -52,7 +53,7 @@ function Overview({ store, func }) {
 
 const Part = ({ row }) => html`
   <li><div class="part-head"><${Health} of=${row.health} word=${true} /><b>${row.name}</b>
-      <span class="push"><${Framework} name=${row.bridge} /></span></div>
+      <span class="push"><${Framework} name=${row.bridge} recorded=${row.recorded} /></span></div>
     <${Facts} of=${[
       ["priority", String(row.priority)],
       ["takes from", (row.uses ?? []).join(", ")],
@@ -81,7 +82,7 @@ function ConnectionPanel({ store, panel }) {
   const routes = store.system.routes.filter((route) => route.to === connection.id || connection.components.includes(route.to));
   return html`<div class="panel-body" tabindex="0">
     <${Facts} of=${[...holdersOf(connection).map((holder) => ["held by", holder]), ["function", connection.function], ["state", connection.state],
-      ["components", connection.components.join(" → ")], ["cause", connection.cause]]} />
+      ["components", sayThrough(store.system, connection.components)], ["cause", connection.cause]]} />
     ${connection.error && html`<${Notice} kind="bad" title="The application">${connection.error}</${Notice}>`}
     <p><${Kill} store=${store} connection=${connection} /></p>
     <h3>Flows</h3>

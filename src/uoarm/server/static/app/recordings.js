@@ -2,6 +2,7 @@
 
 import { useEffect, useState } from "../vendor/htm-preact.js";
 import { short, span } from "./format.js";
+import { Right } from "./kill.js";
 import { Facts, html, Icon, Notice } from "./ui.js";
 
 const EVERY = 1000;
@@ -49,7 +50,8 @@ export function Recordings({ store, name }) {
   return html`
     <h3>Recordings</h3>
     ${played.map((player) => html`<${Player} key=${player.bridge} of=${player} move=${(how) => ask("Play", player.bridge, how)} />`)}
-    <p><button type="button" class="button" onClick=${() => ask("Record", "", { functions: [name] })}><${Icon} name="record" /> Record</button></p>
+    <${Right} store=${store} operations=${["request", "record"]} name=${name} to="record it">
+      <p><button type="button" class="button" onClick=${() => ask("Record", "", { functions: [name] })}><${Icon} name="record" /> Record</button></p></${Right}>
     ${refusal && html`<${Notice} kind="bad" title="Refused">${refusal}</${Notice}>`}
     <ul class="parts">${its.map((recording) => html`<${Recording} key=${recording.recording} of=${recording}
       stop=${() => ask("Record", recording.recording, { stop: true })} />`)}</ul>`;
@@ -86,6 +88,6 @@ function Player({ of, move }) {
         <span>${span(position)} of ${span(of.duration)}</span>
       </div>
       ${of.cause && html`<${Notice} kind="warn">${of.cause}</${Notice}>`}
-      ${!of.may_move && html`<p class="hint">To move it, a role needs the right <code>record</code> for each of its functions.</p>`}
+      ${!of.may_move && html`<p class="hint">To move it, a role needs the right <code>record</code> for each of its functions; <code>uoarm token NAME --role ROLE</code> makes a token of such a role.</p>`}
     </div>`;
 }

@@ -23,6 +23,7 @@ export const endOf = (place, names) =>
 export function join(functions, status, events = [], session = "") {
   const deaths = lastDeaths(events);
   const open = new Map(status.components.map((component) => [component.name, component]));
+  const played = new Set(status.bridges.filter(({ plugin }) => plugin === "recording").map(({ name }) => name));
   const names = new Set([...open.keys(), ...status.connections.map((connection) => connection.id)]);
   const routes = status.routes.map((route) => ({
     ...route,
@@ -33,7 +34,7 @@ export function join(functions, status, events = [], session = "") {
   const from = groupBy(routes, (route) => route.from);
   const to = groupBy(routes, (route) => route.to);
   return {
-    functions: functions.map((func) => withRows(func, open, { from, to }, deaths)),
+    functions: functions.map((func) => withRows(func, open, { from, to, played }, deaths)),
     connections: status.connections.map((connection) => ({
       ...withFlow(connection, to.get(connection.id) ?? from.get(connection.id) ?? []),
       clients: (status.clients ?? []).filter((client) => client.connections.includes(connection.id))
@@ -52,10 +53,17 @@ function withRows(described, open, routes, deaths) {
     const health = live?.health ?? (died ? "lost" : "idle");
     const cause = live?.cause || (live ? "" : died?.cause) || "";
     const users = live?.users ?? [];
-    const own = { failed: live?.failed ?? 0, error: live?.last_error ?? "", commands: commandsOf(live) };
+    const recorded = routes.played.has(part.bridge);
+    const own = { recorded, failed: live?.failed ?? 0, error: live?.last_error ?? "", commands: commandsOf(live) };
     return { ...part, open: Boolean(live), health, cause, users, ...flowOf(part.name, routes), ...own };
   });
   return { ...described, rows, health: worst(rows.map((row) => row.health)) };
+}
+
+/** Components one after another, and which of them play what was recorded. */
+export function sayThrough({ functions }, components) {
+  const recorded = new Set(functions.flatMap((func) => func.rows).filter((row) => row.recorded).map((row) => row.name));
+  return components.map((name) => (recorded.has(name) ? `${name} (recorded)` : name)).join(" → ");
 }
 
 /** Who holds a connection, in a few words: "this page", "ada", "2 clients"; by its number where it is of another protocol or program. */

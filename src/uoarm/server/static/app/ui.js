@@ -22,7 +22,8 @@ const SHAPES = {
 };
 
 /** A framework's name with a colour of its own, the same everywhere. */
-export const Framework = ({ name }) => html`<span class="framework hue${hueOf(name)}">${name}</span>`;
+export const Framework = ({ name, recorded = false }) =>
+  html`<span class="framework hue${hueOf(name)}">${name}${recorded && html` <b class="recorded">recorded</b>`}</span>`;
 
 export function hueOf(name) {
   let sum = 0;

@@ -8,6 +8,7 @@ import { Grid, Picture, Scan } from "./pixels.js";
 import { findGrid, findScan } from "./plane.js";
 import { Plots } from "./plot.js";
 import { pairOf } from "./shapes.js";
+import { sayThrough } from "./system.js";
 import { Facts, html, Icon, Notice } from "./ui.js";
 
 const PACES = [[0, "every message"], [0.1, "10 a second"], [0.5, "2 a second"], [2, "1 in 2 s"]];
@@ -60,6 +61,7 @@ export function Watch({ store, func, panel, act, keep }) {
 function Shown({ store, func, output, watch, options, choose }) {
   const own = store.status.own.find((other) => other.connection === watch.connection);
   const { latest } = watch;
+  const through = sayThrough(store.system, watch.components);
   const picture = latest === undefined ? null : findPicture(latest);
   const [scan, grid] = latest === undefined ? [] : [findScan(latest), findGrid(latest)];
   return html`
@@ -67,6 +69,7 @@ function Shown({ store, func, output, watch, options, choose }) {
       title=${{ failed: "It failed", killed: "It was killed" }[watch.end.word] ?? "It ended"}>${watch.end.cause || "It has no more messages."}</${Notice}>`}
     ${watch.away && html`<${Notice} kind="warn" title="Interrupted">The connection to the server broke.
       What is watched is opened again when it is back.</${Notice}>`}
+    ${through.includes("(recorded)") && !watch.end && html`<${Notice} kind="warn" title="Recorded">What is shown comes from a recording, not from the robot as it is now.</${Notice}>`}
     ${watch.note && html`<${Notice} kind="warn" title="A message could not be shown">${watch.note}</${Notice}>`}
     ${watch.warnings.map((warning) => html`<${Notice} kind="warn">${warning}</${Notice}>`)}
     ${picture && html`<${Overlaid} store=${store} watch=${watch} picture=${picture} chosen=${options.overlay ?? ""} choose=${choose} />`}
@@ -79,7 +82,7 @@ function Shown({ store, func, output, watch, options, choose }) {
       ["left out", own?.left_out ? short(own.left_out) : ""],
       ["dropped", own?.dropped ? short(own.dropped) : ""],
       ["interrupted", watch.gaps ? `${plural(watch.gaps, "time")}; what was missed is not known` : ""],
-      ["through", watch.components.join(" → ")],
+      ["through", through],
     ]} />
     ${watch.latest !== undefined && html`<h3>Latest message</h3>
       <pre class="message" tabindex="0" aria-label="Latest message">${pretty(watch.latest)}</pre>`}`;
