@@ -13,7 +13,7 @@ from jsonschema import Draft202012Validator
 from uoarm.bridge import CONTRACT_VERSION, Bridge, BridgeType
 from uoarm.errors import BridgeError, ConfigurationError, FailureReason
 from uoarm.model import BridgeSpec, Role
-from uoarm.testing._resources import Census
+from uoarm.testing._resources import ResourceSnapshot
 from uoarm.testing.conformance._world import World, example_of, line, rules, structure_of
 
 __all__ = ["Declaring", "Describing"]
@@ -91,10 +91,10 @@ class Describing:
                     step()
 
         fail()
-        census = Census()
+        snapshot = ResourceSnapshot()
         for _ in range(_FAILURES):
             fail()
-        census.check(world.patience)
+        snapshot.check(world.patience)
 
     def test_an_address_without_parts_is_refused(
         self, world: World, bridge: Bridge, kind: str

@@ -263,10 +263,10 @@ class EndingRules:
 
             for _ in range(_CYCLES):  # until pools of threads, also those of the world, are full
                 cycle()
-            census = Census()
+            snapshot = ResourceSnapshot()
             for _ in range(_CYCLES):
                 cycle()
-            census.check(world.patience)
+            snapshot.check(world.patience)
 
     def test_no_thread_and_no_descriptor_stays_behind(self, world: World) -> None:
         def cycle() -> None:
