@@ -202,3 +202,19 @@ def memory_type(doubts: Any) -> BridgeType:
         raise NotImplementedError
 
     return BridgeType("doubting", "for tests", create, doubts=doubts, contract=2)
+
+
+def test_each_kind_of_mistake_has_its_code_in_the_text(tmp_path: Path) -> None:
+    file = tmp_path / "robot.yaml"
+    file.write_text("version: 1\nfunctoins: {}\nbridges: {a: {plugin: nothing}}\n", "utf-8")
+    listed = CliRunner().invoke(main, ["check", str(file), "--json"])
+    codes = sorted({problem["error_code"] for problem in json.loads(listed.stdout)["problems"]})
+    assert codes
+    result = CliRunner().invoke(main, ["check", str(file)])
+    last = result.stderr.splitlines()[-len(codes) :]
+    assert last == [f"uoarm explain {code} says more" for code in codes]
+
+
+def test_a_server_that_is_not_there_has_a_code_too() -> None:
+    result = CliRunner().invoke(main, ["status", "--url", "ws://127.0.0.1:1/"])
+    assert result.stderr.splitlines()[-1] == "uoarm explain UOA-402 says more"

@@ -186,7 +186,9 @@ def test_a_role_sees_and_does_what_it_may(serve: Serve, tmp_path: Path) -> None:
         viewer.call("/add", HEADER + struct.pack("<dd", 1, 2))
         assert "call" in viewer.until("serviceCallFailure")["message"]
         viewer.send("advertise", channels=[{"id": 1, "topic": "/note", "encoding": "json"}])
-        assert "no such input" in viewer.until("status")["message"]
+        message = viewer.until("status")["message"]
+        assert "no such input" in message
+        assert message.endswith(" (UOA-502)")
         viewer.send("subscribeConnectionGraph")
         assert "picture" not in json.dumps(viewer.until("connectionGraphUpdate"))
 

@@ -58,7 +58,7 @@ def test_a_role_has_the_tools_of_its_rights_and_status_says_what_is_left_out(
     assert "cuff" not in json.dumps(status)
     with pytest.raises(MCPError, match="there is no tool 'add': the role may not call add"):
         agents.call("add", {"a": 1, "b": 2}, "guest")
-    with pytest.raises(MCPError, match=r"there is no tool 'cuff'$"):
+    with pytest.raises(MCPError, match=r"there is no tool 'cuff' \(UOA-703\)$"):
         agents.call("cuff", {"pressure": 1}, "guest")
     assert script.came == []
     assert "has no 'nothing'" in agents.facts("status")["left_out"]["missing"]
@@ -275,3 +275,17 @@ def test_a_client_that_does_not_read_has_one_notice_under_way(
 
 def latest(agents: Agents) -> Any:
     return agents.facts("read_numbers", {"seconds": 0})
+
+
+def test_what_is_refused_has_the_code_that_explains_it(agents: Agents) -> None:
+    assert agents.refused("add", {"a": "x", "b": 2}).endswith(" (UOA-501)")
+    assert agents.refused("broken", {"value": 1}).count("(UOA-409)") == 1
+    assert agents.refused("cuff", {"pressure": 1, "x-approval": "none"}).endswith(" (UOA-707)")
+    assert agents.refused("goal_status", {"handle": "none"}).endswith(" (UOA-703)")
+    assert "(UOA-201)" in agents.facts("plan", {"function": "missing"})["why"]
+    with pytest.raises(MCPError, match=r"\(UOA-703\)$"):
+        agents.call("nothing")
+    with pytest.raises(MCPError, match=r"\(UOA-703\)$"):
+        agents.run(agents.client().read_resource("uoarm://stream/nothing"))
+    unknown = httpx2.post(agents.url, timeout=patience())
+    assert unknown.text.endswith(" (UOA-705)\n")

@@ -48,7 +48,7 @@ def test_subscriptions_of_one_client_are_limited_over_all_its_topics(serve: Serv
             client.send(op="subscribe", topic="/a", id=f"s{number}")
         client.send(op="subscribe", topic="/b", id="first")
         refused = client.refused(op="subscribe", topic="/b", id="second")
-        assert refused == "limit: 128 subscriptions are held already; end one first"
+        assert refused == "limit: 128 subscriptions are held already; end one first (UOA-702)"
         client.send(op="subscribe", topic="/a", id="s0", throttle_rate=5)  # replaces its own
         client.send(op="unsubscribe", topic="/a", id="s1")
         client.send(op="subscribe", topic="/b", id="second")
@@ -60,7 +60,7 @@ def test_subscriptions_of_one_topic_are_limited(serve: Serve) -> None:
         for number in range(256):
             client.send(op="subscribe", topic="/a", id=f"s{number}")
         refused = client.refused(op="subscribe", topic="/a", id="last")
-        assert refused == "limit: '/a' has 256 subscriptions of this client"
+        assert refused == "limit: '/a' has 256 subscriptions of this client (UOA-702)"
         client.send(op="subscribe", topic="/b", id="last")
         assert client.call("/rosapi/get_time")
 

@@ -487,7 +487,7 @@ def test_an_opening_that_fails_unexpectedly_is_reported(
 
     monkeypatch.setattr(robot, "request", fail)
     text = enter().refused(op=op, id="1", topic="/uoarm/echo", msg={"value": 1})
-    assert text == "internal: the server failed; its log says more"
+    assert text == "internal: the server failed; its log says more (UOA-708)"
 
 
 def test_an_input_whose_function_ended_leaves_nothing(enter: Enter, robot: RobotManager) -> None:

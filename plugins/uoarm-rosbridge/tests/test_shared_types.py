@@ -158,7 +158,7 @@ def test_what_does_not_fit_goes_nowhere_and_is_reported(
     publish(speaker, message, WHOLE)
     status = speaker.receive()
     assert (status["op"], status["level"], status["id"]) == ("status", "error", "0")
-    assert status["msg"] == f"message: /talk: {received}"
+    assert status["msg"] == f"message: /talk: {received} (UOA-501)"
     assert listener.messages(1) == [WHOLE]
 
 
@@ -177,7 +177,7 @@ def test_a_publisher_that_states_no_type_has_that_of_the_topic(pair: tuple[Ros, 
     listener.send(op="advertise", topic="/talk", type="geo/msg/Twist")
     listener.call("/rosapi/has_param", {"name": "x"})
     publish(speaker, {"linear": 5})
-    assert speaker.receive()["msg"] == "message: /talk: linear: expected a mapping, got 5"
+    assert speaker.receive()["msg"] == "message: /talk: linear: expected a mapping, got 5 (UOA-501)"
 
 
 def test_a_plugin_that_fails_checks_nothing(
@@ -208,7 +208,7 @@ def test_messages_wait_for_the_type_in_their_order_and_the_server_does_not(
     types.may_answer.set()
     reports = listener.messages(3)
     assert [len(report["octets"]) for report in reports] == [4, len(LONG), 4]
-    assert speaker.receive()["msg"] == "message: /talk: linear: expected a mapping, got 5"
+    assert speaker.receive()["msg"] == "message: /talk: linear: expected a mapping, got 5 (UOA-501)"
     listener.send(op="unsubscribe", topic="/talk")
     eventually(lambda: "/talk" not in speaker.call("/rosapi/topics")["topics"], "the topic is gone")
     assert types.asked == ["geo/msg/Twist"]

@@ -27,6 +27,7 @@ from uoarm.cli._shared import (
     needing,
     open_robot,
     print_error,
+    print_error_code,
     print_json,
     print_warning,
     reporting,
@@ -81,6 +82,8 @@ def check(file: str, *, recording: Path | None, as_json: bool) -> None:
             print_error(problem)
         for warning in report.warnings:
             print_warning(warning)
+        for error_code in sorted({problem.error_code for problem in report.problems}):
+            print_error_code(error_code)
         if report.robot is not None:
             functions, bridges = len(report.robot.functions), len(report.robot.bridges)
             click.echo(f"{file}: no errors (functions: {functions}, bridges: {bridges})")

@@ -101,7 +101,7 @@ def record(
         status = recording.status()
     click.echo(write_json(to_json(status)) if as_json else summary(status))
     if status.state == "failed":
-        fail(f"the recording ended: {status.cause}", BRIDGE)
+        fail(f"the recording ended: {status.cause}", BRIDGE, "UOA-810")
     sys.exit(0)
 
 

@@ -148,7 +148,7 @@ def asked(server: Remote, work: Callable[[Any], Awaitable[Any]], *, watches: boo
         except errors.UoarmError:
             raise
         except Exception as error:  # noqa: BLE001 - sockets and handshakes fail in many ways
-            fail(f"{server.url}: {_cause(error)}", BRIDGE)
+            fail(f"{server.url}: {_cause(error)}", BRIDGE, "UOA-402")
 
 
 def _cause(error: Exception) -> str:

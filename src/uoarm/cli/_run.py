@@ -102,7 +102,7 @@ def request(
                 click.echo(write_json(plain(message)))
         failure = reading.failure()
     if failure:
-        fail(failure, BRIDGE)
+        fail(failure, BRIDGE, "UOA-805")
 
 
 @click.command()
@@ -352,7 +352,7 @@ def offer(file: str, *, as_json: bool, once: bool) -> None:
     """
     with _without_record_of_offers(), open_robot(file) as robot:
         if not robot.config.offers:
-            fail(f"{file} has no `offer:`", CONFIGURATION)
+            fail(f"{file} has no `offer:`", CONFIGURATION, "UOA-104")
         statuses = robot.offer()
         try:
             for status in statuses:

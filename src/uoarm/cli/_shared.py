@@ -35,6 +35,7 @@ __all__ = [
     "open_robot",
     "plain",
     "print_error",
+    "print_error_code",
     "print_json",
     "print_warning",
     "reporting",
@@ -229,12 +230,16 @@ def plain(message: Message, most: int | None = None) -> Any:
     return to_json(message)
 
 
-def fail(error: Exception | str, code: int) -> NoReturn:
-    """Say on stderr what is wrong, and exit."""
+def fail(error: Exception | str, code: int, error_code: str = "UOA-001") -> NoReturn:
+    """Say on stderr what is wrong, and exit; an error of uoarm has its own code of errors."""
     print_error(error)
-    if isinstance(error, errors.UoarmError):
-        click.echo(f"uoarm explain {error.error_code} says more", err=True)
+    print_error_code(error.error_code if isinstance(error, errors.UoarmError) else error_code)
     sys.exit(code)
+
+
+def print_error_code(error_code: str) -> None:
+    """Say on stderr what explains an error."""
+    click.echo(f"uoarm explain {error_code} says more", err=True)
 
 
 def print_error(error: object) -> None:

@@ -14,6 +14,7 @@ __all__ = [
     "LimitError",
     "UnknownError",
     "code_of",
+    "coded_text",
     "error_code_of",
     "error_text",
     "without_frames",
@@ -92,3 +93,11 @@ def error_text(error: BaseException) -> str:
         return str(error)
     _log.error("the server failed", exc_info=error)
     return "the server failed; its log says more"
+
+
+def coded_text(error: BaseException) -> str:
+    """Return an error's text, with the code that `uoarm explain` explains.
+
+    For protocols whose errors are a text, and have no place for a code.
+    """
+    return f"{error_text(error)} ({error_code_of(error)})"

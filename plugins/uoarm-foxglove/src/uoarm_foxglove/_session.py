@@ -24,7 +24,7 @@ from uoarm.server.front_end import (
     MessageForm,
     Operation,
     Subscription,
-    error_text,
+    coded_text,
     without_frames,
 )
 from uoarm.server.publication import InputPublication
@@ -222,14 +222,14 @@ class FoxgloveSession:
         subscription = Subscription(
             self._client,
             form,
-            on_refused=lambda error: warn(str(error)),
+            on_refused=lambda error: warn(coded_text(error)),
             on_end=lambda state, cause: on_end(f"has {state}: {cause or 'killed'}"),
         )
         subscription.follow(
             self._backend,
             FeedKey(channel.wanted),
             on_waiting=warn,
-            on_failed=lambda error: on_end(error_text(error)),
+            on_failed=lambda error: on_end(coded_text(error)),
         )
         return subscription
 
@@ -345,7 +345,7 @@ class FoxgloveSession:
         failure = {
             "serviceId": request.service,
             "callId": request.call,
-            "message": self._shown(error_text(error)),
+            "message": self._shown(coded_text(error)),
         }
         self._client.outbox.reply(write("serviceCallFailure", **failure), text=True)
 
@@ -353,7 +353,7 @@ class FoxgloveSession:
         self._status(StatusLevel.WARNING, f"{topic} {text}", topic)
 
     def _fail(self, error: BaseException) -> None:
-        self._status(StatusLevel.ERROR, error_text(error), "")
+        self._status(StatusLevel.ERROR, coded_text(error), "")
 
     def _status(self, level: StatusLevel, text: str, asked: str) -> None:
         frame = write("status", level=level.value, message=self._shown(text, asked))

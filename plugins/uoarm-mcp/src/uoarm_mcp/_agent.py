@@ -16,11 +16,10 @@ from uoarm.server.front_end import (
     Backend,
     Discoveries,
     Guest,
+    LimitError,
     Operation,
     RoleView,
     UnknownError,
-    code_of,
-    error_text,
 )
 from uoarm_mcp._actions import AgentActions
 from uoarm_mcp._catalogue import STREAM, Catalogue, CatalogueMaker, FunctionTool, ToolKind
@@ -28,7 +27,7 @@ from uoarm_mcp._goals import AgentGoals
 from uoarm_mcp._robot_tools import RobotTools
 from uoarm_mcp._schemas import APPROVAL, check_schema
 from uoarm_mcp._streams import AgentStreams
-from uoarm_mcp._values import KeptValues, failed, is_picture, picture_of, succeeded
+from uoarm_mcp._values import KeptValues, failed, failure_text, is_picture, picture_of, succeeded
 
 __all__ = ["Agent"]
 
@@ -103,7 +102,8 @@ class Agent:
             known = catalogue.left_out.get(name, "")
             raise UnknownError(f"there is no tool {name!r:.200}{known and f': {known}'}")
         if self._under_way >= self.guest.limits.calls:
-            return failed("limit", f"{self._under_way} calls are under way; wait for one of them")
+            refusal = LimitError(f"{self._under_way} calls are under way; wait for one of them")
+            return failed(failure_text(refusal))
         self._under_way += 1
         try:
             if name in self._robot_tools:
@@ -116,9 +116,9 @@ class Agent:
         except UoarmError as error:
             if isinstance(error, UnknownError) and name not in self._robot_tools:
                 raise
-            return failed(code_of(error), self.view.text(str(error), str(arguments)))
+            return failed(self.view.text(failure_text(error), str(arguments)))
         except Exception as error:  # noqa: BLE001 - the agent gets an answer, the log the cause
-            return failed("internal", error_text(error))
+            return failed(failure_text(error))
         finally:
             self._under_way -= 1
 

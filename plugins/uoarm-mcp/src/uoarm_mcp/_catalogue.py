@@ -11,7 +11,7 @@ from mcp_types import Resource, Tool, ToolAnnotations
 
 from uoarm.errors import UoarmError
 from uoarm.model import Function, MessageStructure, Plan, Robot
-from uoarm.server.front_end import AccessRole, Backend, Operation, is_action
+from uoarm.server.front_end import AccessRole, Backend, Operation, coded_text, is_action
 from uoarm_mcp._schemas import (
     OWN_INPUTS,
     has_headers,
@@ -193,7 +193,7 @@ class CatalogueMaker:
         except asyncio.TimeoutError:
             return f"no plan within {_FIND_SECONDS:g} s"
         except UoarmError as error:
-            return str(error)
+            return coded_text(error)
         self._plans[name] = plan
         return ""
 

@@ -99,5 +99,6 @@ def _say(server: Server, options: ServerOptions) -> None:
 
 
 def _fail(error: BaseException, status: int) -> int:
-    sys.stderr.write(f"error: {error}\n")
+    error_code = error.error_code if isinstance(error, UoarmError) else "UOA-001"
+    sys.stderr.write(f"error: {error}\nuoarm explain {error_code} says more\n")
     return status

@@ -13,8 +13,8 @@ from attrs import define, field
 
 from uoarm.errors import UoarmError
 from uoarm.model import Message
-from uoarm.server.front_end import LimitError, UnknownError, code_of, error_text
-from uoarm_mcp._values import RenderedMessage
+from uoarm.server.front_end import LimitError, UnknownError
+from uoarm_mcp._values import RenderedMessage, failure_text
 
 __all__ = ["AgentGoal", "AgentGoals", "within"]
 
@@ -150,10 +150,10 @@ class AgentGoals:
                 goal.state = "succeeded"
         except UoarmError as error:
             goal.state = "canceled" if goal.is_cancelled else "failed"
-            goal.cause = f"{code_of(error)}: {text(str(error))}"
+            goal.cause = text(failure_text(error))
         except Exception as error:  # noqa: BLE001 - the end is reported, whatever it is
             goal.state = "failed"
-            goal.cause = f"{code_of(error)}: {error_text(error)}"
+            goal.cause = failure_text(error)
         finally:
             goal.ended = time.monotonic()
             goal.done.set()

@@ -18,7 +18,7 @@ from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol
 from uoarm.errors import ControlMessageError
 from uoarm.model import Budget, BudgetUse, scan_json
 from uoarm.server import Limits
-from uoarm.server.front_end import Discoveries, Guest, HttpPlace, RefusedError
+from uoarm.server.front_end import Discoveries, Guest, HttpPlace, RefusedError, coded_text
 from uoarm_mcp._service import GUEST, AgentService
 
 __all__ = ["PATH", "serve_http"]
@@ -154,7 +154,7 @@ class AdmittingApp:
                     return
                 await self._serve(guest, scope, receive, send)
         except RefusedError as error:
-            await _answer(send, error.status.value, str(error))
+            await _answer(send, error.status.value, coded_text(error))
 
     async def _serve(self, guest: Guest, scope: _Scope, receive: _Receive, send: _Send) -> None:
         limits = self._place.backend.limits
@@ -169,7 +169,7 @@ class AdmittingApp:
             await _answer(send, 408, f"the request took more than {limits.message_seconds:g} s")
             return
         except ControlMessageError as error:
-            await _answer(send, 413, str(error))
+            await _answer(send, 413, coded_text(error))
             return
         except UnicodeDecodeError:
             await _answer(send, 400, "the request is not UTF-8")

@@ -23,6 +23,7 @@ from uoarm.server.front_end import (
     Operation,
     RoleView,
     UnknownError,
+    coded_text,
     is_action,
     show_approval,
     show_plan,
@@ -127,7 +128,7 @@ class RobotTools:
             return {
                 "function": name,
                 "possible": False,
-                "why": self._view.text(str(error), name),
+                "why": self._view.text(coded_text(error), name),
                 "state": "impossible",
             }
         shown = show_plan(plan, TEXT_FORM, self._view)
@@ -252,7 +253,7 @@ class RobotTools:
             await self._backend.resolve(name)
             why = "a plan is found now"
         except UoarmError as error:
-            why = view.text(str(error), name)
+            why = view.text(coded_text(error), name)
         status = await self._backend.in_worker(
             lambda: visible_status(self._backend.robot.status(), view)
         )

@@ -47,11 +47,11 @@ from uoarm.server.front_end import (
     Discoveries,
     Guest,
     UnknownError,
-    code_of,
+    coded_text,
 )
 from uoarm_mcp._agent import Agent
 from uoarm_mcp._catalogue import STREAM, CatalogueMaker
-from uoarm_mcp._values import KEPT
+from uoarm_mcp._values import KEPT, failure_text
 
 __all__ = ["GUEST", "AgentService"]
 
@@ -165,7 +165,7 @@ class AgentService:
         try:
             return await self._agent(context).call(params.name, params.arguments or {})
         except UnknownError as error:
-            raise MCPError(INVALID_PARAMS, str(error)) from None
+            raise MCPError(INVALID_PARAMS, coded_text(error)) from None
 
     async def _list_resources(
         self, context: _Context, params: PaginatedRequestParams | None
@@ -205,8 +205,8 @@ class AgentService:
         try:
             kind, octets = found or await agent.latest(uri)
         except UoarmError as error:
-            text = agent.view.text(str(error), uri)
-            raise MCPError(INVALID_PARAMS, f"{code_of(error)}: {text}", {"uri": uri}) from None
+            text = agent.view.text(failure_text(error), uri)
+            raise MCPError(INVALID_PARAMS, text, {"uri": uri}) from None
         if kind == "application/json":
             text_part = TextResourceContents(uri=uri, mime_type=kind, text=octets.decode())
             return ReadResourceResult(contents=[text_part])
@@ -237,7 +237,7 @@ class AgentService:
         try:
             self._subscribed[key] = await self._watch(agent, uri, send)
         except UoarmError as error:
-            raise MCPError(INVALID_PARAMS, f"{code_of(error)}: {error}") from None
+            raise MCPError(INVALID_PARAMS, failure_text(error)) from None
         return EmptyResult()
 
     async def _unsubscribe(

@@ -16,13 +16,14 @@ from mcp_types import CallToolResult, ImageContent, ResourceLink, TextContent
 
 from uoarm.errors import PluginError, UsageError
 from uoarm.model import Message
-from uoarm.server.front_end import TEXT_FORM, Account, Charge, MemoryUse
+from uoarm.server.front_end import TEXT_FORM, Account, Charge, MemoryUse, code_of, coded_text
 
 __all__ = [
     "KEPT",
     "KeptValues",
     "RenderedMessage",
     "failed",
+    "failure_text",
     "is_picture",
     "picture_of",
     "succeeded",
@@ -238,6 +239,11 @@ def succeeded(
     )
 
 
-def failed(code: str, text: str) -> CallToolResult:
+def failure_text(error: BaseException) -> str:
+    """Return an error as agents get it: its kind, its text and its code."""
+    return f"{code_of(error)}: {coded_text(error)}"
+
+
+def failed(text: str) -> CallToolResult:
     """Return what a tool answers that refuses."""
-    return CallToolResult(content=[TextContent(text=f"{code}: {text}")], is_error=True)
+    return CallToolResult(content=[TextContent(text=text)], is_error=True)

@@ -60,7 +60,8 @@ def main(arguments: list[str] | None = None) -> int:
         registry = Registry()
         robot = load(path, registry.types)
     except (UoarmError, OSError) as error:
-        sys.stderr.write(f"error: {error}\n")
+        error_code = error.error_code if isinstance(error, UoarmError) else "UOA-001"
+        sys.stderr.write(f"error: {error}\nuoarm explain {error_code} says more\n")
         return _MISTAKES if isinstance(error, ConfigurationError) else _FAILED
     managers = {
         bridge: registry.types["remote"].value_of(bridge.options, bridge.folder)

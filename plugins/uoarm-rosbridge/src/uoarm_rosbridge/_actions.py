@@ -27,7 +27,7 @@ from uoarm.server.front_end import (
     MemoryUse,
     Operation,
     UnknownError,
-    error_text,
+    coded_text,
     is_action,
 )
 from uoarm_rosbridge._hub import ActionHub
@@ -202,7 +202,7 @@ class Actions:
 
         def on_failure(error: BaseException) -> None:
             view = self._backend.role_views.of(self._client.role)
-            text = view.text(error_text(error), str(fields["action"]))
+            text = view.text(coded_text(error), str(fields["action"]))
             finish(_result(named, text, GoalStatus.UNKNOWN, result=False))
 
         def finish(frame: bytes) -> None:

@@ -23,7 +23,7 @@ from uoarm.server.front_end import (
     LimitError,
     MemoryUse,
     code_of,
-    error_text,
+    coded_text,
     without_frames,
 )
 from uoarm_rosbridge._actions import Actions
@@ -254,7 +254,7 @@ class RosbridgeSession:
         self._level = _LEVELS.index(fields["level"])
 
     def _fail(self, fields: Mapping[str, Any], error: BaseException) -> None:
-        text = self._shown(error_text(error), fields)
+        text = self._shown(coded_text(error), fields)
         op = fields.get("op")
         if op == "service_response" or not isinstance(op, str):  # it may have been an answer
             self._services.refused(fields, text)
