@@ -64,13 +64,15 @@ def here(name: str = "robot.yaml") -> str:
 class ServedRobot:
     """A robot before which a server can be ended, and be there again on the same port."""
 
-    def __init__(self, robot: str | Robot = ROBOT, access: Path | None = None) -> None:
+    def __init__(
+        self, robot: str | Robot = ROBOT, access: Path | None = None, port: int = 0
+    ) -> None:
         self.manager = RobotManager(
             loads(robot, origin=here()) if isinstance(robot, str) else robot
         )
         self._access = access
         self._serving = ExitStack()
-        self.port = 0
+        self.port = port
         self.server: Server | None = None
         self.start()
 

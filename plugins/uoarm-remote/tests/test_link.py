@@ -7,6 +7,7 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing
 from pathlib import Path
+from typing import Any
 
 import pytest
 from attrs import evolve
@@ -16,7 +17,7 @@ from robots import ROBOT, ServedRobot, here
 from uoarm import RobotManager
 from uoarm.bridge import Bridge, Registry
 from uoarm.config import loads
-from uoarm.errors import BridgeError, ConfigurationError, ResolutionError
+from uoarm.errors import BridgeError, ConfigurationError, MessageError, ResolutionError
 from uoarm.model import BridgeSpec, Endpoint, MessageStructure, Role
 from uoarm.server import ServerOptions, hash_token, make_token, serve_in_thread
 from uoarm.testing import Background, Collector, MemoryBridge, Proxy, patience, wait
@@ -159,6 +160,55 @@ def test_a_command_that_was_not_answered_never_arrives(
 
         wait(drives_again, "commands do not pass again")
         assert 1.0 not in stage.taken
+
+
+def test_what_another_robot_gives_at_the_same_address_is_proven_again(desk: Desk) -> None:
+    robot = ServedRobot()
+    other = ROBOT
+    for name, part in (("counter", "texts"), ("double", "twice"), ("drive", "drive")):
+        other = other.replace(f'"parts:{name}"', f'"otherparts:{part}"')
+    other = other.replace(", lifetime: 2.0, stop: {message: {speed: 0.0}}", "")
+    try:
+        manager = desk(robot.url)
+        came: list[Any] = []
+        with (
+            manager.request("counter", on_message=came.append) as counter,
+            manager.request("drive") as drive,
+        ):
+            wait(lambda: came, "nothing came")
+            assert manager.call("double", {"value": 1}, timeout=patience()) == {"value": 2}
+            robot.close()
+            robot = ServedRobot(other, port=robot.port)
+            for connection in (counter, drive):
+                wait(lambda: connection.state.value == "failed", "it was not proven again")  # noqa: B023
+                assert "has begun anew: its structure is another: the message: the field" in (
+                    connection.cause
+                )
+        assert not [message for message in came if "text" in message]
+        wait(lambda: doubles(manager), "what is called is not proven again")
+    finally:
+        robot.close()
+
+
+def test_a_service_that_is_another_there_by_now_is_described_again(desk: Desk) -> None:
+    robot = ServedRobot()
+    try:
+        manager = desk(robot.url)
+        assert manager.call("double", {"value": 1}, timeout=patience()) == {"value": 2}
+        other = ROBOT.replace('"parts:double"', '"otherparts:twice"')
+        robot.manager.apply(loads(other, origin=here()))
+        with pytest.raises(MessageError, match="the field 'text' is missing"):
+            manager.call("double", {"value": 1}, timeout=patience())
+        wait(lambda: doubles(manager), "it is not described again")
+    finally:
+        robot.close()
+
+
+def doubles(manager: RobotManager) -> bool:
+    try:
+        return bool(manager.call("double", {"text": "a"}, timeout=patience()) == {"text": "aa"})
+    except (BridgeError, MessageError, ResolutionError):
+        return False
 
 
 def test_what_is_lost_in_a_cut_is_counted(robot: ServedRobot, proxy: Proxy, desk: Desk) -> None:

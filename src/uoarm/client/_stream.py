@@ -66,6 +66,7 @@ class RemoteStream(Generic[T]):
         self._type: MessageType[T] | None = None
         self._take: Callable[[Message], object] | None = None
         self._on_end: Callable[[], object] | None = None
+        self._on_renewal: Callable[[], object] = bool
 
     def _describe(self, opened: Mapping[str, Any]) -> None:
         self.connection: str = opened["connection"]
@@ -90,6 +91,7 @@ class RemoteStream(Generic[T]):
         self._is_away = False
         self._taken = None
         self.gaps += 1
+        self._on_renewal()
 
     def suspend(self) -> None:
         """Send nothing until `renew`: its name may be another connection's by then."""
@@ -138,18 +140,24 @@ class RemoteStream(Generic[T]):
                 self.lost += number - self._last[1] - 1
             self._last = session, number
 
-    def hand_over(self, take: Callable[[Message], object], ended: Callable[[], object]) -> None:
+    def hand_over(
+        self,
+        take: Callable[[Message], object],
+        ended: Callable[[], object],
+        renewed: Callable[[], object] = bool,
+    ) -> None:
         """Have each message taken as it comes, in the loop, in place of `get`; plain values.
 
         Args:
             take: gets first what waits. Returns at once, and raises nothing.
             ended: called once when no more will come.
+            renewed: called when a server that began anew has opened it again, before its messages.
         """
         while self._waiting:
             session, number, message = self._waiting.popleft()
             self._count(session, number)
             take(message)
-        self._take, self._on_end = take, ended
+        self._take, self._on_end, self._on_renewal = take, ended, renewed
         if self.ended:
             ended()
 

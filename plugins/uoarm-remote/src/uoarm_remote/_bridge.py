@@ -18,7 +18,7 @@ from uoarm.bridge import (
     Source,
     reading_endpoint,
 )
-from uoarm.errors import BridgeError, FailureReason
+from uoarm.errors import BridgeError, FailureReason, MessageError
 from uoarm.model import Endpoint, Health, Message, MessageStructure, Role, StopOutcome
 from uoarm_remote._channels import FunctionSink, FunctionSource, FunctionStreams
 from uoarm_remote._discovery import described, discovered
@@ -36,7 +36,7 @@ class RemoteManagerBridge(Bridge):
     def __init__(self, name: str, options: ManagerOptions) -> None:
         super().__init__(name, options)
         self._given = options
-        self._other = ManagerLink(name, options, lambda: self.manager)
+        self._other = ManagerLink(name, options, lambda: self.manager, self._restarted)
         self._streams = FunctionStreams(self._other)
 
     def facts(self) -> Mapping[str, object]:
@@ -54,14 +54,14 @@ class RemoteManagerBridge(Bridge):
     def _open_source(
         self, endpoint: Endpoint, structure: MessageStructure, deliver: Delivery
     ) -> Source:
-        del structure
-        source = FunctionSource(endpoint, _options(endpoint), self._other, deliver, self._report)
+        options = _options(endpoint)
+        source = FunctionSource(endpoint, structure, options, self._other, deliver, self._report)
         source.open(self._streams, self._given.timeout)
         return source
 
     def _open_sink(self, endpoint: Endpoint, structure: MessageStructure) -> Sink:
-        del structure
-        sink = FunctionSink(endpoint, _options(endpoint), self._other, self._report)
+        options = _options(endpoint)
+        sink = FunctionSink(endpoint, structure, options, self._other, self._report)
         sink.open(self._streams, self._given.timeout)
         return sink
 
@@ -71,13 +71,18 @@ class RemoteManagerBridge(Bridge):
         del structures
         _options(endpoint)
         fields = {"jsonMessage": message, "x-timeout": timeout, **self._other.way()}
-        with ExitStack() as stack:
-            reply: Message = self._other.ask_at_once(
-                "Call",
-                lambda: (endpoint.address[0], fields),
-                timeout,
-                lambda cancel: stack.enter_context(self.cancelling(cancel)),
-            )
+        try:
+            with ExitStack() as stack:
+                reply: Message = self._other.ask_at_once(
+                    "Call",
+                    lambda: (endpoint.address[0], fields),
+                    timeout,
+                    lambda cancel: stack.enter_context(self.cancelling(cancel)),
+                )
+        except MessageError as error:
+            # What fitted here: it is another service there by now, and is to be described again.
+            self.report(Health.OK, str(error), component=endpoint.component)
+            raise
         return reply
 
     def _keeps_time(self, endpoint: Endpoint) -> bool:
@@ -101,6 +106,10 @@ class RemoteManagerBridge(Bridge):
 
     def _close(self) -> None:
         self._other.close()
+
+    def _restarted(self) -> None:
+        """Have described again what is not open: it may have another structure now."""
+        self.report(Health.OK, "the other manager has begun anew")
 
     def _report(self, channel: Channel, health: Health, cause: str) -> None:
         self.report(health, cause, channel=channel)

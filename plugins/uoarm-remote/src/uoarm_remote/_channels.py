@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import time
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Coroutine, Mapping
 from contextlib import suppress
 from functools import partial
 from typing import Any, TypeAlias
@@ -13,8 +13,9 @@ from typing import Any, TypeAlias
 from uoarm.bridge import ChannelHealth, ChannelMonitor, Delivery, ReceiveQueue, Sink, Source
 from uoarm.client import RemoteRobot, RemoteStream
 from uoarm.errors import BridgeTimeoutError, UoarmError
-from uoarm.model import Endpoint, Health, Message, message_octets
-from uoarm_remote._discovery import wanted_name
+from uoarm.model import Endpoint, Health, Message, MessageStructure, Role, message_octets
+from uoarm.schema import SchemaError, check
+from uoarm_remote._discovery import read_plan, wanted_name
 from uoarm_remote._link import ManagerLink
 from uoarm_remote._options import FunctionOptions
 
@@ -23,6 +24,7 @@ __all__ = ["FunctionSink", "FunctionSource", "FunctionStreams"]
 Report: TypeAlias = Callable[[Health, str], object]
 _Arrival: TypeAlias = "tuple[Message] | tuple[str, str]"  # a message, or state and cause of an end
 _STANDING = 64
+_UNPROVEN = 1024
 
 
 class _Stream:
@@ -33,9 +35,15 @@ class _Stream:
         self.stream: RemoteStream[Message] | None = None
         self.members: dict[FunctionSource | FunctionSink, bool] = {}  # and whether each is open
         self.standing: deque[Message] = deque(maxlen=_STANDING)
+        # What has come since the other manager began anew, until it is known that all of it fits.
+        self.unproven: deque[Message] | None = None
+        self.proving: asyncio.Task[None] | None = None
 
     def hand_on(self, stream: RemoteStream[Message], message: Message) -> None:
         """Hand a message to all that are open."""
+        if self.unproven is not None:
+            self.unproven.append(message)
+            return
         if stream.latched:
             self.standing.append(message)
         for member, is_open in tuple(self.members.items()):
@@ -98,9 +106,47 @@ class FunctionStreams:
                 shared.stream = stream
                 shared.standing.clear()
                 self._opened(shared, channel, stream)
-                stream.hand_over(partial(shared.hand_on, stream), partial(shared.end, stream))
+                shared.unproven = None
+                prove = partial(self._prove, robot, shared, stream, way)
+                stream.hand_over(
+                    partial(shared.hand_on, stream),
+                    partial(shared.end, stream),
+                    partial(self._begin_to_prove, shared, prove),
+                )
             else:
                 self._opened(shared, channel, stream)
+
+    def _begin_to_prove(
+        self, shared: _Stream, prove: Callable[[], Coroutine[Any, Any, None]]
+    ) -> None:
+        shared.unproven = deque(maxlen=_UNPROVEN)
+        shared.standing.clear()
+        if shared.proving is not None:
+            shared.proving.cancel()
+        shared.proving = asyncio.ensure_future(prove())
+
+    async def _prove(
+        self,
+        robot: RemoteRobot,
+        shared: _Stream,
+        stream: RemoteStream[Message],
+        way: Mapping[str, Any],
+    ) -> None:
+        """Compare the structures of a manager that began anew with those that were proven."""
+        try:
+            plan = await robot.ask("Resolve", str(stream.request["type"]).partition(".")[0], **way)
+        except UoarmError as error:
+            plan = error
+        loop = asyncio.get_running_loop()
+        for member in tuple(shared.members):
+            # The proof may take as long as its budget allows.
+            why = await loop.run_in_executor(None, member.health.mismatch, plan)
+            if why:
+                shared.members.pop(member, None)
+                member.ended("failed", f"the other manager has begun anew: {why}")
+        waiting, shared.unproven = shared.unproven or (), None
+        for message in waiting:
+            shared.hand_on(stream, message)
 
     def _opened(
         self,
@@ -134,8 +180,14 @@ class _Monitored:
     """The health of a channel, by what the link and the other manager say."""
 
     def __init__(
-        self, endpoint: Endpoint, link: ManagerLink, options: FunctionOptions, report: Report
+        self,
+        endpoint: Endpoint,
+        structure: MessageStructure,
+        link: ManagerLink,
+        options: FunctionOptions,
+        report: Report,
     ) -> None:
+        self._endpoint, self._structure, self._place = endpoint, structure, link.place
         clock = time.monotonic
         health = ChannelHealth(
             f"{'.'.join(endpoint.address)} of {link.place}",
@@ -167,6 +219,28 @@ class _Monitored:
             self._is_broken = False
             self.monitor.connected()
 
+    def mismatch(self, plan: Mapping[str, Any] | UoarmError) -> str:
+        """Say why messages are not surely those that were proven, by a plan of now; "": they are.
+
+        Takes as long as a proof may.
+        """
+        proven = self._structure.schema
+        try:
+            if isinstance(plan, UoarmError):
+                raise plan
+            found = read_plan(plan, self._endpoint, self._place).message
+            assert found is not None, "it is no service"
+            is_input = self._endpoint.role is Role.INPUT
+            verdict = check(*((proven, found.schema) if is_input else (found.schema, proven)))
+        except (SchemaError, UoarmError) as error:
+            return str(error)
+        if verdict.compatible:
+            return ""
+        reasons = "; ".join(
+            f"{reason.path or 'the message'}: {reason.sentence}" for reason in verdict.reasons
+        )
+        return f"its structure is another: {reasons or verdict.undecided:.500}"
+
     def ended(self, state: str, cause: str) -> None:
         """Take in that the function has ended there."""
         health = Health.FINISHED if state == "finished" else Health.LOST
@@ -182,6 +256,7 @@ class FunctionSource(Source):
     def __init__(
         self,
         endpoint: Endpoint,
+        structure: MessageStructure,
         options: FunctionOptions,
         link: ManagerLink,
         deliver: Delivery,
@@ -189,7 +264,7 @@ class FunctionSource(Source):
     ) -> None:
         super().__init__(endpoint)
         self.key = (wanted_name(endpoint), True, options.every)
-        self.health = _Monitored(endpoint, link, options, partial(report, self))
+        self.health = _Monitored(endpoint, structure, link, options, partial(report, self))
         self._link, self._deliver = link, deliver
         self._streams: FunctionStreams | None = None
         self._queue: ReceiveQueue[_Arrival] = ReceiveQueue(
@@ -262,13 +337,14 @@ class FunctionSink(Sink):
     def __init__(
         self,
         endpoint: Endpoint,
+        structure: MessageStructure,
         options: FunctionOptions,
         link: ManagerLink,
         report: Callable[[Sink, Health, str], object],
     ) -> None:
         super().__init__(endpoint)
         self.key = (endpoint.address[0], False, 0.0)
-        self.health = _Monitored(endpoint, link, options, partial(report, self))
+        self.health = _Monitored(endpoint, structure, link, options, partial(report, self))
         self._link = link
         self._port = endpoint.address[1] if len(endpoint.address) > 1 else None
         self._streams: FunctionStreams | None = None

@@ -12,7 +12,7 @@ from uoarm.errors import BridgeError, FailureReason, UoarmError
 from uoarm.model import Endpoint, MessageStructure, Role, Schema, message_octets
 from uoarm_remote._link import ManagerLink
 
-__all__ = ["described", "discovered", "wanted_name"]
+__all__ = ["described", "discovered", "read_plan", "wanted_name"]
 
 _MOST_OCTETS = 4_194_304
 _MOST_IDENTITY = 64
@@ -34,7 +34,12 @@ def described(link: ManagerLink, endpoint: Endpoint, timeout: float) -> Descript
         BridgeError: it is not exported to this manager, cannot be had now, or has no such port.
     """
     found = link.ask("Resolve", endpoint.address[0], timeout)
-    with _reading_plan(link.place, endpoint.address[0]):
+    return read_plan(found, endpoint, link.place)
+
+
+def read_plan(found: Mapping[str, Any], endpoint: Endpoint, place: str) -> Description:
+    """Return the structures of a port as a plan of the other manager has them; raises as above."""
+    with _reading_plan(place, endpoint.address[0]):
         managers, structures = _managers(found), _structures(found)
     if endpoint.role is Role.SERVICE:
         request, reply = structures.get("request"), structures.get("reply")

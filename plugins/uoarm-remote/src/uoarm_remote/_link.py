@@ -65,10 +65,19 @@ class ManagerLink:
         name: of the bridge.
         options: of the bridge.
         identity: returns the identity of the manager that asks.
+        on_restart: called when the other manager has begun anew, in the link's thread.
     """
 
-    def __init__(self, name: str, options: ManagerOptions, identity: Callable[[], str]) -> None:
+    def __init__(
+        self,
+        name: str,
+        options: ManagerOptions,
+        identity: Callable[[], str],
+        on_restart: Callable[[], object],
+    ) -> None:
         self._name, self._options, self._identity = name, options, identity
+        self._on_restart = on_restart
+        self._current: tuple[RemoteRobot, int] | None = None
         # Guards the beginning of the thread, the members and why the link is down: between steps,
         # in any thread, and the link's own.
         self._lock = threading.Lock()
@@ -344,6 +353,10 @@ class ManagerLink:
         self._tried.set()
         for member in members:
             member.link_is_up()
+        assert self._robot is not None, "it is up"
+        before, self._current = self._current, (self._robot, self._robot.restarts)
+        if before not in {None, self._current}:
+            self._on_restart()
 
     def _down(self, cause: str) -> None:
         with self._lock:
