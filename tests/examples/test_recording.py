@@ -32,3 +32,18 @@ def test_a_recording_takes_the_place_of_what_was_unplugged(
     assert fires[-20:] == [20.0 + 5 * number > 90 for number in range(20)]
     done = CliRunner().invoke(main, shlex.split(check))
     assert (done.exit_code, "20 fit, 0 do not" in done.output) == (0, True), done.output
+
+
+def test_the_notebook_gives_what_stands_in_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    shutil.copytree(EXAMPLE, tmp_path, dirs_exist_ok=True)
+    monkeypatch.chdir(tmp_path)
+    cells = json.loads((EXAMPLE / "look.ipynb").read_text("utf-8"))["cells"]
+    programs = [cell for cell in cells if cell["cell_type"] == "code"]
+    assert len(programs) == 4
+    names: dict[str, object] = {}
+    for cell in programs:
+        exec("".join(cell["source"]), names)  # as a kernel does
+        (output,) = cell["outputs"]
+        assert capsys.readouterr().out == "".join(output["text"])
