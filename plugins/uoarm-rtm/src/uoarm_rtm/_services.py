@@ -158,14 +158,15 @@ class OperationCaller:
             MessageError: the request does not fit.
             IdlError: the service raised an exception that its IDL declares.
             BridgeError: the component is gone, inactive, or failed, and this has ended; or, with
-                CLOSED, it had before, and nothing was called.
+                CLOSED, it had before, or what it knew is there no more, and nothing was called.
             BridgeTimeoutError: no reply in time.
         """
         chosen, arguments = split(self._interface, self._operation, message)
         natives = chosen.arguments(arguments)
         what = f"{self._where}: {self._interface.name}::{chosen.name}"
         try:
-            target = limit(self._reach(), seconds)
+            reached, is_new = self._reach()
+            target = limit(reached, seconds)
         except BridgeTimeoutError:
             raise
         except BridgeError:
@@ -177,7 +178,10 @@ class OperationCaller:
                     result = getattr(target, chosen.name)(*natives)
                 except CORBA.OBJECT_NOT_EXIST as error:
                     text = f"{what}: the service is not there; is its component active?"
-                    raise BridgeError(text, FailureReason.UNAVAILABLE) from error
+                    # One that was served anew since is another object: it is looked for again.
+                    is_certain = is_new or error.completed != CORBA.COMPLETED_NO
+                    reason = FailureReason.UNAVAILABLE if is_certain else FailureReason.CLOSED
+                    raise BridgeError(text, reason) from error
                 except CORBA.UserException as error:
                     raise _declared(chosen, error, what) from error
         except IdlError:
@@ -197,12 +201,14 @@ class OperationCaller:
         if connector is not None:
             connector.disconnect()
 
-    def _reach(self) -> Any:
+    def _reach(self) -> tuple[Any, bool]:
+        """Return the object, and whether this has connected to it."""
         with self._lock:
             if self.ended:
                 text = f"{self._where}: the connection has ended, or the bridge was closed"
                 raise BridgeError(text, FailureReason.CLOSED)
-            if self._object is None:
+            is_new = self._object is None
+            if is_new:
                 connector = self._connections.connect(self._where, {}, self._port)
                 names = f"{self._offer.type}.{self._offer.name}"
                 ior = connector.published(
@@ -217,7 +223,7 @@ class OperationCaller:
                     connector.disconnect()
                     raise
                 self._connector = connector
-            return self._object
+            return self._object, is_new
 
 
 def _declared(operation: IdlOperation, error: Any, what: str) -> BridgeError:
