@@ -17,7 +17,7 @@ import orjson
 from attrs import evolve, field, frozen
 
 from uoarm.errors import MessageError
-from uoarm.model import Component, Function, Message, Plan, Robot
+from uoarm.model import Component, Function, Message, Plan, Robot, to_json
 from uoarm.server.access._role import AccessRole, Audit, DeniedError, Operation
 
 __all__ = [
@@ -576,6 +576,9 @@ class ApprovalDesk:
                     "approver": approval.approver,
                     "operation": approval.wish.operation,
                     "function": approval.wish.function,
+                    "port": approval.wish.port,
+                    "envelope": to_json(approval.wish.envelope),
+                    "seconds": approval.wish.seconds,
                     "uses": approval.uses,
                     "digest": approval.digest,
                     "cause": approval.cause,
