@@ -1,4 +1,4 @@
-// A body thermometer in Node.js, written from plugins/uoarm-rocos/profile.md alone: no package, no uoarm.
+// A body thermometer in Node.js, written from plugins/uoarm-rocos/docs/profile.md alone: no package, no uoarm.
 //
 //   node thermometer.js --tcp 7201          listens on loopback, prints its URL
 //   node thermometer.js --serial /dev/tty…  speaks on a serial port that is already set up

@@ -28,7 +28,7 @@ from uoarm_rocos._framing import MessageLimits, WireError
 
 from uoarm.errors import ConfigurationError
 
-PAGE = Path(__file__).parents[1] / "profile.md"
+PAGE = Path(__file__).parents[1] / "docs" / "profile.md"
 XSD = etree.XMLSchema(etree.parse(Path(uoarm_rocos.__file__).with_name("profile.xsd")))
 CODEC = XmlCodec()
 

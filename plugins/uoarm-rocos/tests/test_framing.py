@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from uoarm_rocos._framing import Framer, LengthFramer, StuffedFramer, WireError
 
-PAGE = Path(__file__).parents[1] / "profile.md"
+PAGE = Path(__file__).parents[1] / "docs" / "profile.md"
 MESSAGE = b'<heartbeat seq="0"/>'
 payloads = st.lists(st.binary(min_size=1, max_size=60), max_size=6)
 
