@@ -21,13 +21,13 @@ from websockets.sync.client import ClientConnection, connect
 
 from bench._fleet_peer import LARGE, ROBOT, SMALL
 from bench.tables import at, print_table
-from uoarm import RobotManager
+from uoarm import QueuePolicy, RobotManager
 from uoarm.config import loads
 from uoarm.server import ServerOptions, serve_in_thread
 
 ORIGIN = str(Path(__file__).parent / "robot.yaml")
 SIZES = {"100 B": 100, "10 KB": 10_000, "1 MB": 1_000_000}
-STREAMS = {"1 KB": (SMALL, 4000, 60), "921,600 B": (LARGE, 200, 8)}
+STREAMS = {"1 KB": (SMALL, 20_000, 500), "921,600 B": (LARGE, 200, 8)}
 """Octets of a message, how many are read, and how many may be under way."""
 FUNCTIONS = {SMALL: "small", LARGE: "large"}
 ROUNDS, MANAGERS = 5, (1, 10, 50)
@@ -125,7 +125,8 @@ def bare_rate(socket: ClientConnection, octets: int, count: int) -> float:
 
 def stream_rate(desk: RobotManager, credit: Path, octets: int, count: int, window: int) -> float:
     """Return how many messages a second come of an output, with a window of them under way."""
-    with desk.request(FUNCTIONS[octets]) as stream, credit.open("wb", buffering=0) as pipe:
+    queue = QueuePolicy(2 * window)
+    with desk.request(FUNCTIONS[octets], queue=queue) as stream, credit.open("wb", buffering=0) as pipe:
         start = time.perf_counter()
         pipe.write(bytes(window))
         for _ in range(count - 1):

@@ -201,7 +201,7 @@ def test_a_peer_that_answers_nothing_is_dropped_without_waiting_for_a_goodbye() 
                 await connection.hand_over(lambda _: None)
             over.set()
             assert caught.value.sent is None  # a server that gets a word ends the session
-            assert "nothing came for 0.05 s" in str(caught.value.__cause__)
+            assert "nothing came for 0.1 s" in str(caught.value.__cause__)
 
     run(work)
 

@@ -64,6 +64,17 @@ def test_a_configuration_that_is_wrong_or_imports_nothing(
     assert capsys.readouterr().out == f"{file} imports from no other manager\n"
 
 
+def test_the_status_of_all_is_that_of_the_fleet(robot: ServedRobot, tmp_path: Path) -> None:
+    shown = subprocess.run(
+        [sys.executable, "-m", "uoarm", "status", "--all", desk(tmp_path, first=robot.url)],
+        capture_output=True,
+        text=True,
+        timeout=patience(),
+        check=True,
+    )
+    assert shown.stdout.startswith(f"first  {robot.url}\n  ")
+
+
 def test_it_is_a_command_of_uoarm() -> None:
     shown = subprocess.run(
         [sys.executable, "-m", "uoarm", "fleet", "--help"],

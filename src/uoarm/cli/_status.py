@@ -14,6 +14,7 @@ from attrs import frozen
 
 from uoarm import RobotManager
 from uoarm._checks import plugin_facts
+from uoarm._origin import install_command
 from uoarm.bridge import Registry
 from uoarm.cli._discover import looking
 from uoarm.cli._file import STANDARD, takes_configuration
@@ -172,14 +173,18 @@ def _broken(registry: Registry, facts: Mapping[str, Mapping[str, str]]) -> Itera
 @every_option
 @remote_options(always=False)
 @click.option("--bridges", is_flag=True, help="Show what is known of each framework.")
+@click.option("--all", "managers", is_flag=True, help="Show each manager that the file imports.")
 @json_option
+@click.pass_context
 def status(
+    context: click.Context,
     file: str,
     *,
     watch: bool,
     every: float,
     server: Remote | None,
     bridges: bool,
+    managers: bool,
     as_json: bool,
 ) -> None:
     """Show what can be had now, and from which component.
@@ -187,8 +192,18 @@ def status(
     Every bridge is asked, and nothing is opened. Exit code 0 when every function can be had, 1
     otherwise. With --url, show the live status of a robot that `uoarm serve` runs; with --watch,
     its events too. With --bridges, show what is known of each framework, configured or only
-    installed; exit code 4 when none is reachable.
+    installed; exit code 4 when none is reachable. With --all, show the live status of each other
+    manager that the file imports from, as `uoarm fleet` does.
     """
+    if managers:
+        group = context.find_root().command
+        assert isinstance(group, click.Group), "it is `uoarm`"
+        fleet = group.get_command(context, "fleet")
+        if fleet is None:
+            command = install_command("uoarm-remote")
+            raise click.ClickException(f"other managers need the plugin uoarm-remote: {command}")
+        context.invoke(fleet, arguments=(file, "--json") if as_json else (file,))
+        return
     if bridges:
         show_frameworks(file, as_json=as_json)
         return

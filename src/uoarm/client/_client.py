@@ -99,7 +99,7 @@ class ServerAddress:
             compression="deflate" if form.text else None,
             open_timeout=self.timeout,
             ping_interval=self.silence / 3,
-            ping_timeout=self.silence,
+            ping_timeout=self.silence * 2 / 3,
             close_timeout=_GOODBYE_SECONDS,
             **secured,
         )

@@ -169,7 +169,8 @@ class ClientSocket(ClientConnection):
                 while not answer.done() and (left := self.silent_at - self.loop.time()) > 0:
                     await asyncio.wait((answer,), timeout=left)
                 if not answer.done():
-                    self.set_connection_exc(TimeoutError(f"nothing came for {limit:g} s"))
+                    text = f"nothing came for {interval + limit:g} s"
+                    self.set_connection_exc(TimeoutError(text))
                     self.drop()
                     return
 

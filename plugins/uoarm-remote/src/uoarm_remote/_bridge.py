@@ -38,6 +38,7 @@ class RemoteManagerBridge(Bridge):
         self._given = options
         self._other = ManagerLink(name, options, lambda: self.manager, self._restarted)
         self._streams = FunctionStreams(self._other)
+        self._called: set[tuple[str, ...]] = set()
 
     def facts(self) -> Mapping[str, object]:
         """Return what the status shows of the link."""
@@ -69,7 +70,9 @@ class RemoteManagerBridge(Bridge):
         self, endpoint: Endpoint, structures: ServiceStructures, message: Message, timeout: float
     ) -> Message:
         del structures
-        _options(endpoint)
+        if endpoint.address not in self._called:  # which costs as much as the rest of it here
+            _options(endpoint)
+            self._called.add(endpoint.address)
         fields = {"jsonMessage": message, "x-timeout": timeout, **self._other.way()}
         try:
             with ExitStack() as stack:
