@@ -17,7 +17,7 @@ import numpy as np
 
 from bench.tables import at, print_table
 from uoarm._dataplane import make_check
-from uoarm._dataplane._whole_validator import validator_of
+from uoarm._dataplane._full_validator import validator_of
 from uoarm.model import Message, MessageStructure, Schema, ValidationMode
 
 _ROUNDS = 200

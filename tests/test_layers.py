@@ -220,7 +220,7 @@ NOT_LOADED = {
     | {"client", "config", "environments", "server", "_adapt", "_control", "_resolve", "schema"},
     "import uoarm._host.remote_bridge": {"zenoh", "cryptography", "_host.machines"},
     "import uoarm.cli": (HEAVY - {"click", "email"}) | PARTS_OF_OURS - {"cli"} | {"_control"},
-    "import uoarm.cli._look": (HEAVY - {"click", "email", "yaml"})
+    "import uoarm.cli._show": (HEAVY - {"click", "email", "yaml"})
     | {"_control", "_resolve", "_lock"},
 }
 

@@ -8,7 +8,7 @@ import sys
 
 import pytest
 
-from uoarm.cli import _look
+from uoarm.cli import _show
 from uoarm.testing import patience
 
 
@@ -16,11 +16,11 @@ def test_waiting_for_a_plan_at_a_terminal_says_for_what_and_how_long(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     ours, theirs = os.openpty()
-    monkeypatch.setattr(_look, "_SILENT_SECONDS", 0.0)
+    monkeypatch.setattr(_show, "_SILENT_SECONDS", 0.0)
     try:
         with os.fdopen(theirs, "w") as terminal:
             monkeypatch.setattr(sys, "stderr", terminal)
-            with _look._saying_that_it_waits(7.0):
+            with _show._saying_that_it_waits(7.0):
                 assert select.select([ours], [], [], patience())[0]
                 assert b"waiting for bridges to start" in os.read(ours, 4096)
             monkeypatch.undo()

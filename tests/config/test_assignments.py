@@ -143,7 +143,7 @@ def test_commands_show_what_was_chosen(
     file.write_text(text + f"  b: {{plugin: isles, {JAZZY}}}\n" + FUNCTIONS)
     registry = Registry()
     registry.add(KIND)
-    monkeypatch.setattr("uoarm.cli._look.Registry", lambda: registry)
+    monkeypatch.setattr("uoarm.cli._show.Registry", lambda: registry)
     message = CliRunner().invoke(main, [command, "-f", str(file)], catch_exceptions=False).output
     assert "b.island" in message
     assert "65" in message

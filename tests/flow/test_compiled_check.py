@@ -14,7 +14,7 @@ from hypothesis.strategies import DataObject, data
 from tests.schema._strategies import Body, schemas
 
 from uoarm._dataplane._compiled_check import Accepts, compile_check
-from uoarm._dataplane._whole_validator import validator_of
+from uoarm._dataplane._full_validator import validator_of
 from uoarm.model import Message, Schema
 from uoarm.testing._instance_builder import Builder, DrawnChoices
 from uoarm.testing._instances import mutate

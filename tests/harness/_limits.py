@@ -56,7 +56,7 @@ _CONSTANTS = {
     "uoarm._resolve._search": ("_CHECK_SECONDS",),
     "uoarm.bridge._channel": ("_LAST_SECONDS",),
     "uoarm.bridge._watchdog": ("_LAST_SECONDS",),
-    "uoarm.cli._look": ("_SECONDS",),
+    "uoarm.cli._show": ("_SECONDS",),
     "uoarm.config._plugins": ("_PARAMETER_SECONDS",),
     "uoarm.config._suggestion": ("_PAIR_SECONDS",),
     "uoarm.environments._environment": ("_SECONDS",),

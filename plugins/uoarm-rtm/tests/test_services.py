@@ -14,7 +14,7 @@ from endpoints import Inbox, endpoint, sink, source, stamped
 from jsonschema import Draft202012Validator
 from peers import Peer
 from uoarm_rtm import _bridge
-from uoarm_rtm._own import OwnComponent
+from uoarm_rtm._own_component import OwnComponent
 from uoarm_rtm._peer import pairs
 from uoarm_rtm._services import OperationCaller
 from uoarm_rtm.errors import IdlError

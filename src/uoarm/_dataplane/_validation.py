@@ -142,7 +142,7 @@ class _Judgement:
     def _whole(self) -> Validator:
         """Return the whole validator, made when the first message needs it: its import is slow."""
         if self._validator is None:
-            from uoarm._dataplane._whole_validator import validator_of  # noqa: PLC0415 - slow
+            from uoarm._dataplane._full_validator import validator_of  # noqa: PLC0415 - slow
 
             self._validator = validator_of(self.schema)
         return self._validator

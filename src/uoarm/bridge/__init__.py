@@ -5,7 +5,6 @@ from uoarm._forks import at_exit
 from uoarm._origin import install_command
 from uoarm._plugins import PluginProblem, hookimpl
 from uoarm._raised import foreign
-from uoarm.bridge._border import reading_endpoint
 from uoarm.bridge._bridge import CONTRACT_VERSION, Bridge, Handler
 from uoarm.bridge._channel import Channel, Outcomes, ReceiveQueue, Sink, Source
 from uoarm.bridge._description import (
@@ -15,6 +14,7 @@ from uoarm.bridge._description import (
     HealthEvent,
     ServiceStructures,
 )
+from uoarm.bridge._foreign import reading_endpoint
 from uoarm.bridge._gate import Delivery
 from uoarm.bridge._health import (
     ChannelHealth,

@@ -24,7 +24,7 @@ from typing_extensions import Self
 from uoarm._mistakes import Mistake, schema_mistakes
 from uoarm._spelling import Speller
 from uoarm._support.yaml import write_path
-from uoarm.bridge._border import reading_endpoint
+from uoarm.bridge._foreign import reading_endpoint
 from uoarm.model import Endpoint, Options, Schema
 
 if TYPE_CHECKING:

@@ -26,9 +26,9 @@ from uoarm._quick_check import certainly_matches
 from uoarm._spelling import Speller
 from uoarm._support import deadlines
 from uoarm._support.yaml import write_path
-from uoarm.bridge._border import translated
 from uoarm.bridge._bridge import CONTRACT_VERSION, Bridge
 from uoarm.bridge._description import Description
+from uoarm.bridge._foreign import translated
 from uoarm.bridge._options import BridgeOptions, EndpointOptions
 from uoarm.errors import BridgeError, ConfigurationError, FailureReason, PluginError
 from uoarm.model import BridgeSpec, Endpoint, MessageStructure, Options, Schema

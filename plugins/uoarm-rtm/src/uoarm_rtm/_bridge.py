@@ -46,7 +46,7 @@ from uoarm_rtm._options import (
     linked_options,
 )
 from uoarm_rtm._orb import Orb
-from uoarm_rtm._own import OwnComponent
+from uoarm_rtm._own_component import OwnComponent
 from uoarm_rtm._peer import Connections, PeerComponent, PeerPort, state_of
 from uoarm_rtm._services import (
     OperationCaller,

@@ -2,8 +2,8 @@
 
 from uoarm.schema.regex._nfa import MalformedPatternError, UnsupportedPatternError
 from uoarm.schema.regex._parser import compile_pattern, is_disputed
+from uoarm.schema.regex._text_search import TooLong, shortest_word
 from uoarm.schema.regex._walker import CodeUnits, found_in, walker_of
-from uoarm.schema.regex._words import TooLong, shortest_word
 
 __all__ = [
     "CodeUnits",
