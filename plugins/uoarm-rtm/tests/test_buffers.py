@@ -140,7 +140,7 @@ MISTAKES: list[tuple[dict[str, Any], str]] = [
     ({"buffer": {"write_timeout": 1}}, "buffer: write_timeout means nothing without full_policy: "),
     (
         {"buffer": {"empty_policy": "block", "read_timeout": 61}},
-        "option $.buffer.read_timeout: expected at most 60.0, got 61",
+        "option $.buffer.read_timeout: expected at most 60.0 s, got 61",
     ),
     ({"push_policy": "all"}, "push_policy means nothing without flow: push and subscription: new"),
     (

@@ -141,7 +141,7 @@ def test_wrong_options_of_a_bridge_are_refused(options: dict[str, Any]) -> None:
     ("options", "words"),
     [
         ({"flow": "sideways"}, 'option $.flow: expected push or pull, got "sideways"'),
-        ({"rate": -1}, "option $.rate: expected more than 0, got -1"),
+        ({"rate": -1}, "option $.rate: expected more than 0 Hz, got -1"),
         ({"activate": "yes"}, 'option $.activate: expected false, true or keep, got "yes"'),
         ({"properties": {"a": 1}}, "option $.properties.a: expected text, got 1"),
         ({"reset": True}, "reset means nothing without activate"),
