@@ -126,7 +126,10 @@ def bare_rate(socket: ClientConnection, octets: int, count: int) -> float:
 def stream_rate(desk: RobotManager, credit: Path, octets: int, count: int, window: int) -> float:
     """Return how many messages a second come of an output, with a window of them under way."""
     queue = QueuePolicy(2 * window)
-    with desk.request(FUNCTIONS[octets], queue=queue) as stream, credit.open("wb", buffering=0) as pipe:
+    with (
+        desk.request(FUNCTIONS[octets], queue=queue) as stream,
+        credit.open("wb", buffering=0) as pipe,
+    ):
         start = time.perf_counter()
         pipe.write(bytes(window))
         for _ in range(count - 1):
