@@ -78,6 +78,7 @@ class OutputReceiver:
         self._delivering = _DeliveringRoute(on_raised)
         self.outlet: Outlet | None = None
         self.inbox = Inbox(queue, self._delivering.count_drop, self._delivering.raised)
+        # Counted in the thread of the route that delivers, of which there is one.
         self.arrived = 0
         self.began = 0
 
@@ -161,8 +162,10 @@ class Sender:
         self._lease = live.leases.get(name)
         self._last_sender: LeaseHolder | None = None
         self._numbers = itertools.count(1)
+        # The number of the last stop, written by who stops: a command with a lower one is not sent
+        # any more. One that was admitted just before is followed by another stop (`_halt_again`).
         self._stopped = 0
-        self._failures = 0
+        self._failures = 0  # that a flush has reported
 
         def is_over() -> bool:
             return self._route.closed

@@ -172,7 +172,9 @@ class BridgeSet:
         self._bridges: dict[str, Bridge] = {}
         self._restarts = Restarts(clock)
         self._turns: dict[str, threading.Lock] = {}
+        # What was lost waits here for `RetireBridge`, which comes after the edges were stopped.
         self._dead: dict[str, list[Bridge]] = {}
+        # What the configuration has otherwise goes on for the components that it has open.
         self._replaced: list[Bridge] = []
         self._retiring: set[threading.Thread] = set()
         self._health: dict[str, tuple[Health, str]] = {}
@@ -256,7 +258,7 @@ class BridgeSet:
                 self._retiring.discard(thread)
 
         thread = threading.Thread(target=close, name=f"uoarm-retire-{name}", daemon=True)
-        with self._lock:
+        with self._lock:  # with the start: `close` joins all that are listed
             dead = self._dead.pop(name, [])
             if dead:
                 self._retiring.add(thread)

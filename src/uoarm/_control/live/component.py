@@ -83,20 +83,21 @@ class LiveComponent:
         self._replaced = self._of_my_function(replaced)
         self._are_replaced_stopped = not self._replaced
         self.bridge = bridge
-        self._output_watches = {
-            output.name: OutputWatch(failures, output.name) for output in self.component.outputs
-        }
-        self.outlets = {name: Outlet(watch) for name, watch in self._output_watches.items()}
         self.structures = step.structures
         self.failures = failures
-        self.leases = {
-            input_.name: InputLease(policy.lease, f"{step.component.name}.{input_.name}", announce)
-            for input_ in step.component.inputs
-            if (policy := input_.endpoint.command) is not None and policy.lease is not None
-        }
-        self._watches = {
-            input_.name: InputWatch(failures, input_.name) for input_ in step.component.inputs
-        }
+        self.outlets: dict[str, Outlet] = {}
+        self.leases: dict[str, InputLease] = {}
+        self._output_watches: dict[str, OutputWatch] = {}
+        self._watches: dict[str, InputWatch] = {}
+        for output in self.component.outputs:
+            watch = self._output_watches[output.name] = OutputWatch(failures, output.name)
+            self.outlets[output.name] = Outlet(watch)
+        for input_ in self.component.inputs:
+            name, policy = input_.name, input_.endpoint.command
+            self._watches[name] = InputWatch(failures, name)
+            if policy is not None and policy.lease is not None:
+                place = f"{self.component.name}.{name}"
+                self.leases[name] = InputLease(policy.lease, place, announce)
         self._sources: dict[str, Source] = {}
         self._sinks: dict[str, Sink] = {}
         # One for each input: where the component hangs in a message, no second thread enters it.

@@ -51,6 +51,7 @@ class LossAccount:
         self._lost = 0
         self._sums: Sums = {}
         self._recent: deque[tuple[Gone, tuple[Counting, ...]]] = deque()
+        # Two plans may share what ends: the first that ends with it counts it, no other once more.
         self._counted: WeakSet[LiveComponent | LiveEdge] = WeakSet()
 
     @property
@@ -95,6 +96,7 @@ class LossAccount:
         dropped = _dropped_by_reason(route.status() for route in ended)
         counted = evolve(gap, lost=_lost_with(gone), dropped=dropped, counted=True)
         self.settle(gone, ended)
+        # In its place, by identity: another gap may be equal, and it may have been forgotten.
         with self._lock:
             self.gaps = tuple(counted if item is gap else item for item in self.gaps)
 
@@ -188,6 +190,8 @@ class ConnectionRuntime:
         self.ports: ApplicationPorts | None = None
         self.handle: Any = None
         self.context: Any = None
+        # By the plan that ended: put as the next one takes over, taken by the close that knows what
+        # was lost, which may be half a minute later.
         self._uncounted: dict[str, Gap] = {}
 
     def publish(self, record: ConnectionRecord) -> None:

@@ -71,6 +71,7 @@ class Machines:
         # reported in the other order.
         self._reporting = threading.Lock()
         self._reported: dict[str, bool] = {}
+        # Those of configurations before, until the last bridge that joined there is closed.
         self._retired: list[_Listener] = []
         self._beginning: set[threading.Thread] = set()
         self._closed = False
@@ -145,6 +146,7 @@ class Machines:
             self._retired = [listener for listener in self._retired if listener.is_open]
             self._retired.append(before)
 
+        # In a thread, as it waits for hosts: who adopts owns the state of the control plane.
         def begin() -> None:
             for name in sorted(lost):
                 if self._state(name) not in {None, Health.LOST}:

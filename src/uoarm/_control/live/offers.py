@@ -70,9 +70,11 @@ class Offers:
         self._has_begun = False
         self._is_closed = False
         self._stop_listening: Callable[[], None] | None = None
-        # Each entry is written in the lane of its offer, and read by any thread.
+        # Each entry is written in the lane of its offer, and read by any thread. With the number of
+        # its opening, so that no report is taken for one of the next.
         self._opened: dict[str, tuple[int, OfferedFunction]] = {}
-        self._working: set[int] = set()
+        self._working: set[int] = set()  # threads
+        # Guards nothing: what is waited for is in the state, which is set before `WakeOffers`.
         self._changed = threading.Condition()
 
     def begin(self, timeout: float) -> tuple[OfferStatus, ...]:

@@ -236,19 +236,22 @@ class LiveParts:
         replaced = self._replaced_by(action)
         for live in _there(self.components, action.recalled):
             live.recall(replaced, self.components.copy().values())
-        opening: Mapping[Kind, Callable[[Part], None]] = {
-            Kind.COMPONENT: lambda part: self._enter(state.components[part.id], replaced),
-            Kind.RECEIVE: lambda _: self._receive(action),
-            Kind.OUTPUT: self._open_output,
-            Kind.EDGE: lambda part: self._connect(state.edges[part.id]),
-            Kind.SEND: lambda _: self._send(action),
-        }
         batch = action.batch
         try:
             for part in action.parts:
                 if batch in cancelled:
                     raise ConnectionClosedError(f"{action.connection} was given up")
-                opening[part.kind](part)
+                match part.kind:
+                    case Kind.COMPONENT:
+                        self._enter(state.components[part.id], replaced)
+                    case Kind.RECEIVE:
+                        self._receive(action)
+                    case Kind.OUTPUT:
+                        self._open_output(part)
+                    case Kind.EDGE:
+                        self._connect(state.edges[part.id])
+                    case Kind.SEND:
+                        self._send(action)
                 # After it is open and in its table: `Opened` says no more than is there, also
                 # where another thread reads the list as this one is given up.
                 done.append(part)

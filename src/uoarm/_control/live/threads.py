@@ -110,6 +110,7 @@ class Lanes:
         with self._lock:
             lane = self._lanes[name]
             lane.has_begun = True
+        # The reply is a job among the others: what was put before it is done before it.
         try:
             while not isinstance(job := lane.jobs.get(), _Done):
                 job()
