@@ -30,12 +30,7 @@ from uoarm._control.live.component import LiveEdge
 from uoarm._control.live.connection_runtime import ConnectionRuntime, LetThrough, record_takeover
 from uoarm._control.live.offers import Offers
 from uoarm._control.live.parts import LiveParts
-from uoarm._control.live.revisions import (
-    Revisions,
-    StagedRevision,
-    check_preferred,
-    seek_replacement,
-)
+from uoarm._control.live.revisions import Revisions, StagedRevision
 from uoarm._control.live.safety import EmergencyStop
 from uoarm._control.live.threads import EventDispatcher, Job, Lanes, Timer, keep_newest
 from uoarm._control.offered_function import Functions
@@ -399,9 +394,9 @@ class Driver:
             case act.Resolve():
                 self._call(action, partial(self._resolve, action))
             case act.FindReplacement():
-                self._call(action, partial(seek_replacement, action, self._revisions.current))
+                self._call(action, partial(self._revisions.current.seek_replacement, action))
             case act.CheckPreferred():
-                self._call(action, partial(check_preferred, action, self._revisions.current))
+                self._call(action, partial(self._revisions.current.check_preferred, action))
             case act.SwitchInputs():
                 self._call(action, partial(self._switch_inputs, action))
             case act.Drain():

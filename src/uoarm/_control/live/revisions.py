@@ -52,10 +52,8 @@ __all__ = [
     "Revision",
     "Revisions",
     "StagedRevision",
-    "check_preferred",
     "find_replacement",
     "octets_of",
-    "seek_replacement",
 ]
 
 _TRIES = 50
@@ -65,69 +63,10 @@ Resolve = Callable[[str, frozenset[str]], Plan]
 """Resolves a function without the components of these names, or raises ResolutionError."""
 
 
-class Resolving(Protocol):
-    """A revision of the configuration, in which plans are found."""
-
-    @property
-    def candidates(self) -> int:
-        """How many changes of candidates there were in it."""
-
-    def resolve(
-        self, name: str, excluded: frozenset[str] = ..., avoided: AbstractSet[str] = ...
-    ) -> Plan:
-        """Return the best plan; raises ResolutionError."""
-
-    def within(self, function: str, components: Container[str]) -> frozenset[str]:
-        """Return those of some components that plans of a function may have."""
-
-    def forget(self, components: Collection[str]) -> None:
-        """Ask for the structures of components again the next time."""
-
-
 class StateOwner(Protocol):
     """Has the state of this moment."""
 
     state: State
-
-
-def seek_replacement(action: act.FindReplacement, revision: Resolving) -> ev.ReplacementSought:
-    """Look for a plan that gives the application what its own gave."""
-    asked = action.connection, action.attempt
-    failed, function = action.failed, action.plan.function
-    try:
-        # Thousands may have died with one bridge: of these only what matters here is looked at.
-        plan = find_replacement(
-            action.plan,
-            action.output,
-            revision.within(function, action.excluded),
-            _in_order(failed, revision.within(function, failed)),
-            lambda name, excluded: revision.resolve(name, excluded, action.avoided),
-        )
-    except Exception as error:  # noqa: BLE001 - the state learns of it whatever it is
-        if not isinstance(error, UoarmError):
-            _log.exception("looking for a replacement failed")
-        return ev.ReplacementSought(*asked, None, str(error), action.switchover)
-    return ev.ReplacementSought(
-        *asked, plan, switchover=action.switchover, candidates=revision.candidates
-    )
-
-
-def _in_order(times: OrderedMap[str, float], names: Collection[str]) -> tuple[str, ...]:
-    """Return some of the names, longest ago first."""
-    return tuple(sorted(names, key=times.place))
-
-
-def check_preferred(action: act.CheckPreferred, revision: Resolving) -> ev.PreferredChecked:
-    """See whether a plan is what a request would get now."""
-    wanted = action.plan.names
-    revision.forget(wanted)
-    try:
-        found = revision.resolve(action.plan.function, avoided=action.avoided).names
-    except Exception as error:  # noqa: BLE001 - the state learns of it whatever it is
-        if not isinstance(error, UoarmError):
-            _log.exception("looking for a preferred plan failed")
-        found = ()
-    return ev.PreferredChecked(action.connection, found == wanted)
 
 
 def find_replacement(
@@ -282,6 +221,58 @@ class Revision:
             except ResolutionError:
                 pass
         return self.resolver.resolve(name, excluded=excluded)
+
+    def replacement(
+        self,
+        plan: Plan,
+        output: str | None,
+        excluded: Container[str],
+        failed: OrderedMap[str, float],
+        avoided: AbstractSet[str],
+    ) -> Plan:
+        """Return a plan that gives an application what its own gave; see `find_replacement`.
+
+        Args:
+            plan: the application's own.
+            output: the output that it receives.
+            excluded: components that may not be used.
+            failed: when components failed lately, longest ago first.
+            avoided: components to do without, where anything else can do.
+        """
+        # Thousands may have died with one bridge: of these only what matters here is looked at.
+        function = plan.function
+        return find_replacement(
+            plan,
+            output,
+            self.within(function, excluded),
+            tuple(sorted(self.within(function, failed), key=failed.place)),
+            lambda name, without: self.resolve(name, without, avoided),
+        )
+
+    def seek_replacement(self, action: act.FindReplacement) -> ev.ReplacementSought:
+        """Look for a plan that gives the application what its own gave."""
+        asked, group = (action.connection, action.attempt), action.switchover
+        try:
+            plan = self.replacement(
+                action.plan, action.output, action.excluded, action.failed, action.avoided
+            )
+        except Exception as error:  # noqa: BLE001 - the state learns of it whatever it is
+            if not isinstance(error, UoarmError):
+                _log.exception("looking for a replacement failed")
+            return ev.ReplacementSought(*asked, None, str(error), group)
+        return ev.ReplacementSought(*asked, plan, "", group, self.candidates)
+
+    def check_preferred(self, action: act.CheckPreferred) -> ev.PreferredChecked:
+        """See whether a plan is what a request would get now."""
+        wanted = action.plan.names
+        self.forget(wanted)
+        try:
+            found = self.resolve(action.plan.function, avoided=action.avoided).names
+        except Exception as error:  # noqa: BLE001 - the state learns of it whatever it is
+            if not isinstance(error, UoarmError):
+                _log.exception("looking for a preferred plan failed")
+            found = ()
+        return ev.PreferredChecked(action.connection, found == wanted)
 
     def within(self, function: str, components: Container[str]) -> frozenset[str]:
         """Return those of some components that plans of a function may have."""
@@ -496,6 +487,8 @@ class Revisions:
     ) -> list[ConnectionEffect]:
         avoided = recently(state.avoided, self._clock()) - difference.superseded
         failed = forget_earlier(state.failed, self._clock())
+        for name in difference.superseded:
+            failed = failed.discard(name)
         effects = (
             self._effect(revision, difference, record, failed, avoided, cut)
             for record in state.connections.values()
@@ -520,17 +513,8 @@ class Revisions:
         if is_cut and revision.base.failover.wait > 0:  # which is how long the machine may take
             function = record.wanted.function
             return ConnectionEffect(record.id, function, Effect.MOVES, before, before)
-        # As in `seek_replacement`: of thousands that died with a bridge only a few matter to each.
-        function = record.placement.plan.function
-        failed_here = revision.within(function, failed) - difference.superseded
         try:
-            plan = find_replacement(
-                record.placement.plan,
-                record.output,
-                revision.within(function, cut),
-                _in_order(failed, failed_here),
-                lambda name, excluded: revision.resolve(name, excluded, avoided),
-            )
+            plan = revision.replacement(record.placement.plan, record.output, cut, failed, avoided)
         except ResolutionError as error:
             if not is_superseded:
                 return None
