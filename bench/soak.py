@@ -9,7 +9,8 @@ that held.
 
 A host that dies between two writes leaves one message in doubt, and no other: a source between its
 journal and the counter in shared memory, a step between that counter of what it gave and the one of
-what it took. So many messages as there were hosts may be missing, or counted twice, at most.
+what it took. Few kills come just there: one message for twenty hosts may be missing, or counted
+twice, at most. More is a loss of the accounts: nine in a hundred hosts were one.
 
 Silence and patience are longer on a machine that is slow, so that hosts which only wait for a
 processor are not given up. What `--events` writes, a test plays again (`tests/control/field`).
@@ -52,6 +53,7 @@ SILENCE_SECONDS = 0.6 * slowness()
 BETWEEN_SECONDS = 1.5
 STILL_SECONDS = 2.0 * slowness()
 GROWTH_MEGABYTES = 25.0
+HOSTS_IN_DOUBT = 20
 POLICY = FailoverPolicy(wait=PATIENCE_SECONDS, limit=1_000_000, return_after=0.5)
 ROBOT = """
 version: 1
@@ -306,7 +308,7 @@ def _report(
         ("growth after the first third", f"{growth:.1f} MB"),
     ]
     print_table("Soak", ("what", "figures"), rows)
-    return abs(unaccounted) <= hosts and growth < GROWTH_MEGABYTES
+    return abs(unaccounted) <= max(1, hosts // HOSTS_IN_DOUBT) and growth < GROWTH_MEGABYTES
 
 
 def _sparkline(values: Sequence[float], width: int = 60) -> str:
