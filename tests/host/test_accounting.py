@@ -44,6 +44,14 @@ def numbers() -> Iterator[int]:
             time.sleep(0.002)
     time.sleep(100_000)
 
+def burst() -> Iterator[int]:
+    written = journal("source")
+    for number in range(500):
+        os.write(written, b"x")
+        yield number
+    journal("end")
+    time.sleep(100_000)
+
 class keep:
     def __init__(self) -> None:
         self.written = journal("sink")
@@ -70,6 +78,8 @@ functions:
     components:
       - {name: first, bridge: one, priority: 2, output: {endpoint: ["kept:numbers"]}}
       - {name: second, bridge: two, priority: 1, output: {endpoint: ["kept:numbers"]}}
+  burst:
+    components: [{name: burst, bridge: one, output: {endpoint: ["kept:burst"]}}]
   face:
     components:
       - name: finder
@@ -269,6 +279,25 @@ def test_hosts_that_die_together_are_waited_for_and_nothing_is_unaccounted(
             return journal(tmp_path, "source") - len(got) - losses(status).total()
 
         wait(lambda: 0 <= unaccounted() <= in_doubt)
+
+
+def test_what_found_no_room_at_the_end_of_a_burst_is_counted_though_nothing_follows_it(
+    robot: RobotManager, tmp_path: Path
+) -> None:
+    got: list[int] = []
+    free = threading.Event()
+
+    def take(number: int) -> None:
+        free.wait(patience())
+        got.append(number)
+
+    robot.request("burst", on_message=take)
+    wait(lambda: list(tmp_path.glob("end-*.journal")))
+    free.set()
+    wait(lambda: _accounted(robot, got, 500))
+    assert losses(robot.status())["lost_on_link"] == 500 - len(got)
+    assert len(got) < 400
+    assert not _under_way(robot)
 
 
 def test_what_was_sent_into_a_killed_consumer_is_taken_or_counted(

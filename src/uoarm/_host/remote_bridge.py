@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, final
 from uoarm._host.process_connection import HostSettings, ProcessConnection
 from uoarm._host.transport import keys
 from uoarm._host.transport.flow import FlowEnding, FlowReceiver, FlowSender, Handled
-from uoarm._host.transport.keys import COMMAND
+from uoarm._host.transport.keys import COMMAND, SKIPPED
 from uoarm._host.transport.shared_counters import SharedCounter
 from uoarm._host.transport.transport import Reply, RequestWorkers
 from uoarm.bridge import (
@@ -114,6 +114,9 @@ class RemoteSource(RemoteChannel, Source):
     def facts(self) -> Mapping[str, object]:
         """Return the host's facts, and what was lost on the link; latency in seconds."""
         given, lost = self.given, self.incoming.lost
+        # Those at the end of a burst, after which nothing has come: known by a heartbeat only.
+        skipped = self.host_facts.get(SKIPPED, 0)
+        lost += max(0, skipped - self.incoming.skipped) if isinstance(skipped, int) else 0
         # Of one on another machine that is known at its end only.
         taken = self._taken or 0 if self.counter is None else self.counter.read()
         ours = {
@@ -121,7 +124,7 @@ class RemoteSource(RemoteChannel, Source):
             "lost_on_link": lost + self._lost_in_host(),
             "link_latency": self.incoming.latency,
         }
-        return {**self.host_facts, **ours}
+        return {**{k: v for k, v in self.host_facts.items() if k != SKIPPED}, **ours}
 
     def drain(self, timeout: float) -> bool:
         """Wait until every message that the host has sent by now is delivered."""

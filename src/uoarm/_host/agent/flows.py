@@ -56,6 +56,11 @@ class OutboundFlow:
         """How many messages were sent."""
         return self._outgoing.sent
 
+    @property
+    def skipped(self) -> int:
+        """How many messages found no room."""
+        return self._outgoing.skipped
+
     def deliver(self, message: Message, writer: str = "") -> None:
         """Send one message. Never raises: what cannot be sent is counted as lost."""
         self.count()
@@ -283,6 +288,8 @@ def packable_facts(look: Callable[[], Mapping[str, object]]) -> Mapping[str, obj
 
 
 def _facts(one: _Open) -> Mapping[str, object]:
-    """Return the facts last looked at, and the status of commands as it is now."""
+    """Return the facts last looked at; as they are now, the status of commands and what is lost."""
+    if one.outbound is not None and one.outbound.skipped:
+        return {**one.facts, keys.SKIPPED: one.outbound.skipped}
     command = one.channel.command_status() if isinstance(one.channel, Sink) else None
     return one.facts if command is None else {**one.facts, keys.COMMAND: to_json(command)}

@@ -125,6 +125,11 @@ class FlowSender:
         return self._number
 
     @property
+    def skipped(self) -> int:
+        """How many messages were given up, of which the other end learns with the next one."""
+        return self._skipped
+
+    @property
     def unconfirmed(self) -> int:
         """How many messages were sent and are not known to be handled."""
         return self._number - self._handled
@@ -309,7 +314,7 @@ class FlowReceiver:
         # All counts are written by the thread in which frames are taken, one after the other; the
         # heartbeat's reads them, and may see a message counted whose number is not written yet.
         self._number = 0
-        self._skipped = 0
+        self.skipped = 0
         self._confirmed = 0
         self._confirmed_at = 0.0
         self.received = 0
@@ -362,8 +367,8 @@ class FlowReceiver:
         number, skipped, sent_at, more = read
         before = self.raised, self.wrong
         # A gap in the numbers was lost on the link; what was skipped never had a number.
-        self.lost += number - self._number - 1 + skipped - self._skipped
-        self._skipped = skipped
+        self.lost += number - self._number - 1 + skipped - self.skipped
+        self.skipped = skipped
         now = self._transport.clock() + self._transport.ahead()
         self.latency = max(0.0, (now - sent_at) / 1e9)
         if isinstance(more, FlowEnding):

@@ -12,6 +12,7 @@ __all__ = [
     "MACHINES",
     "MANAGED",
     "PROTOCOL_VERSION",
+    "SKIPPED",
     "attach",
     "bridge_prefix",
     "clock",
@@ -20,7 +21,7 @@ __all__ = [
     "service",
 ]
 
-PROTOCOL_VERSION = 12
+PROTOCOL_VERSION = 13
 """Both ends must have the same; it grows with every change of what crosses the link."""
 
 ALIVE = "uoarm/host/alive"
@@ -31,6 +32,8 @@ MANAGED = "uoarm/manager/alive"
 
 COMMAND = "command"
 """Names, among the facts of an input that moves something, the status of its commands."""
+SKIPPED = "skipped"
+"""Names, among the facts of an output, how many of its messages found no room on the link."""
 BRIDGE = 0
 """Stands where the answer to a heartbeat has a channel's number, before the facts of the bridge."""
 
