@@ -50,6 +50,7 @@ class EndingRules:
     def test_nothing_is_delivered_after_closing(
         self, world: World, bridge: Bridge, kind: str
     ) -> None:
+        world.await_receivers(kind, 0)
         with line(world, bridge, kind) as closing, line(world, bridge, kind) as witness:
             world.await_receivers(kind, 2)
             message = witness.example()
@@ -74,6 +75,7 @@ class EndingRules:
                 failures.append(error)
             done.set()
 
+        world.await_receivers(kind, 0)
         with line(world, bridge, kind) as through:
             structure = structure_of(bridge, pair, incoming=False)
             channels.append(bridge.open_source(pair.source, structure, close))
@@ -288,6 +290,7 @@ class EndingRules:
 def _received_by_a_line(world: World, bridge: Bridge, kind: str) -> Collector:
     """Return what a source delivered to until it was closed; nothing else holds it."""
     pair, receiver = world.pair(kind), Collector()
+    world.await_receivers(kind, 0)  # those of the line before are not there any more
     structure = structure_of(bridge, pair, incoming=False)
     source = bridge.open_source(pair.source, structure, receiver)
     with line(world, bridge, kind) as through:

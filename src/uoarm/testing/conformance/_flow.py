@@ -155,6 +155,7 @@ class Flow:
             assert len(through.collector.messages) == _MANY
 
     def test_two_receivers_get_the_same(self, world: World, bridge: Bridge, kind: str) -> None:
+        world.await_receivers(kind, 0)
         with line(world, bridge, kind) as first, line(world, bridge, kind) as second:
             world.await_receivers(kind, 2)
             for count in (1, 2):  # what comes twice comes before the second
@@ -165,6 +166,7 @@ class Flow:
 
     def test_what_waits_takes_hardly_any_processor_time(self, world: World, bridge: Bridge) -> None:
         """Before the first message, while few pass, after them, and after channels were closed."""
+        world.await_receivers(self.kinds[0], 0)
         with line(world, bridge, self.kinds[0]):
             hold_bridge_idle(world, bridge, "before the first message")
             with line(world, bridge, self.kinds[0]) as through:

@@ -259,6 +259,7 @@ class World(ABC):
     def await_receivers(self, kind: str, count: int) -> None:  # noqa: B027 - mostly they are reached
         """Return once what comes out at a pair's source reaches so many receivers.
 
+        None at first, since one that was closed just now would count for one that is opened.
         Override where a part of this world, such as a node in another process, sends it on and
         learns of a receiver in its own time, which is not reported to the bridge.
         """
