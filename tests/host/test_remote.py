@@ -6,6 +6,7 @@ import logging
 import threading
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from tests.host.hosted import ANY, Events, at
 from tests.processes import lives
 
 from uoarm._host.remote_bridge import RemoteBridge, RemoteChannel
+from uoarm._support import deadlines
 from uoarm.errors import BridgeError, FailureReason, PluginError
 from uoarm.model import BridgeSpec, Health, Role
 from uoarm.testing import patience, wait
@@ -199,3 +201,31 @@ def test_the_facts_of_the_bridge_come_with_the_heartbeat(far: RemoteBridge) -> N
     far.call(at("know", Role.SERVICE), None)
     wait(lambda: set(far.facts()) == {"facts"})
     assert "TypeError" in str(far.facts()["facts"])
+
+
+def test_what_is_closed_in_a_host_has_the_time_that_its_caller_gives(
+    far: RemoteBridge, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    limits: dict[str, float] = {}
+    ask = far._host.ask
+
+    def noting(operation: str, values: dict[str, Any]) -> object:
+        limits[operation] = values.get("timeout", 0.0)
+        return ask(operation, values)
+
+    monkeypatch.setattr(far._host, "ask", noting)
+    source = far.open_source(at("forever", Role.OUTPUT), ANY, lambda _: None)
+    source.close(timeout=10 * patience())
+    far.close(timeout=10 * patience())
+    assert limits["close_channel"] > patience()
+    assert limits["close"] > patience()
+
+
+def test_what_a_step_has_left_is_what_its_innermost_limit_leaves() -> None:
+    assert deadlines.left(7.0) == 7.0
+    outer = deadlines.run("outer", 1000.0, lambda: deadlines.left(7.0))
+    assert 7.0 < outer <= 1000.0
+    inner = deadlines.run(
+        "outer", 1000.0, lambda: deadlines.run("inner", 100.0, lambda: deadlines.left(7.0))
+    )
+    assert 7.0 < inner <= 100.0

@@ -15,6 +15,7 @@ from uoarm._host.transport.flow import FlowEnding, FlowReceiver, FlowSender, Han
 from uoarm._host.transport.keys import COMMAND, SKIPPED
 from uoarm._host.transport.shared_counters import SharedCounter
 from uoarm._host.transport.transport import Reply, RequestWorkers
+from uoarm._support import deadlines
 from uoarm.bridge import (
     Bridge,
     Capabilities,
@@ -51,8 +52,14 @@ if TYPE_CHECKING:
 
 _BLOCKING_SECONDS = 10.0
 _PROMPT_SECONDS = 0.2
-_CLOSE_SECONDS = 2.0
+_CLOSE_SECONDS = 5.0
+_CLOSE_SHARE = 0.4
 _log = logging.getLogger("uoarm")
+
+
+def _close_seconds() -> float:
+    """Return what the host has to close something: a part of what who closes it waits."""
+    return _CLOSE_SHARE * deadlines.left(_CLOSE_SECONDS)
 
 
 class RemoteChannel(Channel):
@@ -408,7 +415,8 @@ class RemoteBridge(Bridge):
 
     def _close(self) -> None:
         self._services.close()
-        self._host.close(lambda: self._ask("close", timeout=_CLOSE_SECONDS))
+        limit = _close_seconds()  # asked for in another thread
+        self._host.close(lambda: self._ask("close", timeout=limit))
 
     def _ask(self, operation: str, **values: Any) -> Any:
         try:
@@ -421,7 +429,7 @@ class RemoteBridge(Bridge):
         """Ask about an open channel; one of a dead host is closed already."""
         try:
             if not self._host.dead:
-                return self._host.ask(operation, {"timeout": _CLOSE_SECONDS, **values})
+                return self._host.ask(operation, {"timeout": _close_seconds(), **values})
         except UoarmError:
             if not self._host.dead:
                 raise

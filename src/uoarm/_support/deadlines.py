@@ -24,7 +24,7 @@ from uoarm._raised import contained
 from uoarm._support.workers import WorkerPool
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason
 
-__all__ = ["BoundedStep", "StepUnderWay", "begin", "run"]
+__all__ = ["BoundedStep", "StepUnderWay", "begin", "left", "run"]
 
 T = TypeVar("T")
 
@@ -234,6 +234,14 @@ def run(
         _workers.submit(job.work)
         return job.wait()
     return _run_inside(outer, step, limit, action, on_late, on_give_up, grace)
+
+
+def left(otherwise: float) -> float:
+    """Return the seconds that the step in this thread still has; `otherwise` outside of any."""
+    job = _current.job
+    if job is None or job.given_up or job.deadline == math.inf:
+        return otherwise
+    return max(0.0, job.deadline - time.monotonic())
 
 
 StepUnderWay: TypeAlias = _Job[Any]
