@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 import trustme
 from brokers import Broker, Peer, running
+from uoarm_mqtt import _link
 
 from uoarm.bridge import Bridge, HealthEvent, Registry, Sink, Source
 from uoarm.errors import (
@@ -421,6 +422,19 @@ class TestBroker:
                 # Before that the broker may have ended the connection of one that was late itself.
                 wait(lambda: any("Keep alive" in event.cause for event in events), f"{events}")
                 bridge.close(timeout=patience())
+            finally:
+                broker.send_signal(signal.SIGCONT)
+
+    def test_a_drain_of_one_that_says_nothing_ends_with_its_own_time(
+        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        with running(tmp_path / "broker") as broker, bridge_to(broker, keepalive=1) as bridge:
+            sink = speak(bridge, "silent", qos=0)
+            broker.send_signal(signal.SIGSTOP)
+            try:
+                monkeypatch.setattr(_link, "_STEP_SECONDS", 100 * patience())
+                sink.send(1)
+                assert not sink.drain(0.1)
             finally:
                 broker.send_signal(signal.SIGCONT)
 

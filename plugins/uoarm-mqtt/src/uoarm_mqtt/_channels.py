@@ -166,11 +166,12 @@ class MqttSink(Sink):
 
     def drain(self, timeout: float) -> bool:
         """Wait until the broker has taken what was sent."""
+        end = time.monotonic() + timeout
         with self._changed:
             if not self._changed.wait_for(lambda: not self._under_way, timeout):
                 return False
-        self._link.barrier()  # what has QoS 0 is only written to the socket by now
-        return True
+        # What has QoS 0 is only written to the socket by now.
+        return self._link.drain(max(0.0, end - time.monotonic()))
 
     def _send(self, message: Message) -> None:
         payload = self._codec.encode(message)

@@ -222,14 +222,27 @@ class BrokerConnection:
                 if mid is not None:
                     self._note(("u", mid), _Pending(_ignore, survives=False))
 
-    def barrier(self) -> None:
+    def barrier(self, seconds: float = _STEP_SECONDS) -> None:
         """Return when the broker has worked through all that was sent before.
 
         Brokers take the packets of one client in order, and this is one that changes nothing.
+
+        Raises:
+            BridgeTimeoutError: it has not in so many seconds, or in those of a step.
+            BridgeError: the connection is broken, or breaks meanwhile.
         """
         topic = f"uoarm/barrier/{self.options.client_id}"
         self.require_up()
-        self._wait("u", "waiting for what was sent", lambda: self._client.unsubscribe(topic))
+        what, limit = "waiting for what was sent", min(seconds, _STEP_SECONDS)
+        self._wait("u", what, lambda: self._client.unsubscribe(topic), limit)
+
+    def drain(self, seconds: float) -> bool:
+        """Say whether the broker works through what was sent, in so many seconds."""
+        try:
+            self.barrier(seconds)
+        except BridgeError:
+            return False
+        return True
 
     def largest_payload(self, topic: str) -> int:
         """Return how many octets a payload on a topic may have: by our budget, and the broker's."""
@@ -346,7 +359,9 @@ class BrokerConnection:
             properties=properties("SUBSCRIBE", SubscriptionIdentifier=receiver.id),
         )
 
-    def _wait(self, kind: str, what: str, send: Callable[[], Any]) -> None:
+    def _wait(
+        self, kind: str, what: str, send: Callable[[], Any], seconds: float = _STEP_SECONDS
+    ) -> None:
         """Send a packet and wait for its answer."""
         outcomes: list[PacketOutcome] = []
         answered = threading.Event()
@@ -361,7 +376,7 @@ class BrokerConnection:
                 text = f"bridge {self.name!r}: {what}: the connection to the broker is broken"
                 raise BridgeError(text, FailureReason.UNAVAILABLE)
             self._note((kind, mid), _Pending(done, survives=False))
-        if not answered.wait(_STEP_SECONDS):
+        if not answered.wait(seconds):
             raise BridgeTimeoutError(f"bridge {self.name!r}: {what}: the broker does not answer")
         (outcome,) = outcomes
         if outcome.failure:

@@ -284,9 +284,7 @@ class TransportSink(Sink):
 
     def drain(self, timeout: float) -> bool:
         """Wait until the broker has what was sent."""
-        del timeout
-        self._link.barrier()
-        return True
+        return self._link.drain(timeout)
 
     def _send(self, message: Message) -> None:
         if not isinstance(message, dict):

@@ -199,9 +199,8 @@ class TopicSink(Sink):
 
     def drain(self, timeout: float) -> bool:
         """Wait until the server has worked through what was sent."""
-        del timeout  # of rosapi's own, which is shorter than a step
         try:
-            self._connection.rosapi("get_time")
+            self._connection.rosapi("get_time", timeout)
         except BridgeError:
             return False
         return True

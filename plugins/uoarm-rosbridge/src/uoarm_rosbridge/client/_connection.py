@@ -182,8 +182,13 @@ class ServerConnection:
             raise self._down(pending.failure)
         return pending.answer
 
-    def rosapi(self, service: str, /, **arguments: str) -> Fields:
+    def rosapi(self, service: str, within: float | None = None, /, **arguments: str) -> Fields:
         """Call a service of rosapi and return the values of its answer.
+
+        Args:
+            service: its name.
+            within: seconds that it has; the option `wait` unless given, and that at most.
+            arguments: of the service.
 
         Raises:
             BridgeError: it is not there, or fails.
@@ -192,7 +197,8 @@ class ServerConnection:
             "op": "call_service", "id": self.new_id("rosapi"), "service": f"/rosapi/{service}",
             "args": arguments,
         }  # fmt: skip
-        answer = self.request(fields, self.options.wait)
+        longest = self.options.wait
+        answer = self.request(fields, longest if within is None else min(longest, within))
         values = answer.get("values")
         if answer.get("result") is False or not isinstance(values, dict):
             why = str(values)[:300]
