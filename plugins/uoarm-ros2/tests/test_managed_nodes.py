@@ -10,15 +10,18 @@ from typing import Any
 import pytest
 from attrs import evolve
 from endpoints import INT64, Inbox, endpoint
+from messages import default_of
 from peers import DOMAIN, MORTAL, Peer
 from uoarm_ros2._lifecycle import Transition
 from uoarm_ros2._managed_nodes import ManagedNode, NodeAccess, NodeRequirement
+from uoarm_ros2._types import import_type
 
 from uoarm import RobotManager
 from uoarm.bridge import Bridge
 from uoarm.config import loads
 from uoarm.errors import BridgeError, FailureReason
 from uoarm.model import ConnectionState, Endpoint, Health, Role
+from uoarm.server.front_end import Operation, Supervision
 from uoarm.testing import patience, wait
 
 Make = Callable[..., Bridge]
@@ -56,6 +59,39 @@ def test_a_node_is_configured_and_activated_on_request_and_deactivated_after(
     source.close()
     asked = camera.do("transitions", expected=3)["asked"]
     assert asked == ["configure", "activate", "deactivate"]
+
+
+def test_parameters_are_read_and_set_while_a_node_runs_with_the_rights_of_what_moves(
+    peer: Start,
+) -> None:
+    peer("beside", "threads").do("manage", name="camera", topic="/numbers")
+    text = f"""
+version: 1
+bridges: {{ros: {{plugin: ros2, options: {{domain_id: {DOMAIN}}}}}}}
+functions:
+  get:
+    components:
+      - name: reader
+        bridge: ros
+        service: {{endpoint: [/camera/get_parameters, rcl_interfaces/srv/GetParameters]}}
+  set:
+    components:
+      - name: writer
+        bridge: ros
+        service:
+          endpoint: [/camera/set_parameters, rcl_interfaces/srv/SetParameters]
+          lifetime: 60
+"""
+    value = {**default_of(import_type("rcl_interfaces/msg/ParameterValue")), "type": 3}
+    with RobotManager(loads(text)) as robot:
+        asked = {"parameters": [{"name": "gain", "value": {**value, "double_value": 4.5}}]}
+        reply = robot.call("set", asked, timeout=patience())
+        assert reply == {"results": [{"successful": True, "reason": ""}]}
+        read = robot.call("get", {"names": ["gain"]}, timeout=patience())
+        assert read["values"][0]["double_value"] == 4.5
+        reason = Supervision(lambda: robot.config).reason
+        assert "a call of it has a lifetime" in reason(Operation.CALL, "set")
+        assert reason(Operation.CALL, "get") == ""
 
 
 def test_the_states_of_a_node_are_the_health_of_its_component(bridge: Bridge, camera: Peer) -> None:
