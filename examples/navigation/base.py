@@ -1,4 +1,4 @@
-"""A simulated mobile base as a ROS 2 node: an action server as Nav2 has it, and odometry."""
+"""A simulated mobile base as a ROS 2 node: an action server as Nav2 has it, odometry, tf, laser."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from itertools import pairwise
 from typing import Any
 
 import rclpy
-from geometry_msgs.msg import PoseStamped
+from geometry_msgs.msg import PoseStamped, TransformStamped
 from nav2_msgs.action import NavigateToPose
 from nav_msgs.msg import Odometry
 from nav_msgs.srv import GetPlan
@@ -17,12 +17,17 @@ from rclpy.action import ActionServer, CancelResponse
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor
 from rclpy.node import Node
+from sensor_msgs.msg import LaserScan
+from tf2_msgs.msg import TFMessage
 
 _METRES_PER_SECOND = 5.0
 _STEP_SECONDS = 0.02
 _PLAN_SECONDS = 5.0
 _ATTEMPTS = 12
 _NO_PLAN = 1
+_REPORT_SECONDS = 0.1
+_WALL_METRES = 25.0
+_BEAMS = 36
 
 
 class Base:
@@ -33,6 +38,9 @@ class Base:
         group = ReentrantCallbackGroup()  # a goal is cancelled while it is driven
         self._x = self._y = 0.0
         self._odometry = self.node.create_publisher(Odometry, "/odom", 10)
+        self._frames = self.node.create_publisher(TFMessage, "/tf", 10)
+        self._laser = self.node.create_publisher(LaserScan, "/scan", 10)
+        self.node.create_timer(_REPORT_SECONDS, self._publish, callback_group=group)
         self._planner = self.node.create_client(GetPlan, "/plan", callback_group=group)
         self._server = ActionServer(
             self.node,
@@ -80,7 +88,6 @@ class Base:
                 self._y += part * (y - self._y)
             else:
                 self._x, self._y = x, y
-            self._publish()
             time.sleep(_STEP_SECONDS)
         return True
 
@@ -109,6 +116,25 @@ class Base:
         odometry.header.stamp = self.node.get_clock().now().to_msg()
         odometry.pose.pose = self._pose().pose
         self._odometry.publish(odometry)
+        frame = TransformStamped(header=odometry.header, child_frame_id="base_link")
+        frame.transform.translation.x, frame.transform.translation.y = self._x, self._y
+        frame.transform.rotation.w = 1.0
+        self._frames.publish(TFMessage(transforms=[frame]))
+        scan = LaserScan(
+            angle_max=2 * math.pi, angle_increment=2 * math.pi / _BEAMS, range_max=100.0
+        )
+        scan.header.frame_id, scan.header.stamp = "base_link", odometry.header.stamp
+        scan.ranges = [self._range(number * scan.angle_increment) for number in range(_BEAMS)]
+        self._laser.publish(scan)
+
+    def _range(self, angle: float) -> float:
+        """Return how far the wall of the square room is; infinite where the base is outside."""
+        if max(abs(self._x), abs(self._y)) > _WALL_METRES:
+            return math.inf
+        beams = (self._x, math.cos(angle)), (self._y, math.sin(angle))
+        return min(
+            (_WALL_METRES - at * math.copysign(1, step)) / abs(step or 1e-9) for at, step in beams
+        )
 
 
 def _length(path: list[tuple[float, float]]) -> float:

@@ -1,4 +1,4 @@
-"""Drives the base to the poses that are typed: `3 4`, or `cancel` while it drives."""
+"""Drives the base to the poses that are typed: `3 4`; `cancel` while it drives; `where`."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from uoarm import RobotManager
+from uoarm import QueuePolicy, RobotManager
 
 HERE = Path(__file__).parent
 
@@ -18,6 +18,8 @@ class Driver:
         self._status = robot.request("goTo.status", on_message=self._on_status)
         self._feedback = robot.request("goTo.feedback", on_message=self._on_feedback)
         self._result = robot.request("goTo.result", on_message=self._on_result)
+        self._scan = robot.request("scan", queue=QueuePolicy(1))
+        self._robot = robot
         self._goal = ""
         self._metres = 0
 
@@ -35,6 +37,13 @@ class Driver:
     def cancel(self) -> None:
         """Cancel the goal that is driven."""
         self._status.send({"goal_id": self._goal}, "cancel")
+
+    def where(self) -> None:
+        """Print where the base is on the map, and how far from a wall."""
+        found = self._robot.call("frames", {"target_frame": "map", "source_frame": "base_link"})
+        at = found["transform"]["translation"]
+        wall = min(self._scan.get(timeout=10)["ranges"])
+        print(f"at {at['x']:.1f} {at['y']:.1f}, {wall:.1f} m from a wall", flush=True)
 
     def _on_status(self, message: Any) -> None:
         if message["status"] in {"accepted", "rejected"}:
@@ -60,6 +69,8 @@ def main() -> None:
         for line in sys.stdin:
             if line.strip() == "cancel":
                 driver.cancel()
+            elif line.strip() == "where":
+                driver.where()
             elif line.strip():
                 x, y = map(float, line.split())
                 driver.drive(x, y)

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from peers import own_line
 
-from uoarm.testing import patience
+from uoarm.testing import patience, wait
 
 ROOT = Path(__file__).parents[3]
 EXAMPLE = ROOT / "examples" / "navigation"
@@ -86,6 +86,12 @@ def test_another_planner_takes_over_and_a_goal_is_cancelled(start: Start) -> Non
     ask(driver, "3 4")
     there = until_the_end(driver)
     assert (there[0], there[1], there[-1]) == ("accepted", "7.0 m to go", "succeeded")
+
+    def where() -> str:
+        ask(driver, "where")
+        return line(driver)
+
+    wait(lambda: where() == "at 3.0 4.0, 21.0 m from a wall", "tf and the laser come")
     grid.terminate()
     grid.wait(patience())
     ask(driver, "0 0")
