@@ -111,9 +111,28 @@ def mistakes(
     elif keyword == "uniqueItems":
         yield path, "the same entry stands here twice", "", False
     elif keyword in {"anyOf", "oneOf"}:
-        yield path, f"{write(value)} is none of the {len(expected)} forms allowed", "", False
+        sentence = f"{write(value)} is none of the {len(expected)} forms allowed"
+        if forms := _forms(error, speller, write):
+            sentence = f"expected {any_of(forms)}, got {write(value)}"
+        yield path, sentence, "", False
     else:
         yield path, f"{keyword}: expected {clip(expected)}, got {write(value)}", "", False
+
+
+def _forms(error: ValidationError, speller: Speller, write: Callable[[object], str]) -> list[str]:
+    """Return what each of several forms expects of a value; none where they are about its parts."""
+    wanted: list[str] = []
+    forms: Any = error.validator_value
+    for number in range(len(forms)):
+        inner = [cause for cause in error.context if cause.schema_path[0] == number]
+        if len(inner) != 1 or inner[0].absolute_path != error.absolute_path:
+            return []
+        ((_, sentence, _, _),) = mistakes(inner[0], speller, write)
+        begin, end = "expected ", f", got {write(error.instance)}"
+        if not (sentence.startswith(begin) and sentence.endswith(end)):
+            return []
+        wanted.append(sentence[len(begin) : -len(end)])
+    return wanted
 
 
 def is_about_a_key(error: ValidationError) -> bool:

@@ -55,6 +55,13 @@ def test_it_stands_from_the_beginning_where_it_is_asked_to() -> None:
     assert timeline.wait(0, 50.0) == 0
 
 
+@pytest.mark.parametrize(("seconds", "place"), [(1e300, 10.0), (3.0, 3.0), (0.0, 0.0)])
+def test_a_seek_ends_at_the_end(seconds: float, place: float) -> None:
+    playback = Playback(Timeline(1.0, is_paused=True), 0, 10 * SECOND)
+    playback.seek(seconds)
+    assert playback.status().position == place
+
+
 def never() -> bool:
     return False
 

@@ -15,6 +15,7 @@ from uoarm import RobotManager
 from uoarm.config import loads
 from uoarm.errors import BridgeError, ResolutionError
 from uoarm.model import Endpoint, MessageStructure, QueuePolicy, Role
+from uoarm.record import _bridge
 from uoarm.record._bridge import RecordingBridge
 from uoarm.record._reading import McapReader
 from uoarm.record.plugin import PlaybackOptions
@@ -77,6 +78,67 @@ def played(path: Path, topic: str, count: int, **options: object) -> list[Any]:
         return list(messages)
     finally:
         made.close()
+
+
+@pytest.mark.parametrize(
+    ("rate", "sentence"),
+    [
+        (0, "expected more than 0 or fast, got 0"),
+        ("slow", 'expected a number or fast, got "slow"'),
+    ],
+)
+def test_a_rate_that_is_none_says_what_one_is(tape: Path, rate: object, sentence: str) -> None:
+    options = json.dumps({"file": str(tape), "rate": rate})
+    robot = RobotManager(
+        loads(
+            f"version: 1\nbridges: {{tape: {{plugin: recording, options: {options}}}}}\n"
+            "functions: {c: {components: [{name: c, bridge: tape, output: {endpoint: [/x]}}]}}\n"
+        )
+    )
+    with robot, pytest.raises(ResolutionError) as caught:
+        robot.request("c")
+    assert sentence in str(caught.value)
+
+
+def test_a_loop_over_an_empty_channel_does_not_turn_without_a_pause(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "x.mcap"
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        schema = writer.register_schema("Count", "jsonschema", json.dumps(COUNT).encode())
+        filled, _ = (writer.register_channel(topic, "json", schema) for topic in ("/c", "/none"))
+        for n in range(2):
+            writer.add_message(filled, 1000 + n, b'{"n": 1}', 0)
+        writer.finish()  # type: ignore[no-untyped-call]  # of mcap
+    monkeypatch.setattr(_bridge, "_EMPTY_SECONDS", patience())
+    made = RecordingBridge(
+        "tape", PlaybackOptions.of({"file": str(path), "rate": "fast", "loop": True})
+    )
+    laps: list[str] = []
+    read = made._file.messages
+
+    def counted(topic: str, since: int, on_damage: Callable[[str], object]) -> Any:
+        laps.append(topic)
+        return read(topic, since, on_damage)
+
+    monkeypatch.setattr(made._file, "messages", counted)
+    collector = Collector()
+    sources = [
+        made.open_source(
+            Endpoint("tape", "run", Role.OUTPUT, (topic,)),
+            MessageStructure(COUNT),
+            collector.deliver,
+        )
+        for topic in ("/none", "/c")
+    ]
+    collector.wait(1000, patience())
+    for source in sources:
+        source.close()
+    made.close()
+    assert laps.count("/none") == 1
+    assert laps.count("/c") >= 500
 
 
 def test_what_was_recorded_comes_out_again(tape: Path) -> None:

@@ -41,6 +41,7 @@ __all__ = ["RecordingBridge"]
 
 _NANO = 1_000_000_000
 _JOIN_SECONDS = 1.0
+_EMPTY_SECONDS = 1.0
 
 
 class RecordingBridge(Bridge):
@@ -254,6 +255,8 @@ class _RecordedSource(Source):
             if turn is PlaybackTurn.ELSEWHERE:
                 begin, lap, generation = playback.join(self, loops=loops)
             elif loops:
+                if first is None and begin == 0 and self._over.wait(_EMPTY_SECONDS):
+                    return  # there is nothing in this channel, for which no time passes
                 begin, lap = 0, lap + 1
             else:
                 return

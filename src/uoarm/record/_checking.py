@@ -109,7 +109,10 @@ class BagReader:
             reader = AnyReader([self.path])
             reader.open()
         except Exception as error:
-            text = f"{self.path} cannot be read: {type(error).__name__}: {error}"
+            text = (
+                f"{self.path} cannot be read: expected an MCAP file, a .bag of ROS 1 or a folder "
+                f"of rosbag2 ({type(error).__name__}: {error})"
+            )
             raise BridgeError(text, FailureReason.UNSUPPORTED) from error
         return reader
 

@@ -270,7 +270,7 @@ class Playback:
         """Go to so many seconds after the first message."""
 
         def move() -> None:
-            self._begin = max(0, min(self.length, int(seconds * _NANO)))
+            self._begin = int(max(0.0, min(float(self.length), seconds * _NANO)))
             self._timeline.seek(self._begin, self._clock())
             self.generation += 1
             # Where readers waited says nothing of the next message: a step waits for them anew.
