@@ -30,7 +30,13 @@ def test_a_viewer_is_served_under_either_name(serve: Serve, subprotocol: str) ->
     with Viewer(serve(), subprotocol) as viewer:
         assert viewer.socket.subprotocol == subprotocol
         assert viewer.info["supportedEncodings"] == ["cdr", "json"]
-        assert {"clientPublish", "connectionGraph", "services"} == {*viewer.info["capabilities"]}
+        assert viewer.info["capabilities"] == [
+            "clientPublish",
+            "connectionGraph",
+            "parameters",
+            "parametersSubscribe",
+            "services",
+        ]
 
 
 def test_every_output_is_a_channel_with_its_schema(serve: Serve) -> None:
@@ -197,7 +203,7 @@ def test_a_role_sees_and_does_what_it_may(serve: Serve, tmp_path: Path) -> None:
     "frame",
     ["[]", "{}", '{"op": 3}', '{"op": "subscribe"}', '{"op": "subscribe", "subscriptions": [1]}',
      '{"op": "unsubscribe", "subscriptionIds": [{}]}', '{"op": "advertise", "channels": [[]]}',
-     '{"op": "getParameters", "parameterNames": []}', b"", b"\1", b"\2\0", b"\1\0\0\0\0"],
+     '{"op": "getParameters"}', b"", b"\1", b"\2\0", b"\1\0\0\0\0"],
 )  # fmt: skip
 def test_a_message_that_is_wrong_is_answered_and_the_viewer_stays(
     serve: Serve, frame: str | bytes
@@ -244,3 +250,29 @@ def test_many_messages_to_one_viewer_are_all_there(serve: Serve) -> None:
             assert [viewer.until(1)["data"] for _ in range(50)] == [
                 int32(number) for number in range(start, start + 50)
             ]
+
+
+def test_one_that_is_wrong_costs_none_of_those_beside_it(serve: Serve) -> None:
+    with Viewer(serve()) as viewer:
+        known = viewer.channel("/numbers")["id"]
+        wrong = [{"id": number, "channelId": 4_000_000} for number in range(10, 20)]
+        viewer.send("subscribe", subscriptions=[*wrong, {"id": 4, "channelId": known}])
+        texts = [viewer.until("status")["message"] for _ in range(4)]
+        assert texts == ["channelId: there is no 4000000"] * 3 + ["and 7 more are refused"]
+        wait(lambda: numbers_script.started, "nothing plays", patience())
+        numbers_script.put({"data": 3})
+        assert viewer.until(1)["subscription"] == 4
+        stated = {"encoding": "json", "schemaName": ""}
+        viewer.send(
+            "advertise",
+            channels=[{"id": 1, "topic": "/none", **stated}, {"id": 2, "topic": "/echo", **stated}],
+        )
+        assert "there is no such input" in viewer.until("status")["message"]
+        viewer.send("unadvertise", channelIds=[1, 2])
+        assert viewer.until("status")["message"] == "channelIds: there is no 1"
+        viewer.send("unadvertise", channelIds=[2])
+        assert viewer.until("status")["message"] == "channelIds: there is no 2"
+        viewer.send("unsubscribe", subscriptionIds=[10, 4])
+        assert viewer.until("status")["message"] == "subscriptionIds: there is no 10"
+        viewer.send("unsubscribe", subscriptionIds=[4])
+        assert viewer.until("status")["message"] == "subscriptionIds: there is no 4"

@@ -19,6 +19,7 @@ from attrs import Attribute, field, frozen
 
 from uoarm._control import Connection, RobotManager
 from uoarm._plugins import hookimpl, hookspec
+from uoarm._secrets import without_secrets
 from uoarm._wire import (
     BINARY_FORM,
     TEXT_FORM,
@@ -165,6 +166,7 @@ __all__ = [
     "show_stop",
     "visible_status",
     "without_frames",
+    "without_secrets",
     "write_binary",
 ]
 

@@ -10,12 +10,12 @@ import asyncio
 import itertools
 import time
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 from attrs import frozen
 
 from uoarm.model import Component, Function, MessageStructure, Robot
-from uoarm.server.front_end import AccessRole, Backend
+from uoarm.server.front_end import AccessRole, Backend, without_secrets
 from uoarm_foxglove._encoding import StructureCodec, codec_of
 from uoarm_foxglove._protocol import write
 from uoarm_foxglove._views import view_of
@@ -34,6 +34,7 @@ Structures: TypeAlias = Mapping[str, MessageStructure]
 _VIEW = "view"
 _FRESH_SECONDS = 1.0
 _FRAME_OCTETS = 262_144
+_PARTS = ("channels", "services", "inputs", "graph", "parameters")
 
 
 def topic_of(function: str, port: str) -> str:
@@ -116,12 +117,14 @@ class VisibleListing:
         services: by number.
         inputs: by topic.
         graph: who publishes, subscribes and serves what, as the protocol has it.
+        parameters: of components, as the configuration in force has them, by name.
     """
 
     channels: Mapping[int, OutputChannel]
     services: Mapping[int, RobotService]
     inputs: Mapping[str, InputTopic]
     graph: Mapping[str, list[dict[str, object]]]
+    parameters: Mapping[str, Any]
 
     def frames_after(self, former: VisibleListing) -> tuple[bytes, ...]:
         """Return what a viewer is sent that knows a former one."""
@@ -152,8 +155,28 @@ class VisibleListing:
         changed["removedServices"] = sorted(served.keys() - now["advertisedServices"].keys())
         return write("connectionGraphUpdate", **changed)
 
+    def parameters_after(self, former: VisibleListing, names: Collection[str]) -> bytes | None:
+        """Return those of some names that are others than in a former listing; None: none are."""
+        changed = {
+            name
+            for name in names
+            if self.parameters.get(name, _NO_VALUE) != former.parameters.get(name, _NO_VALUE)
+        }
+        return self.parameter_values(sorted(changed)) if changed else None
 
-NOTHING = VisibleListing({}, {}, {}, {})
+    def parameter_values(self, names: Collection[str] = (), **more: object) -> bytes:
+        """Return the values of parameters; without names, of all. One that is gone has none."""
+        stated = [
+            stated_parameter(name, self.parameters[name])
+            if name in self.parameters
+            else {"name": name}
+            for name in names or self.parameters
+        ]
+        return write("parameterValues", parameters=stated, **more)
+
+
+_NO_VALUE = object()
+NOTHING = VisibleListing({}, {}, {}, {}, {})
 """What a viewer knows at first."""
 
 
@@ -165,11 +188,13 @@ class ListingQuestion:
         role: of the client.
         known: the listing whose channels and services the viewer has.
         graph: the listing whose graph it has; None: it wants none.
+        names: of the parameters whose changes it wants.
     """
 
     role: AccessRole
     known: VisibleListing = NOTHING
     graph: VisibleListing | None = None
+    names: frozenset[str] = frozenset()
 
 
 @frozen
@@ -247,6 +272,8 @@ class ChannelCatalogue:
         frames: tuple[bytes, ...] = ()
         if listing is not question.known:
             frames = listing.frames_after(question.known)
+            values = listing.parameters_after(question.known, question.names)
+            frames = frames if values is None else (*frames, values)
         if question.graph is not None and listing is not question.graph:
             graph = listing.graph_after(question.graph)
             frames = frames if graph is None else (*frames, graph)
@@ -308,14 +335,36 @@ class ChannelCatalogue:
         services = {service.number: service for item in seen for service in item.services}
         inputs = {topic_of(i.function, i.port): i for item in seen for i in item.inputs}
         graph = _graph([item.function for item in seen], channels.values())
-        if former is not None and (
-            former.channels == channels
-            and former.services == services
-            and former.inputs == inputs
-            and former.graph == graph
+        components = (component for item in seen for component in item.function.components)
+        parameters = {
+            f"/{component.name}/{name}": value
+            for component in components
+            for name, value in _flat(without_secrets(component.parameters))
+        }
+        made = VisibleListing(channels, services, inputs, graph, parameters)
+        if former is not None and all(
+            getattr(former, part) == getattr(made, part) for part in _PARTS
         ):
             return former
-        return VisibleListing(channels, services, inputs, graph)
+        return made
+
+
+def stated_parameter(name: str, value: Any) -> dict[str, object]:
+    """Return a parameter as the protocol states it: floats have a type."""
+    if isinstance(value, float):
+        return {"name": name, "value": value, "type": "float64"}
+    if isinstance(value, list) and value and all(isinstance(item, float) for item in value):
+        return {"name": name, "value": value, "type": "float64_array"}
+    return {"name": name, "value": value}
+
+
+def _flat(parameters: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    """Yield parameters by name, those within others as ROS 2 names them: `lens.gain`."""
+    for name, value in parameters.items():
+        if isinstance(value, Mapping):
+            yield from _flat(value, f"{prefix}{name}.")
+        elif value is not None:
+            yield f"{prefix}{name}", value
 
 
 def _announcements(

@@ -122,14 +122,14 @@ def write(op: str, **fields: object) -> bytes:
 
 
 def list_of(fields: Mapping[str, Any], name: str, kind: type[T]) -> list[T]:
-    """Return a list of objects (dict) or of numbers (int) that a message must have.
+    """Return a list of objects (dict), numbers (int) or texts (str) that a message must have.
 
     Raises:
         ControlMessageError: it does not.
     """
     found = fields.get(name)
     if not isinstance(found, list) or any(type(item) is not kind for item in found):
-        items = "objects" if kind is dict else "numbers"
+        items = "objects" if kind is dict else "texts" if kind is str else "numbers"
         raise ControlMessageError(f"{fields.get('op')}: {name}: expected a list of {items}")
     return found
 

@@ -8,7 +8,7 @@ import logging
 import time
 from collections.abc import Callable, Mapping
 from contextlib import suppress
-from typing import Any
+from typing import Any, TypeVar
 
 from uoarm import __version__
 from uoarm.errors import ControlMessageError, UoarmError
@@ -55,17 +55,20 @@ from uoarm_foxglove._protocol import (
 
 __all__ = ["FoxgloveSession"]
 
+T = TypeVar("T")
+
 Fields = Mapping[str, Any]
 _log = logging.getLogger("uoarm.foxglove")
 _LOOK_SECONDS = 1.0
-_CAPABILITIES = ["clientPublish", "connectionGraph", "services"]
-_NOT_SERVED = {
-    "getParameters": "parameters are not served",
-    "setParameters": "parameters are not served",
-    "subscribeParameterUpdates": "parameters are not served",
-    "unsubscribeParameterUpdates": "parameters are not served",
-    "fetchAsset": "assets are not served",
-}
+_CAPABILITIES = [
+    "clientPublish",
+    "connectionGraph",
+    "parameters",
+    "parametersSubscribe",
+    "services",
+]
+_NOT_SERVED = {"fetchAsset": "assets are not served"}
+_MOST_ERRORS = 3
 
 
 class FoxgloveSession:
@@ -86,6 +89,7 @@ class FoxgloveSession:
         self._subscriptions: dict[int, Subscription] = {}
         self._publications: dict[int, InputPublication] = {}
         self._calls: set[asyncio.Task[None]] = set()
+        self._parameters: frozenset[str] = frozenset()  # whose changes it wants
         self._acts: dict[str, Callable[[Fields], None]] = {
             "subscribe": self._subscribe,
             "unsubscribe": self._unsubscribe,
@@ -93,6 +97,10 @@ class FoxgloveSession:
             "unadvertise": self._unadvertise,
             "subscribeConnectionGraph": self._subscribe_graph,
             "unsubscribeConnectionGraph": self._unsubscribe_graph,
+            "getParameters": self._get_parameters,
+            "setParameters": self._set_parameters,
+            "subscribeParameterUpdates": self._subscribe_parameters,
+            "unsubscribeParameterUpdates": self._unsubscribe_parameters,
         }
         info = {
             "name": f"uoarm {__version__}",
@@ -134,7 +142,7 @@ class FoxgloveSession:
         """Keep the viewer's list of channels and services, and its graph, as its role sees them."""
         while True:
             self._look_now.clear()
-            asked = ListingQuestion(self._client.role, self._listing, self._graph)
+            asked = ListingQuestion(self._client.role, self._listing, self._graph, self._parameters)
             try:
                 answer = await self._catalogue.answer(asked)
             except UoarmError as error:  # the server closes, or is busy
@@ -192,7 +200,7 @@ class FoxgloveSession:
         act(fields)
 
     def _subscribe(self, fields: Fields) -> None:
-        for asked in list_of(fields, "subscriptions", dict):
+        def subscribe(asked: Fields) -> None:
             number = number_of(asked, "id")
             channel = self._listing.channels[number_of(asked, "channelId", self._listing.channels)]
             if number in self._subscriptions:
@@ -201,6 +209,8 @@ class FoxgloveSession:
                 raise LimitError(f"{self._client.limits.streams} channels are subscribed already")
             self._client.require(Operation.REQUEST, channel.function)
             self._subscriptions[number] = self._subscription(number, channel)
+
+        self._for_each(list_of(fields, "subscriptions", dict), subscribe)
 
     def _subscription(self, number: int, channel: OutputChannel) -> Subscription:
         """Return a subscription; viewers of one channel share all but the head of a frame."""
@@ -234,12 +244,14 @@ class FoxgloveSession:
         return subscription
 
     def _unsubscribe(self, fields: Fields) -> None:
-        for asked in list_of(fields, "subscriptionIds", int):
+        def unsubscribe(asked: int) -> None:
             number = number_of(asked, "subscriptionIds", self._subscriptions)
             self._subscriptions.pop(number).close()
 
+        self._for_each(list_of(fields, "subscriptionIds", int), unsubscribe)
+
     def _advertise(self, fields: Fields) -> None:
-        for asked in list_of(fields, "channels", dict):
+        def advertise(asked: Fields) -> None:
             number, name = number_of(asked, "id"), text_of(asked, "topic")
             encoding = text_of(asked, "encoding")
             topic = self._listing.inputs.get(name if name.startswith("/") else f"/{name}")
@@ -263,6 +275,8 @@ class FoxgloveSession:
                 on_ended=functools.partial(self._publication_ended, number),
             )
 
+        self._for_each(list_of(fields, "channels", dict), advertise)
+
     def _publication_ended(self, number: int, error: BaseException) -> None:
         publication = self._publications.pop(number, None)
         if publication is not None:
@@ -270,8 +284,23 @@ class FoxgloveSession:
             self._fail(error)
 
     def _unadvertise(self, fields: Fields) -> None:
-        for asked in list_of(fields, "channelIds", int):
+        def unadvertise(asked: int) -> None:
             self._publications.pop(number_of(asked, "channelIds", self._publications)).close()
+
+        self._for_each(list_of(fields, "channelIds", int), unadvertise)
+
+    def _for_each(self, items: list[T], act: Callable[[T], None]) -> None:
+        """Act on each item: one that is wrong costs itself only. The first errors are reported."""
+        errors = 0
+        for item in items:
+            try:
+                act(item)
+            except Exception as error:  # noqa: BLE001 - every item that is wrong is answered
+                errors += 1
+                if errors <= _MOST_ERRORS:
+                    self._fail(error)
+        if errors > _MOST_ERRORS:
+            self._fail(ControlMessageError(f"and {errors - _MOST_ERRORS} more are refused"))
 
     def _subscribe_graph(self, fields: Fields) -> None:
         del fields
@@ -281,6 +310,41 @@ class FoxgloveSession:
     def _unsubscribe_graph(self, fields: Fields) -> None:
         del fields
         self._graph = None
+
+    def _get_parameters(self, fields: Fields) -> None:
+        self._reply_parameters(_names_in(fields), fields)
+
+    def _set_parameters(self, fields: Fields) -> None:
+        """Refuse it, and answer which values hold."""
+        names = [text_of(item, "name") for item in list_of(fields, "parameters", dict)]
+        self._reply_parameters(names, fields)
+        raise ControlMessageError(
+            "parameters are set by the configuration, so that two clients cannot want two values: "
+            "change them there"
+        )
+
+    def _subscribe_parameters(self, fields: Fields) -> None:
+        known = self._listing.parameters.keys()
+        self._parameters |= known & set(_names_in(fields) or known)
+
+    def _unsubscribe_parameters(self, fields: Fields) -> None:
+        self._parameters -= set(_names_in(fields) or self._parameters)
+
+    def _reply_parameters(self, names: list[str], fields: Fields) -> None:
+        if len(self._calls) >= self._client.limits.calls:
+            raise LimitError(f"{self._client.limits.calls} calls are under way")
+        request = {"id": text_of(fields, "id")} if "id" in fields else {}
+        reply = asyncio.ensure_future(self._show_parameters(names, request))
+        self._calls.add(reply)
+        reply.add_done_callback(self._calls.discard)
+
+    async def _show_parameters(self, names: list[str], request: dict[str, str]) -> None:
+        listing = self._listing
+        frame = await self._backend.in_worker(
+            lambda: listing.parameter_values(dict.fromkeys(names), **request)
+        )
+        await self._client.outbox.room(len(frame))
+        self._client.outbox.reply(frame, text=True)
 
     def _publish(self, message: PublishedFrame) -> None:
         publication = self._publications.get(message.channel)
@@ -362,3 +426,7 @@ class FoxgloveSession:
     def _shown(self, text: str, asked: str = "") -> str:
         """Return a text with no name that the client may not see, but for what it asked for."""
         return self._backend.role_views.of(self._client.role).text(text, asked)
+
+
+def _names_in(fields: Fields) -> list[str]:
+    return [text_of({"name": name}, "name") for name in list_of(fields, "parameterNames", str)]

@@ -1,0 +1,110 @@
+"""Parameters of components, as the configuration in force has them: shown, not set."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from viewer import Serve, Viewer
+
+from uoarm import RobotManager
+from uoarm.config import loads
+from uoarm.server.access import hash_token, make_token
+
+CONFIGURATION = """
+version: 1
+bridges: {python: {}}
+functions:
+  numbers:
+    components:
+      - name: counter
+        bridge: python
+        parameters: {fps: 30, gain: 2.0, name: front, sizes: [1.0, 2.5], lens: {on: true, pwd: x}}
+        output: {endpoint: ["components:numbers"]}
+  loose:
+    components:
+      - name: loose
+        bridge: python
+        parameters: {level: 1}
+        output: {endpoint: ["components:loose"]}
+"""
+COUNTER = [
+    {"name": "/counter/fps", "value": 30},
+    {"name": "/counter/gain", "value": 2.0, "type": "float64"},
+    {"name": "/counter/name", "value": "front"},
+    {"name": "/counter/sizes", "value": [1.0, 2.5], "type": "float64_array"},
+    {"name": "/counter/lens.on", "value": True},
+    {"name": "/counter/lens.pwd", "value": "***"},
+]
+LOOSE = [{"name": "/loose/level", "value": 1}]
+
+
+@pytest.fixture
+def robot() -> Iterator[RobotManager]:
+    with RobotManager(loads(CONFIGURATION)) as robot:
+        yield robot
+
+
+def values(viewer: Viewer, *names: str, **more: object) -> Any:
+    viewer.send("getParameters", parameterNames=names, **more)
+    return viewer.until("parameterValues")
+
+
+def test_all_or_some_are_shown(serve: Serve) -> None:
+    with Viewer(serve()) as viewer:
+        found = values(viewer, id="first")
+        assert (found["parameters"], found["id"]) == ([*COUNTER, *LOOSE], "first")
+        found = values(viewer, "/loose/level", "/none/x")
+        assert found["parameters"] == [*LOOSE, {"name": "/none/x"}]
+        assert "id" not in found
+
+
+def test_none_is_set_and_the_viewer_gets_what_holds(serve: Serve) -> None:
+    with Viewer(serve()) as viewer:
+        viewer.send("setParameters", parameters=[{"name": "/loose/level", "value": 7}], id="x")
+        assert "set by the configuration" in viewer.until("status")["message"]
+        assert viewer.until("parameterValues")["parameters"] == LOOSE
+
+
+def test_changes_come_to_those_who_want_them(serve: Serve, robot: RobotManager) -> None:
+    with Viewer(serve()) as viewer:
+        values(viewer)
+        viewer.send("subscribeParameterUpdates", parameterNames=["/counter/fps", "/loose/level"])
+        values(viewer)  # it has been subscribed by then
+        changed = CONFIGURATION.replace("fps: 30, ", "").replace("name: front", "name: back")
+        robot.apply(loads(changed.replace("level: 1", "level: 2")))
+        assert viewer.until("parameterValues")["parameters"] == [
+            {"name": "/counter/fps"},
+            {"name": "/loose/level", "value": 2},
+        ]
+        viewer.send("unsubscribeParameterUpdates", parameterNames=[])
+        values(viewer)
+        robot.apply(loads(CONFIGURATION))
+        while values(viewer, "/loose/level")["parameters"] != LOOSE:
+            pass
+        assert not [other for other in viewer.others if other["op"] == "parameterValues"]
+
+
+def test_a_role_sees_those_of_the_functions_that_it_sees(serve: Serve, tmp_path: Path) -> None:
+    token = make_token()
+    access = tmp_path / "access.yaml"
+    access.write_text(
+        f"""
+version: 1
+roles: {{guest: {{see: [loose]}}}}
+tokens: [{{name: tablet, role: guest, sha256: {hash_token(token)}}}]
+""",
+        encoding="utf-8",
+    )
+    with Viewer(serve(access=access), query=f"?token={token}") as viewer:
+        assert values(viewer)["parameters"] == LOOSE
+        assert values(viewer, "/counter/fps")["parameters"] == [{"name": "/counter/fps"}]
+
+
+@pytest.mark.parametrize("names", ["x", [1], None])
+def test_names_that_are_none_are_refused(serve: Serve, names: object) -> None:
+    with Viewer(serve()) as viewer:
+        viewer.send("getParameters", parameterNames=names)
+        assert "parameterNames: expected a list of texts" in viewer.until("status")["message"]
