@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from uoarm._control.discovery import Rounds
+from uoarm._control.discovery import DiscoveryRounds
 from uoarm.config import loads
 
 ONE, OTHER = (loads("version: 1\nbridges: {}\nfunctions: {}\n") for _ in range(2))
 
 
 def test_first_rounds_are_short_until_every_need_is_met_or_frameworks_had_their_time() -> None:
-    rounds = Rounds()
+    rounds = DiscoveryRounds()
     reports = [
         (
             rounds.ended(base, begun, begun + 0.01, is_whole=is_whole, has_all=has_all),
@@ -31,11 +31,11 @@ def test_first_rounds_are_short_until_every_need_is_met_or_frameworks_had_their_
 
 
 def test_rounds_take_a_fifth_of_the_time_at_most() -> None:
-    assert Rounds().ended(ONE, 10.0, 20.0, is_whole=True, has_all=True) == 40.0
+    assert DiscoveryRounds().ended(ONE, 10.0, 20.0, is_whole=True, has_all=True) == 40.0
 
 
 def test_no_long_rest_follows_a_round_while_requests_wait_for_the_first_candidates() -> None:
-    rounds = Rounds()
+    rounds = DiscoveryRounds()
     assert rounds.ended(ONE, 10.0, 20.0, is_whole=False, has_all=False) == 0.25
     assert rounds.ended(ONE, 20.25, 30.0, is_whole=True, has_all=False) == 39.0
     assert rounds.matched is ONE

@@ -1,4 +1,4 @@
-"""The asyncio twins of the manager and its connections, for programs that must not block."""
+"""The asyncio forms of the manager and its connections, for programs that must not block."""
 
 from __future__ import annotations
 
@@ -44,14 +44,14 @@ from uoarm.model import (
 __all__ = ["AsyncConnection", "AsyncRobotManager"]
 
 Result = TypeVar("Result")
-# Covariant: methods that a manager inherits are those of a twin of what it is more generally.
+# Covariant: methods that a manager inherits are those of a proxy of what it is more generally.
 Threaded_co = TypeVar("Threaded_co", covariant=True)
 P = ParamSpec("P")
 _AT_ONCE = 32
 _log = logging.getLogger("uoarm")
 
 
-class _Twin(Generic[Threaded_co]):
+class _AsyncProxy(Generic[Threaded_co]):
     """What has the methods of something that blocks, awaited; closed at the end of `async with`."""
 
     def __init__(self, threaded: Threaded_co, executor: ThreadPoolExecutor) -> None:
@@ -85,33 +85,33 @@ class _Twin(Generic[Threaded_co]):
 
 def _awaited(
     method: Callable[Concatenate[Threaded_co, P], Result],
-) -> Callable[Concatenate[_Twin[Threaded_co], P], Coroutine[Any, Any, Result]]:
-    """Return the twin of a method that blocks: it runs outside the loop's thread, and is awaited.
+) -> Callable[Concatenate[_AsyncProxy[Threaded_co], P], Coroutine[Any, Any, Result]]:
+    """Return a method that blocks as one to await: it runs outside the loop's thread.
 
     Parameters, result and text are those of the method, for type checkers and documentation too.
     """
 
     @wraps(method)
-    async def twin(self: _Twin[Threaded_co], /, *args: P.args, **kwargs: P.kwargs) -> Result:
+    async def proxy(self: _AsyncProxy[Threaded_co], /, *args: P.args, **kwargs: P.kwargs) -> Result:
         return await self._outside(partial(method, self._threaded, *args, **kwargs))
 
-    return twin
+    return proxy
 
 
 def _at_once(
     method: Callable[Concatenate[Threaded_co, P], Result],
-) -> Callable[Concatenate[_Twin[Threaded_co], P], Result]:
-    """Return the twin of a method that does not block, which is called as it is."""
+) -> Callable[Concatenate[_AsyncProxy[Threaded_co], P], Result]:
+    """Return the form for asyncio of a method that does not block, which is called as it is."""
 
     @wraps(method)
-    def twin(self: _Twin[Threaded_co], /, *args: P.args, **kwargs: P.kwargs) -> Result:
+    def proxy(self: _AsyncProxy[Threaded_co], /, *args: P.args, **kwargs: P.kwargs) -> Result:
         return method(self._threaded, *args, **kwargs)
 
-    return twin
+    return proxy
 
 
 @final
-class AsyncConnection(_Twin[Connection[T]], Generic[T]):
+class AsyncConnection(_AsyncProxy[Connection[T]], Generic[T]):
     """A connection read from an event loop: `async for`, `await get()`, `async with`.
 
     However many messages arrive, the loop is woken once until it has read them. Use it from the
@@ -164,7 +164,7 @@ class AsyncConnection(_Twin[Connection[T]], Generic[T]):
     async def get(self, timeout: float | None = None) -> T:
         """Return the next message; raises as `Connection.get` does."""
         deadline = None if timeout is None else self._loop.time() + timeout
-        self._threaded._on_wake(self._wake)  # noqa: SLF001 - its twin
+        self._threaded._on_wake(self._wake)  # noqa: SLF001 - of ours
         while True:
             self._arrived.clear()
             self._woken = False
@@ -172,7 +172,7 @@ class AsyncConnection(_Twin[Connection[T]], Generic[T]):
                 return self._threaded.get(0)
             except TimeoutError:
                 if deadline is not None and self._loop.time() >= deadline:
-                    trouble = self._threaded._trouble()  # noqa: SLF001 - its twin
+                    trouble = self._threaded._trouble()  # noqa: SLF001 - of ours
                     raise TimeoutError(f"no message within {timeout:g} s{trouble}") from None
                 await event_by(self._arrived, deadline)
 
@@ -270,7 +270,7 @@ class AsyncConnection(_Twin[Connection[T]], Generic[T]):
 
 
 @final
-class AsyncRobotManager(_Twin[RobotManager]):
+class AsyncRobotManager(_AsyncProxy[RobotManager]):
     """A robot manager whose waiting calls are awaited; wraps one that lives on.
 
     Waiting calls run in threads of its own, 32 at once and 32 more of connections; further ones

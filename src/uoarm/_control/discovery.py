@@ -40,7 +40,7 @@ from uoarm.model import (
     message_octets,
 )
 
-__all__ = ["CandidateWatch", "Discovery", "Rounds", "check_availability", "with_rates"]
+__all__ = ["CandidateWatch", "Discovery", "DiscoveryRounds", "check_availability", "with_rates"]
 
 _REST = 4.0
 _MOST_PORTS = 10_000
@@ -333,7 +333,7 @@ _KEPT_ANSWERS = 3
 
 
 @define(eq=False)
-class Rounds:
+class DiscoveryRounds:
     """When bridges are asked, and when all of that is known which can be expected.
 
     Attributes:
@@ -419,7 +419,7 @@ class CandidateWatch:
         self._types = types
         self._clock = clock
         self._proofs = Proofs(clock)
-        self._rounds = Rounds()
+        self._rounds = DiscoveryRounds()
         self._undescribed = UndescribedComponents()
         # Guards what is known of rounds; requests wait on it for candidates, and the thread for a
         # close.

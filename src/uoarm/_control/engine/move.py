@@ -16,10 +16,10 @@ from uoarm.model import FailoverPolicy
 
 __all__ = [
     "RULES",
-    "Failing",
     "MovePhase",
     "MoveReason",
     "MoveRule",
+    "OnOpenFailure",
     "forget_earlier",
     "recently",
 ]
@@ -53,7 +53,7 @@ class MovePhase(Enum):
     __hash__ = object.__hash__
 
 
-class Failing(Enum):
+class OnOpenFailure(Enum):
     """What happens where the plan of a move cannot be opened."""
 
     ENDS = "the connection ends with the error"
@@ -94,7 +94,7 @@ class MoveRule:
     called: str
     cause: str
     announced: str
-    failing: Failing
+    failing: OnOpenFailure
     phases: tuple[MovePhase, ...] = _ALONE
     patience: Callable[[FailoverPolicy], float] = lambda _: 0.0
     avoids_failed: bool = False
@@ -120,13 +120,13 @@ RULES: Mapping[MoveReason, MoveRule] = {
         called="its request",
         cause="",
         announced="running",
-        failing=Failing.ENDS,
+        failing=OnOpenFailure.ENDS,
     ),
     MoveReason.DEATH: MoveRule(
         called="its takeover",
         cause="",
         announced="replaced",
-        failing=Failing.SEEKS,
+        failing=OnOpenFailure.SEEKS,
         patience=lambda policy: policy.wait,
         avoids_failed=True,
         is_counted=True,
@@ -136,7 +136,7 @@ RULES: Mapping[MoveReason, MoveRule] = {
         called="its return",
         cause="its preferred components are available again",
         announced="replaced",
-        failing=Failing.STAYS,
+        failing=OnOpenFailure.STAYS,
         patience=lambda policy: policy.return_after or 0.0,
         phases=_TOGETHER,
         is_shared=True,
@@ -146,7 +146,7 @@ RULES: Mapping[MoveReason, MoveRule] = {
         called="its move",
         cause="the configuration was changed",
         announced="replaced",
-        failing=Failing.STAYS,
+        failing=OnOpenFailure.STAYS,
         phases=_TOGETHER,
         avoids_failed=True,
         is_owed=True,
@@ -156,7 +156,7 @@ RULES: Mapping[MoveReason, MoveRule] = {
         called="its end",
         cause="",
         announced="",
-        failing=Failing.CLOSES,
+        failing=OnOpenFailure.CLOSES,
         phases=(MovePhase.DRAINING,),
     ),
 }

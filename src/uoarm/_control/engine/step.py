@@ -39,7 +39,7 @@ from uoarm._control.engine.events import (
     TimeReached,
 )
 from uoarm._control.engine.failover import end, finish_if_asked
-from uoarm._control.engine.move import RULES, Failing, MovePhase, MoveReason
+from uoarm._control.engine.move import RULES, MovePhase, MoveReason, OnOpenFailure
 from uoarm._control.engine.state import (
     ConnectionRecord,
     Kind,
@@ -304,16 +304,16 @@ def _failed_to_open(
     if move is None or user not in users:
         return
     match move.rule.failing:
-        case Failing.ENDS:
+        case OnOpenFailure.ENDS:
             draft.actions.append(Forget(record.placement.plan.names))
             end(draft, record, ConnectionState.FAILED, str(error), record.waiter, error=error)
-        case Failing.STAYS:
+        case OnOpenFailure.STAYS:
             switchover.abandon(draft, draft.switchovers[move.group], str(error))
-        case Failing.SEEKS:
+        case OnOpenFailure.SEEKS:
             # Without a next plan the batch was the first one's, which runs: nothing is given up.
             if move.next is not None:
                 failover.try_another(draft, record, str(error))
-        case Failing.CLOSES:
+        case OnOpenFailure.CLOSES:
             pass
 
 

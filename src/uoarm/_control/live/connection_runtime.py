@@ -17,7 +17,7 @@ from uoarm._control.live.component import LiveComponent, LiveEdge
 from uoarm._spans import past_span
 from uoarm.model import Gap, QueuePolicy, RouteStatus
 
-__all__ = ["ConnectionRuntime", "Counting", "LossAccount"]
+__all__ = ["ConnectionRuntime", "CountedRoute", "LossAccount"]
 
 Sums: TypeAlias = Mapping[tuple[str, str], RouteStatus]
 Gone: TypeAlias = tuple[LiveComponent, ...]
@@ -27,7 +27,7 @@ _GAP_OCTETS = 64 * 1024
 _RECENT = 8
 
 
-class Counting(Protocol):
+class CountedRoute(Protocol):
     """A route, whichever end it is at."""
 
     def status(self) -> RouteStatus:
@@ -50,7 +50,7 @@ class LossAccount:
         self.gaps: tuple[Gap, ...] = ()
         self._lost = 0
         self._sums: Sums = {}
-        self._recent: deque[tuple[Gone, tuple[Counting, ...]]] = deque()
+        self._recent: deque[tuple[Gone, tuple[CountedRoute, ...]]] = deque()
         # Two plans may share what ends: the first that ends with it counts it, no other once more.
         self._counted: WeakSet[LiveComponent | LiveEdge] = WeakSet()
 
@@ -78,7 +78,7 @@ class LossAccount:
                 gone.append(live)
         return tuple(gone)
 
-    def ended_edges(self, edges: Iterable[LiveEdge]) -> Iterator[Counting]:
+    def ended_edges(self, edges: Iterable[LiveEdge]) -> Iterator[CountedRoute]:
         """Yield the routes of those of the edges that have ended, once each."""
         for joined in edges:
             if joined.route is not None and joined.route.closed and joined not in self._counted:
@@ -90,7 +90,7 @@ class LossAccount:
         with self._lock:
             self.gaps = _newest((*self.gaps[1 - _GAPS :], gap))
 
-    def count(self, gap: Gap, gone: Gone, routes: Iterable[Counting]) -> None:
+    def count(self, gap: Gap, gone: Gone, routes: Iterable[CountedRoute]) -> None:
         """Take in a change of plan, with components that are gone and routes that ended."""
         ended = tuple(routes)
         dropped = _dropped_by_reason(route.status() for route in ended)
@@ -100,7 +100,7 @@ class LossAccount:
         with self._lock:
             self.gaps = tuple(counted if item is gap else item for item in self.gaps)
 
-    def settle(self, gone: Gone, routes: Iterable[Counting]) -> None:
+    def settle(self, gone: Gone, routes: Iterable[CountedRoute]) -> None:
         """Take in components that are gone, and routes that ended."""
         ended = tuple(routes)
         if not gone and not ended:
@@ -127,7 +127,7 @@ def _lost_with(gone: Gone) -> int:
     return sum(live.lost for live in gone)
 
 
-def _added(sums: Sums, routes: Iterable[Counting]) -> Sums:
+def _added(sums: Sums, routes: Iterable[CountedRoute]) -> Sums:
     added = dict(sums)
     for route in routes:
         status = _settled(route.status())
@@ -241,7 +241,7 @@ class ConnectionRuntime:
         return self._uncounted.pop(before, None)
 
 
-class LetThrough:
+class StartDelivery:
     """A job: have an application receive from a plan that is open, its retained message first."""
 
     def __init__(

@@ -27,7 +27,7 @@ from uoarm._control.engine.state import Part, State
 from uoarm._control.engine.step import step
 from uoarm._control.live.bridges import BridgeSet
 from uoarm._control.live.component import LiveEdge
-from uoarm._control.live.connection_runtime import ConnectionRuntime, LetThrough, record_takeover
+from uoarm._control.live.connection_runtime import ConnectionRuntime, StartDelivery, record_takeover
 from uoarm._control.live.offers import Offers
 from uoarm._control.live.parts import LiveParts
 from uoarm._control.live.revisions import Revisions, StagedRevision
@@ -112,7 +112,7 @@ class Driver:
         self._cancelled: set[int] = set()
         # Replaced as a whole by the owner, read by a thread that waits for a change of
         # configuration.
-        self._undelivered: tuple[LetThrough, ...] = ()
+        self._undelivered: tuple[StartDelivery, ...] = ()
 
     def post(self, event: ev.Event) -> None:
         """Take an event. Quick: what follows from it may be done later, in other threads."""
@@ -487,7 +487,7 @@ class Driver:
         if action.is_receiving:
             runtime.hand_over(action, ports)
         else:
-            letting = LetThrough(action, runtime, ports)
+            letting = StartDelivery(action, runtime, ports)
             self._undelivered = (
                 *(let_through for let_through in self._undelivered if not let_through.is_over),
                 letting,

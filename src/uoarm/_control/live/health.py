@@ -87,23 +87,23 @@ Notify = Callable[[Health, str], None]
 
 
 @frozen
-class _Deed:
+class _FailureDescription:
     """What a component did, for people: `its input 'default' raised`, and how often."""
 
     once: str
     often: str
 
     @classmethod
-    def raising(cls, place: str) -> _Deed:
+    def raising(cls, place: str) -> _FailureDescription:
         return cls(f"{place} raised", f"{place} raises again and again")
 
     @classmethod
-    def giving(cls, port: str, what: str) -> _Deed:
+    def giving(cls, port: str, what: str) -> _FailureDescription:
         place = f"its output {port!r}"
         return cls(f"{place} gave {what}:", f"{place} gives again and again {what}")
 
 
-_SUCCESS = _Deed("", "")
+_SUCCESS = _FailureDescription("", "")
 
 
 class FailureWatch:
@@ -147,12 +147,12 @@ class FailureWatch:
     def raised(self, place: str, error: BaseException) -> None:
         """Take in that the component raised, and log it."""
         text = text_of(error)
-        self.note(_Deed.raising(place), 0, 1, text)
+        self.note(_FailureDescription.raising(place), 0, 1, text)
         self._log(place, text, error)
 
     def note_later_report(self, place: str, taken: int, failed: int, text: str) -> None:
         """Take in what a channel reports of messages that were sent before."""
-        self.note(_Deed.raising(place), taken, failed, text)
+        self.note(_FailureDescription.raising(place), taken, failed, text)
         if failed:
             self._log(place, text)
 
@@ -165,12 +165,17 @@ class FailureWatch:
         self.note(_SUCCESS, 1, 0, "")
 
     def note(
-        self, deed: _Deed, taken: int, failed: int, text: str, judged: Hashable = _TAKING
+        self,
+        failure: _FailureDescription,
+        taken: int,
+        failed: int,
+        text: str,
+        judged: Hashable = _TAKING,
     ) -> bool:
         """Take in what became of some messages; say whether what is judged is not well now.
 
         Args:
-            deed: what it did where it failed, for people.
+            failure: what it did where it failed, for people.
             taken: how many went well.
             failed: how many it failed on.
             text: of the last error.
@@ -189,7 +194,7 @@ class FailureWatch:
             self.is_alert = health is not Health.OK
             # Within the lock, so that verdicts are reported in their order.
             if health is not before:
-                message = _cause(health, deed, count, text)
+                message = _cause(health, failure, count, text)
                 self.cause = "" if health is Health.OK else message
                 self._notify(health, message)
             return rule.health is not Health.OK
@@ -257,22 +262,22 @@ class OutputWatch:
 
     def mismatched(self, error: MessageError) -> None:
         """Take in that a message did not match; the route logs it."""
-        deed = _Deed.giving(self._port, "what does not match its structure")
-        self.component.note(deed, 0, 1, str(error), self._port)
+        failure = _FailureDescription.giving(self._port, "what does not match its structure")
+        self.component.note(failure, 0, 1, str(error), self._port)
 
     def unreadable(self, why: str) -> None:
         """Take in that a message could not be read; the route logs it."""
-        deed = _Deed.giving(self._port, "what cannot be read")
-        self.component.note(deed, 0, 1, why, self._reading)
+        failure = _FailureDescription.giving(self._port, "what cannot be read")
+        self.component.note(failure, 0, 1, why, self._reading)
 
     def read(self) -> bool:
         """Take in that something could be read; say whether that matters the next time, too."""
         return self.component.note(_SUCCESS, 1, 0, "", self._reading)
 
 
-def _cause(health: Health, deed: _Deed, count: int, text: str) -> str:
+def _cause(health: Health, failure: _FailureDescription, count: int, text: str) -> str:
     if health is Health.OK:
         return "it fails no more"
     if health is Health.DEGRADED:
-        return f"{deed.once} {text}"
-    return f"{deed.often}, {count} times so far: {text}"
+        return f"{failure.once} {text}"
+    return f"{failure.often}, {count} times so far: {text}"

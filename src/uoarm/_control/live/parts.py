@@ -28,7 +28,7 @@ from uoarm._control.engine.state import (
 from uoarm._control.live.application_ports import ApplicationPorts
 from uoarm._control.live.bridges import BridgeSet
 from uoarm._control.live.component import LiveComponent, LiveEdge
-from uoarm._control.live.connection_runtime import ConnectionRuntime, Counting
+from uoarm._control.live.connection_runtime import ConnectionRuntime, CountedRoute
 from uoarm._control.live.health import FailureWatch
 from uoarm._control.live.safety import EmergencyStop
 from uoarm._dataplane import Clock
@@ -67,7 +67,7 @@ class Ending:
     lost: list[LiveComponent]
     runtime: ConnectionRuntime | None
 
-    def ended(self) -> Iterator[Counting]:
+    def ended(self) -> Iterator[CountedRoute]:
         """Yield the routes that end with the plan, once each."""
         for ports in self.ports:
             yield from ports.routes()
