@@ -110,6 +110,22 @@ def test_the_command_says_it_with_its_exit_code(tape: Path) -> None:
     assert data["channels"][0]["consumers"][0]["passed"] == 150
 
 
+def test_several_recordings_are_checked(tape: Path) -> None:
+    good = tape.with_name("good.mcap")
+    good.write_bytes(tape.read_bytes())
+    more = ("--recording", str(good), "--json")
+    code, text = checked(tape, ROBOT.partition("  small:")[0], *more)
+    assert code == 0, text
+    assert [Path(item["file"]).name for item in json.loads(text)] == [tape.name, "good.mcap"]
+    broken = tape.with_name("broken.mcap")
+    broken.write_bytes(tape.read_bytes()[:100])
+    for order in ((tape, broken), (broken, tape)):
+        code, text = checked(order[0], ALONE, "--recording", str(order[1]))
+        assert code == 1, text
+        assert "150 fit, 0 do not" in text
+        assert "broken.mcap: nothing could be checked" in text
+
+
 def test_what_feeds_nothing_is_held_against_its_provider(tape: Path) -> None:
     code, text = checked(tape, ALONE)
     assert (code, "numbers.default: 150 fit, 0 do not" in text) == (0, True), text

@@ -6,7 +6,7 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NoReturn
@@ -161,15 +161,19 @@ def summary(status: RecordingStatus) -> str:
     return "\n".join(lines)
 
 
-def check_against(file: str, recording: Path, *, as_json: bool) -> NoReturn:
-    """Print whether a recording passes a configuration, and exit."""
+def check_against(file: str, recordings: Sequence[Path], *, as_json: bool) -> NoReturn:
+    """Print whether recordings pass a configuration, as data in a list if several, and exit."""
     with open_robot(file) as robot:
-        result = check_recording(recording, robot)
+        results = [check_recording(recording, robot) for recording in recordings]
     if as_json:
-        print_json({"is_passed": result.is_passed, **to_json(result)})
+        shown = [{"is_passed": result.is_passed, **to_json(result)} for result in results]
+        print_json(shown if len(shown) > 1 else shown[0])
     else:
-        click.echo("\n".join(_report(result)))
-    sys.exit(0 if result.is_passed else REFUSED)
+        for result in results:
+            if len(results) > 1:
+                click.secho(result.file, bold=True)
+            click.echo("\n".join(_report(result)))
+    sys.exit(0 if all(result.is_passed for result in results) else REFUSED)
 
 
 def _report(result: RecordingCheck) -> Iterator[str]:

@@ -48,11 +48,13 @@ _SECONDS = 60.0
 @takes_configuration()
 @click.option(
     "--recording",
+    "recordings",
     type=click.Path(path_type=Path),
-    help="Hold what was recorded against the configuration of today instead.",
+    multiple=True,
+    help="Hold what was recorded against the configuration of today instead; may be repeated.",
 )
 @json_option
-def check(file: str, *, recording: Path | None, as_json: bool) -> None:
+def check(file: str, *, recordings: tuple[Path, ...], as_json: bool) -> None:
     """Say everything that is wrong with a configuration FILE.
 
     Python components that run in this environment are imported, to check their parameters. What is
@@ -62,10 +64,10 @@ def check(file: str, *, recording: Path | None, as_json: bool) -> None:
     function feeds now, and the structure of then is proven against it. The exit code is 1 where one
     does not fit, or nothing could be checked.
     """
-    if recording is not None:
+    if recordings:
         from uoarm.cli._record import check_against  # noqa: PLC0415 - needs an extra
 
-        check_against(file, recording, as_json=as_json)
+        check_against(file, recordings, as_json=as_json)
     _say_that_it_takes_a_while(file)
     registry = Registry()
     report = inspect(file, registry.types, parameters=True, missing=registry.missing)
