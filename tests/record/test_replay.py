@@ -17,6 +17,7 @@ from uoarm.errors import BridgeError, ResolutionError
 from uoarm.model import Endpoint, MessageStructure, QueuePolicy, Role
 from uoarm.record import _bridge
 from uoarm.record._bridge import RecordingBridge
+from uoarm.record._checking import open_recording
 from uoarm.record._reading import McapReader
 from uoarm.record.plugin import PlaybackOptions
 from uoarm.testing import Collector, MemoryBridge, patience, wait
@@ -371,3 +372,6 @@ def test_a_bag_of_ros_1_is_read(tmp_path: Path) -> None:
             text = store.serialize_ros1(kind(data=f"text {n}"), "std_msgs/msg/String")
             writer.write(connection, 1000 + n, text)
     assert played(path, "/text", 10) == [{"data": f"text {n}"} for n in range(10)]
+    path.write_bytes(path.read_bytes()[:-100])
+    with pytest.raises(BridgeError, match="`rosbag reindex` makes the index"):
+        open_recording(path)

@@ -186,6 +186,9 @@ def _report(result: RecordingCheck) -> Iterator[str]:
 
 
 def _channel_lines(channel: ChannelCheck) -> Iterator[str]:
+    if not channel.consumers:
+        yield f"{channel.topic}: not checked: {channel.cause or 'nothing takes or provides it'}"
+        return
     cause = f": {channel.cause}" if channel.cause else ""
     unreadable = f", {channel.unreadable:,} cannot be read" if channel.unreadable else ""
     yield f"{channel.topic}: {channel.messages:,} messages{unreadable}{cause}"

@@ -113,6 +113,8 @@ class BagReader:
                 f"{self.path} cannot be read: expected an MCAP file, a .bag of ROS 1 or a folder "
                 f"of rosbag2 ({type(error).__name__}: {error})"
             )
+            if self.path.suffix == ".bag" and self.path.is_file():
+                text += "; `rosbag reindex` makes the index of a bag that was cut short"
             raise BridgeError(text, FailureReason.UNSUPPORTED) from error
         return reader
 
