@@ -126,7 +126,7 @@ class VehicleAddress:
         if role not in self.roles:
             what = f"{self.topic} {self.part}".strip()
             allowed = " or ".join(item.value for item in self.roles)
-            raise ValueError(f"{what} is an {allowed}, not a {role.value}")
+            raise ValueError(f"{what}: expected {allowed} as its role, got {role.value}")
         if self.header and (role is not Role.OUTPUT or self.topic == TRANSPORT):
             raise ValueError("`header` is for outputs of topics: the bridge makes headers itself")
 
