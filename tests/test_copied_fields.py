@@ -13,24 +13,24 @@ from uoarm._lock._record import _edge
 from uoarm.local import status
 from uoarm.model import BridgeStatus, ComponentStatus, ConnectionStatus, Edge, RouteStatus
 from uoarm.schema import Verdict
-from uoarm.server.access._approvals import Approval, ApprovalDesk, ApprovalWish
+from uoarm.server.access._approvals import Approval, ApprovalRequest, Approvals
 from uoarm.server.session._views import show_approval
 
-_AUDITED = ApprovalDesk._report
+_AUDITED = Approvals._report
 WRITTEN: tuple[tuple[type, Callable[..., Any] | Any, dict[str, str]], ...] = (
     (
         Approval,
         show_approval,
         {"expires": "`left` says how long it is valid still", "used": "`uses` says how often"},
     ),
-    (ApprovalWish, show_approval, {}),
+    (ApprovalRequest, show_approval, {}),
     (
         Approval,
         _AUDITED,
         {"expires": "a phase of its own says that it has", "used": "`uses` says how often"},
     ),
     (
-        ApprovalWish,
+        ApprovalRequest,
         _AUDITED,
         {
             "foundation": "the phase says when it has changed",

@@ -21,7 +21,7 @@ from tests.server.talk import Talk
 from uoarm.config import loads
 from uoarm.errors import ConfigurationError, MessageError
 from uoarm.server import hash_token, make_token
-from uoarm.server.access import AccessRole, ApprovalDesk, Operation, Supervision
+from uoarm.server.access import AccessRole, Approvals, Operation, Supervision
 from uoarm.server.access._access_file import read_access
 from uoarm.server.access._approvals import (
     Approval,
@@ -30,18 +30,18 @@ from uoarm.server.access._approvals import (
     ApprovalError,
     ApprovalFoundation,
     ApprovalPhase,
-    ApprovalWish,
+    ApprovalRequest,
     digest_of,
 )
 from uoarm.server.access._role import Audit, AuditFile, masked
 
 FOUNDATION = ApprovalFoundation(1, ("cuff",))
-WISH = ApprovalWish("agent", "call", "cuff", "", {"pressure": 120.0}, FOUNDATION)
+REQUEST = ApprovalRequest("agent", "call", "cuff", "", {"pressure": 120.0}, FOUNDATION)
 
 
-def approved(wish: ApprovalWish = WISH) -> ApprovalBook:
+def approved(request: ApprovalRequest = REQUEST) -> ApprovalBook:
     book = ApprovalBook()
-    book.ask("a", wish, 0.0)
+    book.ask("a", request, 0.0)
     book.decide("a", "nurse", 1.0, approve=True)
     return book
 
@@ -54,34 +54,34 @@ def phase(book: ApprovalBook, now: float) -> ApprovalPhase:
 
 def test_what_was_approved_is_done_once() -> None:
     book = approved()
-    assert book.use("a", WISH, 2.0).phase is ApprovalPhase.USED
+    assert book.use("a", REQUEST, 2.0).phase is ApprovalPhase.USED
     with pytest.raises(ApprovalError, match="is used"):
-        book.use("a", WISH, 2.0)
+        book.use("a", REQUEST, 2.0)
 
 
 def test_nothing_is_done_before_it_is_approved() -> None:
     book = ApprovalBook()
-    book.ask("a", WISH, 0.0)
+    book.ask("a", REQUEST, 0.0)
     with pytest.raises(ApprovalError, match="is pending"):
-        book.use("a", WISH, 1.0)
+        book.use("a", REQUEST, 1.0)
     book.decide("a", "nurse", 1.0, approve=False, cause="not now")
     with pytest.raises(ApprovalError, match="is refused: not now"):
-        book.use("a", WISH, 1.0)
+        book.use("a", REQUEST, 1.0)
 
 
 @pytest.mark.parametrize(
     ("wanted", "text"),
     [
-        (evolve(WISH, arguments={"pressure": 121.0}), "other arguments"),
-        (evolve(WISH, arguments={"pressure": 120}), "other arguments"),
-        (evolve(WISH, arguments={"pressure": 120.0, "more": None}), "other arguments"),
-        (evolve(WISH, function="drive"), "not of this"),
-        (evolve(WISH, operation="send"), "not of this"),
-        (evolve(WISH, port="other"), "not of this"),
-        (evolve(WISH, requester="other"), "there is no approval"),
+        (evolve(REQUEST, arguments={"pressure": 121.0}), "other arguments"),
+        (evolve(REQUEST, arguments={"pressure": 120}), "other arguments"),
+        (evolve(REQUEST, arguments={"pressure": 120.0, "more": None}), "other arguments"),
+        (evolve(REQUEST, function="drive"), "not of this"),
+        (evolve(REQUEST, operation="send"), "not of this"),
+        (evolve(REQUEST, port="other"), "not of this"),
+        (evolve(REQUEST, requester="other"), "there is no approval"),
     ],
 )
-def test_nothing_else_is_done_with_it(wanted: ApprovalWish, text: str) -> None:
+def test_nothing_else_is_done_with_it(wanted: ApprovalRequest, text: str) -> None:
     book = approved()
     with pytest.raises(ApprovalError, match=text):
         book.use("a", wanted, 2.0)
@@ -94,9 +94,9 @@ def test_nothing_else_is_done_with_it(wanted: ApprovalWish, text: str) -> None:
 def test_another_configuration_or_component_makes_it_void(foundation: ApprovalFoundation) -> None:
     book = approved()
     with pytest.raises(ApprovalError, match="is void"):
-        book.use("a", evolve(WISH, foundation=foundation), 2.0)
+        book.use("a", evolve(REQUEST, foundation=foundation), 2.0)
     with pytest.raises(ApprovalError, match="is void"):
-        book.use("a", WISH, 2.0)
+        book.use("a", REQUEST, 2.0)
 
 
 @pytest.mark.parametrize(
@@ -111,12 +111,12 @@ def test_another_configuration_or_component_makes_it_void(foundation: ApprovalFo
 )
 def test_what_is_not_shown_as_it_is_cannot_be_asked_for(arguments: Any) -> None:
     with pytest.raises(MessageError, match="plain JSON"):
-        ApprovalBook().ask("a", evolve(WISH, arguments=arguments), 0.0)
+        ApprovalBook().ask("a", evolve(REQUEST, arguments=arguments), 0.0)
 
 
 def test_who_asks_does_not_approve() -> None:
     book = ApprovalBook()
-    book.ask("a", WISH, 0.0)
+    book.ask("a", REQUEST, 0.0)
     with pytest.raises(ApprovalError, match="another principal"):
         book.decide("a", "agent", 1.0, approve=True)
     assert phase(book, 1.0) is ApprovalPhase.PENDING
@@ -126,26 +126,26 @@ def test_a_decision_stands() -> None:
     book = approved()
     with pytest.raises(ApprovalError, match="is approved"):
         book.decide("a", "other", 2.0, approve=False)
-    book.use("a", WISH, 2.0)
+    book.use("a", REQUEST, 2.0)
     with pytest.raises(ApprovalError, match="is used"):
         book.decide("a", "nurse", 3.0, approve=True)
 
 
 def test_it_expires_before_and_after_the_decision() -> None:
     book = ApprovalBook()
-    book.ask("a", WISH, 0.0)
+    book.ask("a", REQUEST, 0.0)
     with pytest.raises(ApprovalError, match="is expired: no decision"):
         book.decide("a", "nurse", 900.0, approve=True)
     book = approved()
     with pytest.raises(ApprovalError, match="is expired: unused"):
-        book.use("a", WISH, 61.0)
+        book.use("a", REQUEST, 61.0)
 
 
 def test_an_envelope_has_ranges_a_count_and_a_rate() -> None:
     envelope = ApprovalEnvelope({"linear.x": (-0.2, 0.2)}, count=3, rate=2.0)
-    base = evolve(WISH, arguments={"linear": {"x": 0.1, "y": 0.0}}, envelope=envelope)
+    base = evolve(REQUEST, arguments={"linear": {"x": 0.1, "y": 0.0}}, envelope=envelope)
 
-    def at(x: object, y: float = 0.0) -> ApprovalWish:
+    def at(x: object, y: float = 0.0) -> ApprovalRequest:
         return evolve(base, arguments={"linear": {"x": x, "y": y}})
 
     book = approved(base)
@@ -174,20 +174,20 @@ def test_an_envelope_has_ranges_a_count_and_a_rate() -> None:
 )
 def test_an_envelope_that_says_nothing_certain_is_refused(envelope: ApprovalEnvelope) -> None:
     with pytest.raises(ApprovalError):
-        ApprovalBook().ask("a", evolve(WISH, envelope=envelope), 0.0)
+        ApprovalBook().ask("a", evolve(REQUEST, envelope=envelope), 0.0)
 
 
 def test_what_can_be_asked_for_is_bounded() -> None:
     book = ApprovalBook()
     for number in range(32):
-        book.ask(str(number), WISH, 0.0)
+        book.ask(str(number), REQUEST, 0.0)
     with pytest.raises(ApprovalError, match="32 approvals"):
-        book.ask("more", WISH, 0.0)
-    book.ask("of another", evolve(WISH, requester="other"), 0.0)
+        book.ask("more", REQUEST, 0.0)
+    book.ask("of another", evolve(REQUEST, requester="other"), 0.0)
     with pytest.raises(MessageError, match="at most"):
-        ApprovalBook().ask("a", evolve(WISH, arguments="x" * 70_000), 0.0)
+        ApprovalBook().ask("a", evolve(REQUEST, arguments="x" * 70_000), 0.0)
     for number in itertools.count(1):
-        book.ask(f"n{number}", evolve(WISH, requester=f"p{number}"), 0.0)
+        book.ask(f"n{number}", evolve(REQUEST, requester=f"p{number}"), 0.0)
         book.decide(f"n{number}", "nurse", 0.0, approve=False)
         if number == 1000:
             break
@@ -215,14 +215,14 @@ def test_every_order_of_steps_does_at_most_what_was_approved() -> None:
         "approve": lambda book, now: book.decide("a", "nurse", now, approve=True),
         "by itself": lambda book, now: book.decide("a", "agent", now, approve=True),
         "refuse": lambda book, now: book.decide("a", "nurse", now, approve=False),
-        "use": lambda book, now: book.use("a", WISH, now),
-        "use again": lambda book, now: book.use("a", WISH, now),
+        "use": lambda book, now: book.use("a", REQUEST, now),
+        "use again": lambda book, now: book.use("a", REQUEST, now),
         "configure": lambda book, now: book.void(lambda _: "another revision", now),
         "wait": lambda book, now: None,
     }
     for order in itertools.permutations(steps):
         book, now, done, allowed = ApprovalBook(), 0.0, 0, False
-        book.ask("a", WISH, now)
+        book.ask("a", REQUEST, now)
         for step in order:
             now += 100.0 if step == "wait" else 0.1
             if step in {"wait", "configure"}:
@@ -244,7 +244,7 @@ def test_every_order_of_steps_does_at_most_what_was_approved() -> None:
         assert done <= 1
 
 
-class Approvals(RuleBasedStateMachine):
+class RandomApprovals(RuleBasedStateMachine):
     """Random use of a book of several approvals beside a plain model of it."""
 
     def __init__(self) -> None:
@@ -258,9 +258,11 @@ class Approvals(RuleBasedStateMachine):
     @rule(who=st.sampled_from("ab"), count=st.integers(1, 3))
     def ask(self, who: str, count: int) -> None:
         name = f"{who}{len(self.names)}"
-        wish = evolve(WISH, requester=who, envelope=ApprovalEnvelope(count=count), seconds=10.0)
+        request = evolve(
+            REQUEST, requester=who, envelope=ApprovalEnvelope(count=count), seconds=10.0
+        )
         try:
-            self.book.ask(name, wish, self.now)
+            self.book.ask(name, request, self.now)
         except ApprovalError:
             assert len(self.names) >= 32
         else:
@@ -277,13 +279,13 @@ class Approvals(RuleBasedStateMachine):
         assert who != name[0]
         if approve:
             assert name not in self.may
-            self.may[name] = decided.wish.envelope.count, self.now + 10.0
+            self.may[name] = decided.request.envelope.count, self.now + 10.0
 
     @precondition(lambda self: self.names)
     @rule(data=st.data(), who=st.sampled_from("ab"), value=st.sampled_from([120.0, 121.0]))
     def use(self, data: st.DataObject, who: str, value: float) -> None:
         name = data.draw(st.sampled_from(self.names))
-        wanted = evolve(WISH, requester=who, arguments={"pressure": value})
+        wanted = evolve(REQUEST, requester=who, arguments={"pressure": value})
         count, until = self.may.get(name, (0, 0.0))
         allowed = (
             who == name[0]
@@ -315,7 +317,7 @@ class Approvals(RuleBasedStateMachine):
             assert known is None or isinstance(known, Approval)
 
 
-TestApprovals = Approvals.TestCase
+TestApprovals = RandomApprovals.TestCase
 TestApprovals.settings = settings(max_examples=60, stateful_step_count=30, deadline=None)
 
 
@@ -331,7 +333,7 @@ def test_an_envelope_that_some_reader_of_json_cannot_read_is_refused(
     envelope: ApprovalEnvelope,
 ) -> None:
     with pytest.raises(ApprovalError, match=r"64 bits|times a second"):
-        ApprovalBook().ask("a", evolve(WISH, envelope=envelope), 0.0)
+        ApprovalBook().ask("a", evolve(REQUEST, envelope=envelope), 0.0)
 
 
 def test_nothing_is_done_while_the_audit_log_cannot_be_written(
@@ -341,18 +343,18 @@ def test_nothing_is_done_while_the_audit_log_cannot_be_written(
     path.parent.mkdir()
     kept = AuditFile(path)
     try:
-        desk = ApprovalDesk(Audit(), Supervision(lambda: loads(CONFIGURATION)))
+        approvals = Approvals(Audit(), Supervision(lambda: loads(CONFIGURATION)))
         role = AccessRole("nurse", everything=frozenset({Operation.APPROVE}))
-        first, second = (desk.ask(WISH).id for _ in range(2))
-        desk.decide(first, "nurse", role, approve=True)
-        desk.decide(second, "nurse", role, approve=True)
+        first, second = (approvals.ask(REQUEST).id for _ in range(2))
+        approvals.decide(first, "nurse", role, approve=True)
+        approvals.decide(second, "nurse", role, approve=True)
         path.write_text(path.read_text("utf-8") + '{"half of', encoding="utf-8")  # a full disk
         path.parent.rename(tmp_path / "away")
         with pytest.raises(ApprovalError, match="audit log cannot be written"):
-            desk.use(first, WISH)
+            approvals.use(first, REQUEST)
         assert f'it lacks the line {{"approval":"{first}","phase":"used"' in caplog.text
         (tmp_path / "away").rename(path.parent)
-        assert desk.use(second, WISH).phase is ApprovalPhase.USED
+        assert approvals.use(second, REQUEST).phase is ApprovalPhase.USED
     finally:
         kept.close()
     *_, broken, last = path.read_text("utf-8").splitlines()
@@ -526,13 +528,13 @@ def test_each_step_is_in_the_audit_log_with_who_what_when_and_the_arguments(
     robot = loads(CONFIGURATION)
     role = AccessRole("nurse", {Operation.APPROVE: ("add",)})
     with caplog.at_level(logging.INFO, "uoarm.audit"):
-        desk = ApprovalDesk(Audit(), Supervision(lambda: robot))
-        wish = evolve(WISH, function="add", arguments={"a": 1, "password": "x"})
-        identity = desk.ask(wish).id
-        desk.decide(identity, "nurse", role, approve=True)
-        desk.use(identity, wish)
+        approvals = Approvals(Audit(), Supervision(lambda: robot))
+        request = evolve(REQUEST, function="add", arguments={"a": 1, "password": "x"})
+        identity = approvals.ask(request).id
+        approvals.decide(identity, "nurse", role, approve=True)
+        approvals.use(identity, request)
         with pytest.raises(ApprovalError):
-            desk.use(identity, wish)
+            approvals.use(identity, request)
     lines = [json.loads(record.message) for record in caplog.records]
     assert [line.get("phase") for line in lines] == ["pending", "approved", "used", None]
     assert {line["requester"] for line in lines} == {"agent"}

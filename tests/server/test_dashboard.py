@@ -16,7 +16,7 @@ from uoarm import RobotManager
 from uoarm.bridge import BridgeType, Registry
 from uoarm.config import load, loads
 from uoarm.server import ServerOptions, hash_token, serve_in_thread
-from uoarm.server.access._approvals import ApprovalFoundation, ApprovalWish
+from uoarm.server.access._approvals import ApprovalFoundation, ApprovalRequest
 from uoarm.testing import MemoryBridge, free_port, patience
 
 MOVES = """
@@ -576,11 +576,11 @@ def test_what_another_asks_for_is_approved_or_refused(
     access = tmp_path / "access.yaml"
     access.write_text(APPROVER.format(right=hash_token("right")), encoding="utf-8")
     server = serve(access=access)
-    desk = server.backend.approvals
+    approvals = server.backend.approvals
     function = next(iter(robot.config.functions))
     foundation = ApprovalFoundation(robot.revision, ())
     asked = [
-        desk.ask(ApprovalWish("agent", "call", function, "", {"angle": angle}, foundation))
+        approvals.ask(ApprovalRequest("agent", "call", function, "", {"angle": angle}, foundation))
         for angle in (30, 45)
     ]
     browser.go(f"http://127.0.0.1:{server.ports[0]}/")
@@ -596,7 +596,7 @@ def test_what_another_asks_for_is_approved_or_refused(
     browser.until("document.querySelectorAll('.approvals li').length === 1")
     browser.click(".approvals .bar button", "Refuse")
     browser.until("!document.querySelector('.approvals')")
-    found = [desk.find(approval.id, "agent") for approval in asked]
+    found = [approvals.find(approval.id, "agent") for approval in asked]
     assert [approval.phase.value for approval in found if approval] == ["approved", "refused"]
     assert {approval.approver for approval in found if approval} == {"ada"}
     browser.complaints.clear()  # the refusals before the token: a browser reports them all

@@ -304,8 +304,10 @@ def test_one_with_http_of_its_own_is_served_on_its_port(
         async def talk(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
             await reader.readuntil(b"\r\n\r\n")
             try:
-                async with place.guests.admitted("/", [("Host", "localhost")], None, "me") as guest:
-                    text = guest.principal
+                async with place.stateless_clients.admitted(
+                    "/", [("Host", "localhost")], None, "me"
+                ) as client:
+                    text = client.principal
             except RefusedError as error:
                 text = str(error)
             writer.write(f"HTTP/1.1 200 OK\r\nConnection: close\r\n\r\n{text}".encode())

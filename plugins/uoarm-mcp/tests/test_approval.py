@@ -243,9 +243,9 @@ def test_what_is_opened_is_what_was_approved(
     # Between the use of the approval and the opening another component takes over.
     checked = AgentActions.check_foundation
 
-    def check(actions: AgentActions, made: Any, wish: Any, plan: Any) -> None:
-        taken_over = evolve(wish.foundation, components=("another",))
-        checked(actions, made, evolve(wish, foundation=taken_over), plan)
+    def check(actions: AgentActions, made: Any, request: Any, plan: Any) -> None:
+        taken_over = evolve(request.foundation, components=("another",))
+        checked(actions, made, evolve(request, foundation=taken_over), plan)
 
     monkeypatch.setattr(AgentActions, "check_foundation", check)
     text = agents.refused("read_numbers", {"seconds": 0, "x-approval": facts["handle"]})

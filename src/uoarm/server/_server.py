@@ -39,12 +39,12 @@ from uoarm.server.session import (
     DEFLATE,
     ConnectedClient,
     FrameDecoder,
-    GuestBook,
     NativeSession,
     Session,
     SessionStore,
     Shared,
     Sockets,
+    StatelessClients,
     TurnConnection,
     host_of,
 )
@@ -109,7 +109,7 @@ class Server:
         self._listening: list[Listening] = []
         self._serving: list[asyncio.Task[None]] = []
         self._sockets_of_others: list[ListeningSocket] = []
-        self._guests: GuestBook | None = None
+        self._stateless_clients: StatelessClients | None = None
         self._ports: list[int] = []
         self._sockets = Sockets(room, self._limits)
         self._registry: FeedRegistry | None = None
@@ -135,10 +135,10 @@ class Server:
         return self._registry
 
     @property
-    def guests(self) -> GuestBook:
+    def stateless_clients(self) -> StatelessClients:
         """Who comes with requests, as front ends admit them; once it is started."""
-        assert self._guests is not None, "the server was started"
-        return self._guests
+        assert self._stateless_clients is not None, "the server was started"
+        return self._stateless_clients
 
     @property
     def held_octets(self) -> int:
@@ -161,7 +161,7 @@ class Server:
             self._audit_file = AuditFile(self._settings.audit)
         registry = self._registry = FeedRegistry(self._robot, self._limits)
         self._shared = Shared(registry, self._settings.recordings_folder)
-        self._guests = GuestBook(
+        self._stateless_clients = StatelessClients(
             self._admission, self._audit, registry, self._connected, self._totals.refuse
         )
         self._stop_listening = self._robot.listen(self._audit_lease)
@@ -200,8 +200,8 @@ class Server:
             await asyncio.wait(self._serving, timeout=self._limits.stop_seconds / 4)
         for listener in self._sockets_of_others:
             listener.close()
-        if self._guests is not None:
-            self._guests.close()
+        if self._stateless_clients is not None:
+            self._stateless_clients.close()
         if self._registry is not None:
             self._registry.views.close()  # long answers would keep outboxes from being emptied
         limit = self._limits.stop_seconds / 4
@@ -297,7 +297,7 @@ class Server:
         assert front_end.serve is not None, "others are not served so"
         sockets = await self._bind(port)
         self._sockets_of_others += sockets
-        place = HttpPlace(registry, self.guests, tuple(sockets), self._tls)
+        place = HttpPlace(registry, self.stateless_clients, tuple(sockets), self._tls)
         serving = asyncio.ensure_future(foreign(front_end.serve, place))
         serving.add_done_callback(functools.partial(_take_end, front_end))
         self._serving.append(serving)
@@ -389,7 +389,7 @@ class Server:
         role = cache(self._admission.role)
         self._store.refresh(now, role)
         self._sockets.check(now)
-        self.guests.check()
+        self.stateless_clients.check()
         for client in list(self._clients):
             if role(client.credentials) != client.role:
                 client.dismiss("its rights have changed or ended; connect again")

@@ -44,12 +44,12 @@ from uoarm.server._limits import Limits
 from uoarm.server.access import (
     AccessRole,
     Approval,
-    ApprovalDesk,
     ApprovalEnvelope,
     ApprovalError,
     ApprovalFoundation,
     ApprovalPhase,
-    ApprovalWish,
+    ApprovalRequest,
+    Approvals,
     DeniedError,
     Operation,
     RefusedError,
@@ -59,9 +59,9 @@ from uoarm.server.access import (
 )
 from uoarm.server.session import (
     Discoveries,
-    Guest,
-    GuestBook,
     Session,
+    StatelessClient,
+    StatelessClients,
     show_approval,
     show_plan,
     show_stop,
@@ -105,12 +105,12 @@ __all__ = [
     "Account",
     "ActionRunners",
     "Approval",
-    "ApprovalDesk",
     "ApprovalEnvelope",
     "ApprovalError",
     "ApprovalFoundation",
     "ApprovalPhase",
-    "ApprovalWish",
+    "ApprovalRequest",
+    "Approvals",
     "Backend",
     "BusyError",
     "ChangeNotice",
@@ -126,8 +126,6 @@ __all__ = [
     "FrontEnd",
     "Goal",
     "GoalStatus",
-    "Guest",
-    "GuestBook",
     "HttpPlace",
     "InputSender",
     "Lane",
@@ -145,6 +143,8 @@ __all__ = [
     "RoleViews",
     "Session",
     "Shares",
+    "StatelessClient",
+    "StatelessClients",
     "StreamRunner",
     "Subscription",
     "Supervision",
@@ -294,7 +294,7 @@ class Backend(Protocol):
         """What works on the goals of functions that are actions, for all clients together."""
 
     @property
-    def approvals(self) -> ApprovalDesk:
+    def approvals(self) -> Approvals:
         """What needs an approval, and those that are asked for."""
 
     async def call_planned(
@@ -411,13 +411,13 @@ class HttpPlace:
 
     Attributes:
         backend: the robot.
-        guests: admit each request; nothing is done for one that was not.
+        stateless_clients: admit each request; nothing is done for one that was not.
         sockets: bound and listening; the server closes them.
         tls: what TLS is spoken with; None: none is.
     """
 
     backend: FeedRegistry
-    guests: GuestBook
+    stateless_clients: StatelessClients
     sockets: tuple[socket.socket, ...]
     tls: ssl.SSLContext | None
 

@@ -17,13 +17,13 @@ from uoarm.model import FieldLimit, Message, MessageStructure, Plan, message_oct
 from uoarm.server.front_end import (
     TEXT_FORM,
     ApprovalFoundation,
-    ApprovalWish,
+    ApprovalRequest,
     Backend,
     DeniedError,
     Goal,
     GoalStatus,
-    Guest,
     RoleView,
+    StatelessClient,
     check_message,
     read_message,
     show_approval,
@@ -47,7 +47,7 @@ class AgentActions:
     Each begins with a goal; what ends at once is answered at once.
 
     Args:
-        guest: whose.
+        client: whose.
         backend: the robot.
         kept: where large values go.
         streams: what it has open.
@@ -56,22 +56,22 @@ class AgentActions:
 
     def __init__(
         self,
-        guest: Guest,
+        client: StatelessClient,
         backend: Backend,
         kept: KeptValues,
         streams: AgentStreams,
         goals: AgentGoals,
     ) -> None:
-        self._guest = guest
+        self._client = client
         self._backend = backend
         self._kept = kept
         self._streams = streams
         self._goals = goals
-        self._desk = backend.approvals
+        self._approvals = backend.approvals
 
     @property
     def _view(self) -> RoleView:
-        return self._backend.role_views.of(self._guest.role)
+        return self._backend.role_views.of(self._client.role)
 
     async def act(self, made: FunctionTool, arguments: Mapping[str, Any]) -> CallToolResult:
         """Call or send, where it fits and is approved."""
@@ -79,12 +79,12 @@ class AgentActions:
             return await self._call_at_once(made, arguments)
         plan, revision = await self.find_plan(made.function)
         message, handle = _checked(plan, made, arguments)
-        wish = self.wish(made, message, plan, revision)
+        request = self.request(made, message, plan, revision)
         if self.reason(made):
             if not handle:
-                return succeeded(self.ask(made, wish))
+                return succeeded(self.ask(made, request))
             self._goals.check_room()  # or the approval would be spent on nothing
-            approval = self._desk.use(handle, wish)
+            approval = self._approvals.use(handle, request)
             goal_handle = handle if approval.uses == 1 else f"{handle}-{approval.uses}"
         elif handle:
             raise UsageError(f"{APPROVAL}: it needs no approval; leave it out")
@@ -99,10 +99,15 @@ class AgentActions:
             command = own["goal"].endpoint.command
             can_stop = command is not None and command.stop is not None
             work = partial(
-                self._give_goal, made, wish, message, can_cancel="cancel" in own, can_stop=can_stop
+                self._give_goal,
+                made,
+                request,
+                message,
+                can_cancel="cancel" in own,
+                can_stop=can_stop,
             )
         else:
-            work = partial(self._send, made, wish, message)
+            work = partial(self._send, made, request, message)
         return await self._pursue(goal, work)
 
     async def _call_at_once(
@@ -145,7 +150,7 @@ class AgentActions:
         read: Callable[[MessageStructure, Message], Message],
         goal: AgentGoal,
     ) -> RenderedMessage:
-        timeout = self._guest.limits.call_seconds
+        timeout = self._client.limits.call_seconds
         if not isinstance(wanted, str):
             service = wanted.provider.component.service
             if service is None:
@@ -163,17 +168,17 @@ class AgentActions:
         )
 
     async def _send(
-        self, made: FunctionTool, wish: ApprovalWish, message: Message, goal: AgentGoal
+        self, made: FunctionTool, request: ApprovalRequest, message: Message, goal: AgentGoal
     ) -> RenderedMessage:
         del goal
-        check = partial(self.check_foundation, made, wish)
+        check = partial(self.check_foundation, made, request)
         await self._streams.send(made.function, made.port, message, check)
         return RenderedMessage(None)
 
     async def _give_goal(
         self,
         made: FunctionTool,
-        wish: ApprovalWish,
+        request: ApprovalRequest,
         message: Message,
         goal: AgentGoal,
         *,
@@ -202,7 +207,7 @@ class AgentActions:
             fail,
             message_octets(message),
             read=_read,
-            check=partial(self.check_foundation, made, wish),
+            check=partial(self.check_foundation, made, request),
         )
         actions = self._backend.actions
         runner = actions.join(made.function, sent)
@@ -230,10 +235,10 @@ class AgentActions:
         goal.state = state
         return rendered
 
-    def check_foundation(self, made: FunctionTool, wish: ApprovalWish, plan: Plan) -> None:
+    def check_foundation(self, made: FunctionTool, request: ApprovalRequest, plan: Plan) -> None:
         """Refuse a plan that runs, where another one was approved; raises DeniedError."""
         found = ApprovalFoundation.of(plan, self._backend.robot.revision)
-        if self.reason(made) and found != wish.foundation:
+        if self.reason(made) and found != request.foundation:
             raise DeniedError(
                 f"{made.function} runs {', '.join(found.components)}, which was not approved"
             )
@@ -248,12 +253,14 @@ class AgentActions:
 
     def reason(self, made: FunctionTool) -> str:
         """Return why it needs an approval now, whatever the catalogue says."""
-        return self._desk.supervision.reason(made.operation, made.function)
+        return self._approvals.supervision.reason(made.operation, made.function)
 
-    def wish(self, made: FunctionTool, message: Message, plan: Plan, revision: int) -> ApprovalWish:
+    def request(
+        self, made: FunctionTool, message: Message, plan: Plan, revision: int
+    ) -> ApprovalRequest:
         """Return what an approval would have to be of."""
-        return ApprovalWish(
-            self._guest.principal,
+        return ApprovalRequest(
+            self._client.principal,
             made.operation.value,
             made.function,
             made.port,
@@ -261,17 +268,17 @@ class AgentActions:
             ApprovalFoundation.of(plan, revision),
         )
 
-    def ask(self, made: FunctionTool, wish: ApprovalWish) -> dict[str, Any]:
+    def ask(self, made: FunctionTool, request: ApprovalRequest) -> dict[str, Any]:
         """Ask for an approval; returns how it stands, as data."""
         description = self._backend.robot.config.functions[made.function].description
         preview = f"{description or made.function}; {self.reason(made)}"
-        approval = self._desk.ask(evolve(wish, preview=preview[:_WORDS]))
+        approval = self._approvals.ask(evolve(request, preview=preview[:_WORDS]))
         return {
             "state": "approval-needed",
             "handle": approval.id,
-            "approval": show_approval(self._desk, approval, self._view),
+            "approval": show_approval(self._approvals, approval, self._view),
             "next": (
-                f"another person than {self._guest.principal} decides about it; then call "
+                f"another person than {self._client.principal} decides about it; then call "
                 f"{made.tool.name} again with the same arguments and {APPROVAL} {approval.id}"
             ),
         }

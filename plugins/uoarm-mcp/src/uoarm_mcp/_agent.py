@@ -15,10 +15,10 @@ from uoarm.server.front_end import (
     TEXT_FORM,
     Backend,
     Discoveries,
-    Guest,
     LimitError,
     Operation,
     RoleView,
+    StatelessClient,
     UnknownError,
 )
 from uoarm_mcp._actions import AgentActions
@@ -35,10 +35,10 @@ _READ_SECONDS = 5.0
 
 
 class Agent:
-    """All requests of one guest, in the server's loop.
+    """All requests of one client, in the server's loop.
 
     Args:
-        guest: whose.
+        client: whose.
         backend: the robot.
         catalogues: what roles have.
         discoveries: what bridges see.
@@ -46,21 +46,21 @@ class Agent:
 
     def __init__(
         self,
-        guest: Guest,
+        client: StatelessClient,
         backend: Backend,
         catalogues: CatalogueMaker,
         discoveries: Discoveries,
     ) -> None:
-        self.guest = guest
-        self.kept = KeptValues(guest.account)
+        self.client = client
+        self.kept = KeptValues(client.account)
         self._backend = backend
         self._catalogues = catalogues
-        holder = LeaseHolder(f"agent {guest.principal} {guest.identity}", guest.role.name)
-        self.streams = AgentStreams(backend, guest.account, holder)
+        holder = LeaseHolder(f"agent {client.principal} {client.identity}", client.role.name)
+        self.streams = AgentStreams(backend, client.account, holder)
         self._goals = AgentGoals()
-        self._actions = AgentActions(guest, backend, self.kept, self.streams, self._goals)
+        self._actions = AgentActions(client, backend, self.kept, self.streams, self._goals)
         self._robot_tools = RobotTools(
-            guest,
+            client,
             backend,
             catalogues,
             discoveries,
@@ -74,7 +74,7 @@ class Agent:
     @property
     def view(self) -> RoleView:
         """What its role sees."""
-        return self._backend.role_views.of(self.guest.role)
+        return self._backend.role_views.of(self.client.role)
 
     def close(self) -> None:
         """Let go of everything: what it moved is stopped."""
@@ -84,7 +84,7 @@ class Agent:
 
     async def catalogue(self) -> Catalogue:
         """Return what it has."""
-        return await self._catalogues.of(self.guest.role)
+        return await self._catalogues.of(self.client.role)
 
     async def tools(self) -> list[Tool]:
         """Return its tools."""
@@ -101,7 +101,7 @@ class Agent:
         if name not in self._robot_tools and name not in catalogue.tools:
             known = catalogue.left_out.get(name, "")
             raise UnknownError(f"there is no tool {name!r:.200}{known and f': {known}'}")
-        if self._under_way >= self.guest.limits.calls:
+        if self._under_way >= self.client.limits.calls:
             refusal = LimitError(f"{self._under_way} calls are under way; wait for one of them")
             return failed(failure_text(refusal))
         self._under_way += 1
@@ -109,7 +109,7 @@ class Agent:
             if name in self._robot_tools:
                 return succeeded(await self._robot_tools.call(name, arguments))
             made = catalogue.tools[name]
-            self.guest.require(made.operation, made.function)
+            self.client.require(made.operation, made.function)
             if made.kind is ToolKind.READ:
                 return await self._read_stream(made, arguments)
             return await self._actions.act(made, arguments)
@@ -132,12 +132,12 @@ class Agent:
         check = None
         if self._actions.reason(made):
             plan, revision = await self._actions.find_plan(made.function)
-            wish = self._actions.wish(made, options, plan, revision)
+            request = self._actions.request(made, options, plan, revision)
             if not handle:
-                facts = self._actions.ask(made, wish)
+                facts = self._actions.ask(made, request)
                 return succeeded({"messages": [], **facts})
-            self._backend.approvals.use(handle, wish)
-            check = partial(self._actions.check_foundation, made, wish)
+            self._backend.approvals.use(handle, request)
+            check = partial(self._actions.check_foundation, made, request)
         collector, end = await self.streams.read(
             f"{made.function}.{output}",
             options.get("count", 1),
@@ -193,7 +193,7 @@ class Agent:
         if uri not in catalogue.resources:
             raise UnknownError(f"there is no resource {uri!r:.200}")
         function, _, output = uri.removeprefix(STREAM).partition("/")
-        self.guest.require(Operation.REQUEST, function)
+        self.client.require(Operation.REQUEST, function)
         if not output:
             made = catalogue.tools.get(f"read_{function}")
             output = made.outputs[0] if made is not None else "default"

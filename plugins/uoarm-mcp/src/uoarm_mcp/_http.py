@@ -18,8 +18,8 @@ from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol
 from uoarm.errors import ControlMessageError
 from uoarm.model import Budget, BudgetUse, scan_json
 from uoarm.server import Limits
-from uoarm.server.front_end import Discoveries, Guest, HttpPlace, RefusedError, coded_text
-from uoarm_mcp._service import GUEST, AgentService
+from uoarm.server.front_end import Discoveries, HttpPlace, RefusedError, StatelessClient, coded_text
+from uoarm_mcp._service import CLIENT, AgentService
 
 __all__ = ["PATH", "serve_http"]
 
@@ -72,9 +72,9 @@ async def serve_http(place: HttpPlace, version: str) -> None:
 
 
 class GuestSessions:
-    """The sessions of earlier revisions, of each guest its own, so that no one takes all of them.
+    """The sessions of earlier revisions, of each client its own, so that no one takes all of them.
 
-    They end with the guest's rights.
+    They end with the client's rights.
 
     Args:
         protocol: what they speak.
@@ -82,26 +82,26 @@ class GuestSessions:
 
     def __init__(self, protocol: Server[Any]) -> None:
         self._protocol = protocol
-        self._managers: dict[Guest, asyncio.Future[StreamableHTTPSessionManager]] = {}
-        self._running: dict[Guest, asyncio.Task[None]] = {}
+        self._managers: dict[StatelessClient, asyncio.Future[StreamableHTTPSessionManager]] = {}
+        self._running: dict[StatelessClient, asyncio.Task[None]] = {}
 
-    async def of(self, guest: Guest) -> StreamableHTTPSessionManager:
-        """Return what answers a guest."""
-        if guest not in self._managers:
-            self._managers[guest] = asyncio.get_running_loop().create_future()
-            self._running[guest] = asyncio.ensure_future(self._run(guest))
-            guest.on_end(lambda: self._end(guest))
-        return await asyncio.shield(self._managers[guest])
+    async def of(self, client: StatelessClient) -> StreamableHTTPSessionManager:
+        """Return what answers a client."""
+        if client not in self._managers:
+            self._managers[client] = asyncio.get_running_loop().create_future()
+            self._running[client] = asyncio.ensure_future(self._run(client))
+            client.on_end(lambda: self._end(client))
+        return await asyncio.shield(self._managers[client])
 
     async def close(self) -> None:
         """End all of them. Idempotent."""
         running = list(self._running.values())
-        for guest in list(self._running):
-            self._end(guest)
+        for client in list(self._running):
+            self._end(client)
         if running:
             await asyncio.wait(running)
 
-    async def _run(self, guest: Guest) -> None:
+    async def _run(self, client: StatelessClient) -> None:
         manager = StreamableHTTPSessionManager(
             self._protocol,
             session_idle_timeout=_IDLE_SECONDS,
@@ -110,13 +110,13 @@ class GuestSessions:
             json_response=True,  # a call answers at once or with a handle: nothing is streamed
         )
         async with manager.run():
-            self._managers[guest].set_result(manager)
+            self._managers[client].set_result(manager)
             await asyncio.Event().wait()  # until it is cancelled
 
-    def _end(self, guest: Guest) -> None:
-        self._managers.pop(guest, None)
-        if guest in self._running:
-            self._running.pop(guest).cancel()
+    def _end(self, client: StatelessClient) -> None:
+        self._managers.pop(client, None)
+        if client in self._running:
+            self._running.pop(client).cancel()
 
 
 class AdmittingApp:
@@ -132,7 +132,7 @@ class AdmittingApp:
         self._place = place
         self._service = service
         self._sessions = sessions
-        self._under_way: dict[Guest, set[asyncio.Task[Any]]] = {}
+        self._under_way: dict[StatelessClient, set[asyncio.Task[Any]]] = {}
 
     async def __call__(self, scope: _Scope, receive: _Receive, send: _Send) -> None:
         """Answer one request."""
@@ -148,15 +148,19 @@ class AdmittingApp:
         address = (scope.get("client") or ("unknown",))[0]
         certificate = scope.get(_CERTIFICATE)
         try:
-            async with self._place.guests.admitted(path, headers, certificate, address) as guest:
+            async with self._place.stateless_clients.admitted(
+                path, headers, certificate, address
+            ) as client:
                 if scope["path"].rstrip("/") != PATH:
                     await _answer(send, 404, f"there is no endpoint here; it is {PATH}")
                     return
-                await self._serve(guest, scope, receive, send)
+                await self._serve(client, scope, receive, send)
         except RefusedError as error:
             await _answer(send, error.status.value, coded_text(error))
 
-    async def _serve(self, guest: Guest, scope: _Scope, receive: _Receive, send: _Send) -> None:
+    async def _serve(
+        self, client: StatelessClient, scope: _Scope, receive: _Receive, send: _Send
+    ) -> None:
         limits = self._place.backend.limits
         most = min(_BODY_OCTETS, limits.message_bytes)
         budget = Budget(most, limits.elements, limits.depth, limits.dimensions)
@@ -176,30 +180,30 @@ class AdmittingApp:
             return
         if body is None:
             return
-        await guest.pace(len(body), spending.elements)
+        await client.pace(len(body), spending.elements)
         if (b"mcp-method", b"tools/call") in scope["headers"]:
-            await self._service.prepare(guest)
-        token = AccessToken(token="-", client_id=guest.identity, scopes=[])  # noqa: S106
-        admitted = {**scope, GUEST: guest, "user": AuthenticatedUser(token)}
-        sessions = await self._sessions.of(guest)
-        # What lasts, as a stream of notices, ends with the guest's rights.
+            await self._service.prepare(client)
+        token = AccessToken(token="-", client_id=client.identity, scopes=[])  # noqa: S106
+        admitted = {**scope, CLIENT: client, "user": AuthenticatedUser(token)}
+        sessions = await self._sessions.of(client)
+        # What lasts, as a stream of notices, ends with the client's rights.
         task = asyncio.ensure_future(sessions.handle_request(admitted, _again(body, receive), send))
-        if guest not in self._under_way:
-            self._under_way[guest] = set()
-            guest.on_end(lambda: self._end(guest))
-        self._under_way[guest].add(task)
+        if client not in self._under_way:
+            self._under_way[client] = set()
+            client.on_end(lambda: self._end(client))
+        self._under_way[client].add(task)
         try:
             await task
         except asyncio.CancelledError:
             task.cancel()
-            if not guest.has_ended:
+            if not client.has_ended:
                 raise
         finally:
-            if guest in self._under_way:
-                self._under_way[guest].discard(task)
+            if client in self._under_way:
+                self._under_way[client].discard(task)
 
-    def _end(self, guest: Guest) -> None:
-        for task in self._under_way.pop(guest, set()):
+    def _end(self, client: StatelessClient) -> None:
+        for task in self._under_way.pop(client, set()):
             task.cancel()
 
 

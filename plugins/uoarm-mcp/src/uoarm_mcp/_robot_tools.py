@@ -19,9 +19,9 @@ from uoarm.server.front_end import (
     ApprovalPhase,
     Backend,
     Discoveries,
-    Guest,
     Operation,
     RoleView,
+    StatelessClient,
     UnknownError,
     coded_text,
     is_action,
@@ -54,7 +54,7 @@ class RobotTools:
     """These tools for one agent, in the server's loop.
 
     Args:
-        guest: whose.
+        client: whose.
         backend: the robot.
         catalogues: what roles have.
         discoveries: what bridges see.
@@ -66,7 +66,7 @@ class RobotTools:
 
     def __init__(
         self,
-        guest: Guest,
+        client: StatelessClient,
         backend: Backend,
         catalogues: CatalogueMaker,
         discoveries: Discoveries,
@@ -75,7 +75,7 @@ class RobotTools:
         streams: AgentStreams,
         goals: AgentGoals,
     ) -> None:
-        self._guest = guest
+        self._client = client
         self._backend = backend
         self._catalogues = catalogues
         self._discoveries = discoveries
@@ -83,7 +83,7 @@ class RobotTools:
         self._kept = kept
         self._streams = streams
         self._goals = goals
-        self._desk = backend.approvals
+        self._approvals = backend.approvals
         self._decided: dict[str, asyncio.Event] = {}
         self._tools: Mapping[str, Callable[[Mapping[str, Any]], Awaitable[dict[str, Any]]]] = {
             "plan": self._plan,
@@ -95,11 +95,11 @@ class RobotTools:
             "wait": self._wait,
             "cancel": self._cancel,
         }
-        self._desk.watch(self._changed)
+        self._approvals.watch(self._changed)
 
     def close(self) -> None:
         """Look at approvals no more."""
-        self._desk.unwatch(self._changed)
+        self._approvals.unwatch(self._changed)
 
     def __contains__(self, name: str) -> bool:
         return name in self._tools
@@ -116,11 +116,11 @@ class RobotTools:
 
     @property
     def _view(self) -> RoleView:
-        return self._backend.role_views.of(self._guest.role)
+        return self._backend.role_views.of(self._client.role)
 
     async def _plan(self, arguments: Mapping[str, Any]) -> dict[str, Any]:
         name = arguments["function"].partition(".")[0]
-        self._guest.require(Operation.SEE, name)
+        self._client.require(Operation.SEE, name)
         revision = self._backend.robot.revision
         try:
             plan = await self._backend.resolve(arguments["function"])
@@ -144,7 +144,7 @@ class RobotTools:
             ],
             "warnings": shown["plan"]["warnings"],
         }
-        catalogue = await self._catalogues.of(self._guest.role)
+        catalogue = await self._catalogues.of(self._client.role)
         made = self._meant(catalogue, name, plan, arguments)
         if made is None:
             return facts
@@ -153,7 +153,7 @@ class RobotTools:
         facts["needs_approval"] = self._view.text(reason, name)
         if "arguments" not in arguments:
             return facts
-        self._guest.require(made.operation, name)
+        self._client.require(made.operation, name)
         message: Message = arguments["arguments"]
         if made.kind is not ToolKind.READ:
             check_arguments(plan, made, message)
@@ -165,12 +165,12 @@ class RobotTools:
                 given.get("count", 1),
                 given.get("rate"),
             )
-            wish = evolve(
-                self._actions.wish(made, message, plan, revision),
+            request = evolve(
+                self._actions.request(made, message, plan, revision),
                 envelope=envelope,
                 seconds=float(arguments.get("seconds", 60.0)),
             )
-            facts |= self._actions.ask(made, wish)
+            facts |= self._actions.ask(made, request)
         return facts
 
     def _meant(
@@ -197,18 +197,18 @@ class RobotTools:
 
     async def _status(self, arguments: Mapping[str, Any]) -> dict[str, Any]:
         del arguments
-        view, role = self._view, self._guest.role
-        catalogue = await self._catalogues.of(self._guest.role)
+        view, role = self._view, self._client.role
+        catalogue = await self._catalogues.of(self._client.role)
         status = await self._backend.in_worker(
             lambda: visible_status(self._backend.robot.status(), view)
         )
         functions = self._backend.robot.config.functions
         approvals = [
-            show_approval(self._desk, approval, view)
-            for approval in self._desk.asked_by(self._guest.principal)
+            show_approval(self._approvals, approval, view)
+            for approval in self._approvals.asked_by(self._client.principal)
         ]
         warnings = []
-        if self._guest.principal == "local":
+        if self._client.principal == "local":
             warnings.append(
                 "without an access file there is one principal, who can approve nothing: what "
                 "moves something cannot be done"
@@ -221,7 +221,7 @@ class RobotTools:
         return {
             "state": "held" if status.held is not None else "running",
             "role": role.name,
-            "principal": self._guest.principal,
+            "principal": self._client.principal,
             "warnings": warnings,
             "functions": {
                 name: function.description
@@ -247,7 +247,7 @@ class RobotTools:
         name = arguments.get("function", "")
         if not name:
             raise UsageError("give a function or a handle")
-        self._guest.require(Operation.SEE, name)
+        self._client.require(Operation.SEE, name)
         view = self._view
         try:
             await self._backend.resolve(name)
@@ -283,25 +283,25 @@ class RobotTools:
 
     async def _discover(self, arguments: Mapping[str, Any]) -> dict[str, Any]:
         del arguments
-        self._guest.require_all(Operation.SEE)
+        self._client.require_all(Operation.SEE)
         found = await self._discoveries.look()
         return {"bridges": found}
 
     async def _stop(self, arguments: Mapping[str, Any]) -> dict[str, Any]:
         del arguments
-        if not self._guest.role.allows_all(Operation.STOP):
+        if not self._client.role.allows_all(Operation.STOP):
             # What moves is stopped first: bridges that are asked to cancel may take their time.
             stopped = [*self._streams.stop_own(), *self._goals.stop_own()]
             cancelled = await self._backend.in_worker(
                 lambda: [goal.handle for goal in self._goals.running() if self._goals.cancel(goal)]
             )
             return {"stopped": stopped, "cancelled": cancelled}
-        self._guest.require_all(Operation.STOP)
+        self._client.require_all(Operation.STOP)
         view = self._view
         report, shown = await self._backend.stop_all(
             (view.role, "mcp"), lambda report: show_stop(report, view)
         )
-        self._guest.note_stop(report)
+        self._client.note_stop(report)
         return shown
 
     async def _goal_status(self, arguments: Mapping[str, Any]) -> dict[str, Any]:
@@ -313,13 +313,13 @@ class RobotTools:
             last = goal.feedback
             shown = await self._backend.in_worker(lambda: self._kept.render(last))
             return {**goal.facts(), "feedback": shown.value}
-        approval = self._desk.find(handle, self._guest.principal)
+        approval = self._approvals.find(handle, self._client.principal)
         if approval is None:
             raise UnknownError(f"there is no goal and no approval {handle!r:.64} of this agent")
         return {
             "state": approval.phase.value,
             "handle": handle,
-            "approval": show_approval(self._desk, approval, self._view),
+            "approval": show_approval(self._approvals, approval, self._view),
         }
 
     async def _wait(self, arguments: Mapping[str, Any]) -> dict[str, Any]:
@@ -327,7 +327,7 @@ class RobotTools:
         if self._goals.knows(handle):
             await within(seconds, self._goals.find(handle).done)
         else:
-            approval = self._desk.find(handle, self._guest.principal)
+            approval = self._approvals.find(handle, self._client.principal)
             if approval is not None and approval.phase is ApprovalPhase.PENDING:
                 await within(seconds, self._decided.setdefault(handle, asyncio.Event()))
         return await self._goal_status(arguments)

@@ -45,7 +45,7 @@ from uoarm.server.front_end import (
     Backend,
     ChangeNotice,
     Discoveries,
-    Guest,
+    StatelessClient,
     UnknownError,
     coded_text,
 )
@@ -53,9 +53,9 @@ from uoarm_mcp._agent import Agent
 from uoarm_mcp._catalogue import STREAM, CatalogueMaker
 from uoarm_mcp._values import KEPT, failure_text
 
-__all__ = ["GUEST", "AgentService"]
+__all__ = ["CLIENT", "AgentService"]
 
-GUEST = "uoarm.guest"
+CLIENT = "uoarm.client"
 _INSTRUCTIONS = (
     "The functions of a robot. What moves something needs the approval of a person: call the tool "
     "to ask for it, `wait` for the decision, and call it again with x-approval. Work that lasts "
@@ -66,7 +66,7 @@ _NOTICE_SECONDS = 0.2
 _MOST_LISTENING = 16
 _MOST_SUBSCRIBED = 64
 _Context = ServerRequestContext[Any, Any]
-_guest: ContextVar[Guest | None] = ContextVar("uoarm_mcp_guest", default=None)
+_client: ContextVar[StatelessClient | None] = ContextVar("uoarm_mcp_guest", default=None)
 
 
 class AgentService:
@@ -75,21 +75,25 @@ class AgentService:
     Args:
         backend: the robot.
         discoveries: what its bridges see.
-        local: the guest of requests that come without HTTP; None: there are none.
+        local: the client of requests that come without HTTP; None: there are none.
     """
 
     def __init__(
-        self, backend: Backend, discoveries: Discoveries, version: str, local: Guest | None = None
+        self,
+        backend: Backend,
+        discoveries: Discoveries,
+        version: str,
+        local: StatelessClient | None = None,
     ) -> None:
         self._backend = backend
         self._discoveries = discoveries
         self._local = local
         self._catalogues = CatalogueMaker(backend)
-        self._agents: dict[Guest, Agent] = {}
-        self._listening: dict[Guest, int] = {}
+        self._agents: dict[StatelessClient, Agent] = {}
+        self._listening: dict[StatelessClient, int] = {}
         self._buses: dict[InMemorySubscriptionBus, None] = {}
         self._publishing: set[asyncio.Task[None]] = set()
-        self._subscribed: dict[tuple[Guest, int, str], Callable[[], None]] = {}
+        self._subscribed: dict[tuple[StatelessClient, int, str], Callable[[], None]] = {}
         self.protocol: ProtocolServer[Any] = ProtocolServer(
             "uoarm",
             version=version,
@@ -117,41 +121,41 @@ class AgentService:
             agent.close()
         self._agents.clear()
 
-    async def prepare(self, guest: Guest) -> None:
-        """Have ready what a request of a guest needs at once; call it in the request's task."""
-        _guest.set(guest)
-        await self._catalogues.of(guest.role)
+    async def prepare(self, client: StatelessClient) -> None:
+        """Have ready what a request of a client needs at once; call it in the request's task."""
+        _client.set(client)
+        await self._catalogues.of(client.role)
 
     def _headed_schema(self, name: str) -> Mapping[str, Any] | None:
         """Return the schema of a tool whose arguments are repeated in headers; None: they are not.
 
         Without this the SDK lists all tools before each call to look for such fields.
         """
-        guest = _guest.get()
-        catalogue = None if guest is None else self._catalogues.known(guest.role)
+        client = _client.get()
+        catalogue = None if client is None else self._catalogues.known(client.role)
         if catalogue is None or name not in catalogue.headed:
             return None
         return catalogue.tools[name].tool.input_schema
 
     def _agent(self, context: _Context) -> Agent:
-        guest = self._local
+        client = self._local
         if context.request is not None:
-            guest = context.request.scope.get(GUEST)
-        if guest is None or guest.has_ended:
+            client = context.request.scope.get(CLIENT)
+        if client is None or client.has_ended:
             raise MCPError(INVALID_PARAMS, "the rights of this client have ended")
-        guest.act()
-        agent = self._agents.get(guest)
+        client.act()
+        agent = self._agents.get(client)
         if agent is None:
-            agent = self._agents[guest] = Agent(
-                guest, self._backend, self._catalogues, self._discoveries
+            agent = self._agents[client] = Agent(
+                client, self._backend, self._catalogues, self._discoveries
             )
-            guest.on_end(lambda: self._forget(guest))
+            client.on_end(lambda: self._forget(client))
         return agent
 
-    def _forget(self, guest: Guest) -> None:
-        for key in [key for key in self._subscribed if key[0] is guest]:
+    def _forget(self, client: StatelessClient) -> None:
+        for key in [key for key in self._subscribed if key[0] is client]:
             self._subscribed.pop(key)()
-        agent = self._agents.pop(guest, None)
+        agent = self._agents.pop(client, None)
         if agent is not None:
             agent.close()
 
@@ -217,11 +221,11 @@ class AgentService:
 
     async def _subscribe(self, context: _Context, params: SubscribeRequestParams) -> EmptyResult:
         agent, uri, session = self._agent(context), str(params.uri), context.session
-        key = agent.guest, id(session), uri
+        key = agent.client, id(session), uri
         if key in self._subscribed:
             return EmptyResult()
         if (
-            len([known for known in self._subscribed if known[0] is agent.guest])
+            len([known for known in self._subscribed if known[0] is agent.client])
             >= _MOST_SUBSCRIBED
         ):
             raise MCPError(INVALID_PARAMS, f"limit: {_MOST_SUBSCRIBED} resources are watched")
@@ -243,7 +247,7 @@ class AgentService:
     async def _unsubscribe(
         self, context: _Context, params: UnsubscribeRequestParams
     ) -> EmptyResult:
-        key = self._agent(context).guest, id(context.session), str(params.uri)
+        key = self._agent(context).client, id(context.session), str(params.uri)
         end = self._subscribed.pop(key, None)
         if end is not None:
             end()
@@ -254,10 +258,10 @@ class AgentService:
     ) -> SubscriptionsListenResult:
         """Serve one stream of notices; what the role may not have is not watched."""
         agent = self._agent(context)
-        guest = agent.guest
-        if self._listening.get(guest, 0) >= _MOST_LISTENING:
+        client = agent.client
+        if self._listening.get(client, 0) >= _MOST_LISTENING:
             raise MCPError(INVALID_PARAMS, f"limit: {_MOST_LISTENING} streams of notices are open")
-        self._listening[guest] = self._listening.get(guest, 0) + 1
+        self._listening[client] = self._listening.get(client, 0) + 1
         bus = InMemorySubscriptionBus()
         wanted = [str(uri) for uri in params.notifications.resource_subscriptions or ()]
         ends: list[Callable[[], None]] = []
@@ -272,9 +276,9 @@ class AgentService:
             del self._buses[bus]
             for end in ends:
                 end()
-            self._listening[guest] -= 1
-            if not self._listening[guest]:
-                del self._listening[guest]
+            self._listening[client] -= 1
+            if not self._listening[client]:
+                del self._listening[client]
 
     async def _watch_all(
         self,

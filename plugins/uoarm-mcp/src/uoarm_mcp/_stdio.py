@@ -52,10 +52,10 @@ async def serve_stdio(
     loop = asyncio.get_running_loop()
     service = None
     try:
-        guest = server.guests.local(token)
+        client = server.stateless_clients.local(token)
         serving(server)
         service = AgentService(
-            server.backend, Discoveries(server.backend), version("uoarm-mcp"), guest
+            server.backend, Discoveries(server.backend), version("uoarm-mcp"), client
         )
         with _wire() as (incoming, outgoing):
             written = _OutputLines(outgoing)
@@ -63,7 +63,7 @@ async def serve_stdio(
             for number in (signal.SIGTERM, signal.SIGINT):
                 # As if the client had closed its end: what is under way ends in the same way.
                 loop.add_signal_handler(number, lines.end)
-            guest.on_end(lines.end)
+            client.on_end(lines.end)
             files = cast("AsyncFile[str]", lines), cast("AsyncFile[str]", written)
             protocol = service.protocol
             async with stdio_server(*files) as (messages, answers):

@@ -11,12 +11,12 @@ from uoarm.server.access._admission import (
 )
 from uoarm.server.access._approvals import (
     Approval,
-    ApprovalDesk,
     ApprovalEnvelope,
     ApprovalError,
     ApprovalFoundation,
     ApprovalPhase,
-    ApprovalWish,
+    ApprovalRequest,
+    Approvals,
     Supervision,
 )
 from uoarm.server.access._role import (
@@ -35,12 +35,12 @@ __all__ = [
     "AccessRole",
     "Admission",
     "Approval",
-    "ApprovalDesk",
     "ApprovalEnvelope",
     "ApprovalError",
     "ApprovalFoundation",
     "ApprovalPhase",
-    "ApprovalWish",
+    "ApprovalRequest",
+    "Approvals",
     "Audit",
     "AuditFile",
     "Credentials",

@@ -1,6 +1,6 @@
 """Approvals: what is asked for by one principal is allowed by another one, once, for a time.
 
-`ApprovalBook` is a state without a clock, a thread or I/O. `ApprovalDesk` is the one of a server.
+`ApprovalBook` is a state without a clock, a thread or I/O. `Approvals` is the one of a server.
 Nothing is kept over a restart: an approval that was given and not used is void then.
 """
 
@@ -23,12 +23,12 @@ from uoarm.server.access._role import AccessRole, Audit, DeniedError, Operation
 __all__ = [
     "Approval",
     "ApprovalBook",
-    "ApprovalDesk",
     "ApprovalEnvelope",
     "ApprovalError",
     "ApprovalFoundation",
     "ApprovalPhase",
-    "ApprovalWish",
+    "ApprovalRequest",
+    "Approvals",
     "Supervision",
     "digest_of",
 ]
@@ -153,7 +153,7 @@ _EXACTLY = ApprovalEnvelope()
 
 
 @frozen
-class ApprovalWish:
+class ApprovalRequest:
     """What a principal wants to do.
 
     Attributes:
@@ -181,11 +181,11 @@ class ApprovalWish:
 
 @frozen
 class Approval:
-    """One wish and what became of it.
+    """One request and what became of it.
 
     Attributes:
         id: the one handle of the plan, of its preview, of its approval and of doing it.
-        wish: what was asked for.
+        request: what was asked for.
         digest: of its arguments.
         expires: when it ends by itself, in seconds of the clock that `ApprovalBook` is given.
         phase: how it stands.
@@ -196,7 +196,7 @@ class Approval:
     """
 
     id: str
-    wish: ApprovalWish
+    request: ApprovalRequest
     digest: str
     expires: float
     phase: ApprovalPhase = ApprovalPhase.PENDING
@@ -238,8 +238,8 @@ class ApprovalBook:
         self._settle(now)
         return self._approvals.get(identity)
 
-    def ask(self, identity: str, wish: ApprovalWish, now: float) -> Approval:
-        """Take a wish in.
+    def ask(self, identity: str, request: ApprovalRequest, now: float) -> Approval:
+        """Take a request in.
 
         Raises:
             ApprovalError: the principal has too many that wait, or what it asks for is none.
@@ -248,43 +248,43 @@ class ApprovalBook:
         self._settle(now)
         if identity in self._approvals:
             raise ApprovalError(f"there is an approval {identity} already")
-        digest = digest_of(wish.arguments)
-        problem = wish.envelope.problem(wish.arguments)
-        if not 0 < wish.seconds <= _LONGEST:
-            problem = f"seconds: expected up to {_LONGEST:,.0f}, got {wish.seconds}"
+        digest = digest_of(request.arguments)
+        problem = request.envelope.problem(request.arguments)
+        if not 0 < request.seconds <= _LONGEST:
+            problem = f"seconds: expected up to {_LONGEST:,.0f}, got {request.seconds}"
         if problem:
             raise ApprovalError(problem)
         own = [
             approval
             for approval in self._approvals.values()
-            if approval.is_open and approval.wish.requester == wish.requester
+            if approval.is_open and approval.request.requester == request.requester
         ]
         if len(own) >= _MOST_PENDING:
             raise ApprovalError(f"{len(own)} approvals are asked for and not used; wait for them")
-        return self._put(Approval(identity, wish, digest, now + _PENDING_SECONDS))
+        return self._put(Approval(identity, request, digest, now + _PENDING_SECONDS))
 
     def decide(
         self, identity: str, approver: str, now: float, *, approve: bool, cause: str = ""
     ) -> Approval:
-        """Approve or refuse a wish of another principal.
+        """Approve or refuse a request of another principal.
 
         Raises:
             ApprovalError: it is one's own, or nothing that waits.
         """
         approval = self._known(identity, now)
-        if approver == approval.wish.requester:
+        if approver == approval.request.requester:
             raise ApprovalError(
                 f"{identity}: {approver!r} asked for it; another principal has to decide"
             )
         if approval.phase is not ApprovalPhase.PENDING:
             raise ApprovalError(f"{identity} is {approval.phase.value}{_because(approval.cause)}")
         phase = ApprovalPhase.APPROVED if approve else ApprovalPhase.REFUSED
-        expires = now + approval.wish.seconds
+        expires = now + approval.request.seconds
         return self._put(
             evolve(approval, phase=phase, approver=approver, expires=expires, cause=cause), now
         )
 
-    def use(self, identity: str, wanted: ApprovalWish, now: float) -> Approval:
+    def use(self, identity: str, wanted: ApprovalRequest, now: float) -> Approval:
         """Spend an approval on what is about to be done, before it is begun.
 
         It is spent whatever becomes of that.
@@ -299,26 +299,28 @@ class ApprovalBook:
             ApprovalError: it is no approval of that.
         """
         approval = self._known(identity, now)
-        wish = approval.wish
-        if wanted.requester != wish.requester:
+        request = approval.request
+        if wanted.requester != request.requester:
             raise ApprovalError(f"there is no approval {identity:.64}")
         if approval.phase is not ApprovalPhase.APPROVED:
             raise ApprovalError(f"{identity} is {approval.phase.value}{_because(approval.cause)}")
         what = (wanted.operation, wanted.function, wanted.port)
-        if what != (wish.operation, wish.function, wish.port):
-            raise ApprovalError(f"{identity} is of {wish.operation} {wish.function}, not of this")
-        if wanted.foundation != wish.foundation:
-            cause = difference(wish.foundation, wanted.foundation)
+        if what != (request.operation, request.function, request.port):
+            raise ApprovalError(
+                f"{identity} is of {request.operation} {request.function}, not of this"
+            )
+        if wanted.foundation != request.foundation:
+            cause = difference(request.foundation, wanted.foundation)
             self._put(evolve(approval, phase=ApprovalPhase.VOID, cause=cause), now)
             raise ApprovalError(f"{identity} is void: {cause}")
-        mismatch = wish.envelope.mismatch(wish.arguments, wanted.arguments)
+        mismatch = request.envelope.mismatch(request.arguments, wanted.arguments)
         if mismatch:
             raise ApprovalError(f"{identity} is of other arguments: {mismatch}")
-        rate = wish.envelope.rate
+        rate = request.envelope.rate
         if rate is not None and now - approval.used < 1 / rate:
             raise ApprovalError(f"{identity} allows {rate:g} times a second; wait")
         uses = approval.uses + 1
-        phase = ApprovalPhase.USED if uses >= wish.envelope.count else approval.phase
+        phase = ApprovalPhase.USED if uses >= request.envelope.count else approval.phase
         return self._put(evolve(approval, phase=phase, uses=uses, used=now), now)
 
     def void(self, reason: Callable[[Approval], str], now: float) -> None:
@@ -445,7 +447,7 @@ def _moves(component: Component, *, opened: bool) -> str:
     return ""
 
 
-class ApprovalDesk:
+class Approvals:
     """The approvals of a server, in the thread of its loop.
 
     Args:
@@ -470,28 +472,28 @@ class ApprovalDesk:
         return [
             approval
             for approval in approvals
-            if role.allows(Operation.APPROVE, approval.wish.function)
+            if role.allows(Operation.APPROVE, approval.request.function)
         ]
 
     def find(self, identity: str, requester: str) -> Approval | None:
         """Return one that a principal has asked for."""
         approval = self._book.find(identity, self._clock())
         self._report()
-        return approval if approval and approval.wish.requester == requester else None
+        return approval if approval and approval.request.requester == requester else None
 
     def asked_by(self, requester: str) -> list[Approval]:
         """Return those that a principal has asked for, oldest first."""
         approvals = self._book.all(self._clock())
         self._report()
-        return [approval for approval in approvals if approval.wish.requester == requester]
+        return [approval for approval in approvals if approval.request.requester == requester]
 
     def left(self, approval: Approval) -> float:
         """Return the seconds until one ends by itself."""
         return max(0.0, approval.expires - self._clock()) if approval.is_open else 0.0
 
-    def ask(self, wish: ApprovalWish) -> Approval:
-        """Take a wish in; raises as `ApprovalBook.ask`."""
-        return self._reported(lambda now: self._book.ask(secrets.token_hex(8), wish, now))
+    def ask(self, request: ApprovalRequest) -> Approval:
+        """Take a request in; raises as `ApprovalBook.ask`."""
+        return self._reported(lambda now: self._book.ask(secrets.token_hex(8), request, now))
 
     def decide(
         self,
@@ -503,7 +505,7 @@ class ApprovalDesk:
         digest: str = "",
         cause: str = "",
     ) -> Approval:
-        """Decide about a wish.
+        """Decide about a request.
 
         Args:
             identity: of the approval.
@@ -518,7 +520,7 @@ class ApprovalDesk:
         """
         approval = self._book.find(identity, self._clock())
         # The same text where there is none: a role learns nothing of functions that are not its.
-        if approval is None or not role.allows(Operation.APPROVE, approval.wish.function):
+        if approval is None or not role.allows(Operation.APPROVE, approval.request.function):
             self._report()
             raise ApprovalError(f"there is no approval {identity:.64} that this role may give")
         if digest and digest != approval.digest:
@@ -527,7 +529,7 @@ class ApprovalDesk:
             lambda now: self._book.decide(identity, approver, now, approve=approve, cause=cause)
         )
 
-    def use(self, identity: str, wanted: ApprovalWish) -> Approval:
+    def use(self, identity: str, wanted: ApprovalRequest) -> Approval:
         """Spend an approval; raises as `ApprovalBook.use`, and where that cannot be recorded."""
         try:
             approval = self._reported(lambda now: self._book.use(identity, wanted, now))
@@ -541,12 +543,14 @@ class ApprovalDesk:
     def reconfigured(self, revision: int) -> None:
         """End those of other revisions than the one in force."""
         cause = f"the configuration is revision {revision}"
-        self._void(lambda approval: cause if approval.wish.foundation.revision != revision else "")
+        self._void(
+            lambda approval: cause if approval.request.foundation.revision != revision else ""
+        )
 
     def taken_over(self, function: str) -> None:
         """End those of a function, of which another component runs now."""
         cause = "another component took over"
-        self._void(lambda approval: cause if approval.wish.function == function else "")
+        self._void(lambda approval: cause if approval.request.function == function else "")
 
     def watch(self, watcher: Callable[[Approval], None]) -> None:
         """Notify a watcher of every change."""
@@ -572,18 +576,18 @@ class ApprovalDesk:
                 {
                     "approval": approval.id,
                     "phase": approval.phase.value,
-                    "requester": approval.wish.requester,
+                    "requester": approval.request.requester,
                     "approver": approval.approver,
-                    "operation": approval.wish.operation,
-                    "function": approval.wish.function,
-                    "port": approval.wish.port,
-                    "envelope": to_json(approval.wish.envelope),
-                    "seconds": approval.wish.seconds,
+                    "operation": approval.request.operation,
+                    "function": approval.request.function,
+                    "port": approval.request.port,
+                    "envelope": to_json(approval.request.envelope),
+                    "seconds": approval.request.seconds,
                     "uses": approval.uses,
                     "digest": approval.digest,
                     "cause": approval.cause,
                 },
-                approval.wish.arguments,
+                approval.request.arguments,
             )
             for watcher in tuple(self._watchers):
                 watcher(approval)

@@ -3,10 +3,10 @@
 from uoarm.server.session._client import ConnectedClient, Session
 from uoarm.server.session._connection import Sockets, TurnConnection, address_of, host_of
 from uoarm.server.session._discoveries import Discoveries
-from uoarm.server.session._guests import Guest, GuestBook
 from uoarm.server.session._incoming import DEFLATE, FrameDecoder
 from uoarm.server.session._native import NativeSession, Shared
 from uoarm.server.session._session_store import SessionStore
+from uoarm.server.session._stateless_clients import StatelessClient, StatelessClients
 from uoarm.server.session._views import show_approval, show_plan, show_stop, visible_status
 
 __all__ = [
@@ -14,13 +14,13 @@ __all__ = [
     "ConnectedClient",
     "Discoveries",
     "FrameDecoder",
-    "Guest",
-    "GuestBook",
     "NativeSession",
     "Session",
     "SessionStore",
     "Shared",
     "Sockets",
+    "StatelessClient",
+    "StatelessClients",
     "TurnConnection",
     "address_of",
     "host_of",

@@ -26,8 +26,8 @@ from uoarm.server.access import (
     Supervision,
 )
 from uoarm.server.session._connection import TurnConnection, address_of
-from uoarm.server.session._guests import AdmittedClient
 from uoarm.server.session._incoming import FrameDecoder, RateLimiter
+from uoarm.server.session._stateless_clients import AdmittedClient
 from uoarm.server.streams import Account, Outbox, acting
 
 __all__ = ["ConnectedClient", "Session"]

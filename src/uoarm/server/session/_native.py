@@ -35,7 +35,7 @@ from uoarm.server.access import Operation, RoleView
 from uoarm.server.session._calls import ClientCalls
 from uoarm.server.session._client import ConnectedClient
 from uoarm.server.session._discoveries import Discoveries
-from uoarm.server.session._recordings import DeskAnswer, RecordingDesk
+from uoarm.server.session._recordings import RecordingAnswer, RecordingRequests
 from uoarm.server.session._session_store import ReplyCache, SessionStore
 from uoarm.server.session._views import (
     FunctionLists,
@@ -83,7 +83,7 @@ class Shared:
         robot, views = registry.robot, registry.role_views
         self.lists = FunctionLists(lambda: robot.config, views)
         self.status = StatusViews(robot.status, registry.past, views)
-        self.recordings = RecordingDesk(registry, folder)
+        self.recordings = RecordingRequests(registry, folder)
         self.sessions: dict[NativeSession, None] = {}
 
 
@@ -345,14 +345,17 @@ class NativeSession:
         self._reply(asked, await self._discoveries.take(take["bridge"], take["component"]))
 
     async def _approve(self, asked: ControlMessage) -> None:
-        desk, role = self._registry.approvals, self._client.role
+        approvals, role = self._registry.approvals, self._client.role
         if not asked.type:
-            shown = [show_approval(desk, approval, self._view) for approval in desk.visible(role)]
+            shown = [
+                show_approval(approvals, approval, self._view)
+                for approval in approvals.visible(role)
+            ]
             self._reply(asked, {"approvals": shown})
             return
         if asked.jsonMessage is None:
             raise UsageError("say whether to approve: {'approve': true} or {'approve': false}")
-        approval = desk.decide(
+        approval = approvals.decide(
             str(asked.type),
             self._client.principal,
             role,
@@ -360,9 +363,9 @@ class NativeSession:
             digest=asked.jsonMessage.get("digest", ""),
             cause=asked.jsonMessage.get("cause", ""),
         )
-        self._reply(asked, show_approval(desk, approval, self._view))
+        self._reply(asked, show_approval(approvals, approval, self._view))
 
-    async def _ask_desk(self, answer: DeskAnswer, asked: ControlMessage) -> None:
+    async def _ask_desk(self, answer: RecordingAnswer, asked: ControlMessage) -> None:
         self._reply(asked, await answer(self._client, self._view, asked))
 
     def _stop(self, asked: ControlMessage) -> None:

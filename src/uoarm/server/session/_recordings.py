@@ -15,16 +15,16 @@ from uoarm.server.access import Operation, RoleView
 from uoarm.server.session._client import ConnectedClient
 from uoarm.server.streams import FeedRegistry
 
-__all__ = ["DeskAnswer", "RecordingDesk"]
+__all__ = ["RecordingAnswer", "RecordingRequests"]
 
-DeskAnswer: TypeAlias = "Callable[[ConnectedClient, RoleView, ControlMessage], Awaitable[Any]]"
+RecordingAnswer: TypeAlias = "Callable[[ConnectedClient, RoleView, ControlMessage], Awaitable[Any]]"
 
 _MOST_FILES = 200
 _DUMP_SECONDS = 30.0
 _PLAYED = "recording"
 
 
-class RecordingDesk:
+class RecordingRequests:
     """Answers what clients ask about recordings. In the loop; what takes time runs in a worker.
 
     A recording is of the server, not of the session that began it: a page may be closed meanwhile.

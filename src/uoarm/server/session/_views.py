@@ -30,7 +30,7 @@ from uoarm.model import (
     StopReport,
     to_json,
 )
-from uoarm.server.access import AccessRole, Approval, ApprovalDesk, RoleView, RoleViews
+from uoarm.server.access import AccessRole, Approval, Approvals, RoleView, RoleViews
 from uoarm.server.streams import shown_event
 
 __all__ = [
@@ -157,27 +157,27 @@ def show_stop(report: StopReport, view: RoleView) -> dict[str, Any]:
     return shown
 
 
-def show_approval(desk: ApprovalDesk, approval: Approval, view: RoleView) -> dict[str, Any]:
+def show_approval(approvals: Approvals, approval: Approval, view: RoleView) -> dict[str, Any]:
     """Return an approval as it is shown to who decides about it, and to who asked for it."""
-    wish = approval.wish
-    components = [name for name in wish.foundation.components if view.has_component(name)]
+    request = approval.request
+    components = [name for name in request.foundation.components if view.has_component(name)]
     return {
         "approval": approval.id,
         "phase": approval.phase.value,
-        "requester": wish.requester,
+        "requester": request.requester,
         "approver": approval.approver,
-        "operation": wish.operation,
-        "function": wish.function,
-        "port": wish.port,
-        "arguments": wish.arguments,
+        "operation": request.operation,
+        "function": request.function,
+        "port": request.port,
+        "arguments": request.arguments,
         "digest": approval.digest,
-        "envelope": to_json(wish.envelope),
-        "seconds": wish.seconds,
-        "left": desk.left(approval),
+        "envelope": to_json(request.envelope),
+        "seconds": request.seconds,
+        "left": approvals.left(approval),
         "uses": approval.uses,
         "components": components,
-        "revision": wish.foundation.revision,
-        "preview": view.text(wish.preview, wish.function),
+        "revision": request.foundation.revision,
+        "preview": view.text(request.preview, request.function),
         "cause": approval.cause,
     }
 

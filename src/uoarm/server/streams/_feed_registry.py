@@ -35,8 +35,8 @@ from uoarm.server._failures import BusyError
 from uoarm.server._limits import Limits
 from uoarm.server.access import (
     AccessRole,
-    ApprovalDesk,
     ApprovalError,
+    Approvals,
     Audit,
     RoleView,
     RoleViews,
@@ -124,7 +124,7 @@ class FeedRegistry:
         self.views = SharedViews(self.mailbox)
         self.role_views = RoleViews(lambda: robot.config)
         self.actions = ActionRunners(self)
-        self.approvals = ApprovalDesk(Audit(), Supervision(lambda: robot.config))
+        self.approvals = Approvals(Audit(), Supervision(lambda: robot.config))
         # Feeds that may still be joined; taken out as soon as one has ended or failed, so that the
         # next request opens anew.
         self._feeds: dict[FeedKey, Feed] = {}

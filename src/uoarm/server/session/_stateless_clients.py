@@ -1,7 +1,7 @@
 """Clients that come with requests: admitted as any other, but with no connection of their own.
 
 A protocol over plain HTTP has no session to hang rights, memory and limits on. So all requests with
-the same credentials are of one guest.
+the same credentials are of one client.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from uoarm.server.access import (
 from uoarm.server.session._incoming import RateLimiter
 from uoarm.server.streams import Account, FeedRegistry, Shares, acting
 
-__all__ = ["AdmittedClient", "Guest", "GuestBook"]
+__all__ = ["AdmittedClient", "StatelessClient", "StatelessClients"]
 
 
 class AdmittedClient:
@@ -81,13 +81,13 @@ class AdmittedClient:
         self._audit.stopped(self.identity, self.role.name, report)
 
 
-class Guest(AdmittedClient):
-    """All requests with the same credentials. Made by `GuestBook`.
+class StatelessClient(AdmittedClient):
+    """All requests with the same credentials. Made by `StatelessClients`.
 
     What needs an approval is not refused here: the front end asks for one.
 
     Attributes:
-        has_ended: whether its rights have ended or changed: who comes then is another guest.
+        has_ended: whether its rights have ended or changed: who comes then is another client.
     """
 
     def __init__(self, grant: Grant, limits: Limits, account: Account, audit: Audit) -> None:
@@ -101,7 +101,7 @@ class Guest(AdmittedClient):
         self._on_end.append(action)
 
     def act(self) -> None:
-        """Have what the task that calls does from now on count as done for this guest."""
+        """Have what the task that calls does from now on count as done for this client."""
         acting.set(self.account)
 
     async def pace(self, octets: int, elements: int) -> None:
@@ -121,8 +121,8 @@ class Guest(AdmittedClient):
             self._audit.departure(self.identity)
 
 
-class GuestBook:
-    """The guests of a server, in the thread of its loop.
+class StatelessClients:
+    """The stateless clients of a server, in the thread of its loop.
 
     Args:
         admission: authenticates them.
@@ -145,7 +145,7 @@ class GuestBook:
         self._registry = registry
         self._connected = connected
         self._refused = refused
-        self._guests: dict[Credentials, tuple[Grant, Guest]] = {}
+        self._clients: dict[Credentials, tuple[Grant, StatelessClient]] = {}
 
     @asynccontextmanager
     async def admitted(
@@ -154,8 +154,8 @@ class GuestBook:
         headers: Iterable[tuple[str, str]],
         certificate: Mapping[str, Any] | None,
         address: str,
-    ) -> AsyncIterator[Guest]:
-        """Give the guest of a request for as long as it lasts.
+    ) -> AsyncIterator[StatelessClient]:
+        """Give the client of a request for as long as it lasts.
 
         Args:
             path: with the query.
@@ -170,7 +170,7 @@ class GuestBook:
             head = read_head(Request(path, Headers(headers)))
             self._admission.check_page(head)
             self._check_room(address)
-            guest = self._of(self._admission.admit(head, certificate or {}), address)
+            client = self._of(self._admission.admit(head, certificate or {}), address)
         except RefusedError as error:
             self._refused()
             self._audit.arrival(address, "", "", str(error))
@@ -179,12 +179,12 @@ class GuestBook:
             raise
         self._connected.take(address)
         try:
-            yield guest
+            yield client
         finally:
             self._connected.take(address, -1)
 
-    def local(self, token: str) -> Guest:
-        """Return the guest at the standard input and output of this process.
+    def local(self, token: str) -> StatelessClient:
+        """Return the client at the standard input and output of this process.
 
         Raises:
             RefusedError: there is an access file, and the token is none of it.
@@ -197,17 +197,17 @@ class GuestBook:
         return self._of(credentials, "stdio")
 
     def check(self) -> None:
-        """End the guests whose rights have ended or changed."""
-        for credentials, (grant, guest) in list(self._guests.items()):
+        """End the clients whose rights have ended or changed."""
+        for credentials, (grant, client) in list(self._clients.items()):
             if self._admission.grant(credentials) != grant:
-                del self._guests[credentials]
-                guest.end()
+                del self._clients[credentials]
+                client.end()
 
     def close(self) -> None:
-        """End all guests."""
-        for _, guest in self._guests.values():
-            guest.end()
-        self._guests.clear()
+        """End all of them."""
+        for _, client in self._clients.values():
+            client.end()
+        self._clients.clear()
 
     def _check_room(self, address: str) -> None:
         if not self._connected.admits(address):
@@ -217,19 +217,19 @@ class GuestBook:
                 HTTPStatus.TOO_MANY_REQUESTS, "too many requests of this address are under way"
             )
 
-    def _of(self, credentials: Credentials, address: str) -> Guest:
+    def _of(self, credentials: Credentials, address: str) -> StatelessClient:
         grant = self._admission.grant(credentials)
         assert grant is not None, "it was admitted"
-        known = self._guests.get(credentials)
+        known = self._clients.get(credentials)
         if known is not None and known[0] == grant:
             return known[1]
         if known is not None:
             known[1].end()
         registry = self._registry
-        guest = Guest(grant, registry.limits, registry.memory.open(), self._audit)
-        self._guests[credentials] = grant, guest
-        self._audit.arrival(address, guest.identity, grant.role.name)
-        return guest
+        client = StatelessClient(grant, registry.limits, registry.memory.open(), self._audit)
+        self._clients[credentials] = grant, client
+        self._audit.arrival(address, client.identity, grant.role.name)
+        return client
 
     async def _wait(self, address: str) -> None:
         pause = self._admission.wrong_tokens.begin(address, time.monotonic())
