@@ -43,7 +43,7 @@ tokens:
   - {{name: guest, role: guest, sha256: {guest}}}
   - {{name: nurse, role: nurse, sha256: {nurse}}}
 """
-TOKENS = {name: make_token() for name in ("agent", "second", "own", "other", "client", "nurse")}
+TOKENS = {name: make_token() for name in ("agent", "second", "own", "other", "guest", "nurse")}
 
 
 def access_file(path: Path) -> Path:

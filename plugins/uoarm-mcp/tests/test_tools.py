@@ -50,16 +50,16 @@ def test_tools_say_what_they_take_give_and_move(agents: Agents) -> None:
 def test_a_role_has_the_tools_of_its_rights_and_status_says_what_is_left_out(
     agents: Agents,
 ) -> None:
-    names = {tool.name for tool in agents.run(agents.client("client").list_tools()).tools}
+    names = {tool.name for tool in agents.run(agents.client("guest").list_tools()).tools}
     assert "read_numbers" in names
     assert not {"add", "cuff", "drive", "send_drive", "discover"} & names
-    status = agents.facts("status", name="client")
+    status = agents.facts("status", name="guest")
     assert status["left_out"] == {"add": "the role may not call add"}
     assert "cuff" not in json.dumps(status)
     with pytest.raises(MCPError, match="there is no tool 'add': the role may not call add"):
-        agents.call("add", {"a": 1, "b": 2}, "client")
+        agents.call("add", {"a": 1, "b": 2}, "guest")
     with pytest.raises(MCPError, match=r"there is no tool 'cuff' \(UOA-703\)$"):
-        agents.call("cuff", {"pressure": 1}, "client")
+        agents.call("cuff", {"pressure": 1}, "guest")
     assert script.came == []
     assert "has no 'nothing'" in agents.facts("status")["left_out"]["missing"]
 
