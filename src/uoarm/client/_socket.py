@@ -10,13 +10,15 @@ import threading
 from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
-from typing import Any, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 from websockets.asyncio.client import ClientConnection
 from websockets.exceptions import ConnectionClosed, ConnectionClosedOK
 from websockets.frames import DATA_OPCODES, CloseCode, Frame, Opcode
 from websockets.protocol import Event, State
-from websockets.typing import BytesLike
+
+if TYPE_CHECKING:
+    from websockets.typing import BytesLike  # not in the oldest version
 
 try:
     from websockets.speedups import apply_mask
@@ -50,11 +52,13 @@ class ClientSocket(ClientConnection):
         self._take: Take | None = None
         self._ended: asyncio.Future[None] | None = None
         self._discards = False
+        self._cause: Exception | None = None  # of its end
         self._came_at = self.loop.time()
         # Guards what is written, between the loop and threads that write by themselves: a frame
         # goes out whole before the next begins. Held for as long as the kernel takes octets
-        # without waiting.
-        self._writing = threading.Lock()
+        # without waiting; reentrant, since a transport with TLS that is closed within a write calls
+        # back for the end of the stream.
+        self._writing = threading.RLock()
         self._near: socket.socket | None = None  # a second descriptor, for these threads
         self._is_lost = False
         # Of a frame that the kernel took a part of; goes before all others.
@@ -69,7 +73,7 @@ class ClientSocket(ClientConnection):
         while not self._waiting:
             if self.protocol.state is State.CLOSED:
                 await asyncio.shield(self.connection_lost_waiter)
-                raise self.close_exc
+                raise self._end()
             self._taker = self.loop.create_future()
             try:
                 await self._taker
@@ -100,10 +104,16 @@ class ClientSocket(ClientConnection):
             if self._ended.done():
                 self._ended.result()
             with suppress(ConnectionClosedOK):
-                raise self.close_exc
+                raise self._end()
         finally:
             self._take, self._discards = None, True
             self._ended.cancel()
+
+    def _end(self) -> ConnectionClosed:
+        """Return how it ended, with the cause; the library's own name for it has changed."""
+        error = self.protocol.close_exc
+        error.__cause__ = self._cause
+        return error
 
     async def send_whole(self, content: bytes, *, text: bool) -> None:
         """Send one message, and wait only where the socket does not take more; raises as `send`."""
@@ -169,8 +179,7 @@ class ClientSocket(ClientConnection):
                 while not answer.done() and (left := self.silent_at - self.loop.time()) > 0:
                     await asyncio.wait((answer,), timeout=left)
                 if not answer.done():
-                    text = f"nothing came for {interval + limit:g} s"
-                    self.set_connection_exc(TimeoutError(text))
+                    self._cause = TimeoutError(f"nothing came for {interval + limit:g} s")
                     self.drop()
                     return
 
@@ -205,6 +214,7 @@ class ClientSocket(ClientConnection):
 
     def connection_lost(self, exc: Exception | None) -> None:
         """End; see `asyncio.Protocol`."""
+        self._cause = self._cause or exc
         with self._writing:
             self._is_lost = True
             self._rest.clear()

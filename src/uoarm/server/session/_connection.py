@@ -13,7 +13,7 @@ from collections import Counter, deque
 from collections.abc import Generator, Iterable, Iterator
 from contextlib import suppress
 from functools import lru_cache, partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from websockets.asyncio.server import ServerConnection
 from websockets.exceptions import ConnectionClosed
@@ -21,12 +21,14 @@ from websockets.extensions.permessage_deflate import PerMessageDeflate
 from websockets.frames import DATA_OPCODES, CloseCode, Frame, Opcode
 from websockets.http11 import Request
 from websockets.protocol import State
-from websockets.typing import BytesLike
 
 from uoarm._support.aio_deadlines import result_within
 from uoarm.server._limits import Limits
 from uoarm.server.session._incoming import IncomingError, IncomingFrames, ParsingTurns, Turn
 from uoarm.server.streams import Account
+
+if TYPE_CHECKING:
+    from websockets.typing import BytesLike  # not in the oldest version
 
 __all__ = ["Sockets", "TurnConnection", "address_of", "host_of"]
 
@@ -240,7 +242,7 @@ class TurnConnection(ServerConnection):
                     return message
             elif self.protocol.state is State.CLOSED and not self._incoming.is_packed:
                 await asyncio.shield(self.connection_lost_waiter)
-                raise self.close_exc
+                raise self.protocol.close_exc
             self._taker = self.loop.create_future()
             try:
                 await self._taker

@@ -12,7 +12,7 @@ import zlib
 from collections import deque
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from websockets.exceptions import ProtocolError
 from websockets.extensions.base import Extension
@@ -21,9 +21,12 @@ from websockets.extensions.permessage_deflate import (
     ServerPerMessageDeflateFactory,
 )
 from websockets.frames import CTRL_OPCODES, CloseCode, Frame, Opcode
-from websockets.typing import BytesLike, ExtensionParameter
+from websockets.typing import ExtensionParameter
 
 from uoarm.server._limits import Limits
+
+if TYPE_CHECKING:
+    from websockets.typing import BytesLike  # not in the oldest version
 
 __all__ = [
     "DEFLATE",
