@@ -85,6 +85,16 @@ def test_without_a_token_no_client_is_admitted(guarded: Server) -> None:
     assert status_of(lambda: enter(guarded, "old")) == 401
 
 
+def test_a_refusal_names_its_code(guarded: Server) -> None:
+    headers = {"Authorization": f"Bearer {make_token()}"}
+    for path, more, code in (("/", headers, "UOA-706"), ("/nowhere", {}, "UOA-705")):
+        with pytest.raises(InvalidStatus) as refused:
+            Talk(url(guarded, path), additional_headers=more)
+        body = refused.value.response.body
+        assert body is not None
+        assert body.decode().endswith(f" ({code})\n")
+
+
 def test_a_token_can_be_shown_in_three_places(guarded: Server) -> None:
     with enter(guarded, "viewer") as client:
         assert client.hello["role"] == "viewer"

@@ -122,7 +122,7 @@ def test_without_it_the_path_is_none_and_the_answer_says_what_there_is(serve: Se
     assert refused.value.response.status_code == 404
     with pytest.raises(InvalidStatus) as refused:
         enter(serve(front_ends=[LINES]), "/other")
-    assert refused.value.response.body == b"there is no endpoint here; try / or /lines\n"
+    assert refused.value.response.body == b"there is no endpoint here; try / or /lines (UOA-705)\n"
 
 
 @pytest.mark.parametrize("line", ["raise", "decode-raise", "quit", "decode-quit"])

@@ -23,6 +23,7 @@ from uoarm._origin import install_command
 from uoarm._plugins import PluginProblem, values_of
 from uoarm._raised import text_of
 from uoarm._wire import FORMS
+from uoarm.server._failures import coded_text
 from uoarm.server._limits import Limits
 from uoarm.server.access import (
     Admission,
@@ -230,7 +231,9 @@ class HandshakeHandler:
             self._audit.arrival(address_of(connection), "", "", str(error))
             if isinstance(error, WrongTokenError):
                 await self._wait(connection)
-            response = _response(error.status, "text/plain; charset=utf-8", f"{error}\n".encode())
+            response = _response(
+                error.status, "text/plain; charset=utf-8", f"{coded_text(error)}\n".encode()
+            )
             if error.status is HTTPStatus.UNAUTHORIZED:
                 response.headers["WWW-Authenticate"] = 'Bearer realm="uoarm"'
             return response
