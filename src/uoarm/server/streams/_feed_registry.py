@@ -48,7 +48,7 @@ from uoarm.server.streams._input_sender import InputSender, Read, read_message
 from uoarm.server.streams._known import KnownStructures, KnownTypes
 from uoarm.server.streams._memory import Account, ServerMemory
 from uoarm.server.streams._pending_feeds import OnAbsent, PendingFeeds, is_absent
-from uoarm.server.streams._workers import CallEnded, LoopMailbox, Make, SharedViews, Workers
+from uoarm.server.streams._workers import CallEnded, LoopMailbox, Make, SharedViews, Workers, settle
 
 __all__ = ["ChangeNotice", "FeedRegistry", "Read", "Watcher", "shown_event"]
 
@@ -316,14 +316,7 @@ class FeedRegistry:
         """
         future: asyncio.Future[T] = asyncio.get_running_loop().create_future()
 
-        def ended(result: T, error: Exception | None) -> None:
-            if future.done():  # no client waits for it any more
-                return
-            if error is None:
-                future.set_result(result)
-            else:
-                future.set_exception(error)
-
+        ended: CallEnded = functools.partial(settle, future)
         self.begin_call(wanted, revision, message, read, timeout, began, act, ended)
         return await future
 

@@ -16,7 +16,7 @@ from uoarm._support.workers import WorkerPool
 from uoarm.server._failures import BusyError
 from uoarm.server.streams._memory import Shares, acting
 
-__all__ = ["CallEnded", "LoopMailbox", "Make", "OpeningTurns", "SharedViews", "Workers"]
+__all__ = ["CallEnded", "LoopMailbox", "Make", "OpeningTurns", "SharedViews", "Workers", "settle"]
 
 _AT_ONCE = 2
 _YOUNG_SECONDS = 0.02
@@ -320,7 +320,7 @@ class Workers:
         # Given back before the next begins, and before the client goes on, which may open at once.
         self._opened_by.take(owner, -1)
         self._turns.end(future)
-        _finish(future, result, error)
+        settle(future, result, error)
         self._open_next()
 
     def _open_next(self) -> None:
@@ -353,7 +353,7 @@ class Workers:
 
         def finish(result: T, error: BaseException | None) -> None:
             ended()
-            _finish(future, result, error)
+            settle(future, result, error)
 
         if not pool.submit(
             action, done=lambda result, error: self._mailbox.put(lambda: finish(result, error))
@@ -366,7 +366,8 @@ def _closing() -> BusyError:
     return BusyError("the server is closing")
 
 
-def _finish(future: asyncio.Future[T], result: T, error: BaseException | None) -> None:
+def settle(future: asyncio.Future[T], result: T, error: BaseException | None) -> None:
+    """Give a future its result, or its error, in the thread of its loop."""
     if future.done():  # no client waits for it any more
         return
     if error is None:
