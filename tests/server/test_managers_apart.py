@@ -22,6 +22,7 @@ from uoarm.testing import patience, wait
 pytestmark = pytest.mark.needs("remote")
 DESK = Path(__file__).parent / "desk_apart.py"
 LIFETIME = 1.0
+CUT = 10.0  # seconds without a packet
 ROBOT = f"""
 version: 1
 bridges: {{python: {{}}}}
@@ -145,6 +146,33 @@ def test_across_a_cut_what_moves_stops_and_nothing_is_lost_uncounted(
             _, missing, counted, gaps = desk.last.split()
             assert gaps == "0"  # the same session
             assert int(counted) >= int(missing)
+            desk.process.wait(patience())
+            wait(lambda: not robot.status().connections, "a connection is stuck")
+        finally:
+            desk.kill()
+
+
+def test_in_a_long_cut_a_local_candidate_takes_over_until_the_robot_is_back(
+    tmp_path: Path, cable: Cable
+) -> None:
+    with served(tmp_path, cable) as (robot, url, token):
+        desk = Desk(cable, "take-over", url, token)
+        try:
+            wait(lambda: 0.5 in taken, "no command came")
+            wait(lambda: desk.last.startswith("far_base far_counter"), "it is not from afar")
+            cut = time.monotonic()
+            cable.cut()
+            wait(lambda: taken[-1] == 0.0, "it was not stopped")
+            stopped = len(taken)
+            wait(lambda: desk.last == "near_base near_counter True", "nothing took over")
+            wait(lambda: time.monotonic() > cut + CUT)
+            assert len(taken) == stopped
+            assert desk.last.startswith("near_base near_counter")
+            cable.mend()
+            wait(lambda: 0.5 in taken[stopped:], "commands do not pass again")
+            wait(lambda: desk.last.startswith("far_base far_counter"), "it did not return")
+            desk.say("")
+            wait(lambda: desk.last == "gaps 2 2 0", "what was lost is not accounted for")
             desk.process.wait(patience())
             wait(lambda: not robot.status().connections, "a connection is stuck")
         finally:

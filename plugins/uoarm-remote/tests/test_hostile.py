@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import asyncio
+import struct
 import threading
 import time
 from collections.abc import Awaitable, Callable, Iterator, Mapping
 from contextlib import ExitStack
-from typing import Any
+from typing import Any, Protocol
 
 import pytest
 from robots import here
@@ -28,7 +29,7 @@ DESK = """
 version: 1
 bridges:
   bad:
-    {{plugin: remote, options: {{url: "{url}", timeout: {time}, silence: {time}, grace: 1}}}}
+    {{plugin: remote, options: {{url: "{url}", timeout: {time}, silence: {silence}, grace: 1}}}}
 functions: {{f: {{components: [{{name: far, bridge: bad, output: {{endpoint: [f]}}}}]}}}}
 """
 
@@ -90,17 +91,18 @@ class Peer:
         self._loop.close()
 
 
-Meet = Callable[[Answer], RobotManager]
+class Meet(Protocol):
+    def __call__(self, answer: Answer, silence: float = ...) -> RobotManager: ...
 
 
 @pytest.fixture
 def meet() -> Iterator[Meet]:
     with ExitStack() as stack:
 
-        def begin(answer: Answer) -> RobotManager:
+        def begin(answer: Answer, silence: float = patience()) -> RobotManager:
             peer = Peer(answer)
             stack.callback(peer.close)
-            text = DESK.format(url=peer.url, time=patience())
+            text = DESK.format(url=peer.url, time=patience(), silence=silence)
             return stack.enter_context(RobotManager(loads(text, origin=here("desk.yaml"))))
 
         yield begin
@@ -174,6 +176,78 @@ def test_a_link_that_is_flooded_is_closed_at_once(meet: Meet) -> None:
 def test_something_strange_in_a_flood_ends_the_connection(meet: Meet) -> None:
     manager = meet(flooding({"op": "Status", "type": "change", "jsonMessage": {}}))
     connection = manager.request("f", timeout=patience())
+    wait(lambda: connection.state.value == "failed", "it was not noticed")
+    assert "the server sent what is no message" in connection.cause
+
+
+def halving(read: threading.Event, end: Callable[[ServerConnection], None]) -> Answer:
+    """Give a message, half of another when that is read, and nothing to any who come again."""
+    begun = threading.Event()
+
+    async def answer(connection: ServerConnection, asked: Mapping[str, Any]) -> bool:
+        if asked["op"] == "Request":
+            begun.set()
+            reply = {"op": "Reply", "id": asked["id"], "jsonMessage": REPLIES["Request"]}
+            await connection.send(BINARY_FORM.write(reply))
+            await connection.send(BINARY_FORM.write_data("c1", 1, 1))
+            await asyncio.to_thread(read.wait, patience())
+            content = BINARY_FORM.write_data("c1", 2, bytes(50_000))
+            head = struct.pack("!BBH", 0x82, 126, len(content))  # whole, binary, its length in two
+            connection.transport.write(head + content[: len(content) // 2])
+        if begun.is_set():
+            end(connection)
+        return begun.is_set()
+
+    return answer
+
+
+def stop_reading(connection: ServerConnection) -> None:
+    connection.transport.pause_reading()
+
+
+def abort(connection: ServerConnection) -> None:
+    connection.transport.abort()
+
+
+@pytest.mark.parametrize(
+    ("end", "silence", "why"),
+    [
+        (stop_reading, 1.0, "nothing came for 1 s"),
+        (abort, patience(), "no close frame received or sent"),
+    ],
+    ids=["then-nothing", "then-the-end"],
+)
+def test_half_a_message_breaks_the_link_for_one_cause(
+    meet: Meet, end: Callable[[ServerConnection], None], silence: float, why: str
+) -> None:
+    read = threading.Event()
+    connection = meet(halving(read, end), silence).request("f", timeout=patience())
+    assert connection.get(patience()) == 1
+    read.set()
+    wait(lambda: connection.state.value == "failed", "it was not noticed")
+    assert connection.cause.count("the manager at ws://127.0.0.1:") == 1
+    assert why in connection.cause
+    with pytest.raises(UoarmError):  # half of a message is none
+        connection.get(patience())
+
+
+def test_a_frame_of_half_a_message_ends_the_connection(meet: Meet) -> None:
+    read = threading.Event()
+
+    async def halve(connection: ServerConnection, asked: Mapping[str, Any]) -> bool:
+        if asked["op"] != "Request":
+            return False
+        reply = {"op": "Reply", "id": asked["id"], "jsonMessage": REPLIES["Request"]}
+        await connection.send(BINARY_FORM.write(reply))
+        content = BINARY_FORM.write_data("c1", 1, bytes(50_000))
+        await connection.send(content)
+        await asyncio.to_thread(read.wait, patience())
+        await connection.send(content[: len(content) // 2])
+        return True
+
+    connection = meet(halve).request("f", timeout=patience())
+    connection.get(patience())
+    read.set()
     wait(lambda: connection.state.value == "failed", "it was not noticed")
     assert "the server sent what is no message" in connection.cause
 
