@@ -71,6 +71,7 @@ class Nat:
         Raises:
             CalledProcessError: the kernel or a missing right stands in the way.
         """
+        self.remove()  # what a killed run with this number left
         for name in self._namespaces:
             _run("ip", "netns", "add", name)
         for end, namespace in (("wan", self._outside), ("lan", self._inside)):
