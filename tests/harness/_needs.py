@@ -72,6 +72,7 @@ NEEDS = {
     ),
     "compiler": Need("apt install gcc g++", programs=("gcc", "cc")),
     "otlp": Need("pip install -e '.[dev]'", packages=("opentelemetry.exporter",)),
+    "zeroconf": Need("pip install -e '.[dev]'", packages=("zeroconf",)),
     "diagnostic_msgs": Need(
         "pip install -e 'plugins/uoarm-ros2[dev]'", packages=("diagnostic_msgs",), systems=ROS
     ),
@@ -131,6 +132,7 @@ MODULES = {
     "tests/examples/test_vision_*.py": ("vision",),
     "tests/examples/test_records.py": ("records",),
     "tests/server/test_telemetry.py": ("otlp",),
+    "tests/server/test_announcing.py": ("zeroconf",),
     "tests/record/*": ("record",),
     "tests/examples/test_recording.py": ("record",),
     "tests/cli/test_record.py": ("record",),
@@ -153,6 +155,7 @@ MODULES = {
     "plugins/uoarm-ros1/tests/*": ("ros1", "rospy"),
     "plugins/uoarm-rosbridge/tests/*": ("rosbridge",),
     "plugins/uoarm-foxglove/tests/*": ("foxglove",),
+    "plugins/uoarm-remote/tests/test_browsing.py": ("remote", "zeroconf"),
     "plugins/uoarm-remote/tests/*": ("remote",),
     "plugins/uoarm-mcp/tests/*": ("mcp",),
 }

@@ -11,7 +11,7 @@ import socket
 import sys
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
@@ -21,6 +21,7 @@ from uoarm import RobotManager
 from uoarm._forks import default_in_children
 from uoarm._support.files import stamp_of
 from uoarm._version import __version__
+from uoarm.cli._announce import Announcement
 from uoarm.cli._file import takes_configuration
 from uoarm.cli._shared import (
     fail,
@@ -126,6 +127,9 @@ def listening_options(command: Callable[..., Any]) -> Callable[..., Any]:
     help="OpenTelemetry collector that gets spans and figures, such as http://127.0.0.1:4318.",
 )
 @click.option(
+    "--announce", is_flag=True, help="Announce this manager on the network, by multicast DNS."
+)
+@click.option(
     "--watch-config", is_flag=True, help="Read the configuration again whenever the file changes."
 )
 def serve(
@@ -136,6 +140,7 @@ def serve(
     front_end_ports: list[tuple[str, int]],
     rosbridge_port: int | None,
     otlp: str | None,
+    announce: bool,
     **settings: Any,
 ) -> None:
     """Serve a robot to WebSocket clients and browsers.
@@ -156,6 +161,7 @@ def serve(
         with needing("server"):
             from uoarm.server import ServerOptions, run  # noqa: PLC0415 - an extra, and slow
         chosen = ServerOptions(own_certificate=tls is not None, front_end_ports=ports, **settings)
+        announcement = Announcement(manager.identity, chosen) if announce else None
         if manager.is_stopped:
             click.echo(f"{_BEGINS_STOPPED}: {stop_file}", err=True)
         manager.offer(timeout=0)  # what fails is in the log and in the status
@@ -164,9 +170,19 @@ def serve(
                 manager.record()
             except UoarmError as error:
                 print_warning(f"nothing is recorded: {error}")
+
+        def ready(server: Server) -> None:
+            say(server, chosen)
+            if announcement is not None:
+                announcement.start(server.ports[0])
+
         try:
-            with stopping(manager), _reloading(manager, watch=watch_config):
-                run(manager, chosen, lambda server: say(server, chosen))
+            with (
+                stopping(manager),
+                _reloading(manager, watch=watch_config),
+                announcement or nullcontext(),
+            ):
+                run(manager, chosen, ready)
         except OSError as error:
             cannot_listen(error)
 

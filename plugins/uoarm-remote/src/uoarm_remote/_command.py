@@ -1,4 +1,7 @@
-"""`uoarm fleet`: what runs on each manager that a configuration imports from."""
+"""`uoarm fleet`: what runs on each manager that a configuration imports from.
+
+With `--browse` which managers are announced on the network.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +11,8 @@ import os
 import shutil
 import sys
 import textwrap
-from collections.abc import Mapping
+import time
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from attrs import frozen
@@ -18,14 +22,19 @@ from uoarm.config import load
 from uoarm.errors import ConfigurationError, UoarmError
 from uoarm.model import BridgeSpec, format_status, to_json, write_json
 from uoarm.plugins import Command, hookimpl
+from uoarm_remote._browser import MOST, AnnouncedManager, Browser
 from uoarm_remote._link import CONNECTING_ERRORS, server_address, why_unreachable
 from uoarm_remote._options import ManagerOptions
 
-__all__ = ["ManagerReport", "main", "uoarm_commands"]
+__all__ = ["ManagerReport", "announced_text", "main", "uoarm_commands"]
 
 _MISTAKES, _FAILED = 3, 4
 _INDENT = "  "
 _LEAST_WIDTH = 40
+_MOST_SECONDS = 60.0
+_CLAIMED = (
+    "# Anything on the network can announce this: give a token only to a robot that is known."
+)
 
 
 @frozen
@@ -54,7 +63,12 @@ class ManagerReport:
 
 def main(arguments: list[str] | None = None) -> int:
     """Run the command; returns the exit status."""
-    given = _parser().parse_args(arguments)
+    parser = _parser()
+    given = parser.parse_args(arguments)
+    if given.browse:
+        if given.file is not None:
+            parser.error(f"--browse reads no configuration: leave {given.file} out")
+        return _browse(given.seconds, as_json=given.json)
     path = given.file or os.environ.get("UOARM_CONFIG") or "robot.yaml"
     try:
         registry = Registry()
@@ -82,6 +96,43 @@ def main(arguments: list[str] | None = None) -> int:
 def uoarm_commands() -> list[Command]:
     """Return `uoarm fleet`."""
     return [Command("fleet", main, contract=1)]
+
+
+def _browse(seconds: float, *, as_json: bool) -> int:
+    """List what is announced within so many seconds."""
+    with Browser() as browser:
+        time.sleep(seconds)
+        managers, is_full = browser.found(), browser.is_full
+    if as_json:
+        print(write_json(to_json(managers), indent=2))  # noqa: T201 - it is what was asked for
+    else:
+        text = announced_text(managers)
+        print(text or f"no manager was announced within {seconds:g} s")  # noqa: T201 - as above
+    if is_full:
+        sys.stderr.write(f"more than {MOST} are announced: the others are not listed\n")
+    return 0
+
+
+def announced_text(managers: Sequence[AnnouncedManager]) -> str:
+    """Return a list of announced managers for people, and the lines that import from them.
+
+    What stands in those lines is made here, but for addresses and ports.
+    """
+    listed: list[str] = []
+    bridges: list[str] = []
+    for manager in managers:
+        if manager.cause:
+            listed.append(f"-  {manager.name}  cannot be read: {manager.cause}")
+            continue
+        bridge = f"manager{len(bridges) + 1}"
+        tls = "TLS" if manager.tls else "no TLS"
+        facts = f"identity {manager.identity}  {tls}  protocol {manager.protocol}"
+        listed.append(f"{bridge}  {manager.name}  {' '.join(manager.urls)}  {facts}")
+        options = f'{{url: "{manager.urls[0]}", token_file: {bridge}.token}}'
+        bridges.append(f"  {bridge}: {{plugin: remote, options: {options}}}")
+    if bridges:
+        listed += [_CLAIMED, "bridges:", *bridges]
+    return "\n".join(listed)
 
 
 async def _reports(managers: Mapping[BridgeSpec, ManagerOptions]) -> list[ManagerReport]:
@@ -114,5 +165,24 @@ def _parser() -> argparse.ArgumentParser:
         "nothing. Exit code 0 when all were reached, 3 for a mistake in the file, 4 otherwise.",
     )
     parser.add_argument("file", nargs="?", help="configuration; else UOARM_CONFIG or robot.yaml")
+    parser.add_argument(
+        "--browse",
+        action="store_true",
+        help="list managers that are announced on the network (uoarm serve --announce) and connect "
+        "to none",
+    )
+    parser.add_argument(
+        "--seconds",
+        type=_seconds,
+        default=3.0,
+        help="how long --browse listens, up to 60; 3 by default",
+    )
     parser.add_argument("--json", action="store_true", help="print a list as JSON")
     return parser
+
+
+def _seconds(given: str) -> float:
+    seconds = float(given)
+    if not 0 < seconds <= _MOST_SECONDS:
+        raise argparse.ArgumentTypeError(f"expected more than 0 and up to 60, got {given}")
+    return seconds
