@@ -48,7 +48,7 @@ class Network:
             port=port,
             parsed_addresses=list(addresses),
             properties=properties,
-            server=f"{name}.local.",
+            server=f"{name}-{_browser.SERVICE[1:12]}.local.",  # of this test alone, as the type
         )
         self.zeroconf.register_service(
             info, cooperating_responders=True
@@ -87,17 +87,17 @@ def browsing() -> Iterator[Browser]:
 def read(browser: Browser, *names: str) -> dict[str, AnnouncedManager]:
     """Wait until these are there and read, well or not."""
 
-    def found() -> dict[str, AnnouncedManager]:
-        return {manager.name: manager for manager in browser.found()}
+    there: dict[str, AnnouncedManager] = {}
 
     def are_known() -> bool:
-        there = found()
+        there.clear()
+        there.update((manager.name, manager) for manager in browser.found())
         return all(
             name in there and "does not say an address" not in there[name].cause for name in names
         )
 
     wait(are_known)
-    return found()
+    return there
 
 
 def test_a_manager_is_listed_until_it_is_withdrawn(network: Network) -> None:
@@ -180,7 +180,7 @@ def test_a_flood_is_cut_off(network: Network) -> None:
         network.claim(*(f"flood{number}" for number in range(MOST + 20)))
         wait(lambda: browser.is_full)
         assert len(browser.found()) == MOST
-        assert len(browser._looks) <= MOST
+        assert len(browser._looking) <= MOST
 
 
 def test_what_is_pasted_is_made_here_but_for_addresses() -> None:

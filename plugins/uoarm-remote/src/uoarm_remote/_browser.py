@@ -11,7 +11,8 @@ import ipaddress
 import re
 import threading
 from collections.abc import Sequence
-from concurrent.futures import Future, wait
+from concurrent import futures
+from contextlib import suppress
 from types import TracebackType
 from typing import TYPE_CHECKING
 
@@ -21,7 +22,7 @@ from typing_extensions import Self
 from uoarm.errors import BridgeError, FailureReason, PluginError
 
 if TYPE_CHECKING:
-    from zeroconf import ServiceStateChange, Zeroconf
+    from zeroconf import ServiceStateChange
     from zeroconf.asyncio import AsyncServiceInfo
 
 __all__ = ["MOST", "SERVICE", "AnnouncedManager", "Browser"]
@@ -80,7 +81,8 @@ class Browser:
             ) from error
         self._lock = threading.Lock()
         self._names: dict[str, None] = {}
-        self._looks: dict[str, Future[None]] = {}
+        self._looking: set[str] = set()
+        self._tasks: set[asyncio.Task[None]] = set()  # of the network's loop, and for it alone
         self._is_full = False
         try:
             self._network = Zeroconf(
@@ -103,11 +105,10 @@ class Browser:
         trace: TracebackType | None,
     ) -> None:
         self._browser.cancel()
-        with self._lock:
-            looks = list(self._looks.values())
-        for look in looks:
-            look.cancel()
-        wait(looks, _END_SECONDS)
+        loop = self._network.loop
+        if loop is not None:
+            with suppress(TimeoutError, futures.TimeoutError):
+                asyncio.run_coroutine_threadsafe(self._end_looks(), loop).result(_END_SECONDS)
         self._network.close()
 
     @property
@@ -156,18 +157,32 @@ class Browser:
         """Have a name looked up, unless that is under way or too many are."""
         loop = self._network.loop
         with self._lock:
-            self._looks = {of: look for of, look in self._looks.items() if not look.done()}
-            if name not in self._looks and len(self._looks) < MOST and loop is not None:
-                looking = _look(self._network, name)
-                self._looks[name] = asyncio.run_coroutine_threadsafe(looking, loop)
+            if name in self._looking or len(self._looking) >= MOST or loop is None:
+                return
+            self._looking.add(name)
+        asyncio.run_coroutine_threadsafe(self._look(name), loop)
+
+    async def _look(self, name: str) -> None:
+        """Ask for the address, port and properties, which the network then has in its cache."""
+        task = asyncio.current_task()
+        assert task is not None, "it runs in a task"
+        self._tasks.add(task)
+        try:
+            await _info(name).async_request(self._network, _LOOK_MILLISECONDS)
+        finally:
+            self._tasks.discard(task)
+            with self._lock:
+                self._looking.discard(name)
+
+    async def _end_looks(self) -> None:
+        """Cancel what is asked: each has begun, as the loop begins tasks in their order."""
+        tasks = list(self._tasks)
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
 
 
 _SILENT = "it does not say an address and a port"
-
-
-async def _look(network: Zeroconf, name: str) -> None:
-    """Ask for the address, port and properties, which are then in the cache of the network."""
-    await _info(name).async_request(network, _LOOK_MILLISECONDS)
 
 
 def _info(name: str) -> AsyncServiceInfo:
