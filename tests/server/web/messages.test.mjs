@@ -100,13 +100,14 @@ test("a long message is cut where it is long", () => {
 const panel = (name, tab = "", options = {}) => ({ kind: "function", name, tab, options });
 
 test("an address says what is shown, whatever the names", () => {
-  const place = { view: "graph", dock: 45, panels: [panel("a/b c#d&e=f", "use", { keep: "1", fields: "x/y,z" }), panel("g")] };
+  const place = { view: "graph", dock: 45, panels: [panel("a/b c#d&e=f", "use", { keep: "1", fields: "x/y,z" }), panel("g")],
+    unfolded: ["robot3", "a,b&c"] };
   assert.deepEqual(readAddress(writeAddress(place)), place);
-  assert.deepEqual(readAddress("", "list"), { view: "list", dock: 0, panels: [] });
-  assert.deepEqual(readAddress("#/nonsense/%"), { view: "graph", dock: 0, panels: [] });
+  assert.deepEqual(readAddress("", "list"), { view: "list", dock: 0, panels: [], unfolded: [] });
+  assert.deepEqual(readAddress("#/nonsense/%"), { view: "graph", dock: 0, panels: [], unfolded: [] });
   assert.deepEqual(readAddress("#/list/function/a/use").panels, [panel("a", "use")]);
   assert.deepEqual(readAddress("#/graph/script/a&function/a&function/a&dock=99999"),
-    { view: "graph", dock: 80, panels: [panel("a")] });
+    { view: "graph", dock: 80, panels: [panel("a")], unfolded: [] });
 });
 
 test("what is opened takes the place of the panel that is not kept, or stands beside it", () => {

@@ -43,6 +43,7 @@ class RemoteManagerBridge(Bridge):
     def facts(self) -> Mapping[str, object]:
         """Return what the status shows of the link."""
         return {
+            "url": self._given.url,
             "manager": self._other.peer,
             "breaks": self._other.breaks,
             "clock_ahead": self._other.ahead,

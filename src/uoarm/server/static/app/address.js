@@ -1,4 +1,4 @@
-// The page's state that is worth a link: the view and the panels, in the part of the address after "#". Pure.
+// The page's state that is worth a link: view, panels and unfolded managers, in the part of the address after "#". Pure.
 //
 // "#/graph/function/camera/use/keep=1&function/faces": a view, then panels. A panel is what it shows (kind and
 // name), its tab, and options as name=value. At most one panel is not kept: what is opened next takes its place.
@@ -6,25 +6,33 @@
 export const VIEWS = ["graph", "list", "timeline", "configuration"];
 export const KINDS = ["function", "connection", "bridge", "machine"]; // of panels
 const MOST_PANELS = 12;
+const UNFOLDED = "unfolded=";
 const [LEAST_DOCK, MOST_DOCK] = [20, 80];
 
-/** The address as { view, dock, panels: [{ kind, name, tab, options }] }; dock: width of the panels in percent, or 0. */
+/**
+ * The address as { view, dock, panels: [{ kind, name, tab, options }], unfolded: [manager] }; dock: width of the
+ * panels in percent, or 0.
+ */
 export function readAddress(hash, fallback = "graph") {
   const [first, ...others] = hash.replace(/^#\/?/, "").split("&");
   const [view, ...inside] = first.split("/");
   const dock = others.find((part) => part.startsWith("dock="))?.slice("dock=".length);
+  const unfolded = others.find((part) => part.startsWith(UNFOLDED))?.slice(UNFOLDED.length) ?? "";
   const panels = [inside, ...others.map((part) => part.split("/"))].map(readPanel).filter(Boolean);
   return {
     view: VIEWS.includes(view) ? view : fallback,
     dock: dock ? dockOf(Number(dock)) : 0,
     panels: panels.filter((panel, at) => indexOf(panels, keyOf(panel)) === at).slice(0, MOST_PANELS),
+    unfolded: unfolded.split(",").filter(Boolean).map(decode),
   };
 }
 
-export function writeAddress({ view, dock = 0, panels = [] }) {
+export function writeAddress({ view, dock = 0, panels = [], unfolded = [] }) {
   const [first, ...others] = panels.map(writePanel);
   const place = first === undefined ? view : `${view}/${first}`;
-  return `#/${[place, ...others, ...(dock ? [`dock=${dock}`] : [])].join("&")}`;
+  const names = unfolded.map(encodeURIComponent).join(",");
+  const rest = [...(dock ? [`dock=${dock}`] : []), ...(names ? [`${UNFOLDED}${names}`] : [])];
+  return `#/${[place, ...others, ...rest].join("&")}`;
 }
 
 /** A width of the panels that leaves room for them, and for the view beside them. */
@@ -43,6 +51,10 @@ export function withPanel(panels, { kind, name, tab = "", options = {} }, beside
   const added = { kind, name, tab, options };
   return at < 0 ? [...kept, added].slice(-MOST_PANELS) : kept.map((panel, place) => (place === at ? added : panel));
 }
+
+/** Names with one more, or without it where it is among them. */
+export const withToggled = (names, name) =>
+  (names.includes(name) ? names.filter((other) => other !== name) : [...names, name]);
 
 export const withoutPanel = (panels, key) => panels.filter((panel) => keyOf(panel) !== key);
 

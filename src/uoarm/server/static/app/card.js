@@ -4,11 +4,14 @@ import { rowHeight } from "./cards.js";
 import { plural, rate, short, span } from "./format.js";
 import { Framework, Health, hueOf, html, Icon, isBeside } from "./ui.js";
 
+const canFold = ({ kind, data }) => kind === "function" || (kind === "manager" && data.own.length > 0);
+const sayManager = ({ functions, used }) => `${plural(functions, "function")}, ${plural(used, "connection")} in use`;
 const sayMachine = ({ present }) => (present ? "here" : "not here");
 
 /** What the card says, as one sentence for a screen reader. */
 export function sayCard({ kind, title, health, data }) {
   if (kind === "bridge") return `Framework ${title}, ${health}, ${data.open} of ${data.all} running`;
+  if (kind === "manager") return `Manager ${title}, ${health}, ${sayManager(data)}, ${data.url}`;
   if (kind === "machine") return `Machine ${title}, ${sayMachine(data)}`;
   if (kind === "connection") return `${title} uses ${data.function}, ${data.state}, ${rate(data.rate)}`;
   const open = data.rows.filter((row) => row.open);
@@ -19,20 +22,23 @@ export function sayCard({ kind, title, health, data }) {
 export function Card({ card, place, selected, dim, stop, select, fold }) {
   const { x, y } = place;
   const style = { left: `${x}px`, top: `${y}px`, width: `${card.width}px`, height: `${card.height}px` };
+  const press = card.kind === "manager" && canFold(card) ? fold : select;
   return html`
     <div class="card ${card.kind} is-${card.health} ${selected ? "selected" : ""} ${dim ? "dim" : ""}" style=${style}
-      data-card=${card.id} onClick=${(event) => select(card, isBeside(event))}>
+      data-card=${card.id} onClick=${(event) => press(card, isBeside(event))}>
       <div class="card-head">
         <button type="button" class="card-title" tabindex=${stop ? 0 : -1} data-title=${card.id}
-          aria-label=${sayCard(card)} aria-pressed=${selected}
-          aria-expanded=${card.kind === "function" ? !card.folded : null}>
+          aria-label=${sayCard(card)} aria-pressed=${card.kind === "manager" && canFold(card) ? null : selected}
+          aria-expanded=${canFold(card) ? !card.folded : null}>
           <${Health} of=${card.health} /><span>${card.title}</span>
         </button>
-        ${card.kind === "function" && html`<${Fold} card=${card} fold=${fold} />`}
+        ${canFold(card) && html`<${Fold} card=${card} fold=${fold} />`}
       </div>
       ${card.kind === "function" && card.rows.map((row) => html`<${Row} key=${row.name} row=${row} />`)}
       ${card.kind === "connection" && html`<${Application} data=${card.data} />`}
       ${card.kind === "bridge" && html`<p class="card-note framework hue${hueOf(card.title)}">${card.data.open} of ${card.data.all} running</p>`}
+      ${card.kind === "manager" && html`<p class="card-note">${sayManager(card.data)}</p>
+        <p class="card-note" title=${card.data.url}>${card.data.url}</p>`}
       ${card.kind === "machine" && html`<p class="card-note">machine · ${sayMachine(card.data)}</p>`}
     </div>`;
 }
@@ -42,8 +48,9 @@ function Fold({ card, fold }) {
     event.stopPropagation();
     fold(card);
   };
-  const open = card.data.rows.filter((row) => row.open).length;
-  const count = `${open ? `${open}/` : ""}${card.data.rows.length}`;
+  const parts = card.kind === "manager" ? [] : card.data.rows;
+  const open = parts.filter((row) => row.open).length;
+  const count = card.kind === "manager" ? `${card.data.own.length}` : `${open ? `${open}/` : ""}${parts.length}`;
   return html`<button type="button" class="card-fold" tabindex="-1" onClick=${press}
     aria-label=${`${count}: ${card.folded ? "unfold" : "fold"} ${card.title}`}>
     <span>${count}</span>

@@ -11,9 +11,12 @@ const LETTER = 11; // the width of one, as it is seen from far
 
 export const rowHeight = (row) => (row.open || row.cause ? OPEN_ROW : ROW);
 
-/** Cards of functions, of connections (applications) and, if wanted, of frameworks and machines. */
-export function makeCards(system, shown, { folded, frameworks }) {
-  const cards = shown.map((func) => functionCard(func, folded(func.name)));
+/** Cards of functions, of other managers, of connections (applications) and, if wanted, of frameworks and machines. */
+export function makeCards(system, shown, { folded, frameworks, unfolded }) {
+  const managers = managerCards(system, shown, unfolded);
+  const hidden = new Set(managers.filter((card) => card.folded).flatMap((card) => card.data.own));
+  const cards = shown.filter((func) => !hidden.has(func)).map((func) => functionCard(func, folded(func.name)));
+  cards.push(...managers);
   const names = new Set(shown.map((func) => func.name));
   for (const connection of system.connections) {
     if (names.has(connection.function)) cards.push(connectionCard(connection));
@@ -32,6 +35,24 @@ function functionCard(func, isFolded) {
   const width = isFolded ? Math.min(WIDTH, 80 + LETTER * func.name.length) : WIDTH;
   return { id: `function/${func.name}`, kind: "function", title: func.name, health: func.health,
     data: func, folded: isFolded, rows, width, height };
+}
+
+/** One for each manager whose functions are shown; those that come only from there are its own, and fold into it. */
+function managerCards({ managers, bridges, connections }, shown, unfolded) {
+  return managers.flatMap((name) => {
+    const isThere = (row) => row.bridge === name;
+    const functions = shown.filter((func) => func.rows.some(isThere));
+    if (functions.length === 0) return [];
+    const own = functions.filter((func) => func.rows.every(isThere));
+    const rows = functions.flatMap((func) => func.rows).filter(isThere);
+    const parts = new Set(rows.map((row) => row.name));
+    const used = connections.filter(({ components }) => components.some((part) => parts.has(part))).length;
+    const live = bridges.find((bridge) => bridge.name === name);
+    const data = { name, own, functions: functions.length, used, url: new Map(live.facts ?? []).get("url") ?? "" };
+    const health = worst([live.health, ...rows.map((row) => row.health)]);
+    return [{ id: `manager/${name}`, kind: "manager", title: name, health, data,
+      folded: own.length > 0 && !unfolded(name), rows: [], width: WIDTH, height: 86 }];
+  });
 }
 
 function connectionCard(connection) {
@@ -68,14 +89,20 @@ export function bridgesOf({ kind, data }) {
 
 /** Whether a card has something to do with some bridges: what runs there, or where it is. */
 export const concerns = (card, bridges) =>
-  (bridgesOf(card) ?? (card.kind === "function" ? card.data.rows.map((row) => row.bridge) : []))
+  (bridgesOf(card) ?? (card.kind === "manager" ? [card.data.name] : null) ?? (card.kind === "function" ? card.data.rows.map((row) => row.bridge) : []))
     .some((name) => bridges.includes(name));
 
-/** Edges between cards: messages that flow, dependencies of what is not running, and which machine has which bridge. */
+/** Edges between cards: messages that flow, dependencies of what is not running, what a manager or machine has. */
 export function makeEdges(system, cards) {
   const byId = new Map(cards.map((card) => [card.id, card]));
   const home = new Map();
+  const holder = new Map(); // the card in which a function is
   for (const card of cards) {
+    for (const func of card.kind === "manager" && card.folded ? card.data.own : []) {
+      holder.set(func.name, card);
+      for (const row of func.rows) home.set(row.name, card);
+    }
+    if (card.kind === "function") holder.set(card.title, card);
     if (card.kind === "function") for (const row of card.data.rows) home.set(row.name, card);
     if (card.kind === "connection") home.set(card.data.id, card);
   }
@@ -90,12 +117,15 @@ export function makeEdges(system, cards) {
   const live = new Set([...edges.values()].map((edge) => `${edge.from}>${edge.to}`));
   for (const card of cards.filter((card) => card.kind === "function")) {
     for (const row of card.data.rows) {
-      for (const used of row.uses ?? []) wish(byId.get(`function/${used}`), card, live, edges);
+      for (const used of row.uses ?? []) wish(holder.get(used), card, live, edges);
     }
+  }
+  for (const card of cards.filter((card) => card.kind === "manager" && !card.folded)) {
+    for (const func of card.data.own) link("holds", card, holder.get(func.name), edges);
   }
   for (const card of cards.filter((card) => card.kind === "machine")) {
     const its = card.data.bridges.map((name) => byId.get(`bridge/${name}`));
-    for (const bridge of its.filter(Boolean)) run(card, bridge, edges);
+    for (const bridge of its.filter(Boolean)) link("runs", card, bridge, edges);
   }
   return [...edges.values()];
 }
@@ -105,9 +135,9 @@ function wish(from, to, live, edges) {
   if (from && from !== to && !live.has(id)) edges.set(id, edge(id, "uses", from, to));
 }
 
-function run(from, to, edges) {
+function link(kind, from, to, edges) {
   const id = `${from.id}>${to.id}`;
-  edges.set(id, edge(id, "runs", from, to));
+  edges.set(id, edge(id, kind, from, to));
 }
 
 const edge = (id, kind, from, to) => ({ id, kind, from: from.id, to: to.id, fromRow: "", toRow: "" });

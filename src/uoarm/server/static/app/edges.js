@@ -23,7 +23,7 @@ export function Edges({ cards, edges, layout }) {
 
 function Line({ edge }) {
   const look = edge.bad ? "bad" : edge.kind;
-  const tip = edge.kind === "runs" ? null : `url(#tip-${look})`;
+  const tip = ["runs", "holds"].includes(edge.kind) ? null : `url(#tip-${look})`;
   const moving = edge.kind === "flows" && edge.rate > 0;
   return html`<path class="edge ${edge.kind} ${edge.bad ? "bad" : ""} ${moving ? "moving" : ""}"
     d=${curve(edge.points)} marker-end=${tip} />`;

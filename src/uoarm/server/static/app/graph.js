@@ -10,15 +10,17 @@ import { Stage, useCamera } from "./stage.js";
 import { MANY } from "./system.js";
 import { html, Icon } from "./ui.js";
 
-/** Args: the joined system, the functions that the search found, and which cards have a panel. */
-export function Graph({ system, shown, panels, select }) {
+const FOLDING = ["function", "manager"];
+
+/** Args: the joined system, what the search found, which cards have a panel, which managers are unfolded, `unfold` changes that. */
+export function Graph({ system, shown, panels, select, searching, unfolded, unfold }) {
   const [folds, setFolds] = useState(new Map());
   const [frameworks, setFrameworks] = useState(false);
   const [focused, setFocused] = useState("");
   const [pointed, setPointed] = useState(""); // the card of a framework or machine whose functions stand out
   const many = shown.reduce((total, func) => total + func.rows.length, 0) > MANY;
   const folded = (name) => folds.get(name) ?? many;
-  const cards = makeCards(system, shown, { folded, frameworks });
+  const cards = makeCards(system, shown, { folded, frameworks, unfolded: (name) => searching || unfolded.includes(name) });
   const edges = makeEdges(system, cards);
   const shape = shapeOf(cards, edges);
   const stage = useRef(null);
@@ -27,7 +29,7 @@ export function Graph({ system, shown, panels, select }) {
 
   const lit = [pointed, focused, ...panels].map((id) => cards.find((card) => card.id === id && bridgesOf(card))).find(Boolean);
 
-  const fold = (card) => setFolds(new Map(folds).set(card.title, !card.folded));
+  const fold = (card) => (card.kind === "manager" ? unfold(card.title) : setFolds(new Map(folds).set(card.title, !card.folded)));
   const foldAll = (all) => setFolds(new Map(shown.map((func) => [func.name, all])));
   const allFolded = shown.length > 0 && shown.every((func) => folded(func.name));
   const stop = cards.some((card) => card.id === focused) ? focused : cards[0]?.id;
@@ -81,7 +83,7 @@ function keyAction(event, { card, cards, edges, layout, camera, fold, focus }) {
   if (event.key === "-") return () => camera.zoomBy(0.8);
   if (event.key === "0") return camera.fitAll;
   if (!card) return null;
-  if (event.key.toLowerCase() === "f" && card.kind === "function") return () => fold(card);
+  if (event.key.toLowerCase() === "f" && FOLDING.includes(card.kind)) return () => fold(card);
   if (!event.key.startsWith("Arrow")) return null;
   const next = neighbour(card.id, event.key, cards, layout.places, edges);
   return () => next && focus(next);

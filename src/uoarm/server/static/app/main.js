@@ -1,7 +1,7 @@
 // The page: one store, one address, the views.
 
 import { render, useEffect, useMemo, useState } from "../vendor/htm-preact.js";
-import { keyOf, KINDS, readAddress, withChange, withMove, withoutPanel, withPanel, writeAddress } from "./address.js";
+import { keyOf, KINDS, readAddress, withChange, withMove, withoutPanel, withPanel, withToggled, writeAddress } from "./address.js";
 import { Approvals } from "./approvals.js";
 import { Configuration } from "./configuration.js";
 import { Dock } from "./dock.js";
@@ -29,17 +29,19 @@ function App({ store }) {
   const selected = address.panels.map(keyOf).join("&");
   const open = act.open;
   const select = ({ kind, title, data }, beside) =>
-    open(kind, { connection: data?.id, bridge: data?.name }[kind] ?? title, beside);
+    open(kind === "manager" ? "bridge" : kind, { connection: data?.id, bridge: data?.name }[kind] ?? title, beside);
+  const unfold = (name) => go({ ...read(), unfolded: withToggled(read().unfolded, name) }, { replace: true });
   const follow = (kind, name) => {
     const owner = kind === "component" && store.functions.find((func) => func.components.some((part) => part.name === name));
     if (owner) open("function", owner.name);
     else if (KINDS.includes(kind)) open(kind, name);
   };
   const given = { system: store.system, shown, panels: address.panels.map(keyOf), select };
+  const groups = { searching: query.trim() !== "", unfolded: address.unfolded, unfold };
   const view = useMemo(() => {
     if (!NARROWED.has(address.view) || !store.loaded) return null;
-    return address.view === "list" ? html`<${List} ...${given} />` : html`<${Graph} ...${given} />`;
-  }, [store.system, store.loaded, shown, selected, address.view]);
+    return address.view === "list" ? html`<${List} ...${given} />` : html`<${Graph} ...${given} ...${groups} />`;
+  }, [store.system, store.loaded, shown, selected, address.view, address.unfolded.join()]);
 
   return html`
     <${Header} store=${store} address=${address} query=${query} setQuery=${setQuery} />

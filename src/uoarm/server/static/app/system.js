@@ -41,6 +41,7 @@ export function join(functions, status, events = [], session = "") {
         .map((client) => ({ ...client, own: client.session === session })),
     })),
     bridges: status.bridges.map((bridge) => ({ ...bridge })),
+    managers: status.bridges.filter(({ plugin }) => plugin === "remote").map(({ name }) => name),
     machines: status.machines.map((machine) => ({ ...machine, health: machine.present ? "ok" : "lost" })),
     routes,
   };
