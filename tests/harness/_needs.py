@@ -145,6 +145,7 @@ MODULES = {
     "plugins/uoarm-ros2/tests/test_cbor_raw.py": ("ros2", "rosbridge"),
     "plugins/uoarm-ros2/tests/test_navigation_example.py": ("ros2", "compiler"),
     "plugins/uoarm-ros2/tests/test_diagnostics.py": ("ros2", "diagnostic_msgs"),
+    "plugins/uoarm-ros2/tests/test_read_diagnostics.py": ("ros2", "diagnostic_msgs"),
     "plugins/uoarm-ros2/tests/*": ("ros2",),
     "plugins/uoarm-rtm/tests/*": ("rtm",),
     "plugins/uoarm-rocos/tests/*": ("rocos",),

@@ -181,6 +181,32 @@ class Doer:
         self.node.destroy_publisher(publisher)
         return {}
 
+    def diagnose(self, entries: list[Any], count: int = 0) -> dict[str, Any]:
+        """Publish an array of entries, and of so many others before, ten times a second."""
+        from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+
+        made = [
+            DiagnosticStatus(
+                name=name,
+                level=bytes([level]),
+                message=message,
+                values=[KeyValue(key=key, value=value) for key, value in values.items()],
+            )
+            for name, level, message, values in entries
+        ]
+        others = [DiagnosticStatus(name=f"other {number}") for number in range(count)]
+        self.array = DiagnosticArray(status=[*others, *made])
+        if "/diagnostics" not in self.publishers:
+            publisher = self.node.create_publisher(DiagnosticArray, "/diagnostics", profile())
+            self.publishers["/diagnostics"] = publisher
+            self.timer = self.node.create_timer(0.1, lambda: publisher.publish(self.array))
+        return {}
+
+    def end_diagnosis(self) -> dict[str, Any]:
+        """Publish no more arrays, and stay."""
+        self.timer.cancel()
+        return {}
+
     def subscribe(self, topic: str, kind: str = "Int64", **qos: Any) -> dict[str, Any]:
         native = {"Int64": Int64, "Image": Image, "String": String}[kind]
         seen: list[Any] = []

@@ -30,6 +30,7 @@ from uoarm.model import Endpoint, Health, Message, MessageStructure, Role
 from uoarm_ros2._actions import Action, ActionSink, ActionSource
 from uoarm_ros2._channels import PublisherSink, SameTopicLink, SerialisedRelay, SubscriptionSource
 from uoarm_ros2._conversion import writer
+from uoarm_ros2._diagnostics import DiagnosticsReader
 from uoarm_ros2._discovery import NodePresence, Ros2Graph, Topic, discovered
 from uoarm_ros2._health import SimulatedClock
 from uoarm_ros2._managed_nodes import ManagedNodes, NodeAccess
@@ -231,6 +232,7 @@ class Ros2Bridge(Bridge):
             self._report_component,
         )
         self._managed = ManagedNodes(access, self._graph, self._runner.topic_name)
+        self._diagnostics = DiagnosticsReader(self._runner, self._graph, self._report_component)
         self._lookups = FrameLookups(self._runner, self._graph, self._types.find)
         self._called: dict[Ros2Address, ServiceClient | Action] = {}
         self._disagreements: dict[str, str] = {}
@@ -253,6 +255,7 @@ class Ros2Bridge(Bridge):
             if not endpoint.is_offered:
                 self._require_server(address, options, action=True)
             return Description(message=part_structure(address.type, address.part))
+        self._diagnostics.require_well(options.diagnostics, endpoint.component)
         topic = self._graph.topic(address, endpoint.role, options)
         self._mention_others(topic, endpoint)
         return Description(message=self._structure(topic.type, topic.name))
@@ -398,6 +401,7 @@ class Ros2Bridge(Bridge):
     def _close(self) -> None:
         self._managed.close(_LEAVE_SECONDS)
         self._lookups.close()
+        self._diagnostics.close()
         self._watched.clear()
         self._shared.close()
         self._participant.close(_CLOSE_SECONDS)
@@ -423,6 +427,7 @@ class Ros2Bridge(Bridge):
     def _topic_context(
         self, endpoint: Endpoint, address: Ros2Address, options: Ros2Options
     ) -> TopicContext:
+        self._diagnostics.require_well(options.diagnostics, endpoint.component)
         topic = self._graph.topic(address, endpoint.role, options)
         self._mention_others(topic, endpoint)
         native = self._types.find(topic.type, topic.name)
@@ -437,6 +442,7 @@ class Ros2Bridge(Bridge):
             options.policies.for_type(large=large),
             self._options.settle,
             self._report_channel,
+            self._diagnostics,
             self._clock,
         )
 
@@ -498,6 +504,7 @@ class Ros2Bridge(Bridge):
         self.report(Health.LOST, text)
 
     def _tick(self) -> None:
+        self._diagnostics.tick()  # before the channels that it judges
         for channel, tick in list(self._watched.items()):
             if channel.closed:
                 self._watched.pop(channel, None)

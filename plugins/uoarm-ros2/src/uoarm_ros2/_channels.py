@@ -17,7 +17,7 @@ from uoarm.model import Deliver, Health, Message, OverflowPolicy, QueuePolicy
 from uoarm_ros2._health import monitored
 from uoarm_ros2._middleware import Peer, publish_released, rclpy_errors
 from uoarm_ros2._qos import KEEP_ALL_SECONDS, Policies, clashes, for_reading, for_writing
-from uoarm_ros2._topic_endpoint import TopicContext, TopicEndpoint
+from uoarm_ros2._topic_endpoint import TopicContext, TopicEndpoint, judge_by_entry
 
 __all__ = ["PublisherSink", "SameTopicLink", "SerialisedRelay", "SubscriptionSource"]
 
@@ -435,11 +435,14 @@ class SameTopicLink(Channel):
         self._sink = sink
         self._health = monitored(f"topic {source.topic.name}", self, source.report)
         self._health.connected()
+        self._entries = [entry for end in (source, sink) if (entry := end.entry()) is not None]
 
     def tick(self) -> None:
-        """Look at the graph."""
+        """Look at the graph, and at what the ends say of themselves."""
         missing = self._missing()
         self._health.connected(0 if missing else 1, missing)
+        for entry in self._entries:
+            judge_by_entry(self._health, entry)
 
     def facts(self) -> Mapping[str, object]:
         """Return how many publishers and subscriptions the topic has; nothing after the end."""
@@ -460,4 +463,5 @@ class SameTopicLink(Channel):
         return ""
 
     def _close(self) -> None:
-        pass
+        for entry in self._entries:
+            entry.close()

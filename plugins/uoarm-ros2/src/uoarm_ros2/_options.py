@@ -153,6 +153,11 @@ class Ros2Options(PeerOptions):
         {"enum": ["deactivate", "cleanup", "leave"]},
         "what then becomes of the node: `deactivate`, `cleanup` or `leave`",
     )
+    diagnostics: str = option(
+        "",
+        {"type": "string", "maxLength": 256, "examples": ["driver: left wheel"]},
+        "the entry on `/diagnostics` that says how the component is",
+    )
 
     @property
     def policies(self) -> QosOptions:
@@ -191,6 +196,12 @@ def options_of(endpoint: Endpoint) -> Ros2Options:
         if endpoint.is_offered and (options.node or options.activate):
             raise ValueError(
                 "what is offered stands on no node: node and activate do not go with it"
+            )
+        is_topic = endpoint.role is not Role.SERVICE and _address(endpoint.address).kind == MESSAGE
+        if options.diagnostics and (endpoint.is_offered or not is_topic):
+            raise ValueError(
+                "diagnostics goes with topics of a component: services, actions and what is "
+                "offered are not judged by it"
             )
     return options
 

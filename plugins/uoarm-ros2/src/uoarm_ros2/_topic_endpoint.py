@@ -13,13 +13,14 @@ from attrs import frozen
 from uoarm.bridge import Channel, ChannelMonitor, HealthReason
 from uoarm.errors import BridgeError, FailureReason
 from uoarm.model import Endpoint, Health
+from uoarm_ros2._diagnostics import DiagnosticsReader, EntryLease
 from uoarm_ros2._discovery import Ros2Graph, Topic
 from uoarm_ros2._health import PROMISED, Report, monitored, promised_silence
 from uoarm_ros2._middleware import UNNAMED, NodeRunner, Peer
 from uoarm_ros2._options import Ros2Options
 from uoarm_ros2._qos import Policies, QosOptions
 
-__all__ = ["TopicContext", "TopicEndpoint"]
+__all__ = ["TopicContext", "TopicEndpoint", "judge_by_entry"]
 
 _CLASH_TICKS = 5
 _NAME_SECONDS = 0.5
@@ -40,7 +41,17 @@ class TopicContext:
     qos: QosOptions
     settle: float
     report: Report
+    diagnostics: DiagnosticsReader
     clock: Callable[[], float] = time.monotonic
+
+    def entry(self) -> EntryLease | None:
+        """Return the entry that the options name, read until it is closed; None: they name none.
+
+        Raises:
+            BridgeError: diagnostics cannot be read.
+        """
+        name = self.options.diagnostics
+        return self.diagnostics.watch(name, self.endpoint.component) if name else None
 
     def health(self, channel: Channel, *, receives: bool = False) -> ChannelMonitor:
         """Return what judges a channel here; `receives`: whether messages come in by it."""
@@ -54,6 +65,13 @@ class TopicContext:
             learns=receives,
             clock=self.clock,
         )
+
+
+def judge_by_entry(health: ChannelMonitor, entry: EntryLease) -> None:
+    """Have a channel judged by what its peer says of itself on `/diagnostics`."""
+    verdict = entry.verdict()
+    if verdict is not None:
+        health.peer_reported(*verdict, about=entry.name)
 
 
 class TopicEndpoint(ABC):
@@ -93,7 +111,12 @@ class TopicEndpoint(ABC):
         self._closed = False  # set by any thread; a tick under way may still report
         self.departures = 0
         self.policies = self._fitting(self.peers())
-        self.native = self._create()
+        self._entry = context.entry()
+        try:
+            self.native = self._create()
+        except BaseException:
+            self._release_entry()
+            raise
 
     @abstractmethod
     def graph_peers(self, topic: str) -> tuple[Peer, ...]:
@@ -161,6 +184,8 @@ class TopicEndpoint(ABC):
         self._health.tick(self._note)
         if self._closed:
             return
+        if self._entry is not None:
+            judge_by_entry(self._health, self._entry)
         if self._clash_checks:
             self._clash_checks -= 1
             self._resolve_clash()
@@ -188,11 +213,13 @@ class TopicEndpoint(ABC):
             "qos_clashes": self._incompatible,
             "deadlines_missed": self._deadlines_missed,
             "qos": str(self.policies),
+            **(self._entry.facts() if self._entry is not None else {}),
         }
 
     def close(self) -> None:
         """Put the native endpoint away."""
         self._closed = True
+        self._release_entry()
         self._context.runner.discard(self.native)
 
     def events(self) -> Events:
@@ -213,6 +240,10 @@ class TopicEndpoint(ABC):
         """Note how many messages the middleware has lost since opening."""
         self._lost = total
         self._health.missed(f"{total} messages lost by the middleware since opening")
+
+    def _release_entry(self) -> None:
+        if self._entry is not None:
+            self._entry.close()
 
     def _judge(self, about: str, problem: str, well: str, *, total: bool = False) -> None:
         """Report a problem that lasts, or its end; `total`: no peer is without it."""
