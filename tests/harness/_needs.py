@@ -96,6 +96,7 @@ NEEDS = {
     "ros1": Need("pip install -e 'plugins/uoarm-ros1[dev]'", packages=("uoarm_ros1", "rosbags")),
     "rospy": Need(
         "apt install python3-rosmaster python3-rospy python3-std-msgs python3-sensor-msgs "
+        "python3-nav-msgs "
         "python3-std-srvs python3-actionlib python3-tf2-ros",
         files=("usr/lib/python3/dist-packages/rospy/__init__.py",),
     ),
