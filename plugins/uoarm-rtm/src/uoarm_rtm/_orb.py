@@ -33,7 +33,6 @@ __all__ = [
     "calls",
     "corba_errors",
     "corba_text",
-    "deliveries",
     "environment",
     "limit",
     "narrowed",
@@ -79,11 +78,6 @@ class CallGuard:
             self._ended = True
             return self._changed.wait_for(lambda: not self._count, seconds)
 
-    @property
-    def is_busy(self) -> bool:
-        """Whether a call is under way."""
-        return bool(self._count)
-
     def begin(self) -> None:
         """Let calls begin, with a new ORB."""
         with self._changed:
@@ -92,8 +86,6 @@ class CallGuard:
 
 calls = CallGuard()
 """Of this process, as the ORB is: every call is among them."""
-deliveries = CallGuard()
-"""Of this process, too: calls of others that bring a message, while it is delivered."""
 
 
 _GONE = (CORBA.COMM_FAILURE, CORBA.TRANSIENT, CORBA.OBJECT_NOT_EXIST, CORBA.INV_OBJREF)
@@ -257,10 +249,7 @@ class Orb:
             return self._orb.string_to_object(text)
 
     def close(self) -> None:
-        """Let go; the last user's call ends the ORB and waits at most 5 s for it.
-
-        It does not wait where a message is still being delivered, which the end of the ORB does.
-        """
+        """Let go; the last user's call ends the ORB and waits at most 5 s for it."""
         with _shared.lock:
             if self._closed:
                 return
@@ -268,10 +257,7 @@ class Orb:
             _shared.users -= 1
             ending = _end() if _shared.users == 0 else None
         if ending is not None:
-            # Channels are closed by now: a delivery that has not ended began before, and may have
-            # asked for this. The next ORB waits for this one to end.
-            if not deliveries.is_busy:
-                ending.join()
+            ending.join()
         else:
             threading.Thread(target=_destroy_poa, args=(self._poa,), daemon=True).start()
 
