@@ -54,7 +54,7 @@ COVERED = """
   return boxes.flatMap((a, at) => boxes.slice(at + 1).filter((b) => meet(a, b))).length;
 })()
 """
-THIRD = '[data-card="manager/robot3"]'
+THIRD, FOURTH = '[data-card="manager/robot3"]', '[data-card="manager/robot4"]'
 pytestmark = [pytest.mark.needs("chromium"), pytest.mark.needs("remote")]
 
 
@@ -64,8 +64,6 @@ def robot() -> Iterator[RobotManager]:
     front.reset()
     with manage(ROBOT) as far, serve_in_thread(far, ServerOptions(port=0)) as server:
         with manage(DESK.format(url=f"ws://127.0.0.1:{server.ports[0]}/")) as desk:
-            for function in ("drive3", "drive4"):  # a bridge that was never asked has no status
-                desk.resolve(function)
             yield desk
         front.put(END)
 
@@ -79,6 +77,7 @@ def test_a_manager_is_one_card_and_what_it_gives_draws_its_edges_to_it(
     browser.until(f"{CARDS} === 'connection/c1,function/echo,manager/robot3,manager/robot4'")
     browser.until(says(f"{THIRD}.is-ok", "2 functions, 1 connection in use"))
     browser.until(says(THIRD, "ws://127.0.0.1:"))
+    browser.until(says(f"{FOURTH}.is-idle", "not connected yet"))  # nothing was asked of it
     browser.until("document.querySelectorAll('.edge.flows').length === 1")
     assert browser.js(COVERED) == 0
     browser.click(THIRD)
@@ -97,7 +96,7 @@ def test_it_is_as_bad_as_its_worst_part(browser: Browser, visit: Visit, talk: Co
     browser.until(says(f"{THIRD}.is-ok", "1 connection in use"))
     front.put(RuntimeError("the lens cap is on"))
     browser.until(says(f"{THIRD}.is-lost", "0 connections in use"))
-    assert browser.js(text('[data-card="manager/robot4"].is-ok'))
+    assert browser.js(text(f"{FOURTH}.is-idle"))
 
 
 def test_keys_unfold_it_and_the_address_keeps_that(browser: Browser, visit: Visit) -> None:

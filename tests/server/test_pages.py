@@ -49,6 +49,7 @@ def test_functions_are_listed_with_what_they_use(talk: Connect) -> None:
     functions = {function["name"]: function for function in talk().ask("List")["functions"]}
     assert functions["doubled"]["components"][0]["uses"] == ["numbers"]
     assert functions["numbers"]["components"][0]["uses"] == []
+    assert functions["numbers"]["components"][0]["plugin"] == "python"
 
 
 def test_what_cannot_be_resolved_gives_its_candidates_as_data(talk: Connect) -> None:

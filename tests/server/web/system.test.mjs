@@ -32,8 +32,10 @@ test("rates, drops and health are joined to components and applications", () => 
 });
 
 test("components that play a recording are marked", () => {
-  const bridges = [{ name: "ros", plugin: "recording", health: "ok", open_channels: 2, cause: "" }];
-  const system = join(FUNCTIONS, { ...STATUS, bridges });
+  const plugin = { ros: "recording", python: "python" };
+  const components = (func) => func.components.map((part) => ({ ...part, plugin: plugin[part.bridge] }));
+  const functions = FUNCTIONS.map((func) => ({ ...func, components: components(func) }));
+  const system = join(functions, { ...STATUS, bridges: [] }); // none was asked yet
   assert.deepEqual(system.functions.flatMap((func) => func.rows.map((row) => row.recorded)), [true, true, false]);
   assert.equal(sayThrough(system, ["cam", "haar"]), "cam (recorded) → haar");
 });

@@ -86,13 +86,13 @@ class FunctionLists:
 def list_functions(robot: Robot, view: RoleView) -> list[dict[str, Any]]:
     """Return the functions that a role sees, as List shows them."""
     return [
-        _describe(function, view)
+        _describe(function, robot, view)
         for function in robot.functions.values()
         if view.has_function(function.name)
     ]
 
 
-def _describe(function: Function, view: RoleView) -> dict[str, Any]:
+def _describe(function: Function, robot: Robot, view: RoleView) -> dict[str, Any]:
     outputs: dict[str, None] = {}
     inputs: dict[str, None] = {}
     for component in function.components:
@@ -108,6 +108,7 @@ def _describe(function: Function, view: RoleView) -> dict[str, Any]:
             {
                 "name": component.name,
                 "bridge": component.bridge,
+                "plugin": robot.bridges[component.bridge].plugin,
                 "priority": component.priority,
                 "uses": [name for name in _uses(component) if view.has_function(name)],
             }

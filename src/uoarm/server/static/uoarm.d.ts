@@ -72,7 +72,7 @@ export interface FunctionInfo {
   service: boolean;
   outputs: string[];
   inputs: string[];
-  components: { name: string; bridge: string; priority: number }[];
+  components: { name: string; bridge: string; plugin: string; priority: number }[];
 }
 
 export interface Change {

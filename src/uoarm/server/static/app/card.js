@@ -6,12 +6,13 @@ import { Framework, Health, hueOf, html, Icon, isBeside } from "./ui.js";
 
 const canFold = ({ kind, data }) => kind === "function" || (kind === "manager" && data.own.length > 0);
 const sayManager = ({ functions, used }) => `${plural(functions, "function")}, ${plural(used, "connection")} in use`;
+const placeOf = ({ url }) => url || "not connected yet"; // known once it was asked for something
 const sayMachine = ({ present }) => (present ? "here" : "not here");
 
 /** What the card says, as one sentence for a screen reader. */
 export function sayCard({ kind, title, health, data }) {
   if (kind === "bridge") return `Framework ${title}, ${health}, ${data.open} of ${data.all} running`;
-  if (kind === "manager") return `Manager ${title}, ${health}, ${sayManager(data)}, ${data.url}`;
+  if (kind === "manager") return `Manager ${title}, ${health}, ${sayManager(data)}, ${placeOf(data)}`;
   if (kind === "machine") return `Machine ${title}, ${sayMachine(data)}`;
   if (kind === "connection") return `${title} uses ${data.function}, ${data.state}, ${rate(data.rate)}`;
   const open = data.rows.filter((row) => row.open);
@@ -38,7 +39,7 @@ export function Card({ card, place, selected, dim, stop, select, fold }) {
       ${card.kind === "connection" && html`<${Application} data=${card.data} />`}
       ${card.kind === "bridge" && html`<p class="card-note framework hue${hueOf(card.title)}">${card.data.open} of ${card.data.all} running</p>`}
       ${card.kind === "manager" && html`<p class="card-note">${sayManager(card.data)}</p>
-        <p class="card-note" title=${card.data.url}>${card.data.url}</p>`}
+        <p class="card-note" title=${placeOf(card.data)}>${placeOf(card.data)}</p>`}
       ${card.kind === "machine" && html`<p class="card-note">machine · ${sayMachine(card.data)}</p>`}
     </div>`;
 }

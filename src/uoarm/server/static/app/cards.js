@@ -48,8 +48,9 @@ function managerCards({ managers, bridges, connections }, shown, unfolded) {
     const parts = new Set(rows.map((row) => row.name));
     const used = connections.filter(({ components }) => components.some((part) => parts.has(part))).length;
     const live = bridges.find((bridge) => bridge.name === name);
-    const data = { name, own, functions: functions.length, used, url: new Map(live.facts ?? []).get("url") ?? "" };
-    const health = worst([live.health, ...rows.map((row) => row.health)]);
+    const url = new Map(live?.facts ?? []).get("url") ?? "";
+    const data = { name, own, functions: functions.length, used, url };
+    const health = worst([live?.health ?? "idle", ...rows.map((row) => row.health)]);
     return [{ id: `manager/${name}`, kind: "manager", title: name, health, data,
       folded: own.length > 0 && !unfolded(name), rows: [], width: WIDTH, height: 86 }];
   });

@@ -23,7 +23,6 @@ export const endOf = (place, names) =>
 export function join(functions, status, events = [], session = "") {
   const deaths = lastDeaths(events);
   const open = new Map(status.components.map((component) => [component.name, component]));
-  const played = new Set(status.bridges.filter(({ plugin }) => plugin === "recording").map(({ name }) => name));
   const names = new Set([...open.keys(), ...status.connections.map((connection) => connection.id)]);
   const routes = status.routes.map((route) => ({
     ...route,
@@ -33,15 +32,16 @@ export function join(functions, status, events = [], session = "") {
   }));
   const from = groupBy(routes, (route) => route.from);
   const to = groupBy(routes, (route) => route.to);
+  const parts = functions.flatMap((func) => func.components); // also of bridges that were not asked yet
   return {
-    functions: functions.map((func) => withRows(func, open, { from, to, played }, deaths)),
+    functions: functions.map((func) => withRows(func, open, { from, to }, deaths)),
     connections: status.connections.map((connection) => ({
       ...withFlow(connection, to.get(connection.id) ?? from.get(connection.id) ?? []),
       clients: (status.clients ?? []).filter((client) => client.connections.includes(connection.id))
         .map((client) => ({ ...client, own: client.session === session })),
     })),
     bridges: status.bridges.map((bridge) => ({ ...bridge })),
-    managers: status.bridges.filter(({ plugin }) => plugin === "remote").map(({ name }) => name),
+    managers: [...new Set(parts.filter(({ plugin }) => plugin === "remote").map(({ bridge }) => bridge))],
     machines: status.machines.map((machine) => ({ ...machine, health: machine.present ? "ok" : "lost" })),
     routes,
   };
@@ -54,7 +54,7 @@ function withRows(described, open, routes, deaths) {
     const health = live?.health ?? (died ? "lost" : "idle");
     const cause = live?.cause || (live ? "" : died?.cause) || "";
     const users = live?.users ?? [];
-    const recorded = routes.played.has(part.bridge);
+    const recorded = part.plugin === "recording";
     const own = { recorded, failed: live?.failed ?? 0, error: live?.last_error ?? "", commands: commandsOf(live) };
     return { ...part, open: Boolean(live), health, cause, users, ...flowOf(part.name, routes), ...own };
   });
