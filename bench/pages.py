@@ -1,6 +1,8 @@
 """Figures of the pages: words, the length of sentences, words that no reader searches for.
 
-`python -m bench.pages` prints them by page. `tests/docs/test_plain_words.py` holds them.
+`python -m bench.pages` prints them by page. `tests/docs/test_plain_words.py` holds them. Words that
+are made from the code are counted apart, since nothing on a page can shorten them: the page of the
+error codes, and tables of options, which tests compare with the code.
 """
 
 from __future__ import annotations
@@ -28,6 +30,12 @@ _MEASURED = re.compile(
     r"\bload (?:of )?\d|\bp99\b|\bmedians?\b|\b(?:two|four) (?:shared )?cores\b",
     re.IGNORECASE,
 )
+# Tables of `uoarm.bridge.options_table`.
+_OPTIONS = re.compile(
+    r"^\| (?:option|policy|member)(?: of an? \w+)? \| default \| meaning \|\n(?:\|.*\n?)*",
+    re.MULTILINE,
+)
+_GENERATED_PAGES = {"errors.md"}  # of `uoarm explain --markdown`
 _FENCE = re.compile(r"^( *)(`{3,}|~{3,}).*?^\1\2[`~]*$", re.MULTILINE | re.DOTALL)
 _LINK = re.compile(r"!?\[([^\]]*)\]\([^)]*\)")
 _WORD = re.compile(r"[A-Za-z0-9`][\w`'.,/-]*")
@@ -39,6 +47,8 @@ class PageFigures:
     """What was counted on one page."""
 
     words: int
+    generated: int
+    """How many of them are made from the code."""
     sentence: float
     """The mean number of words of a sentence of running text."""
     longest: str
@@ -83,8 +93,11 @@ def page_figures(page: Path) -> PageFigures:
     vague = words_of_prose(prose)
     del vague["pulse"]  # of a patient, on the pages about devices
     vague.update(match.lower() for match in _PHRASES.findall(prose))
+    words = len(text.split())
+    tables = sum(len(table.split()) for table in _OPTIONS.findall(text))
     return PageFigures(
-        words=len(text.split()),
+        words=words,
+        generated=words if page.name in _GENERATED_PAGES else tables,
         sentence=round(statistics.mean(lengths), 1) if lengths else 0.0,
         longest=max(sentences, key=lambda sentence: len(_WORD.findall(sentence)), default=""),
         vague=vague,
@@ -96,15 +109,23 @@ def main() -> None:
     """Print the figures of every page, and of all together."""
     figures = {page.name: page_figures(page) for page in pages()}
     rows = [
-        (name, f"{page.words}", f"{page.sentence}", f"{page.vague.total()}", f"{page.measured}")
+        (
+            name,
+            f"{page.words}",
+            f"{page.generated}",
+            f"{page.sentence}",
+            f"{page.vague.total()}",
+            f"{page.measured}",
+        )
         for name, page in figures.items()
     ]
     words = [page.words for page in figures.values()]
-    rows.append(("all", f"{sum(words)}", "", "", ""))
-    rows.append(("median", f"{statistics.median(words):g}", "", "", ""))
-    print_table(
-        "The pages", ("page", "words", "words a sentence", "vague words", "measurements"), rows
-    )
+    generated = [page.generated for page in figures.values()]
+    rows.append(("all", f"{sum(words)}", f"{sum(generated)}", "", "", ""))
+    rows.append(("all that is written", f"{sum(words) - sum(generated)}", "", "", "", ""))
+    rows.append(("median", f"{statistics.median(words):g}", "", "", "", ""))
+    headings = ("page", "words", "made from code", "words a sentence", "vague", "measurements")
+    print_table("The pages", headings, rows)
 
 
 if __name__ == "__main__":
