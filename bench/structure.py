@@ -25,6 +25,7 @@ __all__ = [
     "loop_variables",
     "prose_of",
     "python_files",
+    "small_modules",
     "structure_figures",
     "words_of_names",
     "words_of_prose",
@@ -55,6 +56,7 @@ _WORD_OF = {form: word for word, forms in WORDS.items() for form in forms}
 _VAGUE = {"one", "each"}
 _LOOP = re.compile(r"\b(?:one|each)\b[^:=]{0,80}\bin\b")
 _CLASS = re.compile(r"^class [A-Za-z]", re.MULTILINE)
+_ENTRY_POINT = re.compile(r'[\w-]+ = "([\w.]+)(?::\w+)?"$')
 _PARTS = re.compile(r"[A-Z]?[a-z]+")
 _LOWER = re.compile(r"[a-z]+")
 # The modules whose comments say what the code cannot: locks, orders, races.
@@ -148,6 +150,48 @@ def _importers(trees: Mapping[Path, ast.Module]) -> Counter[str]:
     return counts
 
 
+def _entry_points(root: Path) -> set[str]:
+    """Return the modules that a distribution names as a way in: scripts and plugins."""
+    found: set[str] = set()
+    for path in (root / "pyproject.toml", *root.glob("plugins/*/pyproject.toml")):
+        for line in path.read_text(encoding="utf-8").splitlines():
+            if match := _ENTRY_POINT.match(line):
+                found.add(match[1])
+    return found
+
+
+def _is_public(name: str) -> bool:
+    return not any(part.startswith("_") for part in name.split("."))
+
+
+def small_modules(root: Path = ROOT) -> Iterator[Path]:
+    """Yield modules under 80 lines that are no door of their own: join each with its importer.
+
+    A door is what three modules import, what a distribution's entry points name, what is public,
+    and what defines a name that a public package lists in its `__all__`.
+    """
+    trees = {
+        path: ast.parse(path.read_text(encoding="utf-8"))
+        for path in python_files("src", "plugins/*/src", root=root)
+    }
+    importers = _importers(trees)
+    doors = _entry_points(root)
+    for path, tree in trees.items():
+        if path.name == "__init__.py" and _is_public(_module_name(path)):
+            doors |= {
+                node.module
+                for node in tree.body
+                if isinstance(node, ast.ImportFrom) and node.module
+            }
+    for path in trees:
+        name = _module_name(path)
+        is_door = _is_public(name) or name in doors or importers[name] > 2
+        if is_door or path.name in {"__init__.py", "__main__.py"}:
+            continue
+        if path.read_text(encoding="utf-8").count("\n") < _SMALL:
+            yield path
+
+
 def structure_figures(root: Path = ROOT) -> dict[str, float]:
     """Return the figures of a checkout, by name; lines are all lines of a file."""
     figures: dict[str, float] = {}
@@ -167,17 +211,14 @@ def structure_figures(root: Path = ROOT) -> dict[str, float]:
     for path in python_files("src", "plugins/*/src", root=root):
         trees[path] = ast.parse(path.read_text(encoding="utf-8"))
         lambdas += sum(isinstance(node, ast.Lambda) for node in ast.walk(trees[path]))
-    importers = _importers(trees)
     lengths = {path: path.read_text(encoding="utf-8").count("\n") for path in trees}
     modules = [path for path in trees if path.name not in {"__init__.py", "__main__.py"}]
-    small = [
-        path for path in modules if lengths[path] < _SMALL and importers[_module_name(path)] < 3
-    ]
+    small = list(small_modules(root))
     figures |= {
         "modules of core and plugins": len(trees),
         "median lines of a module": statistics.median(lengths[path] for path in modules),
         "modules over 600 lines": sum(length > 600 for length in lengths.values()),
-        f"modules under {_SMALL} lines with fewer than three importers": len(small),
+        f"modules under {_SMALL} lines that are no door": len(small),
         "lambdas": lambdas,
         "loop variables named one or each": loops,
         "classes of one name": sum(len(places) > 1 for places in class_names(root).values()),

@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from bench.structure import small_modules
 
 import uoarm
 from uoarm.testing import patience
@@ -307,3 +308,40 @@ def test_a_plugin_imports_what_is_public_only(path: Path) -> None:
 def test_private_imports_are_found(line: str) -> None:
     assert _private(line)
     assert not _private(line.replace("uoarm", "uoarm_ros2").replace("_origin", "errors"))
+
+
+# Small modules that stay, each with why; every other one lives with its only importers.
+SMALL = {
+    "src/uoarm/_run_as_module.py",  # is imported for what it does, before anything else of ours
+    "plugins/uoarm-rtm/src/uoarm_rtm/_back_end/uoarm_idl_names.py",  # omniidl finds it by its path
+    # Every plugin has these names, also where there is little to say: who knows one knows all.
+    "plugins/uoarm-rocos/src/uoarm_rocos/_discovery.py",
+    "src/uoarm/cli/template/src/uoarm_example/_discovery.py",
+    "src/uoarm/cli/template/src/uoarm_example/_health.py",
+}
+
+
+def test_a_small_module_has_three_importers_or_is_a_way_in() -> None:
+    found = {str(path.relative_to(PLUGINS.parent)) for path in small_modules()}
+    assert found - SMALL == set(), "join each with the module that imports it"
+    assert SMALL - found == set(), "no exceptions any more: take them out"
+
+
+def test_small_modules_are_found(tmp_path: Path) -> None:
+    subprocess.run(["git", "init", "-q"], cwd=tmp_path, check=True, timeout=patience())
+    package = tmp_path / "src" / "thing"
+    package.mkdir(parents=True)
+    sources = {
+        "__init__": "from thing._public import Public",
+        "_public": "from thing._inner import inner",
+        "_inner": "",
+        "_entry": "from thing._public import Public",
+        "_large": "\n" * 80,
+        "_shared": "",
+        "open": "",
+        **{f"_user{number}": "from thing import _shared\n" + "\n" * 80 for number in range(3)},
+    }
+    for name, source in sources.items():
+        (package / f"{name}.py").write_text(source, encoding="utf-8")
+    (tmp_path / "pyproject.toml").write_text('[project.scripts]\nrun = "thing._entry:main"\n')
+    assert [path.stem for path in small_modules(tmp_path)] == ["_inner"]

@@ -18,15 +18,20 @@ from typing import Any, Protocol, TypeVar
 from websockets.exceptions import InvalidHandshake, InvalidStatus
 
 from uoarm.bridge import Backoff, asking_managers, refuse_loop
-from uoarm.client import RemoteRobot, ServerAddress, ThreadAnswer, trust_fingerprint
+from uoarm.client import RemoteRobot, ServerAddress, ServerError, ThreadAnswer, trust_fingerprint
 from uoarm.errors import (
     BridgeError,
     BridgeTimeoutError,
+    CommandRefusedError,
     ConfigurationError,
+    ConnectionClosedError,
     FailureReason,
+    MessageError,
+    PluginError,
+    ResolutionError,
     UoarmError,
+    UsageError,
 )
-from uoarm_remote._failures import translated
 from uoarm_remote._options import ManagerOptions
 
 __all__ = [
@@ -34,6 +39,7 @@ __all__ = [
     "LinkMember",
     "ManagerLink",
     "server_address",
+    "translated",
     "why_unreachable",
 ]
 
@@ -479,3 +485,34 @@ def _refusal(error: InvalidStatus) -> str:
         403: "it does not let this manager in",
     }.get(status, "it refused")
     return f"{why} (HTTP {status})"
+
+
+_REASONS: Mapping[type[UoarmError], FailureReason] = {
+    ResolutionError: FailureReason.UNAVAILABLE,
+    ConnectionClosedError: FailureReason.UNAVAILABLE,
+    UsageError: FailureReason.BAD_ENDPOINT,
+    ConfigurationError: FailureReason.UNAVAILABLE,
+    PluginError: FailureReason.UNAVAILABLE,
+}
+_SERVER_REASONS: Mapping[str, FailureReason] = {"denied": FailureReason.NOT_FOUND}
+
+
+def translated(place: str, error: UoarmError) -> UoarmError:
+    """Return what a bridge raises for an error that came over the link.
+
+    A message that does not fit, and a command that is refused there, stay what they are: they are
+    no failure of the link or of the component.
+    """
+    text = f"{place}: {error}"
+    if isinstance(error, MessageError):
+        return MessageError(text)
+    if isinstance(error, CommandRefusedError):
+        return CommandRefusedError(text, error.reason)
+    if isinstance(error, BridgeTimeoutError):
+        return BridgeTimeoutError(text)
+    if isinstance(error, BridgeError):
+        return BridgeError(text, error.reason)
+    if isinstance(error, ServerError):
+        return BridgeError(text, _SERVER_REASONS.get(error.code, FailureReason.REFUSED))
+    kinds = (reason for kind, reason in _REASONS.items() if isinstance(error, kind))
+    return BridgeError(text, next(kinds, FailureReason.REFUSED))

@@ -1,10 +1,16 @@
-"""Actions of one rosbridge client: goals that it sends, and goals of others that it works on."""
+"""Actions: goals that clients send, and goals of others that they work on.
+
+What works on the goals of one action is a function that is an action, another client, or a service:
+of a service the goal is its request, the result its reply; there is no feedback.
+"""
 
 from __future__ import annotations
 
+import asyncio
 import itertools
 from collections.abc import Callable, Mapping
-from typing import Any, TypeAlias
+from contextlib import suppress
+from typing import Any, Protocol, TypeAlias
 
 from attrs import frozen
 
@@ -13,6 +19,7 @@ from uoarm.errors import (
     ControlMessageError,
     FailureReason,
     MessageError,
+    UoarmError,
     UsageError,
 )
 from uoarm.model import Message, Plan, QueuePolicy, show_value
@@ -20,6 +27,7 @@ from uoarm.server.front_end import (
     Backend,
     Charge,
     Client,
+    Done,
     Goal,
     GoalStatus,
     Lane,
@@ -30,13 +38,201 @@ from uoarm.server.front_end import (
     coded_text,
     is_action,
 )
-from uoarm_rosbridge._hub import ActionHub
 from uoarm_rosbridge._names import NamedPort, find_place
-from uoarm_rosbridge._runners import CallRunner, Runner
-from uoarm_rosbridge._types import check_type, read_arguments, service_type
+from uoarm_rosbridge._types import check_type, is_same_type, read_arguments, reader_of, service_type
 from uoarm_rosbridge._wire import fragment_size, split, write_ros
 
-__all__ = ["Actions"]
+__all__ = ["ActionHub", "ActionProvider", "Actions"]
+
+
+class Runner(Protocol):
+    """Who works on the goals of one action."""
+
+    def start(self, goal: Goal) -> None:
+        """Begin with a goal; raises UoarmError when it is refused at once."""
+
+    def cancel(self, goal: Goal, done: Done) -> None:
+        """Ask for a goal's end; raises UoarmError where that cannot be asked.
+
+        What the goal ends with comes as its result; `done` is called with how the asking went.
+        """
+
+    def abandon(self, goal: Goal) -> None:
+        """Cancel, as far as it can be, a goal whose client has gone."""
+
+
+class ActionProvider(Protocol):
+    """A client that works on goals."""
+
+    def send(self, message: Mapping[str, Any]) -> None:
+        """Send one message to the client.
+
+        Raises:
+            BusyError: it leaves too much unread.
+            MessageError: the message has no form.
+        """
+
+
+@frozen(eq=False)
+class _Offer:
+    """A client's offer to work on the goals of one action; a runner for those who send them."""
+
+    name: str
+    kind: str
+    provider: ActionProvider
+    hub: ActionHub
+
+    def start(self, goal: Goal) -> None:
+        """Send a goal to the provider."""
+        if goal.kind and self.kind and not is_same_type(goal.kind, self.kind):
+            raise MessageError(
+                f"action {self.name!r} has the type {self.kind!r:.100}, not {goal.kind!r:.100}"
+            )
+        identity = self.hub.note(self, goal)
+        try:
+            self.provider.send(
+                {
+                    "op": "send_action_goal",
+                    "id": identity,
+                    "action": self.name,
+                    "action_type": self.kind,
+                    "args": {} if goal.arguments is None else goal.arguments,
+                    "feedback": True,
+                }
+            )
+        except BaseException:
+            self.hub.close_goal(identity)
+            raise
+
+    def cancel(self, goal: Goal, done: Done) -> None:
+        """Ask the provider to end a goal."""
+        del done
+        identity = self.hub.identity_of(goal)
+        if identity is not None:
+            self.provider.send({"op": "cancel_action_goal", "id": identity, "action": self.name})
+
+    def abandon(self, goal: Goal) -> None:
+        """Ask for its end; the answer is taken and goes nowhere."""
+        goal.ended = True
+        with suppress(UoarmError):
+            self.cancel(goal, lambda _: None)
+
+
+class ActionHub:
+    """All actions behind one server, in the loop's thread."""
+
+    def __init__(self) -> None:
+        self._offers: dict[str, _Offer] = {}
+        self._goals: dict[str, tuple[_Offer, Goal]] = {}
+        self._numbers = itertools.count(1)
+
+    @property
+    def actions(self) -> dict[str, str]:
+        """Types by action, of those that clients offer."""
+        return {name: offer.kind for name, offer in tuple(self._offers.items())}
+
+    def runner(self, name: str) -> Runner | None:
+        """Return what works on the goals of an action that a client offers."""
+        return self._offers.get(name)
+
+    def offer(self, name: str, kind: str, provider: ActionProvider) -> None:
+        """Let a client work on the goals of an action.
+
+        Raises:
+            LimitError: another client does so already.
+        """
+        if name in self._offers and self._offers[name].provider is not provider:
+            raise LimitError(f"another client provides {name!r}")
+        self._offers[name] = _Offer(name, kind, provider, self)
+
+    def withdraw(self, name: str, provider: ActionProvider) -> None:
+        """Take an offer back; goals that it has not finished fail."""
+        offer = self._offers.get(name)
+        if offer is not None and offer.provider is provider:
+            del self._offers[name]
+            self._fail(lambda item: item.name == name, f"{name} was unadvertised")
+
+    def forget(self, provider: ActionProvider) -> None:
+        """Take back all offers of a client that has gone."""
+        for name in [name for name, offer in self._offers.items() if offer.provider is provider]:
+            del self._offers[name]
+        self._fail(lambda item: item.provider is provider, "the client that provides it has gone")
+
+    def note(self, offer: _Offer, goal: Goal) -> str:
+        """Remember a goal until its result; returns its id."""
+        identity = f"uoarm:{offer.name}:{next(self._numbers)}"
+        self._goals[identity] = (offer, goal)
+        return identity
+
+    def identity_of(self, goal: Goal) -> str | None:
+        """Return the id of a goal that is not finished."""
+        return next((name for name, (_, item) in self._goals.items() if item is goal), None)
+
+    def goal(self, identity: str, provider: ActionProvider) -> Goal:
+        """Return a goal that a client works on.
+
+        Raises:
+            UnknownError: there is none, or another client works on it.
+        """
+        offer, goal = self._goals.get(identity, (None, None))
+        if offer is None or goal is None or offer.provider is not provider:
+            raise UnknownError(f"this client works on no goal {identity!r:.200}")
+        return goal
+
+    def close_goal(self, identity: str) -> None:
+        """Forget a goal that has its result."""
+        del self._goals[identity]
+
+    def _fail(self, concerns: Callable[[_Offer], bool], text: str) -> None:
+        for identity, (offer, goal) in list(self._goals.items()):
+            if concerns(offer):
+                del self._goals[identity]
+                goal.fail(BridgeError(text, FailureReason.CLOSED))
+
+
+class CallRunner:
+    """Calls one function for one client.
+
+    Args:
+        place: the function.
+        backend: where it is called.
+    """
+
+    def __init__(self, place: NamedPort, backend: Backend) -> None:
+        self._place = place
+        self._backend = backend
+        self._tasks: dict[Goal, asyncio.Task[None]] = {}
+
+    def start(self, goal: Goal) -> None:
+        """Call the function."""
+        task = self._tasks[goal] = asyncio.ensure_future(self._call(goal))
+        task.add_done_callback(lambda _: self._tasks.pop(goal, None))
+
+    def cancel(self, goal: Goal, done: Done) -> None:
+        """Refuse: a call runs to its end."""
+        del goal, done
+        raise UsageError(
+            f"{self._place.name} is a call, which cannot be cancelled; its result still comes"
+        )
+
+    def abandon(self, goal: Goal) -> None:
+        """Wait for the reply no more."""
+        if goal in self._tasks:
+            self._tasks[goal].cancel()
+
+    async def _call(self, goal: Goal) -> None:
+        try:
+            reply = await self._backend.call(
+                self._place.wanted,
+                goal.arguments,
+                reader_of(f"action {self._place.name!r}", goal.kind),
+                self._backend.limits.call_seconds,
+            )
+        except Exception as error:  # noqa: BLE001 - reported to its sender
+            goal.fail(error)
+        else:
+            goal.finish(reply, GoalStatus.SUCCEEDED)
+
 
 Fields = Mapping[str, Any]
 Identity: TypeAlias = "str | float"

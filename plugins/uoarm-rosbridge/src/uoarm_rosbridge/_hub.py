@@ -1,174 +1,40 @@
-"""What clients offer to one another: topics, services, parameters, and work on goals."""
+"""Where clients meet: topics, services and parameters of theirs, and the actions of all."""
 
 from __future__ import annotations
 
 import asyncio
 import itertools
-from collections.abc import Callable, Hashable, Mapping
-from contextlib import suppress
-from typing import Any, Protocol
+from collections.abc import Callable, Hashable
+from typing import Protocol
 
 import orjson
-from attrs import define, field, frozen
+from attrs import define, field
 
 from uoarm.errors import (
     BridgeError,
     BridgeTimeoutError,
     FailureReason,
     MessageError,
-    UoarmError,
     UsageError,
 )
 from uoarm.model import Message
 from uoarm.server.front_end import (
     Account,
     Charge,
-    Done,
     Envelope,
-    Goal,
     LimitError,
     Listener,
     MemoryUse,
     Shares,
     UnknownError,
 )
+from uoarm_rosbridge._actions import ActionHub
 from uoarm_rosbridge._names import find_place
-from uoarm_rosbridge._runners import Runner
 from uoarm_rosbridge._types import is_same_type
 
-__all__ = ["ActionHub", "ActionProvider", "ClientTopic", "Hub", "Parameters", "Provider"]
+__all__ = ["ClientTopic", "Hub", "Parameters", "Provider"]
 
-
-class ActionProvider(Protocol):
-    """A client that works on goals."""
-
-    def send(self, message: Mapping[str, Any]) -> None:
-        """Send one message to the client.
-
-        Raises:
-            BusyError: it leaves too much unread.
-            MessageError: the message has no form.
-        """
-
-
-@frozen(eq=False)
-class _Offer:
-    """A client's offer to work on the goals of one action; a runner for those who send them."""
-
-    name: str
-    kind: str
-    provider: ActionProvider
-    hub: ActionHub
-
-    def start(self, goal: Goal) -> None:
-        """Send a goal to the provider."""
-        if goal.kind and self.kind and not is_same_type(goal.kind, self.kind):
-            raise MessageError(
-                f"action {self.name!r} has the type {self.kind!r:.100}, not {goal.kind!r:.100}"
-            )
-        identity = self.hub.note(self, goal)
-        try:
-            self.provider.send(
-                {
-                    "op": "send_action_goal",
-                    "id": identity,
-                    "action": self.name,
-                    "action_type": self.kind,
-                    "args": {} if goal.arguments is None else goal.arguments,
-                    "feedback": True,
-                }
-            )
-        except BaseException:
-            self.hub.close_goal(identity)
-            raise
-
-    def cancel(self, goal: Goal, done: Done) -> None:
-        """Ask the provider to end a goal."""
-        del done
-        identity = self.hub.identity_of(goal)
-        if identity is not None:
-            self.provider.send({"op": "cancel_action_goal", "id": identity, "action": self.name})
-
-    def abandon(self, goal: Goal) -> None:
-        """Ask for its end; the answer is taken and goes nowhere."""
-        goal.ended = True
-        with suppress(UoarmError):
-            self.cancel(goal, lambda _: None)
-
-
-class ActionHub:
-    """All actions behind one server, in the loop's thread."""
-
-    def __init__(self) -> None:
-        self._offers: dict[str, _Offer] = {}
-        self._goals: dict[str, tuple[_Offer, Goal]] = {}
-        self._numbers = itertools.count(1)
-
-    @property
-    def actions(self) -> dict[str, str]:
-        """Types by action, of those that clients offer."""
-        return {name: offer.kind for name, offer in tuple(self._offers.items())}
-
-    def runner(self, name: str) -> Runner | None:
-        """Return what works on the goals of an action that a client offers."""
-        return self._offers.get(name)
-
-    def offer(self, name: str, kind: str, provider: ActionProvider) -> None:
-        """Let a client work on the goals of an action.
-
-        Raises:
-            LimitError: another client does so already.
-        """
-        if name in self._offers and self._offers[name].provider is not provider:
-            raise LimitError(f"another client provides {name!r}")
-        self._offers[name] = _Offer(name, kind, provider, self)
-
-    def withdraw(self, name: str, provider: ActionProvider) -> None:
-        """Take an offer back; goals that it has not finished fail."""
-        offer = self._offers.get(name)
-        if offer is not None and offer.provider is provider:
-            del self._offers[name]
-            self._fail(lambda item: item.name == name, f"{name} was unadvertised")
-
-    def forget(self, provider: ActionProvider) -> None:
-        """Take back all offers of a client that has gone."""
-        for name in [name for name, offer in self._offers.items() if offer.provider is provider]:
-            del self._offers[name]
-        self._fail(lambda item: item.provider is provider, "the client that provides it has gone")
-
-    def note(self, offer: _Offer, goal: Goal) -> str:
-        """Remember a goal until its result; returns its id."""
-        identity = f"uoarm:{offer.name}:{next(self._numbers)}"
-        self._goals[identity] = (offer, goal)
-        return identity
-
-    def identity_of(self, goal: Goal) -> str | None:
-        """Return the id of a goal that is not finished."""
-        return next((name for name, (_, item) in self._goals.items() if item is goal), None)
-
-    def goal(self, identity: str, provider: ActionProvider) -> Goal:
-        """Return a goal that a client works on.
-
-        Raises:
-            UnknownError: there is none, or another client works on it.
-        """
-        offer, goal = self._goals.get(identity, (None, None))
-        if offer is None or goal is None or offer.provider is not provider:
-            raise UnknownError(f"this client works on no goal {identity!r:.200}")
-        return goal
-
-    def close_goal(self, identity: str) -> None:
-        """Forget a goal that has its result."""
-        del self._goals[identity]
-
-    def _fail(self, concerns: Callable[[_Offer], bool], text: str) -> None:
-        for identity, (offer, goal) in list(self._goals.items()):
-            if concerns(offer):
-                del self._goals[identity]
-                goal.fail(BridgeError(text, FailureReason.CLOSED))
-
-
-_MOST = 1_000
+_MOST_PARAMETERS = 1_000
 _MOST_OCTETS = 1 << 20
 
 
@@ -181,7 +47,7 @@ class Parameters:
     def __init__(self) -> None:
         self._texts: dict[str, str] = {}
         self._owners: dict[str, Hashable] = {}
-        self._named = Shares(_MOST)
+        self._named = Shares(_MOST_PARAMETERS)
         self._octets = Shares(_MOST_OCTETS)
 
     @property
@@ -212,7 +78,7 @@ class Parameters:
         owner = self._owners.get(name, owner)
         before = self._texts.get(name)
         if before is None and not self._named.admits(owner):
-            raise LimitError(f"there are {_MOST:,} parameters already")
+            raise LimitError(f"there are {_MOST_PARAMETERS:,} parameters already")
         more = _size(name, text) - (0 if before is None else _size(name, before))
         if more > 0 and not self._octets.admits(owner, more):
             raise LimitError(f"all parameters together may have {_MOST_OCTETS:,} octets")
