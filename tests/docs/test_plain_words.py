@@ -14,8 +14,8 @@ from uoarm.bridge import BridgeOptions, option, options_table
 # `python -m bench.pages` prints the figures. Lower these with what they count; never raise one, and
 # add none.
 WORDS = 1500
-WRITTEN_WORDS = 40_050  # of all pages, without what is made from the code
-MEDIAN_WORDS = 552
+WRITTEN_WORDS = 39_500  # of all pages, without what is made from the code
+MEDIAN_WORDS = 549
 SENTENCE = 18.0  # words of a sentence on average
 LONGER_PAGES: dict[str, int] = {
     "errors.md": 2800,  # every code, made of the table in the code
