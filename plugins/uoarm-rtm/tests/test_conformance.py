@@ -37,11 +37,9 @@ class TestHostedRtmBridge(BridgeConformance):
 
 
 class TestRtmBridge(BridgeConformance):
-    """The whole suite but one rule."""
+    """The whole suite."""
 
     kinds = tuple(KINDS)
-    # Not held yet: `ORB.destroy` waits for the delivery, so that a close takes the 5 s it is given.
-    test_a_bridge_closes_while_a_delivery_is_held_up = None  # type: ignore[assignment]
 
     @pytest.fixture
     def world(self, loop: Peer, nameserver: str, peer: Callable[..., Peer]) -> World:

@@ -64,7 +64,7 @@ class ResourceSnapshot:
     def __init__(self) -> None:
         gc.collect()
         self._threads = set(threading.enumerate())
-        self._descriptors = _count_descriptors()
+        self._descriptors = _open_descriptors()
 
     def check(self, timeout: float | None = None) -> None:
         """Hold that nothing is left over, giving threads and descriptors time to end.
@@ -72,7 +72,7 @@ class ResourceSnapshot:
         Without a timeout they have the time of `patience`.
 
         Raises:
-            AssertionError: it names the threads, or gives the number of descriptors, that stay.
+            AssertionError: it names the threads that stay, or the descriptors that are new.
         """
         deadline = time.monotonic() + (patience() if timeout is None else timeout)
         pause = threading.Event()
@@ -83,9 +83,11 @@ class ResourceSnapshot:
             pause.wait(_GLANCE_SECONDS)
             gc.collect()  # a pool's threads end with the last reference to it
         gc.collect()
-        while (extra := _count_descriptors() - self._descriptors) > 0:
+        while (extra := len(now := _open_descriptors()) - len(self._descriptors)) > 0:
             if time.monotonic() >= deadline:
-                raise AssertionError(f"{extra} file descriptors are left over")
+                new = sorted(set(now.items()) - set(self._descriptors.items()))
+                names = ", ".join(f"{number} is {target}" for number, target in new[:8])
+                raise AssertionError(f"{extra} file descriptors are left over: {names}")
             pause.wait(_GLANCE_SECONDS)
 
     def _left_over(self) -> list[threading.Thread]:
@@ -108,14 +110,22 @@ def _processor_seconds(others: tuple[int, ...]) -> float:
     return seconds
 
 
-def _count_descriptors() -> int:
-    """Return how many descriptors are open, 0 where the system does not say."""
-    for folder in _DESCRIPTORS:
+def _open_descriptors() -> dict[int, str]:
+    """Return what each open descriptor is, by number; none where the system does not say."""
+    for folder in map(Path, _DESCRIPTORS):
         try:
-            return sum(1 for _ in Path(folder).iterdir())
+            numbers = [int(entry.name) for entry in folder.iterdir()]
         except OSError:
             continue
-    return 0
+        return {number: _target(folder / str(number)) for number in numbers}
+    return {}
+
+
+def _target(descriptor: Path) -> str:
+    try:
+        return str(descriptor.readlink())
+    except OSError:  # that of the listing itself, or the system has no links here
+        return "not known"
 
 
 _GIVEN = Path("/proc/sys/net/ipv4/ip_local_port_range")

@@ -28,7 +28,7 @@ from uoarm_rtm._options import (
     push_policy,
     says_what_empty_means,
 )
-from uoarm_rtm._orb import CallGuard, calls, corba_text, limit, narrowed
+from uoarm_rtm._orb import CallGuard, calls, corba_text, deliveries, limit, narrowed
 from uoarm_rtm._peer import PeerComponent, PeerPort, connector_properties
 from uoarm_rtm._shape import BIG, LITTLE
 from uoarm_rtm._types import Types
@@ -114,7 +114,8 @@ class _Inlet(OpenRTM__POA.InPortCdr):  # type: ignore[misc]  # generated, withou
 
     def put(self, data: bytes) -> Any:
         """Take one message (CORBA operation)."""
-        return self._source.receive(data)
+        with deliveries:
+            return self._source.receive(data)
 
 
 class OutPortSource(Source):

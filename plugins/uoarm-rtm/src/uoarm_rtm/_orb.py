@@ -33,6 +33,7 @@ __all__ = [
     "calls",
     "corba_errors",
     "corba_text",
+    "deliveries",
     "environment",
     "limit",
     "narrowed",
@@ -78,6 +79,11 @@ class CallGuard:
             self._ended = True
             return self._changed.wait_for(lambda: not self._count, seconds)
 
+    @property
+    def is_busy(self) -> bool:
+        """Whether a call is under way."""
+        return bool(self._count)
+
     def begin(self) -> None:
         """Let calls begin, with a new ORB."""
         with self._changed:
@@ -86,6 +92,8 @@ class CallGuard:
 
 calls = CallGuard()
 """Of this process, as the ORB is: every call is among them."""
+deliveries = CallGuard()
+"""Of this process, too: calls of others that bring a message, while it is delivered."""
 
 
 _GONE = (CORBA.COMM_FAILURE, CORBA.TRANSIENT, CORBA.OBJECT_NOT_EXIST, CORBA.INV_OBJREF)
@@ -123,6 +131,7 @@ def corba_text(error: CORBA.Exception) -> str:
 
 
 _MOST_OCTETS = 1 << 26
+_IDLE_SECONDS = "10"
 _DRAIN_SECONDS = 4.0
 _DESTROY_SECONDS = 5.0
 _WORKERS_SECONDS = 1.0
@@ -147,9 +156,10 @@ class _OrbShutdown:
         """End the ORB; it waits for calls under way, which have their limits."""
         self._begun.set()
 
-    def join(self) -> None:
-        """Wait until it has ended, at most 5 s."""
+    def join(self) -> bool:
+        """Wait until it has ended, at most 5 s; returns whether it has."""
         self._thread.join(_DESTROY_SECONDS)
+        return not self._thread.is_alive()
 
     def _run(self) -> None:
         self._begun.wait()
@@ -249,7 +259,10 @@ class Orb:
             return self._orb.string_to_object(text)
 
     def close(self) -> None:
-        """Let go; the last user's call ends the ORB and waits at most 5 s for it."""
+        """Let go; the last user's call ends the ORB and waits at most 5 s for it.
+
+        It does not wait where a message is still being delivered, which the end of the ORB does.
+        """
         with _shared.lock:
             if self._closed:
                 return
@@ -257,7 +270,10 @@ class Orb:
             _shared.users -= 1
             ending = _end() if _shared.users == 0 else None
         if ending is not None:
-            ending.join()
+            # Channels are closed by now: a delivery that has not ended began before, and may have
+            # asked for this. The next ORB waits for this one to end.
+            if not deliveries.is_busy:
+                ending.join()
         else:
             threading.Thread(target=_destroy_poa, args=(self._poa,), daemon=True).start()
 
@@ -286,8 +302,12 @@ def narrowed(reference: Any, interface: Any, seconds: float, what: str) -> Any:
 
 def _begin(address: str, call_seconds: float, most_octets: int) -> Any:
     if _shared.running is None:
-        if _shared.destroying is not None:
-            _shared.destroying.join()
+        if _shared.destroying is not None and not _shared.destroying.join():
+            text = (
+                "the ORB of this process cannot begin again: the last one has not ended, since a "
+                "consumer of an OutPort's message does not return; try again when it has"
+            )
+            raise BridgeError(text, FailureReason.UNAVAILABLE)
         calls.begin()
         foreign = omniORB.orb is not None
         arguments = {
@@ -296,6 +316,11 @@ def _begin(address: str, call_seconds: float, most_octets: int) -> Any:
             "supportPerThreadTimeOut": "1",
             "endPoint": f"giop:tcp:{address}:",
             "giopMaxMsgSize": str(most_octets),
+            # A peer that calls twice at once opens one connection more, which has a thread here.
+            # Both go when they are idle: omniORB keeps them for minutes by default. A peer that
+            # calls again in that moment connects again.
+            "inConScanPeriod": _IDLE_SECONDS,
+            "outConScanPeriod": _IDLE_SECONDS,
             "traceLevel": "0",
         }
         words = ["uoarm"]
