@@ -2,7 +2,8 @@
 
 `python -m bench.pages` prints them by page. `tests/docs/test_plain_words.py` holds them. Words that
 are made from the code are counted apart, since nothing on a page can shorten them: the page of the
-error codes, and tables of options, which tests compare with the code.
+error codes, and tables of options, which tests compare with the code. A word has a letter or a
+digit; the last line also counts the bars of tables, dashes and braces, as `wc -w` does.
 """
 
 from __future__ import annotations
@@ -49,6 +50,8 @@ class PageFigures:
     words: int
     generated: int
     """How many of them are made from the code."""
+    tokens: int
+    """Words and signs that stand alone."""
     sentence: float
     """The mean number of words of a sentence of running text."""
     longest: str
@@ -84,6 +87,10 @@ def sentences_of(text: str) -> list[str]:
     return [sentence for sentence in found if len(_WORD.findall(sentence)) > 2]
 
 
+def _count(text: str) -> int:
+    return sum(any(map(str.isalnum, token)) for token in text.split())
+
+
 def page_figures(page: Path) -> PageFigures:
     """Count a page."""
     text = page.read_text(encoding="utf-8")
@@ -93,11 +100,12 @@ def page_figures(page: Path) -> PageFigures:
     vague = words_of_prose(prose)
     del vague["pulse"]  # of a patient, on the pages about devices
     vague.update(match.lower() for match in _PHRASES.findall(prose))
-    words = len(text.split())
-    tables = sum(len(table.split()) for table in _OPTIONS.findall(text))
+    words = _count(text)
+    tables = sum(map(_count, _OPTIONS.findall(text)))
     return PageFigures(
         words=words,
         generated=words if page.name in _GENERATED_PAGES else tables,
+        tokens=len(text.split()),
         sentence=round(statistics.mean(lengths), 1) if lengths else 0.0,
         longest=max(sentences, key=lambda sentence: len(_WORD.findall(sentence)), default=""),
         vague=vague,
@@ -124,6 +132,8 @@ def main() -> None:
     rows.append(("all", f"{sum(words)}", f"{sum(generated)}", "", "", ""))
     rows.append(("all that is written", f"{sum(words) - sum(generated)}", "", "", "", ""))
     rows.append(("median", f"{statistics.median(words):g}", "", "", "", ""))
+    tokens = sum(page.tokens for page in figures.values())
+    rows.append(("all, signs that stand alone included", f"{tokens}", "", "", "", ""))
     headings = ("page", "words", "made from code", "words a sentence", "vague", "measurements")
     print_table("The pages", headings, rows)
 
