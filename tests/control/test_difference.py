@@ -8,7 +8,8 @@ from tests.control.world import FACE, Plans, World
 from uoarm._control.engine import actions as act
 from uoarm._control.engine import events as ev
 from uoarm._control.engine.move import MovePhase
-from uoarm._control.engine.state import Kind, State
+from uoarm._control.engine.placement import Kind
+from uoarm._control.engine.state import State
 from uoarm._control.engine.step import desired, difference, step
 from uoarm.model import ConnectionState, FailoverPolicy, PortRef, ValidationMode
 

@@ -20,7 +20,8 @@ from tests.control.world import FACE, NAME, OTHERS, PORTS, Plans, World, discove
 
 from uoarm._control.engine import actions as act
 from uoarm._control.engine import events as ev
-from uoarm._control.engine.state import ConnectionRecord, Part, Parts, Placement
+from uoarm._control.engine.placement import Part, Parts, Placement
+from uoarm._control.engine.state import ConnectionRecord
 from uoarm._support.ordered import OrderedMap
 from uoarm.model import FailoverPolicy, Health, Plan, PortRef, ValidationMode
 

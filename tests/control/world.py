@@ -7,7 +7,7 @@ what must always hold is checked after each move.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Hashable, Iterator, Mapping
+from collections.abc import Callable, Collection, Hashable, Iterator, Mapping
 from typing import Any
 
 from attrs import evolve
@@ -15,8 +15,10 @@ from attrs import evolve
 from uoarm._adapt import check_edge
 from uoarm._control.engine import actions as act
 from uoarm._control.engine import events as ev
+from uoarm._control.engine.draft import connection_of
 from uoarm._control.engine.move import MovePhase, MoveReason
-from uoarm._control.engine.state import ConnectionRecord, Kind, Part, Parts, Placement, State
+from uoarm._control.engine.placement import Kind, Part, Parts, Placement
+from uoarm._control.engine.state import ConnectionRecord, State
 from uoarm._control.engine.step import desired, difference, step
 from uoarm._control.live.revisions import find_replacement
 from uoarm._resolve import Resolver, StructureCache
@@ -350,6 +352,14 @@ class World:
             # Whatever may be done now was taken by the step: what stands first is under way.
             for first in difference(state, connection)[:1]:
                 assert first.is_begun or first.awaits, first
+                if first.phase is MovePhase.OPENING:
+                    self._check_awaited(connection, first.awaits)
+
+    def _check_awaited(self, connection: ConnectionRecord, batches: Collection[int]) -> None:
+        """Each batch that a connection waits for is its own, or knows that it does."""
+        for number in batches:
+            batch = self.state.batches[number]
+            assert connection.id in {connection_of(batch.user), *batch.waiting}
 
     def _check_move(self, connection: ConnectionRecord) -> None:
         """A connection has one move at most, and the plan that it leads to belongs to it."""

@@ -14,7 +14,8 @@ from typing import TypeAlias
 
 from attrs import frozen
 
-from uoarm._control.engine.state import ConnectionRecord, Part, Parts, Placement
+from uoarm._control.engine.placement import Part, Parts, Placement
+from uoarm._control.engine.state import ConnectionRecord
 from uoarm._support.ordered import OrderedMap
 from uoarm.model import Plan
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Container, Iterable, Iterator, Mapping
+from collections.abc import Collection, Container, Iterable, Iterator, Mapping
 from collections.abc import Set as AbstractSet
 from itertools import chain
 from typing import Any
@@ -17,20 +17,18 @@ from uoarm._control.engine.actions import (
     SetCheck,
 )
 from uoarm._control.engine.move import forget_earlier
-from uoarm._control.engine.state import (
+from uoarm._control.engine.placement import (
     PORTS,
     Batch,
     ComponentRecord,
-    ConnectionRecord,
     DrainingPlan,
     EdgeRecord,
     Kind,
     Part,
     Parts,
     Placement,
-    State,
-    oldest_first,
 )
+from uoarm._control.engine.state import ConnectionRecord, State, oldest_first
 from uoarm._support.ordered import OrderedMap
 from uoarm.errors import ResolutionError
 from uoarm.model import Component, Edge, Plan, Step, ValidationMode
@@ -361,11 +359,22 @@ class Draft(State):
         batch = self.parts.get(part)
         return batch is not None and batch not in self.batches
 
-    def settle(self, batch: Batch, done: Iterable[Part]) -> Parts:
+    def await_batches(self, record: ConnectionRecord, batches: Iterable[int]) -> None:
+        """Have a connection looked at again when each of these batches is over."""
+        for number in batches:
+            batch = self.batches[number]
+            batch = batch._replace(waiting=batch.waiting.insert(record.id))
+            self.batches = self.batches.insert(number, batch)
+
+    def settle(self, batch: Batch, done: Collection[Part]) -> Parts:
         """Note what became of a batch that is over; return what was opened and has no user."""
+        record = self.connections.get(connection_of(batch.user))
+        plans = () if record is None else record.plans
+        # Mostly all is open, and the plan that it was opened for is there still, which uses it all.
+        if len(done) == len(batch.parts) and any(plan.user == batch.user for plan in plans):
+            return Parts()
         # What was used as the opening began may have lost its last user since. Ports are the
         # connection's own, and in no record: its two plans say which ids are in use.
-        record = self.connections.get(connection_of(batch.user))
         ports = () if record is None else record.ports
         used: dict[Kind, Container[int]] = {
             Kind.COMPONENT: self.components,
@@ -385,18 +394,6 @@ class Draft(State):
             tuple(part.id for part in unused if part.kind is Kind.EDGE),
             tuple({part.id for part in unused if part.kind in PORTS}),
         )
-
-    def waiting_for(self, batch: Batch) -> list[str]:
-        """Return the connections that use a part of a batch and so waited for it, oldest first."""
-        # Its own, too: it waits also where all its parts are ports.
-        users = {batch.user}
-        # Of ports, which are one connection's own, there are no records.
-        for number in {part.id for part in batch.parts}:
-            record = self.components.get(number) or self.edges.get(number)
-            if record is not None and (len(record.users) > 1 or batch.user not in record.users):
-                users.update(record.users)
-        # Mostly it is the only one, and need not be sorted.
-        return by_age(map(connection_of, users)) if len(users) > 1 else [connection_of(batch.user)]
 
     def rivals(self, plan: Plan) -> dict[int, EdgeRecord]:
         """Return the edges that feed what a plan would feed from elsewhere, by their ids."""

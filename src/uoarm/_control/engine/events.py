@@ -18,7 +18,7 @@ from typing import Any, TypeAlias, get_args
 import attrs
 from attrs import frozen
 
-from uoarm._control.engine.state import Kind, Part
+from uoarm._control.engine.placement import Kind, Part
 from uoarm.errors import BridgeError, FailureReason, UoarmError
 from uoarm.model import FailoverPolicy, FailureLimits, Health, Plan, PortRef, Role, ValidationMode
 

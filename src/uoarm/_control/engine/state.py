@@ -1,46 +1,38 @@
-"""What the control plane knows: frozen values, of which `step` makes the next.
-
-Whatever is open is a numbered part with its users. A component that is closed and opened again is
-another part, so that a late result is never taken for one of the new instance.
-"""
+"""What the control plane knows: frozen values, of which `step` makes the next."""
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Iterable, Mapping, Sequence
-from enum import Enum
-from typing import Any, NamedTuple
+from collections.abc import Iterable, Mapping, Sequence
+from typing import NamedTuple
 
-from attrs import define, evolve, field, frozen, setters
+from attrs import define, field, frozen, setters
 from rpds import HashTrieMap, HashTrieSet
 
 from uoarm._control.engine.move import RULES, MovePhase, MoveReason, MoveRule
+from uoarm._control.engine.placement import (
+    NONE,
+    NOTHING,
+    Batch,
+    ComponentRecord,
+    DrainingPlan,
+    EdgeRecord,
+    Part,
+    Placement,
+)
 from uoarm._support.ordered import OrderedMap
 from uoarm.model import (
     ConnectionState,
-    Edge,
     FailoverPolicy,
-    Health,
     OfferState,
     Plan,
     PortRef,
-    Step,
     ValidationMode,
 )
 
 __all__ = [
-    "PORTS",
-    "Batch",
-    "ComponentHealth",
-    "ComponentRecord",
     "ConnectionRecord",
-    "DrainingPlan",
-    "EdgeRecord",
-    "Kind",
     "Move",
     "OfferRecord",
-    "Part",
-    "Parts",
-    "Placement",
     "Preference",
     "State",
     "Switchover",
@@ -48,231 +40,8 @@ __all__ = [
     "oldest_first",
 ]
 
-_BETTER_TO_WORSE = tuple(Health)
-
-
-@frozen
-class ComponentHealth:
-    """What was reported last of each part; one part that is well covers up no other.
-
-    Attributes:
-        health: the worst of all, and its `cause`; where it was just reported, the newest.
-    """
-
-    health: Health = Health.OK
-    cause: str = ""
-    _reported: Mapping[Hashable, tuple[Health, str]] = field(factory=dict)
-
-    def noted(self, part: Hashable, health: Health, cause: str) -> ComponentHealth:
-        """Return the health after a report about a part."""
-        reported = {**self._reported, part: (health, cause)}
-        worst = max(reported.values(), key=lambda item: _BETTER_TO_WORSE.index(item[0]))
-        if worst[0] is health:
-            worst = health, cause
-        return evolve(self, health=worst[0], cause=worst[1], reported=reported)
-
-    def is_news(self, before: ComponentHealth, health: Health, cause: str) -> bool:
-        """Say whether a report that led here from `before` is news of the whole component.
-
-        It is none when a worse one elsewhere covers it up, or when all was well before.
-        """
-        if before.health is self.health is Health.OK:
-            return False
-        now = self.health, self.cause
-        return now == (health, cause) or now != (before.health, before.cause)
-
-
 # Of a cause that names components; thousands may die with one bridge.
 _LISTED = 8
-_WELL = ComponentHealth()
-_NOTHING: HashTrieMap[Any, Any] = HashTrieMap()
-_NONE: HashTrieSet[Any] = HashTrieSet()
-_STRICTNESS = tuple(ValidationMode)
-_RANKS = {mode: rank for rank, mode in enumerate(_STRICTNESS)}
-
-
-class Kind(Enum):
-    """What a part is. Of a component, its application ports and its edges, in opening order."""
-
-    COMPONENT = "component"
-    RECEIVE = "receive"
-    OUTPUT = "output"
-    EDGE = "edge"
-    SEND = "send"
-
-    __hash__ = object.__hash__  # members are singletons; by name it costs ten times as much
-
-
-PORTS = frozenset({Kind.RECEIVE, Kind.SEND})
-"""Where the application touches a plan; these call a bridge for inputs that it feeds, only."""
-
-
-# A tuple and no class of attrs, as all records that a step makes or hashes many times.
-class Part(NamedTuple):
-    """Something that is opened by one call into a bridge, or attached.
-
-    Attributes:
-        kind: what it is.
-        id: of its component, its edge, or its application ports.
-        port: the name of an output, else empty.
-    """
-
-    kind: Kind
-    id: int
-    port: str = ""
-
-
-@frozen
-class Parts:
-    """Parts without a user: what is to be closed.
-
-    Attributes:
-        components, edges: ids, producers first.
-        ports: ids of application ports.
-    """
-
-    components: tuple[int, ...] = ()
-    edges: tuple[int, ...] = ()
-    ports: tuple[int, ...] = ()
-
-    def __bool__(self) -> bool:
-        return bool(self.components or self.edges or self.ports)
-
-
-# Records of one name may be open side by side: one that serves new users, and those that died,
-# were superseded or only drain. So a name identifies no instance, and nothing late is found by
-# it.
-class ComponentRecord(NamedTuple):
-    """One instance of a component, open or on the way there.
-
-    Attributes:
-        step: of the first plan that needed it.
-        users: the placements that depend on it.
-        draining: how many of these only let pass what is under way.
-        health: how it is doing.
-        is_lost: whether it died; then it is shared no more.
-        is_superseded: whether the configuration has another in its place, or none; the same.
-    """
-
-    id: int
-    step: Step
-    # Of a component that thousands share, one more user must not cost a copy of all of them. Who
-    # has lost something is found here, and not by looking at every connection.
-    users: HashTrieSet[str] = _NONE
-    draining: int = 0
-    health: ComponentHealth = _WELL
-    is_lost: bool = False
-    is_superseded: bool = False
-
-    @property
-    def only_drains(self) -> bool:
-        """Whether only draining plans use it."""
-        return self.draining == len(self.users)
-
-    def used_by(self, users: HashTrieSet[str]) -> ComponentRecord:
-        """Return the instance with other users."""
-        # Half of all changes, in a quarter of the time of `_replace`.
-        return ComponentRecord(self[0], self[1], users, *self[3:])
-
-    @property
-    def name(self) -> str:
-        """The component's name in the configuration."""
-        return self.step.component.name
-
-
-class EdgeRecord(NamedTuple):
-    """One edge between two instances, with what each of its users wishes to be checked.
-
-    Attributes:
-        strictest: the mode that satisfies every user.
-        is_held: whether messages wait for a switchover, since another edge feeds the input.
-    """
-
-    id: int
-    edge: Edge
-    producer: int
-    consumer: int
-    # The mode of each user and not the strictest: as that one leaves, the check is relaxed. How
-    # many wish for each is counted, so that no change looks at all users.
-    users: HashTrieMap[str, ValidationMode] = _NOTHING
-    counts: tuple[int, ...] = (0,) * len(_STRICTNESS)
-    strictest: ValidationMode = ValidationMode.OFF
-    # A held edge is in `State.beside` and no other is; it moves to `feeding` in one step with the
-    # end of the one before, so that an input never has two edges that let messages through.
-    is_held: bool = False
-
-    @property
-    def key(self) -> tuple[str, str]:
-        """The input that it feeds."""
-        return self.edge.consumer, self.edge.input
-
-    @property
-    def origin(self) -> tuple[str, str]:
-        """The output that feeds it."""
-        return self.edge.producer, self.edge.output
-
-    def used_by(self, user: str, mode: ValidationMode | None) -> EdgeRecord:
-        """Return the edge with a user that wishes this mode; None: it uses it no more."""
-        counts, before = list(self.counts), self.users.get(user)
-        if before is not None:
-            counts[_RANKS[before]] -= 1
-        if mode is None:
-            users = self.users.remove(user)
-        else:
-            counts[_RANKS[mode]] += 1
-            users = self.users.insert(user, mode)
-        strictest = ValidationMode.OFF
-        for wished, count in zip(_STRICTNESS, counts, strict=True):
-            strictest = wished if count else strictest
-        return EdgeRecord(*self[:4], users, tuple(counts), strictest, self.is_held)
-
-
-class Placement(NamedTuple):
-    """A plan, and the parts that serve it.
-
-    Attributes:
-        user: the name under which it uses parts: the connection's id, for later plans `c1#2`.
-        components: ids by name.
-        provider: id of the component that the application asked for.
-        edges: ids, those of the first producers first.
-        ports: id of the application ports.
-        parts: everything it needs, in the order in which that opens.
-    """
-
-    user: str
-    plan: Plan
-    components: Mapping[str, int]
-    provider: int
-    edges: tuple[int, ...]
-    # The same number as in the plan before where the provider stays: the application's inbox and
-    # its inputs then go through the change untouched.
-    ports: int
-    # Consumers open before what feeds them, so that a first message finds its input open; the
-    # application's inputs come last, when all that their messages lead to is there.
-    parts: tuple[Part, ...]
-
-
-class Batch(NamedTuple):
-    """Parts that are being opened for a placement, in their order."""
-
-    user: str
-    parts: tuple[Part, ...]
-
-
-class DrainingPlan(NamedTuple):
-    """A plan that was replaced, while what is under way in it arrives.
-
-    Its edges are closed. Its components stay open until nothing is under way, and other plans may
-    use them meanwhile: a second instance of one would get the same messages once more.
-
-    Attributes:
-        connection: whose plan it was.
-        lost: ids of its components that died.
-    """
-
-    connection: str
-    placement: Placement
-    lost: tuple[int, ...]
 
 
 class Move(NamedTuple):
@@ -464,8 +233,8 @@ class Switchover:
     began: float
     reason: MoveReason
     # Of an edge that thousands use, each member's plan would name all of them once more.
-    joined: HashTrieMap[int, Mapping[str, ValidationMode]] = _NOTHING
-    unopened: HashTrieSet[str] = _NONE
+    joined: HashTrieMap[int, Mapping[str, ValidationMode]] = NOTHING
+    unopened: HashTrieSet[str] = NONE
     # From `SwitchInputs` to `InputsSwitched`. Meanwhile the state says that the new edges feed,
     # and the objects may not yet: neither a death nor a change may undo what is half done.
     is_switching: bool = False
@@ -546,24 +315,24 @@ class State:
     bridges: Mapping[str, str]
     # The invariants below are checked after each event by `World.check` in tests/control/world.py.
     # Of several that may be meant, the oldest acts first.
-    connections: HashTrieMap[str, ConnectionRecord] = _NOTHING
+    connections: HashTrieMap[str, ConnectionRecord] = NOTHING
     # An instance is here as long as it has a user: a running, an opening or a draining plan.
-    components: HashTrieMap[int, ComponentRecord] = _NOTHING
-    edges: HashTrieMap[int, EdgeRecord] = _NOTHING
+    components: HashTrieMap[int, ComponentRecord] = NOTHING
+    edges: HashTrieMap[int, EdgeRecord] = NOTHING
     # A part is in one batch at most, and none is opened that is open or being opened.
-    parts: HashTrieMap[Part, int] = _NOTHING
+    parts: HashTrieMap[Part, int] = NOTHING
     # One instance a name. One that died or was superseded leaves at once, though its users stay.
-    serving: HashTrieMap[str, int] = _NOTHING
+    serving: HashTrieMap[str, int] = NOTHING
     # One edge an input, from a producer that lives to the instance that serves.
-    feeding: HashTrieMap[tuple[str, str], int] = _NOTHING
-    beside: HashTrieMap[tuple[str, str], int] = _NOTHING
-    batches: HashTrieMap[int, Batch] = _NOTHING
-    draining: HashTrieMap[str, DrainingPlan] = _NOTHING
-    switchovers: HashTrieMap[int, Switchover] = _NOTHING
+    feeding: HashTrieMap[tuple[str, str], int] = NOTHING
+    beside: HashTrieMap[tuple[str, str], int] = NOTHING
+    batches: HashTrieMap[int, Batch] = NOTHING
+    draining: HashTrieMap[str, DrainingPlan] = NOTHING
+    switchovers: HashTrieMap[int, Switchover] = NOTHING
     # From the plan that uses one again to the opening that lets commands through again.
-    recalled: HashTrieSet[int] = _NONE
+    recalled: HashTrieSet[int] = NONE
     # Kept by `Draft.put`: all that wait to search or look again, and no other.
-    timed: HashTrieSet[str] = _NONE
+    timed: HashTrieSet[str] = NONE
     # Their order is that of the times: a name that is set anew is the last.
     failed: OrderedMap[str, float] = field(factory=OrderedMap)
     avoided: OrderedMap[str, float] = field(factory=OrderedMap)
@@ -574,11 +343,11 @@ class State:
     closers: tuple[str, ...] = ()
     revision: int = 0
     # These two are settled together, in `switchover.continue_reconfiguration`.
-    outdated: HashTrieSet[str] = _NONE
+    outdated: HashTrieSet[str] = NONE
     configurers: tuple[str, ...] = ()
     candidates: int = 0
     replaced: tuple[frozenset[str], ...] = ()
-    offers: HashTrieMap[str, OfferRecord] = _NOTHING
+    offers: HashTrieMap[str, OfferRecord] = NOTHING
 
     def shared(self) -> tuple[ComponentRecord, ...]:
         """Return the instances that new users share, without those that only drain."""

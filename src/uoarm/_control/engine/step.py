@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 
 from uoarm._control.engine import failover, offers, switchover
 from uoarm._control.engine.actions import Action, Announce, Close, Forget, Publish, Reply
-from uoarm._control.engine.draft import Draft, InputInUseError, connection_of
+from uoarm._control.engine.draft import Draft, InputInUseError, by_age, connection_of
 from uoarm._control.engine.events import (
     CandidatesChanged,
     Configured,
@@ -40,15 +40,8 @@ from uoarm._control.engine.events import (
 )
 from uoarm._control.engine.failover import end, finish_if_asked
 from uoarm._control.engine.move import RULES, MovePhase, MoveReason, OnOpenFailure
-from uoarm._control.engine.state import (
-    ConnectionRecord,
-    Kind,
-    Move,
-    Part,
-    Placement,
-    State,
-    oldest_first,
-)
+from uoarm._control.engine.placement import Kind, Part, Placement
+from uoarm._control.engine.state import ConnectionRecord, Move, State, oldest_first
 from uoarm.errors import ConnectionClosedError, ResolutionError, UsageError
 from uoarm.model import ConnectionState, Health, Plan, PortRef
 
@@ -70,7 +63,7 @@ class Remaining(NamedTuple):
 
     phase: MovePhase
     parts: tuple[Part, ...] = ()
-    awaits: Collection[int | str] = ()
+    awaits: Collection[Any] = ()
     is_begun: bool = False
 
 
@@ -159,7 +152,7 @@ def _proceed(draft: Draft) -> None:
         if first.phase is MovePhase.SWITCHING:
             switchover.arrive(draft, record, is_last=not first.awaits)
         elif first.awaits:
-            continue
+            draft.await_batches(record, first.awaits)
         elif first.phase is MovePhase.OPENING:
             draft.open(record, first.parts)
         elif record.reason is MoveReason.REQUEST:
@@ -277,11 +270,9 @@ def _run(draft: Draft, record: ConnectionRecord) -> None:
 
 
 def _opened(draft: Draft, event: Opened) -> None:
-    # Who waits is read first: a failure, below, changes who uses what.
     batch = draft.batches[event.batch]
     # From here on its parts count as open; those that were not done are taken out by `settle`.
     draft.batches = draft.batches.remove(event.batch)
-    waiting = draft.waiting_for(batch)
     late = draft.settle(batch, event.done)
     connection = connection_of(batch.user)
     if late:
@@ -290,9 +281,9 @@ def _opened(draft: Draft, event: Opened) -> None:
     record = draft.connections.get(connection)
     if event.error is not None and record is not None:
         _failed_to_open(draft, record, batch.user, event.error)
-    # Those that shared what has failed have it opened in a batch of their own, and fail by
-    # themselves where it fails again.
-    draft.concerned += waiting
+    # Its own, and those that shared some of it: what has failed they have opened in a batch of
+    # their own, and fail by themselves where it fails again.
+    draft.concerned += by_age((connection, *batch.waiting)) if batch.waiting else (connection,)
 
 
 def _failed_to_open(

@@ -23,7 +23,8 @@ from functools import partial
 from uoarm._control.engine import actions as act
 from uoarm._control.engine import events as ev
 from uoarm._control.engine.events import write_event
-from uoarm._control.engine.state import Part, State
+from uoarm._control.engine.placement import Part
+from uoarm._control.engine.state import State
 from uoarm._control.engine.step import step
 from uoarm._control.live.bridges import BridgeSet
 from uoarm._control.live.component import LiveEdge

@@ -14,7 +14,7 @@ from attrs import define
 
 from uoarm._control.engine.actions import Finish, Open
 from uoarm._control.engine.draft import by_age, connection_of
-from uoarm._control.engine.state import (
+from uoarm._control.engine.placement import (
     PORTS,
     ComponentRecord,
     EdgeRecord,
@@ -22,9 +22,8 @@ from uoarm._control.engine.state import (
     Part,
     Parts,
     Placement,
-    State,
-    oldest_first,
 )
+from uoarm._control.engine.state import State, oldest_first
 from uoarm._control.live.application_ports import ApplicationPorts
 from uoarm._control.live.bridges import BridgeSet
 from uoarm._control.live.component import LiveComponent, LiveEdge
