@@ -29,6 +29,7 @@ class NumberRange:
     bounded: bool
 
     def accepts(self, value: Any) -> bool:
+        # Not `isinstance`: True is an int to Python, and no integer to JSON Schema.
         kind: Any = value.__class__
         if kind not in self.kinds:
             return False
@@ -155,6 +156,8 @@ class _Compiler:
         names = _meaningful(schema)
         if not names:
             return lambda _: True
+        # Beside any other keyword a reference is left to the judge: what holds of both is not
+        # compiled.
         if names == {"$ref"}:
             return self._reference(schema["$ref"], depth)
         for union in ("anyOf", "allOf"):
@@ -184,11 +187,13 @@ class _Compiler:
     def _or_judged(self, accepts: Accepts, schema: Mapping[str, Any]) -> Accepts:
         """Leave values of other classes to the judge here, where they cost the least: numpy's."""
         judge = self.judge(schema)
+        # By class and not `isinstance`: a subclass may answer anything, and is the judge's.
         return lambda value: accepts(value) or (value.__class__ not in _PLAIN and judge(value))
 
     def _units(self, schema: Mapping[str, Any], accepts: Accepts) -> Accepts:
         """Know texts that are short enough whatever they hold, or hold ASCII; the judge counts."""
         judge = self.judge(schema)
+        # A character has four octets at most, and two units of UTF-16; of ASCII it has one of each.
         _, octets = _limits(schema, "minLength", "x-max-utf8")
         _, units = _limits(schema, "minLength", "x-max-utf16")
         most = min(octets, units)
@@ -250,6 +255,7 @@ class _Compiler:
             def later(value: Any) -> bool:  # where it refers to itself
                 return known[reference](value)
 
+            # Before its part is compiled, which may refer to it: it finds this, and ends.
             known[reference] = later
             known[reference] = self.part(place, depth + 1)
         return known[reference]
@@ -337,6 +343,7 @@ def _closed(
     def accepts(value: Any) -> bool:
         if value.__class__ is not dict:
             return False
+        # Fields are counted and not compared: a message has few, and as many as were found are all.
         left = len(value) - count
         try:
             for name, part in always:
@@ -398,6 +405,8 @@ def _numbers(numbers: NumberRange, lengths: _Limits, judge: Accepts) -> Accepts:
     def accepts(value: Any) -> bool:
         kind = value.__class__
         if kind is list or kind is tuple:
+            # First at the speed of C; only a list that holds something else than numbers is looked
+            # at again.
             if numbers.accepts_all(value):
                 return least <= len(value) <= most
             return not _PLAIN.issuperset(map(type, value)) and judge(value)

@@ -100,6 +100,7 @@ def _kind() -> type[Validator]:
     def numbers(name: str) -> Callable[[object, object], bool]:
         return lambda _, value: known.is_type(_plain_number(value), name)
 
+    # Made as the first message needs it, and kept: to extend the library's own takes milliseconds.
     checker = known.redefine_many(
         {
             "array": lambda _, value: isinstance(value, list | tuple) or _is_buffer(value),
@@ -232,6 +233,7 @@ def _extremes(buffer: Any, schema: Mapping[str, Any]) -> tuple[object, ...]:
     elif schema.get("x-nonfinite") is True and hasattr(buffer, "dtype"):
         buffer = buffer[(buffer > -math.inf) & (buffer < math.inf)]
     elif hasattr(buffer, "typecode") and any(item != item for item in buffer):  # noqa: PLR0124 - NaN
+        # Least and greatest of what holds NaN depend on the order: NaN alone says that it is there.
         return (math.nan,)
     if not len(buffer):
         return ()

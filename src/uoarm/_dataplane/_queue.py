@@ -124,6 +124,8 @@ class BoundedQueue(Generic[T]):
     def drain(self, timeout: float) -> bool:
         """Wait until every item was dealt with or the queue closed; False when time ran out."""
         with self._lock:
+            # Not until it is empty: what `get` has taken and `done` was not called for is under
+            # way.
             return self._wait_for(lambda: not self._unfinished or self._closed, timeout)
 
     def close(self, *, discard: bool) -> None:
@@ -246,6 +248,8 @@ class Inbox:
         """
         if self._callbacks:
             raise UsageError("callbacks receive the messages of this connection")
+        # One that waits here as the first callback comes is not woken: messages go to the callback,
+        # and its time runs out.
         try:
             return self._queue.get(timeout)
         except Empty:
@@ -273,6 +277,7 @@ class Inbox:
 
     def close(self, *, discard: bool = False) -> None:
         """Take no more; what waits can still be read unless `discard`."""
+        # The queue first: who is woken looks into it, and must find that no more comes.
         self._queue.close(discard=discard)
         wake = self._wake
         if wake is not None:
@@ -295,6 +300,8 @@ class Inbox:
         with self._lock:
             if not self._callbacks:
                 return False
+            # The tuple of this moment: one that is added in a call gets the next message, and one
+            # that leaves gets this one still.
             for callback in self._callbacks:
                 try:
                     callback(message)

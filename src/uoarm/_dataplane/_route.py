@@ -209,11 +209,15 @@ class Route:
         """
         failure: Exception | None = None
         now = self._clock()
+        # Counted first, whatever becomes of it: all that was received was delivered, was dropped,
+        # or is in a queue or in hand. `connection_runtime` relies on it for what is lost with a
+        # component.
         self.received += 1
         self.last_time = now
         self._window_count += 1
         if now - self._window_start >= _WINDOW_SECONDS:
             self._turn_window(now)
+        # How far it came says whose failure it is: a check blames what gave the message by itself.
         is_checked = is_adapted = False
         try:
             check = self.check  # read once: it may be replaced at any time
@@ -242,6 +246,8 @@ class Route:
                 failure = None
         if self._loss:
             # Here, since `drop` is called with a queue's lock held, and handlers of logs may block.
+            # Without the lock: of two that are noted just now one may miss the log, but never the
+            # counts.
             reason, self._loss = self._loss, ""
             text = f"{self.producer} -> {self.consumer}: a message was dropped: {reason}"
             self._losses.write(logging.WARNING, text)
@@ -249,6 +255,7 @@ class Route:
 
     def unreadable(self, why: str) -> None:
         """Count a message that came and could not be read. Never raises."""
+        # In the thread that brings messages, as `deliver` is: each counter has one writer.
         self.received += 1
         self.invalid += 1
         self.failures += 1
@@ -270,6 +277,7 @@ class Route:
 
     def drain(self, timeout: float) -> bool:
         """Wait until what is queued was handed over; False when time ran out."""
+        # Read once, as `close` takes it away. One that is closed has nothing left to wait for.
         queue = self._queue
         return queue is None or queue.drain(timeout)
 
@@ -292,6 +300,7 @@ class Route:
         """Stop, and wait a second at most for a message that the worker has in hand."""
         self.stop()
         # A consumer may close its own route, in the worker: that would wait for itself.
+        # After `stop`, from when `_queue_first` starts no other worker.
         if self._worker is not None and self._worker is not threading.current_thread():
             self._worker.join(_WORKER_SECONDS)
         # They refer back to the route, which is to be gone with its last user.
@@ -339,6 +348,8 @@ class Route:
         queue.put(message)
 
     def _hand_over(self, message: Message) -> None:
+        # In the worker, or in the thread that brings messages where there is no queue: never in
+        # both.
         hand = self._hand  # read first: it is there until the route is closed
         if self._closed or hand is None:
             self.drop("closed")
@@ -412,6 +423,8 @@ class Route:
 
     def _rate(self, now: float) -> float | None:
         """Return messages a second, 0 once several are late: that of a slow source stands."""
+        # Any thread, while that which brings messages turns the window: where the two halves are of
+        # different windows the rate is wrong for this look, and right at the next.
         rate, elapsed = self._window_rate, now - self._window_start
         if rate is None and self.received > 1 and elapsed > 0:
             rate = self._window_count / elapsed

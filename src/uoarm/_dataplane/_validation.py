@@ -69,6 +69,7 @@ def make_check(
         check = _reporting(check, watch)
     if mode is ValidationMode.ALWAYS:
         return MessageCheck(check)
+    # OFF that is suspected looks at 128 messages and then never again: there is no next sample.
     rest = SAMPLE_EVERY - 1 if mode is ValidationMode.SAMPLED else sys.maxsize
     return MessageCheck(check, rest, is_suspected=is_suspected)
 
@@ -82,6 +83,7 @@ def _make_whole_check(structure: MessageStructure, place: str) -> Callable[[Mess
             if accepts(message):
                 return
             mismatch = judgement.mismatch(message)
+        # Both may go as deep as the message, which a peer chose: it is refused, and no thread ends.
         except RecursionError:
             raise MessageError(f"{place}: the message is nested too deep") from None
         if mismatch:
@@ -148,6 +150,8 @@ class _Judgement:
         return self._validator
 
 
+# One for all routes of a structure, in all threads. It changes only in `_whole`, without a lock:
+# where two first mismatches come at once they make the same twice, and either serves.
 @lru_cache(maxsize=256)
 def _judgement(structure: MessageStructure) -> _Judgement:
     return _Judgement(structure.schema)

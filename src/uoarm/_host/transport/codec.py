@@ -130,6 +130,8 @@ def _read(frame: Frame) -> Message:
         if code != _BUFFER:
             raise MessageError(f"a frame holds an unknown extension {code}")
         kind, shape, size = _buffer(data)
+        # Read-only, as all routes that get the message share the frame. `pack` wrote the buffers in
+        # the order in which the decoder comes to them, so that no place need be said.
         view = memoryview(frame).toreadonly()[place : place + size]
         if len(view) != size:
             raise MessageError(f"a frame ends within a buffer of {size} octets")
@@ -271,6 +273,7 @@ def to_failure(error: BaseException) -> dict[str, str]:
 def from_failure(failure: Mapping[str, Any]) -> UoarmError:
     """Return the error that `to_failure` described; an unknown kind becomes a BridgeError."""
     text = str(failure.get("text"))
+    # By name among our own: nothing that the other end names is imported, or called.
     kind = _ERRORS.get(str(failure.get("kind")), BridgeError)
     if issubclass(kind, BridgeTimeoutError):
         return BridgeTimeoutError(text)

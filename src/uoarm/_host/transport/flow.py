@@ -145,6 +145,8 @@ class FlowSender:
         sent_at = self._now()  # before the wait for room, so that its end knows how old it is
         frame = pack(message)
         # Without the lock: `_handled` only grows, so there is at least as much room as this sees.
+        # Nor is it held for `_cut`: a message that goes out as the other end dies is never
+        # confirmed, and counts among those under way.
         if self._number - self._handled >= _WINDOW or self._cut:
             self._wait_for_room()
         self._put(frame, (_WRITER, writer, True) if writer else None, sent_at)
@@ -173,6 +175,8 @@ class FlowSender:
 
     def skip(self) -> None:
         """Give up one message; the other end counts it as lost when the next one arrives."""
+        # By the thread that sends, as `_put` is: the next frame carries a sum that no other
+        # changes.
         self._skipped += 1
 
     def finish(self, ending: FlowEnding) -> None:
@@ -191,6 +195,7 @@ class FlowSender:
 
     def close(self) -> None:
         """Send nothing more. Idempotent."""
+        # First: who waits for room is let go, however long it takes to end the listening.
         self.cut("it is closed")
         self._end()
 
@@ -336,6 +341,7 @@ class FlowReceiver:
 
     def close(self) -> None:
         """Begin no other `take`; one under way finishes alone. Idempotent."""
+        # Looked at before each frame: those that wait in the transport are not taken any more.
         self._closed = True
         self._end()
 
@@ -379,6 +385,9 @@ class FlowReceiver:
             self._read(more.why)
         else:
             self.received += 1
+            # For what the component emits in this thread: before that leaves, the message counts as
+            # taken (`Handling.answered`). Else a death between the two would have it both lost and
+            # answered.
             HANDLING.counter, HANDLING.number = self._counter, self.received
             try:
                 foreign(self._take, unpack(frame), *(more,) if more else ())
@@ -412,6 +421,7 @@ class FlowReceiver:
         if few and not at_once and now - self._confirmed_at < _CONFIRM_SECONDS:
             return
         self._confirmed, self._confirmed_at = self._number, now
+        # Sums and no differences: where one is lost the next says it all, as does a heartbeat.
         header = msgpack.packb(astuple(self.handled()))
         self._transport.notify(f"{self._key}/handled", header)
 

@@ -192,6 +192,7 @@ class FrameFlows:
         kept = self._subscriptions[key] = FlowSubscription(take, length, name)
 
         def end() -> None:
+            # A later subscription of the key may have its place, and goes on.
             if self._subscriptions.get(key) is kept:
                 del self._subscriptions[key]
             kept.end()
@@ -241,10 +242,14 @@ class FrameFlows:
         except Exception as error:  # noqa: BLE001 - such as no memory for a long frame
             if not self._closing.is_set():
                 _log.warning("a link ended: %s: %s", type(error).__name__, error)
+        # Once: a thread that goes on as that of a flow has returned above, and the last that reads
+        # is here.
         self._on_end()
 
     def _take(self, frame: Received) -> FlowSubscription | None:
         """Have a frame taken; return whose thread this one is now, None where it is to read on."""
+        # Without a lock: the table changes in single steps. A frame of a key that just ended is
+        # dropped.
         subscription = self._subscriptions.get(frame.key)
         if subscription is None or not subscription.begin(frame.payload, frame.header):
             return None

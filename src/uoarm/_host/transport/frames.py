@@ -191,6 +191,8 @@ class FrameReader:
 
     def __init__(self, connected: socket.socket) -> None:
         self._socket = connected
+        # One thread reads, so nothing here is locked. Which one that is may change between two
+        # frames (`frame_flows`), and all that is left over stands in the buffer.
         self._buffer = bytearray(_READ_OCTETS)
         self._view = memoryview(self._buffer)
         self._start = self._end = 0
@@ -288,6 +290,8 @@ class LinkSockets:
         with ExitStack() as made:
             (asks, answers), (here, there), (from_here, to_there) = (_pair(made) for _ in range(3))
             made.pop_all()  # all three pairs are there: from now on their owners close them
+        # Else a child that is forked here would hold this end open, and the host not see its
+        # manager die.
         close_in_children(asks, here, from_here)
         return cls(asks, here, from_here), cls(answers, to_there, there)
 

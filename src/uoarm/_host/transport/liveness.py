@@ -76,6 +76,7 @@ class LivenessMonitor:
     def expect_end(self) -> None:
         """Take no death for news any more: the host is being closed."""
         with self._news:
+            # Under the lock of `die`: a death is noted before this, or not at all after it.
             self._ending = True
 
     def await_token(self, deadline: float) -> None:
@@ -112,6 +113,8 @@ class LivenessMonitor:
             UoarmError: what the bridge raised.
             BridgeError: UNAVAILABLE when the host is dead; the text says of what it died.
         """
+        # Without the lock: a host that dies from here on ends the wait through its link, or its
+        # limit.
         self._refuse_dead(operation)
         limit = ANSWER_SECONDS
         if "timeout" in values:
@@ -157,6 +160,8 @@ class Silence:
 
     def answered(self, now: float) -> None:
         """Note an answer, to whichever question."""
+        # By one thread, the heartbeat's: it takes answers and asks in turns, so that nothing is
+        # locked.
         self._answered_at, self._unanswered = now, 0
 
     def seconds(self, now: float) -> float:

@@ -82,6 +82,7 @@ class Identity:
 def certified(folder: str | Path) -> frozenset[str]:
     """Return the machines whose certificates are in a folder, a thousand at most."""
     found = sorted(file.stem for file in Path(folder).expanduser().glob("*.pem"))
+    # A name becomes part of a key, where `*` and `/` would open the keys of other machines.
     names = [name for name in found if name not in {_AUTHORITY, MANAGER} and _NAME.fullmatch(name)]
     return frozenset(names[:_MOST_CERTIFIED])
 
@@ -103,6 +104,7 @@ def access_list(machines: Iterable[str] | None) -> Mapping[str, object]:
     return {
         "access_control": {
             "enabled": True,
+            # Both ways: a machine neither gets what is sent to another, nor sends in its name.
             "default_permission": "deny",
             "rules": rules,
             "subjects": subjects,

@@ -81,6 +81,7 @@ class SocketTransport(Transport):
         except Empty:
             raise BridgeTimeoutError(f"no answer at {key} within {timeout:g} s") from None
         finally:
+            # What answers later finds no entry, and is dropped.
             self._asked.pop(number, None)
         if answer is None:
             raise _closed(f"asking {key}")
@@ -124,6 +125,8 @@ class SocketTransport(Transport):
         try:
             limit = _MUST_ARRIVE_SECONDS if must_arrive else _FULL_SECONDS
             self._flows.write(key, header, payload, limit)
+        # One that may be lost and found no room is counted at the other end, by the gap in the
+        # numbers of its flow: to raise would count it twice.
         except BridgeTimeoutError:  # which is an OSError, too
             if must_arrive:
                 raise
@@ -215,6 +218,8 @@ class SocketTransport(Transport):
         except Exception as error:  # noqa: BLE001 - such as no memory for a long frame
             _log.warning("a link ended: %s: %s", type(error).__name__, error)
         finally:
+            # In this order: who begins to wait from here on fails as it writes, and `_lose` ends
+            # the others.
             self._shut()
             self._lose()
 
@@ -234,10 +239,13 @@ class SocketTransport(Transport):
             with self._lock:
                 self._tokens.add(key)
                 seen = self._watching.get(key)
+            # Outside of the lock: what is called may ask, or close this, in the thread that reads.
             if seen is not None:
                 seen(True)
 
     def _answer(self, key: str, number: int, request: Frame) -> None:
+        # Maybe called later, by another thread: the number says to which request it belongs, in
+        # whatever order answers come.
         def reply(value: Any) -> None:
             try:
                 self._write(_ANSWER, "", number, b"", answer_of(value), _MUST_ARRIVE_SECONDS)
@@ -253,6 +261,8 @@ class SocketTransport(Transport):
     def _lose(self) -> None:
         """End every wait for the other end, which is gone. Idempotent."""
         with self._lock:
+            # Looked at and cleared at once: the thread that reads and a `close` may both come here,
+            # and each token goes once.
             gone = [seen for key, seen in self._watching.items() if key in self._tokens]
             self._tokens.clear()
         # Again and again: a caller may begin to wait as this goes on, before its write fails.

@@ -82,6 +82,7 @@ class ZenohTransport(Transport):
 
         Closing it ends what was declared through it; the session stays.
         """
+        # All parts use one session at once: Zenoh lets any thread call it.
         part = copy.copy(self)
         part._prefix = f"{self._prefix}{prefix}/"  # noqa: SLF001 - one of this kind
         part._kept = []  # noqa: SLF001 - likewise
@@ -149,6 +150,8 @@ class ZenohTransport(Transport):
     ) -> Callable[[], None]:
         """Have frames at a key handed to `take`, in a thread of their own."""
         with _wrapped(f"subscribing to {key}"):
+            # Where `take` is slow the oldest are overwritten. Nothing is said of it here: the
+            # receiving end of a flow counts the gap in the numbers.
             ring: Any = zenoh.handlers.RingChannel(length)
             subscriber = self._session.declare_subscriber(self._prefix + key, ring)
         undeclare = self._keep(subscriber)
@@ -192,6 +195,7 @@ class ZenohTransport(Transport):
     def show_alive(self, key: str) -> None:
         """Declare a token that goes when this end dies."""
         with _wrapped("declaring the token"):
+            # Last of all that an end declares which is asked: who sees the token may ask at once.
             self._keep(self._session.liveliness().declare_token(self._prefix + key))
 
     def watch_alive(self, key: str, seen: Callable[[bool], None]) -> None:
@@ -211,6 +215,7 @@ class ZenohTransport(Transport):
         with _wrapped("watching for tokens"):
             tokens = self._session.liveliness()
             address = self._prefix + keys
+            # With those that are there: one that came just before would be missed for ever.
             subscriber = tokens.declare_subscriber(address, _directly(handle), history=True)
         return self._keep(subscriber)
 
