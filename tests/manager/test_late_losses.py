@@ -21,6 +21,7 @@ from uoarm.model import (
     Endpoint,
     FailureLimits,
     Gap,
+    Health,
     MessageStructure,
     RouteStatus,
     Step,
@@ -47,6 +48,12 @@ functions:
         bridge: one
         input: {endpoint: [finder]}
         output: {endpoint: [finder]}
+"""
+CAMERA = """
+  camera:
+    components:
+      - {name: best, bridge: one, priority: 2, output: {endpoint: [best]}}
+      - {name: spare, bridge: one, priority: 1, output: {endpoint: [spare]}}
 """
 
 
@@ -264,6 +271,32 @@ def test_a_component_that_is_wanted_again_while_it_closes_is_opened_after_that(
             robot.request("found", timeout=patience())
             killing.result()
         assert bridge.beside == [0, 0]
+
+
+def test_a_failover_to_another_component_does_not_wait_for_one_that_hangs_as_it_closes(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    waited: list[str] = []
+
+    def wait_over(live: LiveComponent, timeout: float) -> None:
+        waited.append(live.component.name)
+        original(live, timeout)
+
+    original = LiveComponent.wait_over
+    monkeypatch.setattr(LiveComponent, "wait_over", wait_over)
+    bridge = OneAtATime()
+    for name in ("finder", "best", "spare"):
+        bridge.loop(name, {"type": "integer"})
+    with RobotManager(loads(ROBOT + CAMERA), bridges={"one": bridge}) as robot:
+        connection, camera = robot.request("found"), robot.request("camera")
+        with hanging(bridge.opened[0], "_close") as hang:
+            killing = Background(connection.kill)
+            assert hang.entered.wait(patience())
+            bridge.report(Health.LOST, "it is unplugged", component="best")
+            wait(lambda: camera.gaps)
+            assert camera.plan.names == ("spare",)
+            assert waited == []
+        killing.result()
 
 
 def _outlets(robot: RobotManager) -> list[Outlet]:
