@@ -154,6 +154,7 @@ class Opened:
         error: why the others are not; None: all are.
     """
 
+    # Exactly one for each `Open`: its parts count as being opened until then, by `State.batches`.
     batch: int
     # Also of a batch that was given up or that failed: what is open must be closed.
     done: tuple[Part, ...]
@@ -192,6 +193,7 @@ class HealthReported:
 class Drained:
     """What was under way to an application has arrived, or took too long."""
 
+    # It may have ended, or have another plan by now: the record says whether this matters still.
     connection: str
 
 
@@ -203,6 +205,7 @@ class RanOut:
         user: the name under which the plan used its parts.
     """
 
+    # Exactly one for each `Finish`, whatever fails in it: until then it is in `State.draining`.
     user: str
 
 
@@ -210,6 +213,8 @@ class RanOut:
 class Ended:
     """Everything that only this connection used is closed."""
 
+    # Exactly one for each `Close` that ends a connection, whatever fails in it (`driver._end`): who
+    # waits for a kill waits for this.
     connection: str
 
 
@@ -360,6 +365,7 @@ def read_event(line: str, find_plan: FindPlan) -> tuple[Event, float]:
     values = {
         name: readers[name](value) if name in readers else value for name, value in fields.items()
     }
+    # A log of an earlier version lacks fields that came later, and plays with their defaults.
     return _EVENTS[kind](**values), now
 
 

@@ -169,6 +169,7 @@ def forget_earlier(times: OrderedMap[str, float], now: float) -> OrderedMap[str,
         times: in their own order, which is why a name that is set anew is the last.
         now: the time.
     """
+    # The first is the oldest: this costs what it forgets, however many are kept.
     while times and times[oldest := times.first()] < now - _REMEMBERED_SECONDS:
         times = times.discard(oldest)
     return times
@@ -178,4 +179,5 @@ def recently(times: Mapping[str, float], now: float) -> frozenset[str]:
     """Return what happened within the last five minutes."""
     if not times:
         return frozenset()
+    # All are looked at: who only reads, in any thread, finds also what no event has forgotten yet.
     return frozenset(name for name, time in times.items() if time >= now - _REMEMBERED_SECONDS)

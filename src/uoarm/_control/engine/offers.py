@@ -47,6 +47,8 @@ def offers_wanted(draft: Draft, event: OffersWanted) -> None:
 def offer_opened(draft: Draft, event: OfferOpened) -> None:
     """Note what became of an opening; what has ended meanwhile is closed again."""
     record = draft.offers.get(event.name)
+    # Each opening has a number: one that ends after its offer has gone, and come anew, changes
+    # nothing.
     if record is None or record.number != event.number:
         return
     record = record._replace(is_busy=False, is_tried=True)
@@ -116,6 +118,8 @@ def _by_name(draft: Draft) -> list[OfferRecord]:
 
 
 def _begun(draft: Draft, name: str) -> OfferRecord:
+    # What leaves may have the endpoint of what comes, which a framework gives once: it goes first,
+    # but one that hangs as it closes holds up none for long.
     is_alone = all(record.is_wanted for record in draft.offers.values())
     return OfferRecord(name, retry_at=draft.now + (0.0 if is_alone else _LEAVING_SECONDS))
 

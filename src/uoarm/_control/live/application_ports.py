@@ -205,6 +205,8 @@ class Sender:
         if self._policy is None:
             self._require_taken(self._route.deliver(message))
             return
+        # Asked here, so that the sender learns at once who holds it; once more when its turn has
+        # come, as it may have been taken over while the command waited.
         if self._lease is not None:
             self._lease.ask(sender, take_over=take_over)
             self._last_sender = sender

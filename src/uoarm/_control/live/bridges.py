@@ -201,6 +201,8 @@ class BridgeSet:
             BridgeError: it failed to start, or there is no such bridge.
             ConnectionClosedError: the manager is closed.
         """
+        # Without the lock, as each part of each opening asks: an entry is set and taken out in one
+        # step.
         bridge = self._bridges.get(name)
         if bridge is not None:
             return bridge
@@ -328,6 +330,7 @@ class BridgeSet:
         Waits ten seconds at most for bridges that were lost.
         """
         with self._lock:
+            # Under the lock of `get`: a bridge that starts just now finds this, and closes itself.
             self._closed = True
             bridges = [*self._bridges.values(), *self._replaced]
             self._bridges.clear()

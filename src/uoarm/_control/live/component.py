@@ -232,6 +232,8 @@ class LiveComponent:
             replaced: what runs now and is replaced by this.
             others: that may have come in its place, and would stop it with their first command.
         """
+        # First: the first command of one that came in its place would stop it late, maybe after it
+        # has been released below.
         for live in others:
             live.forget_replaced(self)
         # Also where nothing has stopped it yet: what the plan before commanded ends here.
@@ -332,6 +334,8 @@ class LiveComponent:
 
         Inputs first: what comes of the messages that were taken arrives, and is counted.
         """
+        # Before the look for who opens: a thread that lets go of `_busy` after this look finds it,
+        # and closes all itself (`_end_turn`). So one of the two does, and none waits for the other.
         self._doomed = True
         self._sweep()
         # Where opening it failed, what it was to replace goes on.

@@ -76,6 +76,8 @@ class Lanes:
             lane = self._lanes.get(name)
             if lane is None:
                 lane = self._lanes[name] = _Lane()
+            # Under the lock of the last look of who serves: it finds this job, or the lane is gone
+            # by now.
             lane.jobs.put(job)
             lane.are_quick = (*lane.are_quick, is_quick or _never)
             lane.is_waited_for = False
