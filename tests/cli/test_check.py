@@ -104,7 +104,7 @@ def test_a_missing_colon_is_one_mistake(folder: Path) -> None:
     done = checked(folder, 'input: {endpoint: ["a.b"]}, output: {endpoint: ["a.b"]}')
     assert done.output.count("expected one string") == 1, done.output
     assert "did you mean 'a:b'? (the same stands in output)" in done.output
-    assert "cannot be had" not in done.output
+    assert "unavailable here" not in done.output
 
 
 def test_a_space_after_the_colon_is_one_mistake(folder: Path) -> None:

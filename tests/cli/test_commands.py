@@ -393,7 +393,7 @@ def test_status_says_what_can_be_had_and_what_cannot(robot: str) -> None:
     result = run("status", "-f", robot)
     assert result.exit_code == 1
     assert "doubled  from doubler" in result.output
-    assert "misfit  cannot be had" in result.output
+    assert "misfit  unavailable" in result.output
     shown = json.loads(run("status", "-f", robot, "--json").stdout)
     functions = {function["name"]: function for function in shown}
     assert functions["count"]["provider"] == "counter"
@@ -443,7 +443,7 @@ functions:
         (warning["place"]["line"], warning["sentence"].partition(":")[0])
         for warning in result["warnings"]
     }
-    assert at == {(2, "it was not checked")} | {(n, "it cannot be had here") for n in (7, 8, 9)}
+    assert at == {(2, "it was not checked")} | {(n, "it is unavailable here") for n in (7, 8, 9)}
     texts = " ".join(warning["sentence"] for warning in result["warnings"])
     assert "no module 'kitchn'" in texts
     assert "did you mean 'stove'" in texts

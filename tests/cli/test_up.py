@@ -72,7 +72,7 @@ def test_what_appears_is_a_function_that_is_fed_by_what_fits_and_runs() -> None:
         looking.look()
         assert "+ lab  faceDetection" in lines
         assert lines[-1] == (
-            "faceDetection  cannot be had: no function feeds its input default, "
+            "faceDetection  unavailable: no function feeds its input default, "
             "which `unfed` does not name"
         )
 

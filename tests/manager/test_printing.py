@@ -82,4 +82,4 @@ def test_plans_and_availability_print_as_the_command_line_shows_them(tmp_path: P
     shown = CliRunner().invoke(main, ["status", "-f", str(file)])
     assert shown.output == "".join(f"{status}\n" for status in availability)
     assert str(availability[0]).startswith("wanted  from good\n       9  bad  (python)  ")
-    assert str(availability[1]).startswith("hopeless  cannot be had\n")
+    assert str(availability[1]).startswith("hopeless  unavailable\n")

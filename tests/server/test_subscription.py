@@ -145,7 +145,7 @@ def test_a_feed_whose_provider_failed_is_joined_again_until_it_is_killed(
             feed.finish("failed" if number == 1 else "closed", "broken")
         assert reader.left == reader.joined
         assert (len(reader.joined), ends, made.feed) == (2, [("closed", "broken")], None)
-        waits = "cannot be had yet: f is not there; it is waited for"
+        waits = "unavailable: f is not there; it is waited for"
         assert texts == [waits, "has failed: broken; it is waited for", waits]
 
     run(work)

@@ -31,7 +31,7 @@ def test_a_subscriber_before_its_publisher_waits(
         client.send(op="subscribe", id="s", topic="/uoarm/late")
         reports = client.receive()
         assert (reports["op"], reports["level"], reports["id"]) == ("status", "warning", "s")
-        assert reports["msg"].startswith("/uoarm/late cannot be had yet: ")
+        assert reports["msg"].startswith("/uoarm/late unavailable: ")
         assert reports["msg"].endswith("; it is waited for")
     appear()
     opened(robot, 1)

@@ -138,7 +138,7 @@ class _Follower:
         except ConnectionClosedError:
             raise
         except UoarmError as error:
-            return f"cannot be had: {str(error).splitlines()[-1].strip().removeprefix('- ')}"
+            return f"unavailable: {str(error).splitlines()[-1].strip().removeprefix('- ')}"
         return " -> ".join(step.component.name for step in plan.steps)
 
     def _print_findings(

@@ -118,7 +118,7 @@ class PluginChecker:
                 if isinstance(error, BridgeError) and error.reason is FailureReason.BAD_ENDPOINT:
                     yield self._problem((*ports[0].path, "endpoint"), sentence)
                     continue
-                text = f"it cannot be had here: {sentence}"
+                text = f"it is unavailable here: {sentence}"
                 self._absent.append(self._problem(component.path, text))
                 continue
             for name, sentence in wrong.items():

@@ -177,7 +177,7 @@ class FunctionStatus:
     cause: str = ""
 
     def __str__(self) -> str:
-        state = "cannot be had" if self.provider is None else f"from {self.provider}"
+        state = "unavailable" if self.provider is None else f"from {self.provider}"
         lines = [f"{self.name}  {state}"]
         for candidate in self.candidates:
             mark = "*" if candidate.component == self.provider else " "

@@ -196,7 +196,7 @@ class Subscription:
             try:
                 await asyncio.sleep(pause)
                 feed = self.feed = await source.join(
-                    wanted, lambda cause: say(f"cannot be had yet: {cause}")
+                    wanted, lambda cause: say(f"unavailable: {cause}")
                 )
                 self._opening = None
                 on_open(feed)
