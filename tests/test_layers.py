@@ -35,6 +35,7 @@ LAYERS = [
         "_spans",
         "_spelling",
         "_support",
+        "_turns",
     },
     {"error_codes"},
     {"_plugins"},

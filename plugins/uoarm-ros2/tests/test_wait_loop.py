@@ -13,7 +13,6 @@ import pytest
 from endpoints import Inbox
 from peers import DOMAIN, Peer
 from uoarm_ros2._middleware import NodeRunner, Participant, _actions, _loop
-from uoarm_ros2._middleware._wait_set import TurnCounter
 from uoarm_ros2._qos import Policies
 from uoarm_ros2._types import import_type
 
@@ -213,16 +212,6 @@ def test_what_ends_every_wait_and_is_never_taken_makes_the_loop_rest(
     wait(lambda: runner.turns.empty > turns + 20)
     in_a_row, seconds = runner.turns.empty - turns, time.monotonic() - began
     assert in_a_row <= 10 + seconds / 0.02
-
-
-def test_the_counter_has_turns_for_nothing_come_further_and_further_apart() -> None:
-    counter = TurnCounter()
-    rests = [counter.add(empty=True) for _ in range(9)]
-    assert rests == [0.0, 0.001, 0.002, 0.004, 0.008, 0.016, 0.02, 0.02, 0.02]
-    assert counter.add(empty=False) == 0.0
-    assert counter.add(empty=True, complete=False) == 0.0
-    assert counter.add(empty=True) == 0.0
-    assert (counter.turns.all, counter.turns.empty) == (12, 11)
 
 
 def test_the_bridge_says_how_often_it_turned_for_nothing(bridge: Bridge) -> None:

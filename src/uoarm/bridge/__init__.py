@@ -5,6 +5,7 @@ from uoarm._forks import at_exit
 from uoarm._origin import install_command
 from uoarm._plugins import PluginProblem, hookimpl
 from uoarm._raised import foreign
+from uoarm._turns import TurnCounter, Turns
 from uoarm.bridge._bridge import CONTRACT_VERSION, Bridge, Handler
 from uoarm.bridge._channel import Channel, Outcomes, ReceiveQueue, Sink, Source
 from uoarm.bridge._description import (
@@ -75,6 +76,8 @@ __all__ = [
     "Sink",
     "Source",
     "TlsOptions",
+    "TurnCounter",
+    "Turns",
     "address_check",
     "asking",
     "asking_managers",

@@ -409,7 +409,7 @@ class Bridge(BridgeSteps):
 
         May be overridden. Must return at once, from any thread, after `close` too. Names are free,
         but `empty_turns` counts the turns of a loop of the bridge's own that ended before their
-        time and found nothing to do: many of them are processor time for nothing.
+        time and found nothing to do, as `TurnCounter` does: many are processor time for nothing.
         """
         return {}
 

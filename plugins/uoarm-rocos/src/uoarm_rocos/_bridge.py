@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 from uoarm.bridge import (
     Bridge,
@@ -118,6 +118,11 @@ class RocosBridge(Bridge):
         self._devices: dict[str, Device] = {}
         self._described: dict[tuple[str, ...], Api] = {}
         self._services: dict[tuple[str, str], set[str]] = {}
+
+    def facts(self) -> Mapping[str, object]:
+        """Return how often the threads of lines turned for nothing."""
+        devices = tuple(self._devices.values())
+        return {"empty_turns": sum(device.empty_turns for device in devices)}
 
     def _describe(self, endpoint: Endpoint) -> Description:
         name, api_name, direction = address_of(endpoint)

@@ -56,9 +56,11 @@ class Device(ABC):
 
     Attributes:
         is_prompt: whether `call` ends in its time whatever the device does.
+        empty_turns: how often its thread looked for octets before its time, and found none.
     """
 
     is_prompt = False
+    empty_turns: int = 0
 
     @abstractmethod
     def catalogue(self, timeout: float) -> DeviceCatalogue:
@@ -117,6 +119,11 @@ class LineDevice(Device):
         # thread; wakes callers that wait for the device.
         self._state = threading.Condition()
         self._closed = False
+
+    @property
+    def empty_turns(self) -> int:  # type: ignore[override]  # of no other device
+        """How often the line's thread looked for octets before its time, and found none."""
+        return self._line.empty_turns
 
     def stop(self) -> None:
         """Have the line end."""

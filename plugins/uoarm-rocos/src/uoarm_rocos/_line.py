@@ -9,7 +9,7 @@ import time
 from collections.abc import Callable
 from typing import Protocol
 
-from uoarm.bridge import Backoff
+from uoarm.bridge import Backoff, TurnCounter
 from uoarm.errors import BridgeError, BridgeTimeoutError
 from uoarm_rocos._framing import LineError
 from uoarm_rocos._transport import TICK_SECONDS, LineTransport
@@ -109,7 +109,13 @@ class DeviceLine:
         self._transport: LineTransport | None = None
         self._broken = ""
         self._cause = "not open yet"
+        self._counter = TurnCounter()
         self._thread = threading.Thread(target=self._run, name=f"uoarm-{name}", daemon=True)
+
+    @property
+    def empty_turns(self) -> int:
+        """How often the line's thread looked for octets before its time, and found none."""
+        return self._counter.turns.empty
 
     def start(self) -> None:
         """Begin; returns at once."""
@@ -265,7 +271,8 @@ class DeviceLine:
             while not self._stop.is_set():
                 if self._broken:
                     return self._broken
-                turns = self._turns
+                turns, data = self._turns, b""
+                until = time.monotonic() + TICK_SECONDS
                 is_ready = readiness is None or readiness.wait(TICK_SECONDS)
                 self._is_wanted = True
                 with self._reading:
@@ -277,7 +284,11 @@ class DeviceLine:
                         data = transport.read()
                         if data:
                             self._user.received(data)
-                    self._user.tick(time.monotonic())
+                    self._user.tick(now := time.monotonic())
+                # Not what `read` waited for itself, nor what a caller in its turn has read.
+                rest = self._counter.add(empty=is_ready and not data and now < until)
+                if rest:
+                    self._stop.wait(rest)
         except BridgeError as error:
             return str(error)
         except Exception as error:  # noqa: BLE001 - a replaced transport may raise anything

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import TypeVar
 from weakref import WeakSet
 
@@ -100,6 +100,10 @@ class Ros1Bridge(Bridge):
         super().report(health, cause, channel=channel, component=component)
         if self._rosout is not None:
             self._rosout.say(health, cause)
+
+    def facts(self) -> Mapping[str, object]:
+        """Return how often the thread that watches sockets turned for nothing."""
+        return {"empty_turns": self._node.loop.turns.empty}
 
     def _describe(self, endpoint: Endpoint) -> Description:
         return self._described(endpoint, Graph(self._node))

@@ -15,6 +15,7 @@ from contextlib import suppress
 from itertools import count
 from typing import Any
 
+from uoarm.bridge import TurnCounter, Turns
 from uoarm_ros1._tcpros import ProtocolError, TcprosReader, decode_header
 from uoarm_ros1._xmlrpc import Fault, HttpReader, decode_call, encode_reply, http_reply
 
@@ -27,7 +28,8 @@ _JOIN_SECONDS = 2.0
 class Handler(ABC):
     """What the loop calls for one socket, in its own thread.
 
-    Must implement `readable`. May implement `writable` and `failed`.
+    Must implement `readable`. May implement `writable` and `failed`. Where nothing was there to
+    take, `readable` must raise BlockingIOError, so that the loop counts a turn for nothing.
     """
 
     def __init__(self, connection: socket.socket) -> None:
@@ -57,10 +59,16 @@ class SocketLoop:
         self._posted: deque[Callable[[], object]] = deque()
         self._times: list[tuple[float, int, Callable[[], object]]] = []
         self._numbers = count()
+        self._counter = TurnCounter()
         self._closing = self._ended = False
         self._handlers: set[Handler] = set()
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)
         self._thread.start()
+
+    @property
+    def turns(self) -> Turns:
+        """How often the thread has turned, and how often for nothing."""
+        return self._counter.turns
 
     def post(self, action: Callable[[], object]) -> None:
         """Have something called in the thread, in the order of posting."""
@@ -136,13 +144,19 @@ class SocketLoop:
         try:
             while not self._closing:
                 left = self._times[0][0] - time.monotonic() if self._times else None
-                for key, events in self._selector.select(None if left is None else max(0.0, left)):
+                ready = self._selector.select(None if left is None else max(0.0, left))
+                worked = not ready  # then a time has come
+                for key, events in ready:
                     if key.data is None:
+                        worked = True
                         with suppress(OSError):
                             self._woken.recv(4096)
                     else:
-                        self._handle(key.data, events)
+                        worked |= self._handle(key.data, events)
                 self._call_what_is_due()
+                rest = self._counter.add(empty=not worked)
+                if rest:
+                    time.sleep(rest)
         finally:
             for handler in tuple(self._handlers):
                 self._end(handler, "the node is closed")
@@ -152,16 +166,18 @@ class SocketLoop:
             self._wake.close()
             self._woken.close()
 
-    def _handle(self, handler: Handler, events: int) -> None:
+    def _handle(self, handler: Handler, events: int) -> bool:
+        """Have a socket read and written; returns whether there was anything to do."""
         try:
             if events & selectors.EVENT_WRITE and not handler.writable():
                 self._change(handler, selectors.EVENT_READ)
             if events & selectors.EVENT_READ and handler in self._handlers:
                 handler.readable()
         except BlockingIOError:
-            pass
+            return False
         except Exception as error:  # noqa: BLE001 - of one peer: the others do not notice
             self._end(handler, str(error) or type(error).__name__)
+        return True
 
     def _call_what_is_due(self) -> None:
         self._call_posted()
@@ -300,7 +316,7 @@ class _Listener(Handler):
         try:
             connection, _ = self.socket.accept()
         except BlockingIOError:
-            return
+            raise  # the peer is gone again
         except OSError:
             # No descriptor is left, or the peer is gone again: others may be closed meanwhile.
             self._loop.pause(self, 0.1)

@@ -13,12 +13,11 @@ from typing import Any
 from rclpy.exceptions import InvalidHandle
 from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
 
+from uoarm.bridge import TurnCounter, Turns
 from uoarm_ros2._middleware._wait_set import (
     Entity,
     EventEntity,
     SubscriptionEntity,
-    TurnCounter,
-    Turns,
     WaitSet,
 )
 

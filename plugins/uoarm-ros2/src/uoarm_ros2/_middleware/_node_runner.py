@@ -20,6 +20,7 @@ from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
 from rclpy.service import Service
 
+from uoarm.bridge import Turns
 from uoarm.errors import BridgeError, FailureReason
 from uoarm_ros2._middleware._actions import (
     GoalEntity,
@@ -41,7 +42,6 @@ from uoarm_ros2._middleware._wait_set import (
     ReplyEntity,
     RequestEntity,
     SubscriptionEntity,
-    Turns,
     WaitableEntity,
 )
 from uoarm_ros2._qos import Policies

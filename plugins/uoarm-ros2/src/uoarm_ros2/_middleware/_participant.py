@@ -13,11 +13,10 @@ from pathlib import Path
 import rclpy
 from rclpy.context import Context
 
-from uoarm.bridge import at_exit
+from uoarm.bridge import Turns, at_exit
 from uoarm.errors import BridgeError, FailureReason
 from uoarm_ros2._installed import installation, wheels
 from uoarm_ros2._middleware._node_runner import NodeRunner
-from uoarm_ros2._middleware._wait_set import Turns
 from uoarm_ros2._options import HIGHEST_DOMAIN
 
 __all__ = ["Participant", "environment"]
