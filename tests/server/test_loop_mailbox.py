@@ -3,8 +3,13 @@
 from __future__ import annotations
 
 import asyncio
+import gc
 import logging
+import os
+import threading
 import weakref
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from typing import NoReturn
 
 import pytest
@@ -74,3 +79,67 @@ def test_after_the_end_of_the_loop_nothing_is_kept() -> None:
         mailbox.put(action)
         del action
     assert [reference_type() for reference_type in kept] == [None] * 3
+
+
+def test_what_many_threads_put_runs_in_the_order_of_each() -> None:
+    threads, each = 4, 500
+    ran: dict[int, list[int]] = {number: [] for number in range(threads)}
+
+    async def work() -> None:
+        mailbox, ended = LoopMailbox(asyncio.get_running_loop()), asyncio.Event()
+        all_begin = threading.Barrier(threads)
+
+        def put(number: int) -> None:
+            all_begin.wait(patience())
+            for count in range(each):
+                mailbox.put(partial(ran[number].append, count))
+
+        with ThreadPoolExecutor(threads) as pool:
+            loop = asyncio.get_running_loop()
+            await asyncio.gather(
+                *(loop.run_in_executor(pool, put, number) for number in range(threads))
+            )
+            mailbox.put(ended.set)
+            await ended.wait()
+
+    asyncio.run(asyncio.wait_for(work(), patience()))
+    assert ran == {number: list(range(each)) for number in range(threads)}
+
+
+@pytest.mark.skipif(not hasattr(os, "eventfd"), reason="the kernel has no such events")
+def test_what_wakes_the_loop_is_closed_with_it_or_before() -> None:
+    def event_of(mailbox: LoopMailbox) -> int:
+        assert mailbox._event is not None, "it is asyncio's loop"
+        os.fstat(mailbox._event)
+        return mailbox._event
+
+    def is_closed(event: int) -> bool:
+        gc.collect()
+        try:
+            os.fstat(event)
+        except OSError:
+            return True
+        return False
+
+    async def work() -> None:
+        mailbox, done = LoopMailbox(asyncio.get_running_loop()), asyncio.Event()
+        event = event_of(mailbox)
+        begun = threading.Thread(target=mailbox.put, args=(done.set,))
+        begun.start()
+        begun.join()
+        mailbox.close()  # what was put before is done all the same
+        await done.wait()
+        done.clear()
+        mailbox.put(done.set)
+        await done.wait()
+        del mailbox
+        await asyncio.sleep(0)
+        assert is_closed(event)
+
+    asyncio.run(asyncio.wait_for(work(), patience()))
+    loop = asyncio.new_event_loop()
+    left_open = LoopMailbox(loop)
+    event = event_of(left_open)
+    loop.close()
+    del left_open, loop
+    assert is_closed(event)

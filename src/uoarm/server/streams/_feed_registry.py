@@ -463,6 +463,7 @@ class FeedRegistry:
             await asyncio.wait(self._kills.values(), timeout=self.limits.stop_seconds / 4)
         self.workers.close()
         self.encoder.close()
+        self.mailbox.close()
 
     async def _open(self, wanted: FeedKey, feed: Feed) -> None:
         take = feed.take if wanted.receive else _ignore

