@@ -123,6 +123,7 @@ _EVENT_SECONDS = 0.02
 _FEW = 8
 _QUIET_SECONDS = 2.0
 _SWEEP_SECONDS = 1.0
+_SELDOM_SECONDS = 0.0005
 _log = logging.getLogger("uoarm.ros2")
 
 
@@ -186,15 +187,16 @@ class WaitLoop:
         self._soon.append(act)
         self.wake()
 
-    def turn(self, seconds: float) -> None:
-        """Wait no longer than that for anything, and hand on all that is there."""
+    def turn(self, seconds: float) -> bool:
+        """Wait no longer than that for anything, and hand on what is there; was there anything?"""
         while self._soon:
             self._soon.popleft()()
-        now = time.monotonic()
+        now, worked = time.monotonic(), False
         quiet: list[Entity] = []
         while self._quiet_entities:
             quiet += self._quiet_entities.popleft()
-        worked = self._take_quiet(quiet, now)
+        if quiet:
+            worked = self._take_quiet(quiet, now)
         if now >= self._sweep_due:
             self._sweep(now)
         if self._changed:
@@ -207,9 +209,12 @@ class WaitLoop:
         ready = chosen.wait(seconds if early <= 0 else min(seconds, early))
         now = time.monotonic()
         for entity in ready:
+            at_once = entity.at_once
             if isinstance(entity, SubscriptionEntity):
+                # Of what comes seldom there is one: a look for more costs as much as taking it.
+                at_once = 1 if now - entity.active_at > _SELDOM_SECONDS else at_once
                 entity.active_at = now
-            worked |= self._take(entity)
+            worked |= self._take(entity, at_once)
         empty = chosen.ended_early or (bool(quiet or ready) and not worked)
         if empty or not ready:
             self._events_due = 0.0
@@ -218,6 +223,7 @@ class WaitLoop:
         rest = self._counter.add(empty=empty, complete=chosen is self._everything)
         if rest:
             time.sleep(rest)
+        return worked
 
     @property
     def turns(self) -> Turns:
@@ -246,7 +252,7 @@ class WaitLoop:
             if isinstance(entity, SubscriptionEntity) and entity.is_quiet:
                 entity.is_quiet, entity.active_at = False, now
                 self._changed = True
-        taken = [self._take(entity) for entity in quiet]
+        taken = [self._take(entity, entity.at_once) for entity in quiet]
         return any(taken)
 
     def _sweep(self, now: float) -> None:
@@ -280,14 +286,14 @@ class WaitLoop:
                 wait_set.close()
         self._quiet_watch.watch([entity for entity in every if entity.is_quiet])
 
-    def _take(self, entity: Entity) -> bool:
-        """Take what an entity has, up to its limit, so that the others have their turn.
+    def _take(self, entity: Entity, most: int) -> bool:
+        """Take what an entity has, so much at most, so that the others have their turn.
 
         Returns whether it had anything, or is waited for no more.
         """
         taken = 0
         try:
-            while taken < entity.at_once and not entity.removed and entity.take():
+            while taken < most and not entity.removed and entity.take():
                 taken += 1
         except InvalidHandle:
             pass  # it went between the look and the taking

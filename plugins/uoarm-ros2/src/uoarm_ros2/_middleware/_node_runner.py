@@ -159,14 +159,16 @@ class NodeRunner:
         due = time.monotonic() + _TICK_SECONDS
         try:
             while not self._stopping:
+                worked = False
                 try:
-                    self._loop.turn(max(0.0, due - time.monotonic()))
+                    worked = self._loop.turn(max(0.0, due - time.monotonic()))
                     if time.monotonic() >= due:
                         due = time.monotonic() + _TICK_SECONDS
                         self.tick()
                 except Exception as error:  # noqa: BLE001 - one failure ends no other entity
                     self._failed(error)
-                if not self._context.ok():
+                # Nothing comes any more in a context that has ended.
+                if not worked and not self._context.ok():
                     break
             if not self._stopping:
                 # What is open stays until it is closed: stop messages are sent after the end.

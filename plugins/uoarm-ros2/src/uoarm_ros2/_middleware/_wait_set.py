@@ -212,15 +212,19 @@ class WaitSet:
             subscriptions, guards, timers, clients, services, events, context
         )
         add = self._wait_set
-        self._adders: list[tuple[Callable[[Any], Any], list[Any]]] = [
-            (join, [entity.handle for entity in self._by_kind[kind]])
+        # As flat as can be: they are gone through in every turn.
+        self._adders: list[tuple[Callable[[Any], Any], Any]] = [
+            (join, entity.handle)
             for kind, join in (
                 ("subscription", add.add_subscription),
                 ("client", add.add_client),
                 ("service", add.add_service),
                 ("event", add.add_event),
             )
+            for entity in self._by_kind[kind]
         ]
+        self._events, self._joining = self._by_kind["event"], self._by_kind[""]
+        self._kinds = [kind for kind in _KINDS if self._by_kind[kind]]
 
     def wait(self, seconds: float) -> list[Entity]:
         """Return what is ready, as soon as something is; empty when the time is over.
@@ -230,26 +234,23 @@ class WaitSet:
         wait_set = self._wait_set
         wait_set.clear_entities()
         guard = wait_set.add_guard_condition(self._guard)
-        for add, handles in self._adders:
-            for handle in handles:
-                add(handle)
-        for entity in self._by_kind[""]:
+        for add, handle in self._adders:
+            add(handle)
+        for entity in self._joining:
             entity.handle.add_to_wait_set(wait_set)
         until = time.monotonic() + seconds - _CLOCK_SECONDS
         wait_set.wait(round(seconds * 1e9))
-        ready = [
-            entity
-            for place, entity in enumerate(self._by_kind["event"])
-            if wait_set.is_ready("event", place)
-        ]
-        ready += [entity for entity in self._by_kind[""] if entity.handle.is_ready(wait_set)]
-        for kind in _KINDS:
-            if self._by_kind[kind]:
-                found = (
-                    self._by_pointer.get((kind, ready_entity))
-                    for ready_entity in wait_set.get_ready_entities(kind)
-                )
-                ready += [entity for entity in found if entity is not None]
+        ready: list[Entity] = []
+        for place, entity in enumerate(self._events):
+            if wait_set.is_ready("event", place):
+                ready.append(entity)
+        if self._joining:
+            ready += [entity for entity in self._joining if entity.handle.is_ready(wait_set)]
+        for kind in self._kinds:
+            for pointer in wait_set.get_ready_entities(kind):
+                found = self._by_pointer.get((kind, pointer))
+                if found is not None:
+                    ready.append(found)
         self.ended_early = (
             not ready
             and time.monotonic() < until
