@@ -7,6 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from uoarm import QueuePolicy, RobotManager
+from uoarm.errors import UoarmError
+from uoarm.model import StatusEvent
 
 HERE = Path(__file__).parent
 
@@ -20,8 +22,19 @@ class Driver:
         self._result = robot.request("goTo.result", on_message=self._on_result)
         self._scan = robot.request("scan", queue=QueuePolicy(1))
         self._robot = robot
+        robot.listen(self._on_event)
         self._goal = ""
         self._metres = 0
+
+    def take(self, words: str) -> None:
+        """Do what was typed."""
+        if words == "cancel":
+            self.cancel()
+        elif words == "where":
+            self.where()
+        elif words:
+            x, y = map(float, words.split())
+            self.drive(x, y)
 
     def drive(self, x: float, y: float) -> None:
         """Send a goal; what becomes of it is printed."""
@@ -45,6 +58,11 @@ class Driver:
         wall = min(self._scan.get(timeout=10)["ranges"])
         print(f"at {at['x']:.1f} {at['y']:.1f}, {wall:.1f} m from a wall", flush=True)
 
+    def _on_event(self, event: StatusEvent) -> None:
+        """Say which component takes goals after another one was lost."""
+        if event.change == "replaced" and event.subject == f"connection {self._status.id}":
+            print(f"driven by {self._status.plan.provider.component.name}", flush=True)
+
     def _on_status(self, message: Any) -> None:
         if message["status"] in {"accepted", "rejected"}:
             self._goal = message["goal_id"]
@@ -67,13 +85,10 @@ def main() -> None:
         driver = Driver(robot)
         print("where to?", flush=True)
         for line in sys.stdin:
-            if line.strip() == "cancel":
-                driver.cancel()
-            elif line.strip() == "where":
-                driver.where()
-            elif line.strip():
-                x, y = map(float, line.split())
-                driver.drive(x, y)
+            try:
+                driver.take(line.strip())
+            except UoarmError as error:
+                print(error, flush=True)
 
 
 if __name__ == "__main__":

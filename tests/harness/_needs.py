@@ -144,7 +144,12 @@ MODULES = {
     "tests/examples/test_warehouse_broker.py": ("rtm", "mosquitto"),
     "plugins/uoarm-ros2/tests/test_rosbridge.py": ("ros2", "rosbridge"),
     "plugins/uoarm-ros2/tests/test_cbor_raw.py": ("ros2", "rosbridge"),
-    "plugins/uoarm-ros2/tests/test_navigation_example.py": ("ros2", "compiler"),
+    "plugins/uoarm-ros2/tests/test_navigation_example.py": (
+        "ros2",
+        "compiler",
+        "vda5050",
+        "mosquitto",
+    ),
     "plugins/uoarm-ros2/tests/test_diagnostics.py": ("ros2", "diagnostic_msgs"),
     "plugins/uoarm-ros2/tests/test_read_diagnostics.py": ("ros2", "diagnostic_msgs"),
     "plugins/uoarm-ros2/tests/*": ("ros2",),

@@ -1,11 +1,13 @@
-"""The navigation example: one base, two planners of which one goes, a goal that is cancelled."""
+"""The navigation example: two planners of which one goes, a vehicle in the place of the base."""
 
 from __future__ import annotations
 
 import os
+import shutil
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
+from importlib import import_module
 from pathlib import Path
 
 import pytest
@@ -14,15 +16,22 @@ from peers import own_line
 from uoarm.testing import patience, wait
 
 ROOT = Path(__file__).parents[3]
-EXAMPLE = ROOT / "examples" / "navigation"
+SOURCE = ROOT / "examples" / "navigation"
 Start = Callable[..., "subprocess.Popen[str]"]
+
+
+@pytest.fixture
+def example(tmp_path: Path) -> Path:
+    """The example's folder, as a copy."""
+    copied: Path = shutil.copytree(SOURCE, tmp_path / "navigation")
+    return copied
 
 
 @pytest.fixture
 def interfaces(tmp_path: Path) -> Path:
     """A folder with the action's type, built and installed as the page says."""
     wheels, target = tmp_path / "wheels", tmp_path / "target"
-    build = ["-m", "uoarm", "ros2", "build-interfaces", str(EXAMPLE / "interfaces")]
+    build = ["-m", "uoarm", "ros2", "build-interfaces", str(SOURCE / "interfaces")]
     subprocess.run([sys.executable, *build, "--output", str(wheels)], check=True)
     pip = ["-m", "pip", "install", "-q", "--no-deps", "--no-index", "--target", str(target)]
     subprocess.run([sys.executable, *pip, *map(str, wheels.glob("*.whl"))], check=True)
@@ -30,13 +39,13 @@ def interfaces(tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def start(interfaces: Path) -> Iterator[Start]:
+def start(example: Path, interfaces: Path) -> Iterator[Start]:
     """Starts programs of the example, and ends them all."""
     started: list[subprocess.Popen[str]] = []
 
     def begin(program: str, *words: str) -> subprocess.Popen[str]:
         process = subprocess.Popen(
-            [sys.executable, str(EXAMPLE / program), *words],
+            [sys.executable, str(example / program), *words],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             text=True,
@@ -54,6 +63,18 @@ def start(interfaces: Path) -> Iterator[Start]:
         process.wait(patience())
         assert process.stdout is not None
         process.stdout.close()
+
+
+@pytest.fixture
+def broker(example: Path, tmp_path: Path) -> Iterator[str]:
+    """A Mosquitto, whose URL the example's files name."""
+    sys.path.insert(0, str(ROOT / "plugins" / "uoarm-mqtt" / "tests"))
+    with import_module("brokers").running(tmp_path / "mosquitto") as made:
+        robot = example / "fleet.yaml"
+        text = robot.read_text(encoding="utf-8")
+        assert "mqtt://127.0.0.1:1883" in text
+        robot.write_text(text.replace("mqtt://127.0.0.1:1883", made.url), encoding="utf-8")
+        yield made.url
 
 
 def line(process: subprocess.Popen[str]) -> str:
@@ -102,3 +123,36 @@ def test_another_planner_takes_over_and_a_goal_is_cancelled(start: Start) -> Non
     assert line(driver) == "10000.0 m to go"
     ask(driver, "cancel")
     assert until_the_end(driver)[-1] == "canceled"
+
+
+def test_a_vehicle_of_another_standard_takes_over_and_the_base_after_it(
+    broker: str, start: Start
+) -> None:
+    planner, base = start("planner.py", "straight"), start("base.py")
+    vehicle = start("vehicle.py", broker)
+    assert line(planner) == "planning on /straight/plan"
+    assert line(base) == "driving on /navigate_to_pose"
+    assert line(vehicle) == "waiting for orders"
+    driver = start("drive_to.py")
+    assert line(driver) == "where to?"
+    ask(driver, "0 2")
+    assert until_the_end(driver)[:2] == ["accepted", "2.0 m to go"]
+    base.terminate()
+    base.wait(patience())
+    assert line(driver) == "driven by vehicle"
+    ask(driver, "3 4")
+    there = until_the_end(driver)
+    assert (there[0], there[-1]) == ("accepted", "succeeded")
+    assert all(words.endswith(" m to go") for words in there[1:-1])
+    ask(driver, "10000 0")
+    assert line(driver) == "accepted"
+    assert line(driver).endswith(" m to go")
+    ask(driver, "cancel")
+    assert until_the_end(driver)[-1] == "canceled"
+    again = start("base.py")
+    assert line(again) == "driving on /navigate_to_pose"
+    vehicle.terminate()
+    vehicle.wait(patience())
+    assert line(driver) == "driven by base"
+    ask(driver, "0 1")
+    assert until_the_end(driver)[0] == "accepted"
