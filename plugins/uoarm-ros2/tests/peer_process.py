@@ -181,7 +181,9 @@ class Doer:
         self.node.destroy_publisher(publisher)
         return {}
 
-    def diagnose(self, entries: list[Any], count: int = 0) -> dict[str, Any]:
+    def diagnose(
+        self, entries: list[Any], count: int = 0, topic: str = "/diagnostics"
+    ) -> dict[str, Any]:
         """Publish an array of entries, and of so many others before, ten times a second."""
         from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
@@ -196,9 +198,9 @@ class Doer:
         ]
         others = [DiagnosticStatus(name=f"other {number}") for number in range(count)]
         self.array = DiagnosticArray(status=[*others, *made])
-        if "/diagnostics" not in self.publishers:
-            publisher = self.node.create_publisher(DiagnosticArray, "/diagnostics", profile())
-            self.publishers["/diagnostics"] = publisher
+        if topic not in self.publishers:
+            publisher = self.node.create_publisher(DiagnosticArray, topic, profile())
+            self.publishers[topic] = publisher
             self.timer = self.node.create_timer(0.1, lambda: publisher.publish(self.array))
         return {}
 

@@ -94,7 +94,7 @@ def test_what_is_no_array_is_refused_with_its_reason() -> None:
 
 def test_hostile_texts_are_escaped_and_bounded() -> None:
     values = {f"\x1b[2J{number}": "\n" * 5000 for number in range(500)}
-    health = EntryHealth(WHEEL, 0.0)
+    health = EntryHealth(WHEEL, 0.0, 5.0)
     octets = array((WHEEL, 200, "\u202e\x1b]0;" + "é" * 9000, values))
     health.took(read(octets).entries[WHEEL.encode()], 1.0)
     verdict = health.verdict(1.0)
@@ -107,8 +107,8 @@ def test_hostile_texts_are_escaped_and_bounded() -> None:
     assert "\ufffd" in read(broken).entries[WHEEL.encode()].message
 
 
-def test_an_entry_is_expected_again_within_five_seconds() -> None:
-    health = EntryHealth(WHEEL, 0.0)
+def test_an_entry_is_expected_again_within_the_timeout() -> None:
+    health = EntryHealth(WHEEL, 0.0, 5.0)
     assert health.verdict(5.0) is None
     health.saw(("driver: left_wheel", "camera"))
     text = f"no entry '{WHEEL}' for 5 s; did you mean 'driver: left_wheel'?"
@@ -124,7 +124,7 @@ def test_an_entry_is_expected_again_within_five_seconds() -> None:
 
 
 def test_values_that_change_with_each_array_are_no_news() -> None:
-    health = EntryHealth(WHEEL, 0.0)
+    health = EntryHealth(WHEEL, 0.0, 5.0)
 
     def said(message: str, value: str, now: float, level: int = WARN) -> str:
         health.took(Entry(level, message, (("t", value),)), now)
@@ -182,9 +182,10 @@ def test_each_level_is_the_health_of_the_channel(
 
 
 def test_an_entry_that_ceases_or_never_comes_is_reported_and_not_lost(
-    bridge: Bridge, events: Inbox, driver: Peer, monkeypatch: pytest.MonkeyPatch
+    make_bridge: Callable[..., Bridge], driver: Peer
 ) -> None:
-    monkeypatch.setattr(_diagnostic_entries, "EXPECTED_SECONDS", 0.5)
+    bridge, events = make_bridge(diagnostics_timeout=0.5), Inbox()
+    bridge.watch(events)
     driver.do("diagnose", entries=[["driver: left_wheel", OK, "", {}]])
     source(bridge, numbers(), Inbox())
     events.event(Health.DEGRADED, f"no entry '{WHEEL}' for 0.5 s; did you mean 'driver: left_w")
@@ -195,10 +196,24 @@ def test_an_entry_that_ceases_or_never_comes_is_reported_and_not_lost(
     assert not [event for event in events.messages if event.health is Health.LOST]
 
 
-def test_another_type_on_the_topic_is_named(
-    bridge: Bridge, events: Inbox, peer: Start, monkeypatch: pytest.MonkeyPatch
+def test_another_topic_is_read_where_the_bridge_names_one(
+    make_bridge: Callable[..., Bridge], driver: Peer
 ) -> None:
-    monkeypatch.setattr(_diagnostic_entries, "EXPECTED_SECONDS", 0.5)
+    bridge, events = make_bridge(diagnostics_topic="/diagnostics_agg"), Inbox()
+    bridge.watch(events)
+    source(bridge, numbers(), Inbox())
+    driver.do("diagnose", entries=[[WHEEL, ERROR, "elsewhere", {}]])
+    driver.do("diagnose", entries=[[WHEEL, WARN, "hot", {}]], topic="/diagnostics_agg")
+    cause = f"peer: topic /numbers: /diagnostics_agg: '{WHEEL}' says WARN 'hot'"
+    assert events.event(Health.DEGRADED, "WARN").cause == cause
+    assert not [event for event in events.messages if event.health is Health.LOST]
+
+
+def test_another_type_on_the_topic_is_named(
+    make_bridge: Callable[..., Bridge], peer: Start
+) -> None:
+    bridge, events = make_bridge(diagnostics_timeout=0.5), Inbox()
+    bridge.watch(events)
     talker = peer("talker")
     talker.do("advertise", topic="/numbers")
     talker.do("advertise", topic="/diagnostics", kind="String")

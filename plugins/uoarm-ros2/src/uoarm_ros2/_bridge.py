@@ -232,7 +232,13 @@ class Ros2Bridge(Bridge):
             self._report_component,
         )
         self._managed = ManagedNodes(access, self._graph, self._runner.topic_name)
-        self._diagnostics = DiagnosticsReader(self._runner, self._graph, self._report_component)
+        self._diagnostics = DiagnosticsReader(
+            self._runner,
+            self._graph,
+            self._runner.topic_name(options.diagnostics_topic),
+            options.diagnostics_timeout,
+            self._report_component,
+        )
         self._lookups = FrameLookups(self._runner, self._graph, self._types.find)
         self._called: dict[Ros2Address, ServiceClient | Action] = {}
         self._disagreements: dict[str, str] = {}

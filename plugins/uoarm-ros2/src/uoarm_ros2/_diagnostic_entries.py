@@ -15,10 +15,8 @@ from attrs import define, field, frozen
 
 from uoarm.model import Health
 
-__all__ = ["EXPECTED_SECONDS", "Allowance", "ArrayReading", "Entry", "EntryHealth", "read_array"]
+__all__ = ["Allowance", "ArrayReading", "Entry", "EntryHealth", "read_array"]
 
-EXPECTED_SECONDS = 5.0
-"""Within which an entry is expected again, as by the aggregator of ROS 2."""
 _TEXTS = 100_000  # a second: some 30 ms of work
 _TEXT_SECONDS = 1.0  # a cause that changes on and on is reported no more often
 _MESSAGE, _VALUE, _VALUES, _NAMES = 200, 60, 8, 32
@@ -156,10 +154,11 @@ class EntryHealth:
     Args:
         name: of the entry.
         now: the time.
+        timeout: seconds within which it is expected again.
     """
 
-    def __init__(self, name: str, now: float) -> None:
-        self._name, self._since = name, now
+    def __init__(self, name: str, now: float, timeout: float) -> None:
+        self._name, self._since, self._timeout = name, now, timeout
         self._last: Entry | None = None
         self._written: Entry | None = None  # which the cause has
         self._at = self._written_at = self._missing_at = -math.inf
@@ -184,7 +183,7 @@ class EntryHealth:
 
     def is_awaited(self, now: float) -> bool:
         """Whether none came within the time in which it is expected."""
-        return now - max(self._at, self._since) > EXPECTED_SECONDS
+        return now - max(self._at, self._since) > self._timeout
 
     def says_error(self, now: float) -> bool:
         """Whether the component says that it does not work."""
@@ -195,9 +194,9 @@ class EntryHealth:
         """Return the health and its cause; None: it is not known yet."""
         if self.is_awaited(now):
             # Neither work nor a report each time that it is asked for, whatever arrays come.
-            if now - self._missing_at > EXPECTED_SECONDS:
+            if now - self._missing_at > self._timeout:
                 said = f"; the last: {self._last}" if self._last is not None else self._near()
-                self._missing = f"no entry {self._name!r} for {EXPECTED_SECONDS:g} s{said}"
+                self._missing = f"no entry {self._name!r} for {self._timeout:g} s{said}"
                 self._missing_at = now
             return Health.DEGRADED, self._missing
         return None if self._last is None else (self._last.health, self._text)

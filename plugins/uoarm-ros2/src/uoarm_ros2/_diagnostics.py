@@ -1,4 +1,4 @@
-"""The topic `/diagnostics`, read as the health of the components that name an entry in it."""
+"""The topic of diagnostics, read as the health of the components that name an entry in it."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from uoarm_ros2._types import import_type
 
 __all__ = ["DiagnosticsReader", "EntryLease"]
 
-_TOPIC = Topic("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray")
+_TYPE = "diagnostic_msgs/msg/DiagnosticArray"
 _IDLE_SECONDS = 60.0
 _LOOK_SECONDS = 5.0
 _MOST_REPORTS = 5
@@ -46,6 +46,8 @@ class DiagnosticsReader:
     Args:
         runner: subscribes.
         graph: shows who publishes.
+        topic: name of the topic, resolved.
+        timeout: seconds within which an entry is expected again.
         report: takes that a refused component may be asked for again: health, cause, component.
         clock: seconds that only grow.
     """
@@ -54,10 +56,13 @@ class DiagnosticsReader:
         self,
         runner: NodeRunner,
         graph: Ros2Graph,
+        topic: str,
+        timeout: float,
         report: Callable[[Health, str, str], None],
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._runner, self._graph = runner, graph
+        self._topic, self._timeout = Topic(topic, _TYPE), timeout
         self._report, self._clock = report, clock
         # Guards everything below, between channels that open and close and the runner's thread.
         # Nothing is reported under it.
@@ -86,7 +91,7 @@ class DiagnosticsReader:
             watched.refused.add(component)
             watched.asked = now
             verdict = watched.health.verdict(now)
-        text = f"{_TOPIC.name}: {verdict[1] if verdict else ''}"
+        text = f"{self._topic.name}: {verdict[1] if verdict else ''}"
         raise BridgeError(text, FailureReason.UNAVAILABLE)
 
     def watch(self, name: str, component: str) -> EntryLease:
@@ -99,11 +104,13 @@ class DiagnosticsReader:
         with self._lock:
             if self._subscription is None:
                 self._subscription = self._runner.subscribe(
-                    _native(), _TOPIC.name, _POLICIES, self._take, events={}
+                    _native(), self._topic.name, _POLICIES, self._take, events={}
                 )
             watched = self._entries.get(_key(name))
             if watched is None:
-                watched = self._entries[_key(name)] = _Watched(EntryHealth(name, now), now)
+                watched = self._entries[_key(name)] = _Watched(
+                    EntryHealth(name, now, self._timeout), now
+                )
             watched.users += 1
             watched.refused.discard(component)
         return EntryLease(name, self, watched, component)
@@ -117,7 +124,7 @@ class DiagnosticsReader:
             why = self._why_none
         if found is None:
             return None
-        return found[0], f"{_TOPIC.name}: {found[1]}{why if is_unknown else ''}"
+        return found[0], f"{self._topic.name}: {found[1]}{why if is_unknown else ''}"
 
     def facts(self) -> Mapping[str, object]:
         """Return how many arrays came, and how many of them were not read to their end."""
@@ -154,7 +161,7 @@ class DiagnosticsReader:
             self._look_due = now + _LOOK_SECONDS
             self._why_none = self._absence()
         for component in recovered:
-            text = f"{_TOPIC.name}: its entry no longer says ERROR"
+            text = f"{self._topic.name}: its entry no longer says ERROR"
             self._report(Health.OK, text, component)
 
     def close(self) -> None:
@@ -194,10 +201,10 @@ class DiagnosticsReader:
 
     def _absence(self) -> str:
         """Say what of the topic may be why an entry does not come; mostly empty."""
-        peers = self._runner.publishers(_TOPIC.name)
-        ours = [peer for peer in peers if peer.type == _TOPIC.type]
+        peers = self._runner.publishers(self._topic.name)
+        ours = [peer for peer in peers if peer.type == _TYPE]
         reports = [] if ours else ["the topic has no publisher of its type"]
-        others = self._graph.other_types(_TOPIC)
+        others = self._graph.other_types(self._topic)
         reports += [f"it carries {others}"] if others else []
         for peer in ours:
             wrong = clashes(peer.policies, _POLICIES)
@@ -243,6 +250,6 @@ def _key(name: str) -> bytes:
 
 def _native() -> type:
     try:
-        return import_type(_TOPIC.type)
+        return import_type(_TYPE)
     except BridgeError as error:
         raise BridgeError(f"option diagnostics: {error}", error.reason) from error

@@ -89,6 +89,17 @@ class Ros2BridgeOptions(BridgeOptions):
     use_sim_time: bool = option(
         False, {"type": "boolean"}, "whether `stale_after` counts the seconds of `/clock`"
     )
+    diagnostics_topic: str = option(
+        "/diagnostics",
+        {"type": "string", "pattern": f"^{_GRAPH_NAME}$", "examples": ["/diagnostics_agg"]},
+        "the topic on which entries are read that outputs name with `diagnostics`",
+    )
+    diagnostics_timeout: float = option(
+        5.0,
+        {"type": "number", "exclusiveMinimum": 0, "maximum": 3600},
+        "seconds without its entry after which a component is degraded",
+        unit="s",
+    )
 
     def node_name(self, bridge: str) -> str:
         """Return the name of the node of a bridge."""
@@ -156,7 +167,7 @@ class Ros2Options(PeerOptions):
     diagnostics: str = option(
         "",
         {"type": "string", "maxLength": 256, "examples": ["driver: left wheel"]},
-        "the entry on `/diagnostics` that says how the component is",
+        "the entry on `diagnostics_topic` that says how the component is",
     )
 
     @property
