@@ -126,6 +126,21 @@ def test_several_recordings_are_checked(tape: Path) -> None:
         assert "broken.mcap: nothing could be checked" in text
 
 
+def test_strict_wants_all_channels_checked(
+    tape: Path, bridge: MemoryBridge, make_robot: Any
+) -> None:
+    assert checked(tape, ALONE, "--strict")[0] == 0
+    eye = bridge.emitter("eye", COUNT)
+    both = tape.with_name("both.mcap")
+    with make_robot().record("counter", "camera", path=both):
+        eye.emit({"n": 1})
+    code, text = checked(both, ALONE, "--json")
+    assert (code, json.loads(text)["is_complete"]) == (0, False), text
+    assert checked(both, ALONE, "--strict")[0] == 1
+    done = CliRunner().invoke(main, ["check", "--strict", str(tape.with_name("robot.yaml"))])
+    assert (done.exit_code, "goes with --recording" in done.stderr) == (2, True)
+
+
 def test_what_feeds_nothing_is_held_against_its_provider(tape: Path) -> None:
     code, text = checked(tape, ALONE)
     assert (code, "numbers.default: 150 fit, 0 do not" in text) == (0, True), text

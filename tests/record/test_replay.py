@@ -14,7 +14,7 @@ from tests.record.conftest import COUNT, PICTURE
 from uoarm import RobotManager
 from uoarm.config import loads
 from uoarm.errors import BridgeError, ResolutionError
-from uoarm.model import Endpoint, MessageStructure, QueuePolicy, Role
+from uoarm.model import Endpoint, MessageStructure, QueuePolicy, Role, StatusEvent
 from uoarm.record import _bridge
 from uoarm.record._bridge import RecordingBridge
 from uoarm.record._checking import open_recording
@@ -181,6 +181,8 @@ def test_it_takes_over_when_the_sensor_dies(
 ) -> None:
     clicks = bridge.emitter("clicks", COUNT)
     robot = make_robot(REPLAY.replace("FILE", json.dumps(str(tape))))
+    events: list[StatusEvent] = []
+    robot.listen(events.append)
     with robot.request("counter", queue=BLOCK) as connection:
         clicks.emit({"n": -1})
         assert connection.get(patience()) == {"n": -1}
@@ -189,7 +191,10 @@ def test_it_takes_over_when_the_sensor_dies(
         wait(lambda: connection.gaps, "the gap is noted")
         (gap,) = connection.gaps
         assert gap.after == ("of_then",)
+        wait(lambda: any(event.change == "replaced" for event in events), "it is announced")
         assert any("recorded: run.mcap" in warning for warning in connection.plan.warnings)
+    (event,) = [event for event in events if event.change == "replaced"]
+    assert event.cause == f"{gap.cause}; of_then goes on with what was recorded"
 
 
 def test_the_proof_says_what_drifted_since(

@@ -53,8 +53,11 @@ _SECONDS = 60.0
     multiple=True,
     help="Hold what was recorded against the configuration of today instead; may be repeated.",
 )
+@click.option(
+    "--strict", "is_strict", is_flag=True, help="With --recording: all of it must be checked."
+)
 @json_option
-def check(file: str, *, recordings: tuple[Path, ...], as_json: bool) -> None:
+def check(file: str, *, recordings: tuple[Path, ...], is_strict: bool, as_json: bool) -> None:
     """Say everything that is wrong with a configuration FILE.
 
     Python components that run in this environment are imported, to check their parameters. What is
@@ -62,12 +65,15 @@ def check(file: str, *, recordings: tuple[Path, ...], as_json: bool) -> None:
 
     With --recording each message of the recording is adapted and held against every input that its
     function feeds now, and the structure of then is proven against it. The exit code is 1 where one
-    does not fit, or nothing could be checked.
+    does not fit, or nothing could be checked; with --strict also where a channel was not, or a part
+    of the file cannot be read.
     """
+    if is_strict and not recordings:
+        raise click.UsageError("--strict goes with --recording")
     if recordings:
         from uoarm.cli._record import check_against  # noqa: PLC0415 - needs an extra
 
-        check_against(file, recordings, as_json=as_json)
+        check_against(file, recordings, is_strict=is_strict, as_json=as_json)
     _say_that_it_takes_a_while(file)
     registry = Registry()
     report = inspect(file, registry.types, parameters=True, missing=registry.missing)

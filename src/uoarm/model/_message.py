@@ -62,6 +62,11 @@ class MessageStructure:
         text = json.dumps([self.schema, self.native_type], sort_keys=True, separators=(",", ":"))
         return hashlib.sha256(text.encode()).hexdigest()[:32]
 
+    @property
+    def is_recorded(self) -> bool:
+        """Whether its messages are played from a recording."""
+        return isinstance(self.schema, Mapping) and "x-recorded" in self.schema
+
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, MessageStructure):
             return NotImplemented

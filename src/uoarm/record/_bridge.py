@@ -153,10 +153,10 @@ class RecordingBridge(Bridge):
         return reading_of(channel)
 
     def _marked(self, structure: MessageStructure | None) -> MessageStructure | None:
-        if structure is None or self._may_move or structure.schema is False:
+        if structure is None or structure.schema is False:
             return structure
         own: Any = {} if structure.schema is True else structure.schema
-        return evolve(structure, schema={**own, RECORDED: True})
+        return evolve(structure, schema={**own, RECORDED: "moves" if self._may_move else True})
 
     def _note(self) -> str:
         began = datetime.fromtimestamp(self._file.start / _NANO, timezone.utc)

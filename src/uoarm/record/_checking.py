@@ -233,6 +233,14 @@ class RecordingCheck:
         is_checked = any(not consumer.unchecked for consumer in consumers)
         return is_checked and all(channel.is_passed for channel in self.channels)
 
+    @property
+    def is_complete(self) -> bool:
+        """Whether nothing was left unchecked: no channel, no consumer, no part of the file."""
+        return not self.notes and all(
+            channel.consumers and not any(consumer.unchecked for consumer in channel.consumers)
+            for channel in self.channels
+        )
+
 
 def open_recording(path: Path) -> RecordedFile:
     """Return a recording of any kind that is read.

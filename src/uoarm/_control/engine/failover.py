@@ -535,6 +535,15 @@ def hand_over(draft: Draft, record: ConnectionRecord) -> None:
         draft.announce(record, record.state.value)
     new = [n for n in after.plan.names if after.components[n] != before.components.get(n)]
     successors = f"{', '.join(new or after.plan.names[-1:])} {'go' if len(new) > 1 else 'goes'} on"
+    played = [
+        step.component.name
+        for step in after.plan.steps
+        if step.component.name in new
+        and any(structure.is_recorded for structure in step.structures.values())
+    ]
+    if played:
+        who = "" if played == new else f", {', '.join(played)}"
+        successors += f"{who} with what was recorded"
     draft.announce(record, rule.announced, f"{cause}; {successors}")
     # In the lane of the handing over, and after it: nothing of the old plan is closed before the
     # application receives from the new one.
