@@ -10,10 +10,11 @@ import signal
 import subprocess
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import Any
+from urllib.request import urlopen
 
 import pytest
 from tests.server.robot import CONFIGURATION
@@ -185,12 +186,13 @@ def started(folder: Path, *words: str, **environment: str) -> tuple[subprocess.P
     return process, found[0]
 
 
-def use(url: str) -> None:
-    """Open a function as a client, and end it."""
+def use(url: str, until: Callable[[], object] = lambda: True) -> None:
+    """Open a function as a client, and end it once something is true."""
 
     async def request() -> None:
         async with connect(url) as robot:
             stream = await robot.request("numbers")
+            await asyncio.to_thread(wait, until)
             await stream.kill()
 
     asyncio.run(request())
@@ -202,13 +204,16 @@ def test_a_server_sends_spans_and_figures_to_a_collector(
     soon = {"OTEL_METRIC_EXPORT_INTERVAL": "200", "OTEL_BSP_SCHEDULE_DELAY": "100"}
     process, url = started(tmp_path, "--otlp", f"{collector.url}/", **soon)
     try:
-        use(url)
+        use(url, lambda: "uoarm_route_received" in collector.metrics())
         wait(lambda: {"uoarm.request", "uoarm.kill"} <= set(collector.spans()))
-        wait(lambda: "uoarm_bridge_health" in collector.metrics())
         spans = collector.spans()
         assert spans["uoarm.open"].parent_span_id == spans["uoarm.request"].span_id
         assert spans["uoarm.kill"].trace_id == spans["uoarm.request"].trace_id
         assert collector.services() == {"uoarm"}
+        with urlopen(f"{url.replace('ws:', 'http:')}metrics", timeout=patience()) as answer:
+            names = re.findall(r"^# TYPE (\w+) ", answer.read().decode(), re.MULTILINE)
+        # Those of Prometheus, which ends counters with _total and has the server's own, too.
+        assert collector.metrics() <= {name.removesuffix("_total") for name in names}
         process.send_signal(signal.SIGTERM)
         assert process.wait(patience()) == 0
     finally:
