@@ -10,7 +10,8 @@ UoarmError
 ├── CommandRefusedError    the sender: what would move something came too late, or may not be
 ├── ControlMessageError    the client: a control message that cannot be read
 ├── ConnectionClosedError  the caller: the handle or manager was closed before the call
-└── UsageError             the caller: an operation that this connection does not have
+├── UsageError             the caller: an operation that this connection does not have
+└── CommandLineError       who typed a command: its words are wrong, or it cannot do its work
 
 `BridgeError.reason` says which kind of failure it was, for programs that must branch on it.
 `UoarmError.error_code` is what `uoarm explain` explains (`uoarm.error_codes`).
@@ -23,6 +24,7 @@ from enum import Enum
 __all__ = [
     "BridgeError",
     "BridgeTimeoutError",
+    "CommandLineError",
     "CommandRefusedError",
     "ConfigurationError",
     "ConnectionClosedError",
@@ -168,3 +170,22 @@ class UsageError(UoarmError, TypeError):
     """The operation does not exist on this function, for example `send` without an input."""
 
     error_code = "UOA-503"
+
+
+class CommandLineError(UoarmError):
+    """The words of a command are wrong, or it ends with an exit code of its own.
+
+    Args:
+        text: what is wrong.
+        exit_code: of the command; 2 is that of wrong words.
+        error_code: where it is another one than that of wrong words.
+
+    Attributes:
+        exit_code: of the command.
+    """
+
+    error_code = "UOA-002"
+
+    def __init__(self, text: str, *, exit_code: int = 2, error_code: str = "") -> None:
+        super().__init__(text, error_code=error_code)
+        self.exit_code = exit_code

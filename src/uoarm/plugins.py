@@ -5,13 +5,16 @@ Bridges have their contract in `uoarm.bridge`, front ends theirs in `uoarm.serve
 
 from __future__ import annotations
 
+import argparse
+import sys
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 from attrs import field, frozen
 
 from uoarm._plugins import hookimpl, hookspec
+from uoarm.errors import CommandLineError
 
 __all__ = [
     "CONTRACT_VERSION",
@@ -19,6 +22,7 @@ __all__ = [
     "CheckHooks",
     "Command",
     "CommandHooks",
+    "CommandParser",
     "DefinitionFormat",
     "DefinitionHooks",
     "Definitions",
@@ -35,7 +39,8 @@ class Command:
 
     Attributes:
         name: that of the entry point, too, by which it is listed without being loaded.
-        run: takes the words after the name and returns the exit status; may raise SystemExit.
+        run: takes the words after the name and returns the exit status; may raise SystemExit. An
+            error of uoarm, or of click, that it raises is shown with its code of errors.
         contract: the version of these hooks that it was written for: a number that stands in its
             source, never `CONTRACT_VERSION`, which is that of the uoarm that runs.
     """
@@ -43,6 +48,15 @@ class Command:
     name: str
     run: Callable[[list[str]], int]
     contract: int = field(kw_only=True)
+
+
+class CommandParser(argparse.ArgumentParser):
+    """Reads the words of a command as argparse does; wrong ones raise CommandLineError."""
+
+    def error(self, message: str) -> NoReturn:
+        """Show how the command is used, and raise."""
+        self.print_usage(sys.stderr)
+        raise CommandLineError(message)
 
 
 @frozen

@@ -244,7 +244,8 @@ def test_request_ends_with_the_cause_when_no_message_matched(
     robot: str, arguments: list[str], said: str
 ) -> None:
     result = run("request", "wrong", "-f", robot, *arguments)
-    assert (result.exit_code, result.stdout) == (4, "")
+    codes = [json.loads(line)["error_code"] for line in result.stdout.splitlines()]
+    assert (result.exit_code, codes) == (4, ["UOA-805"] if "--json" in arguments else [])
     assert f"error: {said}: mistaken.default gave 4 that do not match" in result.stderr
     assert "expected a whole number" in result.stderr
 
@@ -488,4 +489,4 @@ def test_of_very_many_functions_some_are_named(robot: str) -> None:
         for number in range(50)
     )
     Path(robot).write_text(f"version: 1\nbridges: {{python: {{}}}}\nfunctions:\n{many}")
-    assert run("call", robot).stderr.rstrip().endswith("f18, f19 and 30 more")
+    assert "f18, f19 and 30 more\n" in run("call", robot).stderr

@@ -5,12 +5,15 @@ from __future__ import annotations
 from contextlib import ExitStack
 from pathlib import Path
 
+import pytest
+
 from uoarm import RobotManager
+from uoarm.cli import main
 from uoarm.config import loads
 from uoarm.model import Robot
 from uoarm.server import Server, ServerOptions, serve_in_thread
 
-__all__ = ["ROBOT", "ServedRobot", "here"]
+__all__ = ["ROBOT", "ServedRobot", "fleet", "here"]
 
 ROBOT = """
 version: 1
@@ -95,3 +98,10 @@ class ServedRobot:
         """End it."""
         self.stop()
         self.manager.close()
+
+
+def fleet(*words: str) -> int:
+    """Run `uoarm fleet`; return its exit code."""
+    with pytest.raises(SystemExit) as ended:
+        main(["fleet", *words])
+    return int(ended.value.code or 0)

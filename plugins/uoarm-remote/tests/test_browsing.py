@@ -11,9 +11,10 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
+from robots import fleet
 from uoarm_remote import _browser, _command
 from uoarm_remote._browser import MOST, AnnouncedManager, Browser, _place, _shown
-from uoarm_remote._command import announced_text, main
+from uoarm_remote._command import announced_text
 from zeroconf import (  # type: ignore[attr-defined]  # two that it imports, and does not list
     DNSOutgoing,
     DNSPointer,
@@ -213,9 +214,9 @@ def test_the_command_lists_what_was_announced(
         with monkeypatch.context() as patched:
             patched.setattr(_command, "Browser", lambda: _Entered(browser))
             patched.setattr(_command, "time", SimpleNamespace(sleep=lambda _: None))
-            assert main(["--browse", "--json"]) == 0
+            assert fleet("--browse", "--json") == 0
             (shown,) = json.loads(capsys.readouterr().out)
-            assert main(["--browse"]) == 0
+            assert fleet("--browse") == 0
     assert shown["urls"] == ["wss://192.0.2.7:9080/"]
     assert (shown["identity"], shown["tls"], shown["cause"]) == (IDENTITY, True, "")
     assert "token_file: manager1.token" in capsys.readouterr().out
@@ -236,14 +237,12 @@ class _Entered:
 
 @pytest.mark.parametrize("given", ["0", "-1", "61", "nan", "x"])
 def test_seconds_are_bounded(given: str, capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit):
-        main(["--browse", "--seconds", given])
+    assert fleet("--browse", "--seconds", given) == 2
     assert "--seconds" in capsys.readouterr().err
 
 
 def test_it_reads_no_configuration(capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit):
-        main(["robot.yaml", "--browse"])
+    assert fleet("robot.yaml", "--browse") == 2
     assert "leave robot.yaml out" in capsys.readouterr().err
 
 

@@ -8,8 +8,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from robots import ServedRobot
-from uoarm_remote._command import main
+from robots import ServedRobot, fleet
 
 from uoarm.testing import patience
 
@@ -29,7 +28,7 @@ def test_every_manager_is_shown(
     robot: ServedRobot, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with robot.manager.request("counter"):
-        assert main([desk(tmp_path, first=robot.url, second=robot.url)]) == 0
+        assert fleet(desk(tmp_path, first=robot.url, second=robot.url)) == 0
     shown = capsys.readouterr().out
     assert shown.startswith(f"first  {robot.url}\n  ")
     assert f"\nsecond  {robot.url}\n" in shown
@@ -41,13 +40,13 @@ def test_one_that_is_not_reached_is_named_beside_the_others(
 ) -> None:
     gone = ServedRobot()
     gone.close()
-    assert main([desk(tmp_path, first=gone.url, second=robot.url), "--json"]) == 4
+    assert fleet(desk(tmp_path, first=gone.url, second=robot.url), "--json") == 4
     first, second = json.loads(capsys.readouterr().out)
     assert (first["bridge"], first["url"], first["status"]) == ("first", gone.url, None)
     assert "nothing listens there" in first["cause"]
     assert second["cause"] == ""
     assert second["status"]["connections"] == []
-    main([desk(tmp_path, first=gone.url)])
+    assert fleet(desk(tmp_path, first=gone.url)) == 4
     assert "first  ws://127.0.0.1:" in (text := capsys.readouterr().out)
     assert "not reached: nothing listens there" in text
 
@@ -55,12 +54,12 @@ def test_one_that_is_not_reached_is_named_beside_the_others(
 def test_a_configuration_that_is_wrong_or_imports_nothing(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main([desk(tmp_path, first="http://nowhere/")]) == 3
+    assert fleet(desk(tmp_path, first="http://nowhere/")) == 3
     assert "url" in capsys.readouterr().err
-    assert main([str(tmp_path / "missing.yaml")]) == 3
+    assert fleet(str(tmp_path / "missing.yaml")) == 3
     capsys.readouterr()
     file = desk(tmp_path)
-    assert main([file]) == 0
+    assert fleet(file) == 0
     assert capsys.readouterr().out == f"{file} imports from no other manager\n"
 
 

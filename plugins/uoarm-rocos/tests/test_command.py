@@ -14,8 +14,9 @@ import pytest
 from click.testing import CliRunner
 from lines import LIMIT
 from rigs import Events, bridged, endpoint
-from uoarm_rocos._command import main
+from uoarm_rocos._command import rocos
 
+from uoarm.cli import main as uoarm
 from uoarm.model import MessageStructure
 
 ANY = MessageStructure(True)
@@ -27,7 +28,7 @@ ENTRY = f"from {SCRIPT} import main; main()"
 
 @pytest.mark.parametrize("words", [[], ["simulate"]])
 def test_help_cuts_no_sentence(words: list[str]) -> None:
-    shown = CliRunner().invoke(main, [*words, "--help"], terminal_width=80)
+    shown = CliRunner().invoke(rocos, [*words, "--help"], terminal_width=80)
     assert (shown.exit_code, "..." in shown.output.partition("Commands:")[2]) == (0, False)
 
 
@@ -97,6 +98,6 @@ def test_a_blood_pressure_monitor_over_tcp() -> None:
     ],
 )
 def test_what_makes_no_sense_is_said(words: list[str], said: str) -> None:
-    result = CliRunner().invoke(main, ["simulate", *words])
+    result = CliRunner().invoke(uoarm, ["rocos", "simulate", *words])
     assert result.exit_code != 0
     assert said in result.output

@@ -13,11 +13,11 @@ from pathlib import Path
 import pytest
 from endpoints import Inbox, endpoint, source
 from peers import own_line
-from uoarm_ros2.__main__ import main
 from uoarm_ros2._interface_sources import in_build_order, packages_in
 from uoarm_ros2._interface_wheels import write_wheel
 
 from uoarm.bridge import Bridge
+from uoarm.cli import main
 from uoarm.errors import ConfigurationError
 from uoarm.model import Role
 from uoarm.testing import patience
@@ -39,6 +39,13 @@ DEFINITIONS = {
     "arm_msgs/msg/Joint.msg": "float32[3] angles\nstring[] labels\n",
     "arm_msgs/package.xml": "<package><name>arm_msgs</name><version>1.2.3</version></package>",
 }
+
+
+def run(*words: str) -> int:
+    """Run `uoarm ros2`; return its exit code."""
+    with pytest.raises(SystemExit) as ended:
+        main(["ros2", *words])
+    return int(ended.value.code or 0)
 
 
 @pytest.fixture
@@ -76,7 +83,7 @@ def test_what_cannot_be_built_is_one_error_with_its_place(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     folder, output = write(files), tmp_path / "out"
-    assert main(["build-interfaces", str(folder), "--output", str(output)]) == 1
+    assert run("build-interfaces", str(folder), "--output", str(output)) == 3
     reports = capsys.readouterr()
     assert text in reports.err
     assert reports.out == ""
@@ -89,7 +96,7 @@ def test_without_a_compiler_it_says_so_before_any_work(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.setenv("CC", "no-such-compiler -O3")
-    assert main(["build-interfaces", str(write(DEFINITIONS))]) == 4
+    assert run("build-interfaces", str(write(DEFINITIONS))) == 4
     text = capsys.readouterr().err
     assert "there is no compiler: none of no-such-compiler is on the path; install gcc" in text
     assert "definitions" not in text.splitlines()[0].partition("there is")[0]
@@ -162,7 +169,7 @@ def test_a_node_talks_what_was_built(
 ) -> None:
     """Two packages, one of which holds types of the other, as message, service and action."""
     words = ["build-interfaces", str(write(DEFINITIONS)), "--output", str(tmp_path / "out")]
-    assert main([*words, "--json"]) == 0
+    assert run(*words, "--json") == 0
     reports = capsys.readouterr()
     wheels = [Path(load) for load in json.loads(reports.out)]
     assert [wheel.name.split("-")[0] for wheel in wheels] == ["arm_msgs", "claw_msgs"]

@@ -10,8 +10,8 @@ from typing import Any
 
 import pytest
 from peers import Peer
-from uoarm_ros2.__main__ import main
 
+from uoarm.cli import main
 from uoarm.testing import wait
 
 Run = Callable[..., Any]
@@ -23,8 +23,8 @@ def run(capsys: pytest.CaptureFixture[str]) -> Run:
 
     def run_it(*words: str) -> tuple[int, Any, str]:
         try:
-            status = main(list(words))
-        except SystemExit as ended:  # as argparse does
+            main(["ros2", *words])
+        except SystemExit as ended:
             status = int(ended.code or 0)
         printed = capsys.readouterr()
         is_json = "--json" in words and not status
@@ -104,4 +104,5 @@ def test_a_domain_of_the_environment_that_is_none_is_an_error_of_the_command(
 ) -> None:
     monkeypatch.setenv("ROS_DOMAIN_ID", "lab")
     status, _, report = run("list")
-    assert (status, report) == (4, "the environment says ROS_DOMAIN_ID='lab', expected 0 to 232\n")
+    first = "error: the environment says ROS_DOMAIN_ID='lab', expected 0 to 232"
+    assert (status, report.splitlines()) == (4, [first, "uoarm explain UOA-403 says more"])

@@ -15,10 +15,10 @@ import pytest
 from endpoints import endpoint, source
 from peers import Peer
 from test_leftovers import holding
-from uoarm_rtm.__main__ import main
 from uoarm_rtm.nameserver import NameServer
 
 from uoarm.bridge import Bridge
+from uoarm.cli import main
 from uoarm.model import Role
 from uoarm.testing import patience
 
@@ -40,7 +40,9 @@ def run(capsys: pytest.CaptureFixture[str]) -> Callable[..., Any]:
     """Runs a command; returns its status, its output (of --json as values), its errors."""
 
     def run_it(*words: str) -> tuple[int, Any, str]:
-        status = main(list(words))
+        with pytest.raises(SystemExit) as ended:
+            main(["rtm", *words])
+        status = int(ended.value.code or 0)
         output = capsys.readouterr()
         return status, json.loads(output.out) if "--json" in words else output.out, output.err
 
@@ -113,8 +115,8 @@ def test_parameters_are_written_and_checked(
     assert worker.configuration()["gain"] == "7"
     run("configure", "Worker.rtc", "--set", "fast", "gain=8", "--activate")
     assert worker.configuration() == {"gain": "8"}
-    with pytest.raises(SystemExit):
-        run("configure", "Worker.rtc", "--sett", "fast", "gain=8")
+    status, _, error = run("configure", "Worker.rtc", "--sett", "fast", "gain=8")
+    assert (status, error.splitlines()[-1]) == (2, "uoarm explain UOA-002 says more")
 
 
 def test_connections_of_killed_processes_are_ended_and_no_others(

@@ -14,7 +14,7 @@ from collections.abc import Mapping
 from contextlib import suppress
 from importlib import import_module
 from importlib.metadata import EntryPoint, entry_points
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import click
 
@@ -22,8 +22,17 @@ from uoarm._raised import text_of
 from uoarm._support.process_tuning import short_switch_interval
 from uoarm._version import __version__
 from uoarm.cli._log import add_log_options, logging_to_stderr
-from uoarm.cli._shared import INTERRUPTED, exit_code_of, fail, importing, terminable
-from uoarm.errors import PluginError, UoarmError, UsageError
+from uoarm.cli._shared import (
+    INTERRUPTED,
+    JSON,
+    REFUSED,
+    exit_code_of,
+    fail,
+    importing,
+    print_failure,
+    terminable,
+)
+from uoarm.errors import CommandLineError, PluginError, UoarmError, UsageError
 
 if TYPE_CHECKING:
     from uoarm.plugins import Command
@@ -31,6 +40,7 @@ if TYPE_CHECKING:
 __all__ = ["COMMANDS", "PluginGroup", "main"]
 
 _GROUP = "uoarm.commands"
+_HELP = getattr(click.exceptions, "NoArgsIsHelpError", ())  # which click 8.1 has not
 _NO_ROOM = frozenset({errno.ENOSPC, errno.EFBIG, errno.EDQUOT})
 
 # By name: a command's module and object, and its line of `uoarm --help`, which imports none.
@@ -72,21 +82,41 @@ COMMANDS: Mapping[str, tuple[str, str, str]] = {
 class PluginGroup(click.Group):
     """A group that imports a command when it is run, ours or a plugin's."""
 
+    def make_context(
+        self,
+        info_name: str | None,
+        args: list[str],
+        parent: click.Context | None = None,
+        **extra: Any,
+    ) -> click.Context:
+        """Read the words before the command; what is wrong with them has a code of errors."""
+        as_json = "--json" in args
+        try:
+            context = super().make_context(info_name, args, parent, **extra)
+        except click.UsageError as error:
+            _fail_with_usage(error, as_json=as_json)
+        context.meta[JSON] = as_json
+        return context
+
     def invoke(self, ctx: click.Context) -> Any:
-        """Run a command; say in one line that it was interrupted, or its output has no room."""
+        """Run a command. Whatever ends it is said in one way, with its code of errors."""
         try:
             return super().invoke(ctx)
         except KeyboardInterrupt:  # which click would report as a failure, with the code of one
             click.echo("interrupted", err=True)
             sys.exit(INTERRUPTED)
-        except UoarmError as error:  # of a plugin's command, and what a command of ours lets pass
+        except click.UsageError as error:
+            _fail_with_usage(error, as_json=bool(ctx.meta.get(JSON)))
+        except click.ClickException as error:
+            fail(error.format_message(), error.exit_code)
+        except UoarmError as error:
             fail(error, exit_code_of(error))
         except OSError as error:
             if error.errno not in _NO_ROOM:
                 raise
             with suppress(OSError, ValueError):  # what waits would fail once more when Python ends
                 os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-            raise click.ClickException(f"nothing more can be written: {error.strerror}") from error
+            fail(f"nothing more can be written: {error.strerror}", REFUSED, "UOA-003")
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         """Return our own commands, then those of plugins."""
@@ -125,6 +155,17 @@ class PluginGroup(click.Group):
         found = self.get_command(ctx, name)
         assert found is not None
         return found
+
+
+def _fail_with_usage(error: click.UsageError, *, as_json: bool) -> NoReturn:
+    """Say which words are wrong, below how the command is used; help that was meant is shown."""
+    if isinstance(error, _HELP):
+        raise error
+    if error.ctx is not None:
+        click.echo(error.ctx.get_usage(), err=True)
+    failure = CommandLineError(error.format_message())
+    print_failure(failure, failure.error_code, as_json=as_json)
+    sys.exit(failure.exit_code)
 
 
 def _command(point: EntryPoint) -> click.Command:

@@ -19,10 +19,10 @@ from uoarm.cli._shared import (
     BRIDGE,
     REFUSED,
     FunctionArgument,
-    fail,
     json_option,
     open_robot,
     print_error,
+    print_failure,
     print_json,
 )
 from uoarm.errors import UoarmError
@@ -101,7 +101,8 @@ def record(
         status = recording.status()
     click.echo(write_json(to_json(status)) if as_json else summary(status))
     if status.state == "failed":
-        fail(f"the recording ended: {status.cause}", BRIDGE, "UOA-810")
+        print_failure(f"the recording ended: {status.cause}", "UOA-810", as_json=False)
+        sys.exit(BRIDGE)
     sys.exit(0)
 
 

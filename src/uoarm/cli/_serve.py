@@ -233,7 +233,7 @@ def exporting(url: str | None) -> Iterator[None]:
 def cannot_listen(error: OSError) -> NoReturn:
     """Say why a server cannot listen, and exit."""
     hint = "; --port takes another" if error.errno == errno.EADDRINUSE else ""
-    fail(f"{error.strerror or error}{hint}", _USED)
+    fail(f"{error.strerror or error}{hint}", _USED, "UOA-709")
 
 
 @click.command()

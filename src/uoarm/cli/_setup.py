@@ -14,7 +14,16 @@ import click
 
 from uoarm import environments
 from uoarm.bridge import Registry
-from uoarm.cli._shared import BRIDGE, json_option, needing, print_json, print_warning, reporting
+from uoarm.cli._shared import (
+    BRIDGE,
+    REFUSED,
+    fail,
+    json_option,
+    needing,
+    print_json,
+    print_warning,
+    reporting,
+)
 
 __all__ = ["certificates", "env", "new_bridge"]
 
@@ -185,7 +194,7 @@ def new_bridge(name: str, into: Path) -> None:
         raise click.BadParameter(f"{taken}; choose another", param_hint="NAME")
     project = into / f"uoarm-{name.replace('_', '-')}"
     if project.exists():
-        raise click.ClickException(f"{project} is there already; nothing was changed")
+        fail(f"{project} is there already; nothing was changed", REFUSED, "UOA-003")
     try:
         for place, text in _files(files("uoarm.cli").joinpath("template"), ""):
             target = project / _named(place, name)
@@ -193,7 +202,7 @@ def new_bridge(name: str, into: Path) -> None:
             target.write_text(_named(text, name), encoding="utf-8")
     except OSError as error:
         shutil.rmtree(project, ignore_errors=True)
-        raise click.ClickException(f"{project} cannot be made: {error}") from error
+        fail(f"{project} cannot be made: {error}", REFUSED, "UOA-003")
     click.echo(f"made {project}; next:\n")
     click.echo(f"  cd {project}\n  pip install -e '.[dev]'\n  pytest -x")
 

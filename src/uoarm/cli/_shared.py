@@ -36,6 +36,7 @@ __all__ = [
     "plain",
     "print_error",
     "print_error_code",
+    "print_failure",
     "print_json",
     "print_warning",
     "reporting",
@@ -46,6 +47,7 @@ __all__ = [
 F = TypeVar("F", bound=Callable[..., Any])
 
 REFUSED, CONFIGURATION, BRIDGE, INTERRUPTED = 1, 3, 4, 130
+JSON = "uoarm.json"  # of the context: whether `--json` is among the words
 _NAMED = 20
 
 
@@ -144,6 +146,8 @@ def terminable(context: click.Context) -> None:
 
 def exit_code_of(error: errors.UoarmError) -> int:
     """Return the documented exit code of a command that an error ends."""
+    if isinstance(error, errors.CommandLineError):
+        return error.exit_code
     if isinstance(error, errors.ConfigurationError):
         return CONFIGURATION
     refusals = errors.ResolutionError, errors.MessageError, errors.UsageError
@@ -230,11 +234,32 @@ def plain(message: Message, most: int | None = None) -> Any:
     return to_json(message)
 
 
-def fail(error: Exception | str, code: int, error_code: str = "UOA-001") -> NoReturn:
-    """Say on stderr what is wrong, and exit; an error of uoarm has its own code of errors."""
-    print_error(error)
-    print_error_code(error.error_code if isinstance(error, errors.UoarmError) else error_code)
+def fail(
+    error: Exception | str, code: int, error_code: str = "UOA-001", **details: object
+) -> NoReturn:
+    """Say what is wrong, and exit; an error of uoarm has its own code of errors.
+
+    With `--json` its object has these details, too.
+    """
+    context = click.get_current_context(silent=True)
+    as_json = context is not None and bool(context.meta.get(JSON))
+    print_failure(error, error_code, as_json=as_json, **details)
     sys.exit(code)
+
+
+def print_failure(
+    error: Exception | str, error_code: str, *, as_json: bool, **details: object
+) -> None:
+    """Say on stderr what is wrong; as JSON on stdout, too, in one line."""
+    if isinstance(error, errors.UoarmError):
+        error_code = error.error_code
+    if as_json:
+        from uoarm.model import to_json, write_json  # noqa: PLC0415 - when first needed
+
+        report = {**details, "error": str(error), "error_code": error_code}
+        click.echo(write_json(to_json(report)))
+    print_error(error)
+    print_error_code(error_code)
 
 
 def print_error_code(error_code: str) -> None:

@@ -22,6 +22,8 @@ from uoarm.cli._file import DefaultConfiguration, takes_configuration
 from uoarm.cli._shared import (
     BRIDGE,
     CONFIGURATION,
+    REFUSED,
+    fail,
     function_argument,
     json_option,
     needing,
@@ -162,14 +164,7 @@ def resolve(name: str, file: str, *, explain: bool, timeout: float, as_json: boo
             with _saying_that_it_waits(timeout):
                 plan = robot.resolve(name, timeout=timeout)
         except NoPlanError as error:
-            if as_json:
-                reports = {
-                    "function": error.function,
-                    "error": str(error),
-                    "error_code": error.error_code,
-                }
-                print_json({**reports, "rejected": error.rejections})
-            raise
+            fail(error, REFUSED, function=error.function, rejected=error.rejections)
         offers = [item for item in robot.config.offers if item.function == plan.function]
     if as_json:
         places = [

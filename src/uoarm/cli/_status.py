@@ -29,6 +29,7 @@ from uoarm.cli._shared import (
     print_json,
     terminal_width,
 )
+from uoarm.errors import PluginError
 from uoarm.model import BridgeFindings, FunctionStatus, format_status, to_json, write_json
 
 __all__ = ["show_frameworks", "show_live_status", "status"]
@@ -201,7 +202,7 @@ def status(
         fleet = group.get_command(context, "fleet")
         if fleet is None:
             command = install_command("uoarm-remote")
-            raise click.ClickException(f"other managers need the plugin uoarm-remote: {command}")
+            raise PluginError(f"other managers need the plugin uoarm-remote: {command}")
         context.invoke(fleet, arguments=(file, "--json") if as_json else (file,))
         return
     if bridges:

@@ -2,26 +2,29 @@
 
 from __future__ import annotations
 
-import argparse
 import asyncio
 import os
 import sys
 from pathlib import Path
 
 from uoarm import RobotManager
-from uoarm.errors import ConfigurationError, UoarmError
-from uoarm.plugins import Command, hookimpl
+from uoarm.errors import CommandLineError
+from uoarm.plugins import Command, CommandParser, hookimpl
 from uoarm.server import Server, ServerOptions, run
 from uoarm.server.front_end import RefusedError
 from uoarm_mcp._stdio import serve_stdio
 
 __all__ = ["main", "uoarm_commands"]
 
-_REFUSED, _MISTAKES, _FAILED, _USED = 1, 3, 4, 5
+_REFUSED, _USED = 1, 5
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run the command; returns the exit status."""
+    """Run the command; returns the exit status.
+
+    Raises:
+        UoarmError: it cannot be served, or the words are wrong.
+    """
     given = _parser().parse_args(arguments)
     try:
         options = ServerOptions(
@@ -45,14 +48,12 @@ def main(arguments: list[str] | None = None) -> int:
                 )
             else:
                 run(robot, options, lambda server: _say(server, options))
-    except ConfigurationError as error:
-        return _fail(error, _MISTAKES)
     except RefusedError as error:
-        return _fail(error, _REFUSED)
-    except UoarmError as error:
-        return _fail(error, _FAILED)
+        raise CommandLineError(
+            str(error), exit_code=_REFUSED, error_code=error.error_code
+        ) from error
     except OSError as error:
-        return _fail(error, _USED)
+        raise CommandLineError(str(error), exit_code=_USED, error_code="UOA-709") from error
     return 0
 
 
@@ -62,8 +63,8 @@ def uoarm_commands() -> list[Command]:
     return [Command("mcp", main, contract=1)]
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
+def _parser() -> CommandParser:
+    parser = CommandParser(
         prog="uoarm mcp",
         description=f"{__doc__} The token of the agent is UOARM_TOKEN. Approvals are given over "
         "WebSocket, with `uoarm approve`.",
@@ -96,9 +97,3 @@ def _say(server: Server, options: ServerOptions) -> None:
     if options.access is None:
         sys.stderr.write("without an access file nothing that moves can be approved\n")
     sys.stderr.flush()
-
-
-def _fail(error: BaseException, status: int) -> int:
-    error_code = error.error_code if isinstance(error, UoarmError) else "UOA-001"
-    sys.stderr.write(f"error: {error}\nuoarm explain {error_code} says more\n")
-    return status

@@ -19,16 +19,15 @@ from attrs import frozen
 
 from uoarm.bridge import Registry
 from uoarm.config import load
-from uoarm.errors import ConfigurationError, UoarmError
 from uoarm.model import BridgeSpec, format_status, to_json, write_json
-from uoarm.plugins import Command, hookimpl
+from uoarm.plugins import Command, CommandParser, hookimpl
 from uoarm_remote._browser import MOST, AnnouncedManager, Browser
 from uoarm_remote._link import CONNECTING_ERRORS, server_address, why_unreachable
 from uoarm_remote._options import ManagerOptions
 
 __all__ = ["ManagerReport", "announced_text", "main", "uoarm_commands"]
 
-_MISTAKES, _FAILED = 3, 4
+_FAILED = 4
 _INDENT = "  "
 _LEAST_WIDTH = 40
 _MOST_SECONDS = 60.0
@@ -62,7 +61,11 @@ class ManagerReport:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run the command; returns the exit status."""
+    """Run the command; returns the exit status.
+
+    Raises:
+        UoarmError: the configuration has mistakes, or the words are wrong.
+    """
     parser = _parser()
     given = parser.parse_args(arguments)
     if given.browse:
@@ -70,13 +73,8 @@ def main(arguments: list[str] | None = None) -> int:
             parser.error(f"--browse reads no configuration: leave {given.file} out")
         return _browse(given.seconds, as_json=given.json)
     path = given.file or os.environ.get("UOARM_CONFIG") or "robot.yaml"
-    try:
-        registry = Registry()
-        robot = load(path, registry.types)
-    except (UoarmError, OSError) as error:
-        error_code = error.error_code if isinstance(error, UoarmError) else "UOA-001"
-        sys.stderr.write(f"error: {error}\nuoarm explain {error_code} says more\n")
-        return _MISTAKES if isinstance(error, ConfigurationError) else _FAILED
+    registry = Registry()
+    robot = load(path, registry.types)
     managers = {
         bridge: registry.types["remote"].value_of(bridge.options, bridge.folder)
         for bridge in robot.bridges.values()
@@ -158,8 +156,8 @@ async def _status(name: str, options: ManagerOptions) -> Mapping[str, Any]:
         return await robot.status()
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
+def _parser() -> CommandParser:
+    parser = CommandParser(
         prog="uoarm fleet",
         description="Show the live status of each manager that a configuration imports from. Opens "
         "nothing. Exit code 0 when all were reached, 3 for a mistake in the file, 4 otherwise.",

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import signal
+import sys
 import threading
 from collections.abc import Callable
 from typing import Any, TypeVar
 
 import click
 
-from uoarm.errors import UoarmError
+from uoarm.cli import main as run_command
+from uoarm.errors import BridgeError, FailureReason
 from uoarm.plugins import Command, hookimpl
 from uoarm_rocos._catalogue_xml import load_catalogue
 from uoarm_rocos._framing import LengthFramer, StuffedFramer
@@ -38,11 +40,16 @@ _SECONDS = click.FloatRange(0, 86_400)
 
 @click.group()
 @click.version_option(package_name="uoarm-rocos", prog_name="uoarm-rocos")
-def main() -> None:
+def rocos() -> None:
     """Devices with an XML catalogue, for uoarm."""
 
 
-@main.group()
+def main() -> None:
+    """Run the command `uoarm-rocos`, which is `uoarm rocos`."""
+    run_command(["rocos", *sys.argv[1:]])
+
+
+@rocos.group()
 def simulate() -> None:
     """Be a device on a line of this machine, until Ctrl-C.
 
@@ -71,10 +78,7 @@ def _line_options(command: F) -> F:
 @click.option("--catalogue", default="", help="A catalogue file instead of the robot's own.")
 def robot(catalogue: str, **line: Any) -> None:
     """A robot on two wheels that speaks the plain-XML profile."""
-    try:
-        model = SimulatedRobot(load_catalogue(catalogue) if catalogue else None)
-    except UoarmError as error:
-        raise click.ClickException(str(error)) from error
+    model = SimulatedRobot(load_catalogue(catalogue) if catalogue else None)
     end = _end(line)
     framer = LengthFramer if end.framed else StuffedFramer
     _serve(ProfileServer(model, framer), end, end.where, line)
@@ -167,7 +171,8 @@ def _end(line: dict[str, Any]) -> LineEnd:
     try:
         return PtyEnd(line["link"]) if line["pty"] else TcpEnd(line["tcp"])
     except OSError as error:
-        raise click.ClickException(f"cannot open the line: {error}") from error
+        text = f"cannot open the line: {error}"
+        raise BridgeError(text, FailureReason.UNAVAILABLE) from error
 
 
 def _raw(end: LineEnd) -> str:
@@ -187,4 +192,9 @@ def _serve(device: Simulated, end: LineEnd, url: str, line: dict[str, Any]) -> N
 @hookimpl
 def uoarm_commands() -> list[Command]:
     """Return `uoarm rocos`, which is the same command."""
-    return [Command("rocos", lambda words: main.main(words, prog_name="uoarm rocos"), contract=1)]
+    return [Command("rocos", _run, contract=1)]
+
+
+def _run(words: list[str]) -> int:
+    # Not standalone: what is wrong is shown by `uoarm`, with its code of errors.
+    return rocos.main(words, prog_name="uoarm rocos", standalone_mode=False) or 0

@@ -11,35 +11,29 @@ from pathlib import Path
 from typing import Any
 
 from uoarm.bridge import Bridge, Description, Registry
-from uoarm.errors import ConfigurationError, UoarmError
+from uoarm.cli import main as run_command
+from uoarm.errors import CommandLineError
 from uoarm.model import BridgeSpec, Endpoint, Options, Role
-from uoarm.plugins import Command, hookimpl
+from uoarm.plugins import Command, CommandParser, hookimpl
 from uoarm_ros2._installed import installed
 from uoarm_ros2._options import HIGHEST_DOMAIN
 from uoarm_ros2._types import import_type, kind_of, type_mistake
 
 __all__ = ["main", "uoarm_commands"]
 
-_REFUSED, _USAGE, _BRIDGE, _INTERRUPTED = 1, 2, 4, 130
-
 
 def main(arguments: list[str] | None = None) -> int:
     """Run a command; returns the exit status.
 
-    That is 1 for definitions that cannot be built, 2 for wrong words, 4 where ROS 2 has it not.
+    Raises:
+        ConfigurationError: definitions cannot be built.
+        UoarmError: ROS 2 has it not, or the words are wrong.
     """
     given = _parser().parse_args(arguments)
     mistake = type_mistake(given.type) if getattr(given, "type", "") else ""
     if mistake:
-        return _fail(mistake, _USAGE)
-    try:
-        return _build(given) if given.command == "build-interfaces" else _show(given)
-    except ConfigurationError as error:
-        return _fail(str(error), _REFUSED)
-    except UoarmError as error:
-        return _fail(str(error), _BRIDGE)
-    except KeyboardInterrupt:
-        return _fail("interrupted", _INTERRUPTED)
+        raise CommandLineError(mistake)
+    return _build(given) if given.command == "build-interfaces" else _show(given)
 
 
 @hookimpl
@@ -49,11 +43,11 @@ def uoarm_commands() -> list[Command]:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="uoarm ros2", description=__doc__)
+    parser = CommandParser(prog="uoarm ros2", description=__doc__)
     commands = parser.add_subparsers(dest="command", required=True)
-    printing = argparse.ArgumentParser(add_help=False)
+    printing = CommandParser(add_help=False)
     printing.add_argument("--json", action="store_true", help="print JSON")
-    asking = argparse.ArgumentParser(add_help=False, parents=[printing])
+    asking = CommandParser(add_help=False, parents=[printing])
     asking.add_argument("--domain", type=_domain, help="default: ROS_DOMAIN_ID, else 0")
     commands.add_parser("list", parents=[asking], help="list nodes with what they offer and take")
     commands.add_parser("types", parents=[asking], help="list the types that nodes use")
@@ -128,11 +122,6 @@ def _node_lines(rows: list[Any]) -> Iterable[str]:
 def _type_lines(rows: list[Any]) -> Iterable[str]:
     for row in rows:
         yield f"{row['type']}  {row['known'] or 'not known'}  {', '.join(row['nodes'])}"
-
-
-def _fail(text: str, status: int) -> int:
-    sys.stderr.write(f"{text}\n")
-    return status
 
 
 Row = dict[str, Any]
@@ -222,4 +211,4 @@ def _is_topic(bridge: Bridge, name: str) -> bool:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    run_command(["ros2", *sys.argv[1:]])

@@ -13,36 +13,30 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from uoarm.errors import MessageError, UoarmError, UsageError
-from uoarm.plugins import Command, hookimpl
+from uoarm.cli import main as run_command
+from uoarm.errors import CommandLineError
+from uoarm.plugins import Command, CommandParser, hookimpl
 
 __all__ = ["main", "uoarm_commands"]
 
-_REFUSED, _USAGE, _BRIDGE, _INTERRUPTED = 1, 2, 4, 130
 _ACTIONS = ("activate", "deactivate", "reset")
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run a command; returns the exit status."""
+    """Run a command; returns the exit status.
+
+    Raises:
+        UoarmError: it failed, or its words are wrong.
+    """
     parser = _parser()
     given, rest = parser.parse_known_args(arguments)
     if rest and (given.command != "configure" or any(name[0] == "-" for name in rest)):
         parser.error(f"unrecognized arguments: {' '.join(rest)}")
     if rest:  # values after an option: argparse leaves them
         given.values += rest
-    try:
-        if given.command == "nameserver":
-            return _nameserver(given.port, given.address, given.folder)
-        return _ask(given)
-    except UsageError as error:
-        return _fail(error, _USAGE)
-    except MessageError as error:
-        return _fail(error, _REFUSED)
-    except UoarmError as error:
-        return _fail(error, _BRIDGE)
-    except KeyboardInterrupt:
-        sys.stderr.write("interrupted\n")
-        return _INTERRUPTED
+    if given.command == "nameserver":
+        return _nameserver(given.port, given.address, given.folder)
+    return _ask(given)
 
 
 @hookimpl
@@ -52,13 +46,13 @@ def uoarm_commands() -> list[Command]:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="uoarm rtm", description=__doc__)
+    parser = CommandParser(prog="uoarm rtm", description=__doc__)
     commands = parser.add_subparsers(dest="command", required=True)
     nameserver = commands.add_parser("nameserver", help="run omniNames until it is interrupted")
     nameserver.add_argument("--port", type=int, default=2809, help="0 for any that is free")
     nameserver.add_argument("--address", default="127.0.0.1", help="interface to listen on")
     nameserver.add_argument("--folder", type=Path, help="where names survive; default: nowhere")
-    asking = argparse.ArgumentParser(add_help=False)
+    asking = CommandParser(add_help=False)
     asking.add_argument(
         "--nameserver",
         action="append",
@@ -97,7 +91,7 @@ def _seconds(text: str) -> float:
 
 def _ask(given: argparse.Namespace) -> int:
     if given.command == "connections" and given.remove and not given.mine:
-        raise UsageError("--remove ends connections of ours only: say --mine, too")
+        raise CommandLineError("--remove ends connections of ours only: say --mine, too")
     from uoarm_rtm._commands import session  # noqa: PLC0415 - imports the middleware
 
     usual = os.environ.get("UOARM_RTM_NAMESERVER") or "localhost:2809"
@@ -119,7 +113,7 @@ def _request(given: argparse.Namespace) -> dict[str, object]:
     for item in given.values:
         name, sign, value = item.partition("=")
         if not name or not sign:
-            raise UsageError(f"expected NAME=VALUE, got {item!r}")
+            raise CommandLineError(f"expected NAME=VALUE, got {item!r}")
         values[name] = value
     request: dict[str, object] = {"activate": given.activate, "create": given.create}
     return {
@@ -194,10 +188,5 @@ def _see_end(process: subprocess.Popen[bytes], is_over: threading.Event) -> None
     is_over.set()
 
 
-def _fail(error: Exception, status: int) -> int:
-    sys.stderr.write(f"error: {error}\n")
-    return status
-
-
 if __name__ == "__main__":
-    sys.exit(main())
+    run_command(["rtm", *sys.argv[1:]])

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any
 
-from uoarm.errors import BridgeError, UsageError
+from uoarm.errors import BridgeError, CommandLineError
 from uoarm_rtm._control import change, configure
 from uoarm_rtm._discovery import Directory
 from uoarm_rtm._journal import NAME, PROCESS, end_connector, end_leftovers, journal, process_of
@@ -34,7 +34,7 @@ class CommandSession:
         try:
             services = [NamingService(orb, address, seconds) for address in addresses]
         except ValueError as error:
-            raise UsageError(f"--nameserver: {error}") from error
+            raise CommandLineError(f"--nameserver: {error}") from error
         self._orb = orb
         self._seconds = seconds
         self._directory = Directory(services, seconds)
