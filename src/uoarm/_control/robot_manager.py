@@ -11,7 +11,6 @@ from collections.abc import Callable, Mapping
 from functools import partial
 from os import PathLike
 from pathlib import Path
-from types import TracebackType
 from typing import Any, final, overload
 
 from uoarm import config
@@ -489,10 +488,5 @@ class RobotManager(RobotView):
     def __enter__(self) -> RobotManager:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()

@@ -86,8 +86,8 @@ class ResourceSnapshot:
         while (extra := len(now := _open_descriptors()) - len(self._descriptors)) > 0:
             if time.monotonic() >= deadline:
                 new = sorted(set(now.items()) - set(self._descriptors.items()))
-                names = ", ".join(f"{number} is {target}" for number, target in new[:8])
-                raise AssertionError(f"{extra} file descriptors are left over: {names}")
+                targets = ", ".join(f"{number} is {target}" for number, target in new[:8])
+                raise AssertionError(f"{extra} file descriptors are left over: {targets}")
             pause.wait(_GLANCE_SECONDS)
 
     def _left_over(self) -> list[threading.Thread]:
