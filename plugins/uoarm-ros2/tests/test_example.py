@@ -121,10 +121,15 @@ def test_the_tutorials_spare_takes_over(run: Run, tmp_path: Path) -> None:
     [configuration] = re.findall(r"```yaml\n(.*?)```", page, re.DOTALL)
     nodes = re.findall(r"^(python .*) &$", page, re.MULTILINE)
     [warning] = re.findall(r" WARNING (.*)$", page, re.MULTILINE)
+    blocks = re.findall(r"^```(\w*)\n(.*?)^```$", page, re.MULTILINE | re.DOTALL)
+    discovered, plan, _ = (text for language, text in blocks if not language)
     file = tmp_path / "robot.yaml"
     file.write_text(configuration, encoding="utf-8")
     talker = run(nodes[0])
     assert lines(talker.stdout, 1) == ["talking on /chatter\n"]
+    seen = run(f"uoarm discover -f {file}").communicate(timeout=patience())[0]
+    assert discovered.rstrip() in seen
+    assert run(f"uoarm resolve chatter -f {file}").communicate(timeout=patience())[0] == plan
     in_background(run, nodes[1])
     received = run(f"uoarm request chatter -f {file}", with_log=True)
     assert "hello" in lines(received.stdout, 1)[0]
