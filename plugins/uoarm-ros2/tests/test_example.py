@@ -129,7 +129,8 @@ def test_the_tutorials_spare_takes_over(run: Run, tmp_path: Path) -> None:
     assert lines(talker.stdout, 1) == ["talking on /chatter\n"]
     seen = run(f"uoarm discover -f {file}").communicate(timeout=patience())[0]
     assert discovered.rstrip() in seen
-    assert run(f"uoarm resolve chatter -f {file}").communicate(timeout=patience())[0] == plan
+    explained = run(f"uoarm resolve chatter --explain -f {file}")
+    assert explained.communicate(timeout=patience())[0] == plan
     in_background(run, nodes[1])
     received = run(f"uoarm request chatter -f {file}", with_log=True)
     assert "hello" in lines(received.stdout, 1)[0]
