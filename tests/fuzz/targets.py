@@ -241,7 +241,7 @@ def _web() -> Mapping[str, Target]:
     """Return the decoders of `uoarm-rosbridge`, where it is installed."""
     if find_spec("uoarm_rosbridge") is None:
         return {}
-    from uoarm_rosbridge._subscription import read_options
+    from uoarm_rosbridge._topics import read_options
     from uoarm_rosbridge._wire import Fragments, check_fields, read_operation
 
     from uoarm.cdr import Codec

@@ -67,7 +67,7 @@ _CONSTANTS = {
     "uoarm_remote._link": ("_JOIN_SECONDS",),
     "uoarm_rocos._bridge": ("_OPEN_SECONDS",),
     "uoarm_rocos._line": ("_OPEN_SECONDS",),
-    "uoarm_rocos._conversation": ("_CATALOGUE_SECONDS",),
+    "uoarm_rocos._profile": ("_CATALOGUE_SECONDS",),
     "uoarm_ros1._bridge": ("_HEADER_SECONDS",),
     "uoarm_ros1._node": ("_ASK_SECONDS",),
     "uoarm_ros1._server": ("_ARRIVAL_SECONDS",),

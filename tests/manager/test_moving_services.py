@@ -18,7 +18,7 @@ from uoarm.bridge import (
     Sink,
     Source,
 )
-from uoarm.bridge._calls import CallsUnderWay, CallUnderWay
+from uoarm.bridge._services import CallsUnderWay, CallUnderWay
 from uoarm.config import loads
 from uoarm.errors import BridgeError, BridgeTimeoutError, CommandRefusedError, ConfigurationError
 from uoarm.model import Deliver, Endpoint, Message, MessageStructure, StopReport

@@ -228,7 +228,7 @@ def test_an_approval_is_not_spent_where_no_more_work_may_begin(
     handle = asked(agents)
     agents.approve(handle)
     with monkeypatch.context() as patched:
-        patched.setattr("uoarm_mcp._goals._MOST_RUNNING", 0)
+        patched.setattr("uoarm_mcp._actions._MOST_RUNNING", 0)
         assert "wait for one of them first" in press(agents, handle)
     assert agents.facts("cuff", {**PRESS, "x-approval": handle})["state"] == "succeeded"
 

@@ -139,7 +139,7 @@ def test_an_answer_that_cannot_be_read_is_named_where_it_is_waited_for(
 def test_a_catalogue_that_cannot_be_read_is_named_where_none_comes(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr("uoarm_rocos._conversation._CATALOGUE_SECONDS", 0.2 * slowness())
+    monkeypatch.setattr("uoarm_rocos._profile._CATALOGUE_SECONDS", 0.2 * slowness())
     device = ProfileServer(SimulatedRobot(), StuffedFramer)
     device._codec = Garbling(CatalogueMessage)  # type: ignore[assignment] # as above
     with (

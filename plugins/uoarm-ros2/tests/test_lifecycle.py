@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from hypothesis import given
 from hypothesis import strategies as st
-from uoarm_ros2._lifecycle import Lifecycle, Transition
+from uoarm_ros2._managed_nodes import Lifecycle, Transition
 
 from uoarm.model import Health
 

@@ -12,8 +12,7 @@ from attrs import evolve
 from endpoints import INT64, Inbox, endpoint
 from messages import default_of
 from peers import DOMAIN, MORTAL, Peer
-from uoarm_ros2._lifecycle import Transition
-from uoarm_ros2._managed_nodes import ManagedNode, NodeAccess, NodeRequirement
+from uoarm_ros2._managed_nodes import ManagedNode, NodeAccess, NodeRequirement, Transition
 from uoarm_ros2._types import import_type
 
 from uoarm import RobotManager

@@ -12,8 +12,8 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from endpoints import INT64, Inbox, endpoint, source
 from peers import DOMAIN, Peer
 from rclpy.serialization import serialize_message
-from uoarm_ros2 import _diagnostic_entries
-from uoarm_ros2._diagnostic_entries import Allowance, Entry, EntryHealth, read_array
+from uoarm_ros2 import _diagnostics
+from uoarm_ros2._diagnostics import Allowance, Entry, EntryHealth, read_array
 
 from uoarm import RobotManager
 from uoarm.bridge import Bridge
@@ -64,7 +64,7 @@ def test_an_entry_is_found_among_thousands() -> None:
 def test_what_passes_the_allowance_is_left_until_the_next_second(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(_diagnostic_entries, "_TEXTS", 100)
+    monkeypatch.setattr(_diagnostics, "_TEXTS", 100)
     allowance = renewed()
     octets, wanted = array(*[("x", OK, "", {})] * 29, (WHEEL, OK, "", {})), {WHEEL.encode()}
     assert read_array(octets, wanted, allowance).entries

@@ -16,8 +16,7 @@ from brokers import Broker, Peer
 from jsonschema import Draft202012Validator
 from uoarm_vda5050._messages import Headers, Published, read_published
 from uoarm_vda5050._orders import Order, cancel_order
-from uoarm_vda5050._releases import RELEASES, TOPICS
-from uoarm_vda5050._structures import body_of
+from uoarm_vda5050._releases import RELEASES, TOPICS, body_of
 
 from fleet import bridge_to, driven, endpoint, goal
 from uoarm.bridge import Registry

@@ -42,7 +42,7 @@ from uoarm.bridge._registry import (
     asking_managers,
     refuse_loop,
 )
-from uoarm.bridge._serving import ServedRequests
+from uoarm.bridge._services import ServedRequests
 from uoarm.bridge._watchdog import boot_seconds
 
 __all__ = [

@@ -3,9 +3,9 @@
 Needs the packages of the extra `server`.
 """
 
-from uoarm.client._answers import ServerError, ThreadAnswer
 from uoarm.client._client import RemoteRobot, ServerAddress, connect
 from uoarm.client._link import trust_fingerprint
+from uoarm.client._questions import ServerError, ThreadAnswer
 from uoarm.client._stream import RemoteStream
 
 __all__ = [

@@ -22,9 +22,14 @@ from uoarm._hints.applications import MessageType, T, as_message
 from uoarm._support.aio_deadlines import result_within
 from uoarm._wire import BINARY_FORM, TEXT_FORM, Form
 from uoarm.bridge import boot_seconds
-from uoarm.client._answers import ServerError, ThreadAnswer, error_of, merged_status
 from uoarm.client._link import LARGEST, Link, Open
-from uoarm.client._questions import ServerQuestions
+from uoarm.client._questions import (
+    ServerError,
+    ServerQuestions,
+    ThreadAnswer,
+    error_of,
+    merged_status,
+)
 from uoarm.client._socket import ClientSocket
 from uoarm.client._stream import RemoteStream
 from uoarm.model import Message, QueuePolicy, StatusEvent, ValidationMode, format_trouble

@@ -16,8 +16,7 @@ from attrs import frozen
 
 from uoarm.model import Component, Function, MessageStructure, Robot
 from uoarm.server.front_end import AccessRole, Backend, without_secrets
-from uoarm_foxglove._encoding import StructureCodec, codec_of
-from uoarm_foxglove._protocol import write
+from uoarm_foxglove._protocol import StructureCodec, codec_of, write
 from uoarm_foxglove._views import view_of
 
 __all__ = [

@@ -36,7 +36,6 @@ from uoarm_foxglove._catalogue import (
     RobotService,
     VisibleListing,
 )
-from uoarm_foxglove._encoding import read_as
 from uoarm_foxglove._protocol import (
     CDR,
     JSON,
@@ -47,6 +46,7 @@ from uoarm_foxglove._protocol import (
     list_of,
     message_data,
     number_of,
+    read_as,
     read_frame,
     service_response,
     text_of,

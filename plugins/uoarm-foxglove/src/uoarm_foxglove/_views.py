@@ -17,8 +17,7 @@ from typing import Any, TypeAlias
 from uoarm.cdr import RosDefinition, serialiser, structure_of_definition
 from uoarm.errors import MessageError
 from uoarm.model import Message, MessageStructure
-from uoarm_foxglove._encoding import StructureCodec
-from uoarm_foxglove._protocol import CDR
+from uoarm_foxglove._protocol import CDR, StructureCodec
 
 __all__ = ["view_of"]
 

@@ -21,9 +21,8 @@ from uoarm.server.front_end import (
     StatelessClient,
     UnknownError,
 )
-from uoarm_mcp._actions import AgentActions
+from uoarm_mcp._actions import AgentActions, AgentGoals
 from uoarm_mcp._catalogue import STREAM, Catalogue, CatalogueMaker, FunctionTool, ToolKind
-from uoarm_mcp._goals import AgentGoals
 from uoarm_mcp._robot_tools import RobotTools
 from uoarm_mcp._schemas import APPROVAL, check_schema
 from uoarm_mcp._streams import AgentStreams

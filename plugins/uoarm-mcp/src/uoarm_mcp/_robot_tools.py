@@ -30,9 +30,8 @@ from uoarm.server.front_end import (
     show_stop,
     visible_status,
 )
-from uoarm_mcp._actions import AgentActions, check_arguments
+from uoarm_mcp._actions import AgentActions, AgentGoals, check_arguments, within
 from uoarm_mcp._catalogue import Catalogue, CatalogueMaker, FunctionTool, ToolKind
-from uoarm_mcp._goals import AgentGoals, within
 from uoarm_mcp._schemas import OWN_INPUTS, check_schema
 from uoarm_mcp._streams import AgentStreams
 from uoarm_mcp._values import KeptValues

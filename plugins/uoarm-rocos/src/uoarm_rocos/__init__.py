@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from uoarm_rocos._catalogue import Api, ApiKind, DeviceCatalogue, differences
     from uoarm_rocos._catalogue_xml import load_catalogue
     from uoarm_rocos._codec import MessageCodec, XmlCodec
-    from uoarm_rocos._conversation import LineParts
     from uoarm_rocos._framing import (
         SERIAL_LIMITS,
         TCP_LIMITS,
@@ -30,6 +29,7 @@ if TYPE_CHECKING:
         WireError,
     )
     from uoarm_rocos._options import DeviceOptions, LineOptions
+    from uoarm_rocos._profile import LineParts
     from uoarm_rocos._structure import ApiClass, ApiRecord, api_classes, structure_of
     from uoarm_rocos._transport import LineTransport, SerialTransport, TcpTransport
 
@@ -74,7 +74,7 @@ _MODULES = {
     "StuffedFramer WireError",
     "_options": "DeviceOptions LineOptions",
     "_structure": "ApiClass ApiRecord api_classes structure_of",
-    "_conversation": "LineParts",
+    "_profile": "LineParts",
     "_transport": "LineTransport SerialTransport TcpTransport",
 }
 _HOMES = {name: module for module, names in _MODULES.items() for name in names.split()}

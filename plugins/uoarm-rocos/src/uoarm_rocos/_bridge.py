@@ -25,12 +25,11 @@ from uoarm_rocos._catalogue import Api, Direction
 from uoarm_rocos._catalogue_xml import load_catalogue
 from uoarm_rocos._channels import SinkChannel, SourceChannel
 from uoarm_rocos._codec import XmlCodec
-from uoarm_rocos._conversation import LineParts
 from uoarm_rocos._device import Device, find
 from uoarm_rocos._discovery import listing
 from uoarm_rocos._framing import SERIAL_LIMITS, TCP_LIMITS, LengthFramer, StuffedFramer
 from uoarm_rocos._options import DeviceOptions, RocosOptions, address_of
-from uoarm_rocos._profile import Changed, ProfileDevice
+from uoarm_rocos._profile import Changed, LineParts, ProfileDevice
 from uoarm_rocos._structure import describe
 from uoarm_rocos._transport import transport_for
 from uoarm_rocos.devices._blood_pressure import Monitor

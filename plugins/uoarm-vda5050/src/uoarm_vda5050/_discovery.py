@@ -13,8 +13,7 @@ from uoarm.model import Endpoint
 from uoarm_vda5050._health import Vehicle
 from uoarm_vda5050._messages import HEADER_OCTETS, Published, VdaCodec
 from uoarm_vda5050._options import TRANSPORT, VehicleAddress, mistake, place_of
-from uoarm_vda5050._releases import SENT, TOPICS
-from uoarm_vda5050._structures import TRANSPORT_PARTS, transport_structure, with_header
+from uoarm_vda5050._releases import SENT, TOPICS, TRANSPORT_PARTS, transport_structure, with_header
 
 __all__ = ["VehicleDirectory"]
 

@@ -13,8 +13,7 @@ from uoarm.bridge import HealthReason
 from uoarm.errors import BridgeError, FailureReason, MessageError
 from uoarm.model import Budget, Health
 from uoarm_vda5050._messages import VdaCodec, check_of
-from uoarm_vda5050._releases import VdaRelease
-from uoarm_vda5050._structures import body_of
+from uoarm_vda5050._releases import VdaRelease, body_of
 
 __all__ = ["Presence", "Vehicle"]
 

@@ -16,8 +16,7 @@ from uoarm_mqtt.connection import PayloadCodec
 
 from uoarm.errors import ConfigurationError, MessageError
 from uoarm.model import Budget, Message, MessageStructure, Schema, read_json
-from uoarm_vda5050._releases import TOPICS, VdaRelease
-from uoarm_vda5050._structures import HEADER, body_of
+from uoarm_vda5050._releases import HEADER, TOPICS, VdaRelease, body_of
 
 __all__ = [
     "HEADER_IDS",

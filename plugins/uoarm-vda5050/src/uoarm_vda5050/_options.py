@@ -11,8 +11,7 @@ from uoarm_mqtt import BrokerOptions
 
 from uoarm.bridge import EndpointOptions, option
 from uoarm.model import Options, Role
-from uoarm_vda5050._releases import RELEASES, SENT, TOPICS
-from uoarm_vda5050._structures import TRANSPORT_PARTS
+from uoarm_vda5050._releases import RELEASES, SENT, TOPICS, TRANSPORT_PARTS
 
 __all__ = [
     "TRANSPORT",

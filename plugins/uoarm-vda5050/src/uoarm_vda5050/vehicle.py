@@ -30,8 +30,7 @@ from uoarm_mqtt.connection import (
 from uoarm.errors import BridgeError, ConfigurationError, MessageError
 from uoarm.model import Health
 from uoarm_vda5050._messages import Headers, VdaCodec, check_of
-from uoarm_vda5050._releases import RELEASES, TOPICS
-from uoarm_vda5050._structures import body_of
+from uoarm_vda5050._releases import RELEASES, TOPICS, body_of
 from uoarm_vda5050._vehicle_state import Act, Drive, Task, VehicleState
 
 __all__ = ["Act", "Drive", "Task", "Vehicle"]

@@ -8,7 +8,7 @@ from typing import Any, TypeAlias
 from uoarm.schema._errors import OutOfScopeError
 from uoarm.schema._values import Repeated, exact, is_small, kind_of, runs_of
 from uoarm.schema.regex import TooLong, UnsupportedPatternError, shortest_word
-from uoarm.schema.solve._arrays import array_leaf
+from uoarm.schema.solve._arrays import ArrayView, array_leaf
 from uoarm.schema.solve._branch import (
     UNSATISFIABLE,
     Branch,
@@ -21,7 +21,6 @@ from uoarm.schema.solve._branch import (
     tags_of,
 )
 from uoarm.schema.solve._expand import expand
-from uoarm.schema.solve._layout import ArrayView
 from uoarm.schema.solve._numbers import find_number, find_number_whole
 from uoarm.schema.solve._objects import ObjectView, object_leaf
 from uoarm.schema.solve._solver import Asking, Goal, SearchState, Solver, possible_kinds, try_values
