@@ -6,6 +6,7 @@ import ast
 import re
 import subprocess
 import sys
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -131,9 +132,16 @@ def _layer(path: Path) -> str:
     return first.removesuffix(".py")
 
 
+@cache
+def _import_nodes(path: Path) -> tuple[ast.Import | ast.ImportFrom, ...]:
+    """Return every import of a module, those within functions, too."""
+    nodes = ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+    return tuple(node for node in nodes if isinstance(node, ast.Import | ast.ImportFrom))
+
+
 def _imports(path: Path) -> set[str]:
     found: set[str] = set()
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+    for node in _import_nodes(path):
         names: list[str] = []
         if isinstance(node, ast.Import):
             names = [alias.name for alias in node.names]
@@ -178,7 +186,7 @@ def test_a_package_is_built_in_layers_too(path: Path) -> None:
     whole, first = path.relative_to(ROOT).parts[:2]
     layers = {name: rank for rank, names in enumerate(WITHIN[whole]) for name in names}
     layer = first.removesuffix(".py")
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+    for node in _import_nodes(path):
         module = node.module if isinstance(node, ast.ImportFrom) else None
         if module is not None and module.startswith(f"uoarm.{whole}"):
             _, _, name, *inner = [*module.split("."), "__init__"][: max(3, module.count(".") + 1)]
@@ -198,7 +206,7 @@ def test_the_folders_of_a_package_import_one_way(package: str) -> None:
         for path in sorted(paths):
             found = {
                 f"{node.module}.{alias.name}".split(".")[2]
-                for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+                for node in _import_nodes(path)
                 if isinstance(node, ast.ImportFrom) and (node.module or "").startswith(inside)
                 for alias in node.names
             }

@@ -38,7 +38,6 @@ TOGETHER = {"tests/examples/test_healthbot.py"}
 HANGING = 10
 # Processor time, which a busy machine does not lengthen, from which on a test is a long one.
 LONG_SECONDS = 120.0
-_OLDEST = 2  # generation of the collector, which looks at everything with it
 ORDER = "UOARM_TEST_ORDER"
 _HELD = pytest.StashKey[_leaks.Holdings]()
 
@@ -122,28 +121,26 @@ def pytest_collection_finish() -> None:
     gc.freeze()
 
 
-_looked = False
+_unfreeze = gc.unfreeze
+_is_thawed = False
 
 
-def _notice_look(phase: str, facts: dict[str, int]) -> None:
-    global _looked  # noqa: PLW0603 - a callback of the collector has no other place
-    _looked |= phase == "stop" and facts["generation"] == _OLDEST
+def _notice_unfreeze() -> None:
+    global _is_thawed  # noqa: PLW0603 - what takes the place of a function has no other place
+    _is_thawed = True
+    _unfreeze()
 
 
-gc.callbacks.append(_notice_look)
+# To ask for the count of what is frozen takes 40 ms: it goes over all of it.
+vars(gc)["unfreeze"] = _notice_unfreeze
 
 
 def _freeze_again() -> None:
-    """Freeze what a server let go of, which looks at everything again, now and then.
-
-    The count takes 30 ms, for it goes over all that is frozen: only a look at everything, after
-    which a server does so, is worth it.
-    """
-    global _looked  # noqa: PLW0603 - see above
-    if _looked:
-        _looked = False
-        if not gc.get_freeze_count():
-            gc.freeze()
+    """Freeze what a server let go of, which looks at everything again, now and then."""
+    global _is_thawed  # noqa: PLW0603 - see above
+    if _is_thawed:
+        _is_thawed = False
+        gc.freeze()
 
 
 @pytest.hookimpl(wrapper=True, tryfirst=True)

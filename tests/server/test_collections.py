@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import gc
-from collections.abc import Iterator
-
-import pytest
+import subprocess
+import sys
+from pathlib import Path
 
 from uoarm.server._running import _short_collections
+from uoarm.testing import patience
+
+ROOT = Path(__file__).parents[2]
 
 
 class Node:
@@ -21,16 +24,8 @@ def count() -> int:
     return sum(isinstance(value, Node) for value in gc.get_objects())
 
 
-@pytest.fixture
-def nothing_frozen() -> Iterator[None]:
-    """What the harness has frozen is not, for a test."""
-    gc.unfreeze()
-    yield
-    gc.freeze()
-
-
-@pytest.mark.usefixtures("nothing_frozen")
-def test_what_outlived_a_look_is_left_out_of_the_next_ones_and_freed_in_the_end() -> None:
+def look_again_and_again() -> None:
+    """Run alone: what the tests have loaded would be looked at twenty times, too."""
     former = gc.get_threshold()
     with _short_collections():
         kept = [Node() for _ in range(1000)]
@@ -48,6 +43,11 @@ def test_what_outlived_a_look_is_left_out_of_the_next_ones_and_freed_in_the_end(
         assert not count()
     assert gc.get_threshold() == former
     assert not gc.get_freeze_count()
+
+
+def test_what_outlived_a_look_is_left_out_of_the_next_ones_and_freed_in_the_end() -> None:
+    code = f"from {__name__} import look_again_and_again; look_again_and_again()"
+    subprocess.run([sys.executable, "-c", code], cwd=ROOT, check=True, timeout=patience())
 
 
 def test_what_an_application_has_frozen_stays_so() -> None:

@@ -40,7 +40,7 @@ def configuration(count: int) -> str:
 
 @pytest.fixture(scope="module")
 def large() -> Iterator[RobotManager]:
-    with RobotManager(loads(configuration(FUNCTIONS), "large")) as robot:
+    with _short_collections(), RobotManager(loads(configuration(FUNCTIONS), "large")) as robot:
         robot.listen(lambda event: None)  # the thread of its listeners is not of one test
         for number in range(FUNCTIONS):
             robot.request(f"f{number}")
@@ -51,7 +51,7 @@ def large() -> Iterator[RobotManager]:
 def crowded(
     large: RobotManager, longest_step: Callable[[str], float]
 ) -> Iterator[tuple[Server, Callable[[], float]]]:
-    with _short_collections(), serve_in_thread(large, ServerOptions(port=0)) as server:
+    with serve_in_thread(large, ServerOptions(port=0)) as server:
         yield server, lambda: longest_step("uoarm-serve")
 
 

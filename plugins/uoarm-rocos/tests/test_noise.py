@@ -6,6 +6,7 @@ import random
 import select
 import time
 import tracemalloc
+from collections import deque
 from collections.abc import Callable, Iterator
 from functools import partial
 from threading import Event, Lock, Thread
@@ -14,7 +15,7 @@ from typing import Any
 import pytest
 from attrs import evolve
 from lines import LIMIT, PseudoTerminal
-from rigs import Events, bridged, endpoint
+from rigs import bridged, endpoint
 from typing_extensions import Self
 from uoarm_rocos._catalogue import (
     CallMessage,
@@ -84,7 +85,7 @@ def test_an_oximeter_is_read_again_after_noise_that_is_counted_and_not_kept(
     driver: str, caplog: pytest.LogCaptureFixture
 ) -> None:
     frame = FRAMES[driver]
-    got = Events()
+    newest: deque[Any] = deque(maxlen=1)
     with (
         PseudoTerminal() as device,
         bridged(clip={"driver": driver, "url": device.path}) as (bridge, _),
@@ -92,7 +93,7 @@ def test_an_oximeter_is_read_again_after_noise_that_is_counted_and_not_kept(
         clip = bridge._named("clip")  # type: ignore[attr-defined]  # of this bridge
         until(lambda: clip._line._transport is not None)
         device.write(frame * 3)
-        channel = bridge.open_source(PULSE, ANY, last(got))
+        channel = bridge.open_source(PULSE, ANY, newest.append)
         tracemalloc.start()
         try:
             for part in noise([frame], OCTETS, 1):
@@ -100,7 +101,7 @@ def test_an_oximeter_is_read_again_after_noise_that_is_counted_and_not_kept(
             _, most = tracemalloc.get_traced_memory()
         finally:
             tracemalloc.stop()
-        until(lambda: write_and_see(device, frame, got))
+        until(lambda: write_and_see(device, frame, newest))
         assert int(str(channel.facts()["discarded"])) > OCTETS / 10
         assert most < OCTETS * 10
     no_traceback(caplog)
@@ -109,16 +110,16 @@ def test_an_oximeter_is_read_again_after_noise_that_is_counted_and_not_kept(
 def test_a_device_of_the_profile_is_understood_after_noise_and_unexpected_messages(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
-    got = Events()
+    newest: deque[Any] = deque(maxlen=1)
     with PseudoTerminal() as device, bridged(robot={"url": device.path}) as (bridge, _):
         with Peer(device) as peer:
-            channel = bridge.open_source(ODOMETRY, ANY, last(got))
+            channel = bridge.open_source(ODOMETRY, ANY, newest.append)
             for part in noise([peer.framed(item) for item in unawaited()], OCTETS, 2):
                 device.write(part)
 
             def understood() -> bool:
                 peer.say(lambda seq: DataMessage(seq, peer.flow, GOOD))
-                return not got.queue.empty() and got.get() == GOOD
+                return bool(newest) and newest.pop() == GOOD
 
             until(understood)
         damaged = bridge._devices["robot"].facts()["damaged"]  # type: ignore[attr-defined]
@@ -191,20 +192,9 @@ def _answer(message: CatalogueMessage | OpenMessage, number: int, seq: int) -> W
     return evolve(message, id=number, seq=seq)
 
 
-def last(got: Events) -> Any:
-    """Return what keeps the newest message only."""
-
-    def keep(message: Any) -> None:
-        while not got.queue.empty():
-            got.queue.get()
-        got(message)
-
-    return keep
-
-
-def write_and_see(device: PseudoTerminal, frame: bytes, got: Events) -> bool:
+def write_and_see(device: PseudoTerminal, frame: bytes, newest: deque[Any]) -> bool:
     device.write(frame)
-    return not got.queue.empty() and got.get().get("pulse") == 77
+    return bool(newest) and newest.pop().get("pulse") == 77
 
 
 def until(condition: Any) -> None:

@@ -82,7 +82,8 @@ class ResourceSnapshot:
                 raise AssertionError(f"{len(names)} threads are left over: {', '.join(names[:8])}")
             pause.wait(_GLANCE_SECONDS)
             gc.collect()  # a pool's threads end with the last reference to it
-        gc.collect()
+        if len(_open_descriptors()) > len(self._descriptors):
+            gc.collect()  # what holds them may be a circle
         while (extra := len(now := _open_descriptors()) - len(self._descriptors)) > 0:
             if time.monotonic() >= deadline:
                 new = sorted(set(now.items()) - set(self._descriptors.items()))
