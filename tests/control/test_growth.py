@@ -10,13 +10,17 @@ from collections.abc import Callable, Iterator
 import pytest
 from tests.control.world import Plans, World
 
+from uoarm import RobotManager
 from uoarm._control.engine import actions as act
 from uoarm._control.engine import events as ev
 from uoarm._control.engine.state import State
 from uoarm._control.engine.step import step
+from uoarm._control.live.component import LiveComponent
 from uoarm._control.live.revisions import find_replacement
+from uoarm.config import loads
 from uoarm.errors import ResolutionError
 from uoarm.model import FailoverPolicy, Health, Plan, PortRef, ValidationMode
+from uoarm.testing import MemoryBridge
 
 NAMES = tuple(f"camera{number}" for number in range(12))
 HEAD = "version: 1\nbridges: {one: {plugin: memory}}\nfunctions:\n"
@@ -237,3 +241,23 @@ def test_what_happens_to_all_grows_with_their_number(function: str) -> None:
 
         spent.append(work.of(all_of_it)[0])
     assert spent[1] <= 8**1.1 * spent[0]
+
+
+def test_a_component_that_closes_looks_at_no_other_that_does(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    looks: list[str] = []
+
+    def is_over(live: LiveComponent) -> bool:
+        looks.append(live.component.name)
+        return original(live)
+
+    original = vars(LiveComponent)["is_over"].fget
+    monkeypatch.setattr(LiveComponent, "is_over", property(is_over))
+    bridge = MemoryBridge("one")
+    for name in NAMES:
+        bridge.emitter(name, {"type": "integer"})
+    with RobotManager(loads(APART), bridges={"one": bridge}) as robot:
+        for name in NAMES:
+            robot.request(f"{name}s")
+    assert sorted(looks) == sorted(NAMES)

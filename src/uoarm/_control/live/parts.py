@@ -6,8 +6,10 @@ turns what becomes of them into events.
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import partial
+from itertools import chain
 from typing import TypeVar
 
 from attrs import define
@@ -81,6 +83,50 @@ class Ending:
         ]
 
 
+class _LeavingComponents:
+    """Components from when they are in no other list to when they are closed. For any thread.
+
+    A replaced bridge is in use so long, and no other instance of a name opens beside them.
+    """
+
+    def __init__(self) -> None:
+        # Guards changes of both: the owner of the state adds, lanes take out. Who looks needs no
+        # lock, as a name's instances are replaced as a whole. They are found by name: thousands may
+        # leave at once while as many open, and each of those looks (`test_growth.py`).
+        self._lock = threading.Lock()
+        self._by_name: dict[str, tuple[LiveComponent, ...]] = {}
+        self._opening: tuple[LiveComponent, ...] = ()
+
+    def add(self, lives: Iterable[LiveComponent]) -> None:
+        """List components that are to be closed."""
+        with self._lock:
+            for live in lives:
+                name = live.component.name
+                self._by_name[name] = (*self._by_name.get(name, ()), live)
+
+    def of(self, name: str) -> tuple[LiveComponent, ...]:
+        """Return the instances of a name."""
+        return self._by_name.get(name, ())
+
+    def every(self) -> Iterator[LiveComponent]:
+        """Yield all instances."""
+        return chain.from_iterable(self._by_name.copy().values())
+
+    def settle(self, closed: Iterable[LiveComponent]) -> None:
+        """Take out what is closed, or hangs as it closes."""
+        with self._lock:
+            # What another thread opens still closes as that comes out, and is looked at again here.
+            looked_at, self._opening = (*closed, *self._opening), ()
+            for live in looked_at:
+                if live.is_over or live.is_hanging:
+                    name = live.component.name
+                    left = tuple(item for item in self._by_name.pop(name, ()) if item is not live)
+                    if left:
+                        self._by_name[name] = left
+                else:
+                    self._opening = (*self._opening, live)
+
+
 class LiveParts:
     """The objects of open parts.
 
@@ -115,10 +161,7 @@ class LiveParts:
         self.edges: dict[int, LiveEdge] = {}
         self.ports: dict[int, ApplicationPorts] = {}
         self._draining: dict[str, Ending] = {}
-        # From when they are in no other list to when they are closed: a replaced bridge is in use
-        # so long, and no other instance opens beside them. Changed in one call each, by the owner
-        # of the state and by lanes, and copied by who looks.
-        self._ending: set[LiveComponent] = set()
+        self._leaving = _LeavingComponents()
         # Those of which a thread has not come back, so that their number can be bounded.
         self._hanging: dict[str, list[LiveComponent]] = {}
 
@@ -184,7 +227,7 @@ class LiveParts:
             ending = self._ending_of(connection, parts, placement, lost)
         ending.components = _there(self.components, parts.components)
         # Before they are gone from the others: another thread may look.
-        self._ending.update(ending.components)
+        self._leaving.add(ending.components)
         _taken(self.components, parts.components)
         return ending
 
@@ -201,7 +244,7 @@ class LiveParts:
         """
         plan = action.placement.plan
         # A stop message may go out, or an earlier instance is waited for.
-        if action.recalled or any(live.component.name in plan.names for live in self._left()):
+        if action.recalled or any(map(self._leaving.of, plan.names)):
             return False
         if all(part.kind in PORTS for part in action.parts) and all(
             port.source is not None for port in plan.provider.component.inputs
@@ -296,7 +339,7 @@ class LiveParts:
 
     def uses(self, bridge: Bridge) -> bool:
         """Say whether a component of a bridge is open, or on its way to be closed."""
-        lives = (*self.components.copy().values(), *self._left())
+        lives = chain(self.components.copy().values(), self._leaving.every())
         return any(live.bridge is bridge for live in lives)
 
     def drain(self, edges: Iterable[LiveEdge]) -> None:
@@ -365,9 +408,9 @@ class LiveParts:
         bridge = self._bridges.get(component.bridge)
         # What the framework gives to two instances that are open at once is counted by both, and
         # a device may be open once only (`test_late_losses.py`).
-        for left in self._left():
-            if left.component.name == component.name and left.bridge is bridge:
-                left.wait_over(_LEAVING_SECONDS)
+        for leaving in self._leaving.of(component.name):
+            if leaving.bridge is bridge:
+                leaving.wait_over(_LEAVING_SECONDS)
         limits, report = self.state.policy.failing, partial(self._judged, record.id)
         failures = FailureWatch(component.name, limits, self._clock, report)
         subject, function = f"component {component.name}", component.function
@@ -441,15 +484,8 @@ class LiveParts:
             live.close()
             if live.is_hanging:
                 self._hanging.setdefault(live.component.name, []).append(live)
-        # Not those that another thread opens still, which closes them as it comes out.
-        for live in self._left():
-            if live.is_over or live.is_hanging:
-                self._ending.discard(live)
+        self._leaving.settle(ending.components)
         self._bridges.retire_replaced(self.uses)
-
-    def _left(self) -> tuple[LiveComponent, ...]:
-        """Return what is being closed, or is to be; any thread."""
-        return tuple(self._ending) if self._ending else ()
 
     def _refuse_hanging(self, name: str) -> None:
         if not self._hanging:
