@@ -12,11 +12,11 @@ from itertools import count, pairwise
 from pathlib import Path
 from typing import TypedDict
 
-from uoarm import Connection, RobotManager
+from uoarm import Connection, QueuePolicy, RobotManager
 from uoarm.client import connect
 from uoarm.config import loads
 from uoarm.model import ConnectionStatus
-from uoarm.testing import wait
+from uoarm.testing import patience, wait
 
 DESK = """
 version: 1
@@ -127,7 +127,7 @@ def import_functions(url: str, token: str) -> None:
     with (
         RobotManager(loads(DESK.format(url=url, token=token))) as robot,
         robot.request("drive") as drive,
-        robot.request("counter") as counter,
+        robot.request("counter", queue=QueuePolicy(100_000)) as counter,
     ):
         over = read_until_line()
         numbers: list[int] = []
@@ -137,6 +137,7 @@ def import_functions(url: str, token: str) -> None:
             with suppress(TimeoutError):
                 while True:
                     numbers.append(counter.get(0)["value"])
+        numbers.append(counter.get(patience())["value"])
         components = {item.name: item for item in robot.status().components}
         facts = dict(components["far_counter"].channels[0].facts)
         missing = numbers[-1] - numbers[0] + 1 - len(numbers)

@@ -23,7 +23,7 @@ from uoarm.testing import patience
 
 HELLO = {"op": "Status", "type": "hello"}
 KEPT = {"op": "Reply", "id": "keep", "jsonMessage": {"key": "key", "seconds": 0.3}}
-RESUMED = {"op": "Reply", "id": "resume"}
+RESUMED = {"op": "Reply", "id": "resume", "jsonMessage": {"session": "s1", "own": []}}
 
 
 class Socket:

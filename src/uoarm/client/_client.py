@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import itertools
 import ssl
-from collections.abc import AsyncIterator, Callable, Coroutine, Mapping
+from collections.abc import AsyncIterator, Callable, Coroutine, Mapping, Sequence
 from contextlib import asynccontextmanager, suppress
 from functools import partial
 from types import MappingProxyType
@@ -164,7 +164,14 @@ class RemoteRobot(ServerQuestions):
         self.hello: Mapping[str, Any] = {}
         self._form = form
         self._link = Link(
-            opening, form, self._take, reconnect, self._lose, self._open_again, on_link
+            opening,
+            form,
+            self._take,
+            reconnect,
+            self._lose,
+            self._open_again,
+            self._settle,
+            on_link,
         )
         self._ended = asyncio.Event()
         self._ids = itertools.count(1)
@@ -358,6 +365,13 @@ class RemoteRobot(ServerQuestions):
             stream.suspend()
             self._away.add(stream)
         self._streams.clear()
+
+    def _settle(self, own: Sequence[Mapping[str, Any]]) -> None:
+        """Count what a drop took, of what the server says of this client's connections."""
+        for counters in own:
+            stream = self._streams.get(counters["connection"])
+            if stream is not None and counters["number"] is not None:
+                stream.settle(counters["number"])
 
     def _open_again(self) -> None:
         """Have a new session open what the one before had, and report what changes."""
@@ -558,7 +572,7 @@ class RemoteRobot(ServerQuestions):
         elif kind == "connection":
             stream = self._streams.pop(message["connection"], None)
             if stream is not None:
-                stream.finish(message["state"], message["cause"])
+                stream.finish(message["state"], message["cause"], message["number"])
         elif kind == "change":
             self._notify_watchers(StatusEvent(**message))
 

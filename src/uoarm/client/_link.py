@@ -11,7 +11,7 @@ import hmac
 import random
 import ssl
 import threading
-from collections.abc import Awaitable, Callable, Mapping
+from collections.abc import Awaitable, Callable, Mapping, Sequence
 from typing import Any
 from urllib.parse import urlsplit
 
@@ -57,6 +57,8 @@ class Link:
         again_seconds: how long to try to begin a new session where this one is gone; 0: not at all.
         lost: called with why the session is gone, before a new one is begun.
         begun: called when a new one was.
+        went_on: called with the server's counters of this client where the same one goes on, before
+            anything of it comes.
         changed: called with why the connection dropped, at once, and with "" when messages pass
             again, in the same session or another.
 
@@ -72,6 +74,7 @@ class Link:
         again_seconds: float = 0.0,
         lost: Callable[[str], object] = str,
         begun: Callable[[], None] = lambda: None,
+        went_on: Callable[[Sequence[Mapping[str, Any]]], object] = len,
         changed: Callable[[str], object] = str,
     ) -> None:
         self._open = opening
@@ -89,6 +92,7 @@ class Link:
         self._again_seconds = again_seconds
         self._lost = lost
         self._begun = begun
+        self._went_on = went_on
         self._changed = changed
         # Clients that lost the same server come back at different moments.
         seed = random.getrandbits(32)
@@ -307,6 +311,7 @@ class Link:
             self._receive(report)
         if report["op"] != "Reply":
             return str(report["jsonMessage"]["text"])
+        self._went_on(report["jsonMessage"]["own"])
         for identity in beyond:
             lost = {"code": "closed", "text": "too much waited when the connection dropped"}
             self._receive({"op": "Error", "id": identity, "jsonMessage": lost})

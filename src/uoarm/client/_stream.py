@@ -33,7 +33,7 @@ class RemoteStream(Generic[T]):
         inputs: inputs that `send` can feed.
         lifetimes: seconds for which a command lives, by input; of those that have one.
         latched: whether who comes gets first what its output gave last.
-        lost: messages that did not get here, as gaps in their numbers.
+        lost: messages that did not get here, as gaps in their numbers, or were not read in time.
         gaps: how often the server began anew meanwhile, so that it is not known what was lost.
         state: `open`; or how it ended: `closed`, `finished` or `failed`.
         cause: why it ended; empty while it is open, and where this client gave it back.
@@ -56,12 +56,10 @@ class RemoteStream(Generic[T]):
         self.cause = ""
         self._is_away = False
         self._refusal = ""
-        self._taken: int | None = None
         self._describe(opened)
         self._ask = ask
-        self._waiting: deque[tuple[int, int | None, Message]] = deque(maxlen=length)
+        self._waiting: deque[Message] = deque(maxlen=length)
         self._changed = asyncio.Event()
-        self._last: tuple[int, int] | None = None  # of the message that was read last
         self._type: MessageType[T] | None = None
         self._take: Callable[[Message], object] | None = None
         self._on_end: Callable[[], object] | None = None
@@ -73,6 +71,8 @@ class RemoteStream(Generic[T]):
         self.warnings: tuple[str, ...] = tuple(opened["warnings"])
         self.lifetimes: Mapping[str, float] = opened.get("lifetimes", {})
         self.latched: bool = opened.get("latched", False)
+        # The number of the last message that came or is lost; None: the next one says it.
+        self._last: int | None = opened.get("number")
 
     @property
     def ended(self) -> bool:
@@ -88,7 +88,6 @@ class RemoteStream(Generic[T]):
         """Go on as another connection, of a server that has begun anew; `RemoteRobot` does it."""
         self._describe(opened)
         self._is_away = False
-        self._taken = None
         self.gaps += 1
         self._on_renewal()
 
@@ -126,18 +125,15 @@ class RemoteStream(Generic[T]):
                 raise TimeoutError(f"no message within {timeout:g} s{diagnosis}")
             self._changed.clear()
             await event_by(self._changed, deadline)
-        session, number, message = self._waiting.popleft()
-        self._count(session, number)
+        message = self._waiting.popleft()
         return cast("T", message) if self._type is None else self._type.read(message)
 
-    def _count(self, session: int, number: int | None) -> None:
-        """Count what is missing before a message."""
-        if number is None:
-            self._last = None
-        else:
-            if self._last is not None and self._last[0] == session:
-                self.lost += number - self._last[1] - 1
-            self._last = session, number
+    def settle(self, number: int) -> None:
+        """Count what is missing up to a message, of which none will come any more."""
+        if self._last is not None and number > self._last:
+            self.lost += number - self._last
+            self._refusal = ""  # it was of one of these
+        self._last = number
 
     def hand_over(
         self,
@@ -153,9 +149,7 @@ class RemoteStream(Generic[T]):
             renewed: called when a server that began anew has opened it again, before its messages.
         """
         while self._waiting:
-            session, number, message = self._waiting.popleft()
-            self._count(session, number)
-            take(message)
+            take(self._waiting.popleft())
         self._take, self._on_end, self._on_renewal = take, ended, renewed
         if self.ended:
             ended()
@@ -262,25 +256,25 @@ class RemoteStream(Generic[T]):
     def take(self, number: int | None, message: Message) -> None:
         """Take one message from the client's reader; without a number, one that stood already."""
         if number is not None:
-            # What the server could not write comes before the messages that wait; its number is
-            # missing among theirs.
-            if self._taken is not None and number > self._taken + 1:
-                self._refusal = ""
-            self._taken = number
+            self.settle(number - 1)
+            self._last = number
         if self._take is not None:
-            self._count(self.gaps, number)
             self._take(message)
             return
-        self._waiting.append((self.gaps, number, message))
+        if len(self._waiting) == self._waiting.maxlen:
+            self.lost += 1
+        self._waiting.append(message)
         self._changed.set()
 
     def refuse(self, why: str) -> None:
         """Take in that the server had a message that it could not write."""
         self._refusal = why
 
-    def finish(self, state: str, cause: str) -> None:
-        """Take in that no more will come."""
+    def finish(self, state: str, cause: str, number: int | None = None) -> None:
+        """Take in that no more will come, and the number of the last message, where it is known."""
         if not self.ended:
+            if number is not None:
+                self.settle(number)
             self.state, self.cause = state, cause
             if self._on_end is not None:
                 self._on_end()

@@ -36,7 +36,24 @@ async function dropped(meanwhile = () => {}, before = () => {}) {
   return { robot, second };
 }
 
-const RESUMED = { op: "Reply", id: "resume", jsonMessage: {} };
+const RESUMED = { op: "Reply", id: "resume", jsonMessage: { own: [] } };
+
+test("what a drop took is counted as the session goes on, and at the end", async () => {
+  let opening;
+  const { robot, second } = await dropped(() => {}, (robot) => {
+    opening = robot.request("numbers");
+    const opened = { connection: "c1", inputs: [], warnings: [], number: 4 };
+    Socket.made.at(-1).deliver({ op: "Reply", id: "1", jsonMessage: opened });
+  });
+  const stream = await opening;
+  second.deliver({ ...RESUMED, jsonMessage: { own: [{ connection: "c1", number: 7 }] } });
+  assert.equal(stream.lost, 3);
+  second.deliver({ op: "Data", type: "c1", "x-number": 8, jsonMessage: 1 });
+  const ended = { connection: "c1", state: "closed", cause: "finished", number: 10 };
+  second.deliver({ op: "Status", type: "connection", jsonMessage: ended });
+  assert.deepEqual([await stream.get(), await stream.get(), stream.lost], [1, undefined, 5]);
+  robot.close();
+});
 
 test("what cannot be written fails alone, also while the connection is down", async () => {
   const answers = [];

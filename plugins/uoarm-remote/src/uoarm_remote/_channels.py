@@ -42,6 +42,9 @@ class _Stream:
     def hand_on(self, stream: RemoteStream[Message], message: Message) -> None:
         """Hand a message to all that are open."""
         if self.unproven is not None:
+            if len(self.unproven) == _UNPROVEN:
+                self.unproven.popleft()
+                stream.lost += 1
             self.unproven.append(message)
             return
         if stream.latched:
@@ -111,15 +114,19 @@ class FunctionStreams:
                 stream.hand_over(
                     partial(shared.hand_on, stream),
                     partial(shared.end, stream),
-                    partial(self._begin_to_prove, shared, prove),
+                    partial(self._begin_to_prove, shared, stream, prove),
                 )
             else:
                 self._opened(shared, channel, stream)
 
     def _begin_to_prove(
-        self, shared: _Stream, prove: Callable[[], Coroutine[Any, Any, None]]
+        self,
+        shared: _Stream,
+        stream: RemoteStream[Message],
+        prove: Callable[[], Coroutine[Any, Any, None]],
     ) -> None:
-        shared.unproven = deque(maxlen=_UNPROVEN)
+        stream.lost += len(shared.unproven or ())  # of a manager that has begun anew once more
+        shared.unproven = deque()
         shared.standing.clear()
         if shared.proving is not None:
             shared.proving.cancel()

@@ -287,6 +287,7 @@ class NativeSession:
             "lifetimes": dict(stream.connection.lifetimes()),
             "latched": stream.feed.is_latched,
             "managers": self._managers(plan),
+            "number": stream.feed.before_newcomer,
         }
         self._reply(asked, opened)
         self._streams.begin(stream)

@@ -29,7 +29,8 @@ export class UoarmError extends Error {
  * Sends and receives control messages; `take` gets all but those about resuming.
  *
  * Where the session is gone, `lost` is called with the reason and a new one is tried for `reconnect`
- * seconds; `begun` is called when there is one, `ended` with the reason when there is none.
+ * seconds; `begun` is called when there is one, `ended` with the reason when there is none. `wentOn`
+ * is called with the server's counters of this client where the same session goes on.
  */
 export class Link {
   #open;
@@ -39,6 +40,7 @@ export class Link {
   #reconnect;
   #take;
   #lost;
+  #wentOn;
   #begun;
   #ended;
   #socket = null;
@@ -52,7 +54,7 @@ export class Link {
   resumed = 0;
   restarts = 0;
 
-  constructor({ open, form, timeout, resume, reconnect, take, lost, begun, ended }) {
+  constructor({ open, form, timeout, resume, reconnect, take, lost, begun, wentOn, ended }) {
     this.#open = open;
     this.#form = form;
     this.#timeout = timeout;
@@ -61,6 +63,7 @@ export class Link {
     this.#take = take;
     this.#lost = lost;
     this.#begun = begun;
+    this.#wentOn = wentOn;
     this.#ended = ended;
   }
 
@@ -199,6 +202,7 @@ export class Link {
       }
       this.#socket = socket;
       this.resumed += 1;
+      this.#wentOn(received.jsonMessage.own);
       greeted();
       const lost = { code: "closed", text: "too much waited when the connection dropped" };
       for (const id of beyond) this.#receive({ op: "Error", id, jsonMessage: lost });

@@ -19,10 +19,14 @@ class Mailbox {
   #readers = [];
   #end = null;
 
+  /** Adds an item; returns whether the oldest was let go of for it. */
   put(item) {
     const reader = this.#readers.shift();
     if (reader) reader.resolve({ value: item, done: false });
-    else if (this.#waiting.push(item) > HELD) this.#waiting.shift();
+    else this.#waiting.push(item);
+    const isFull = this.#waiting.length > HELD;
+    if (isFull) this.#waiting.shift();
+    return isFull;
   }
 
   finish(error) {
@@ -94,7 +98,7 @@ export class HeldCommand {
 export class Stream {
   #ask;
   #mailbox = new Mailbox();
-  #last = { gaps: 0, number: 0 };
+  #last; // the number of the last message that came or is lost
   #away = true;
   lost = 0;
   gaps = -1;
@@ -108,9 +112,10 @@ export class Stream {
   }
 
   /** Is a connection of this server from now on; the first time, or after a gap. */
-  open({ connection, inputs, warnings, lifetimes = {} }) {
+  open({ connection, inputs, warnings, lifetimes = {}, number }) {
     Object.assign(this, { connection, inputs, warnings, lifetimes });
     this.gaps += 1;
+    this.#last = number;
     this.#away = false;
   }
 
@@ -120,7 +125,7 @@ export class Stream {
   }
 
   [Symbol.asyncIterator]() {
-    return { next: () => this.#next(), return: async () => {
+    return { next: () => this.#mailbox.next(), return: async () => {
       await this.kill();
       return { value: undefined, done: true };
     } };
@@ -128,7 +133,7 @@ export class Stream {
 
   /** The next message, or undefined when no more will come. */
   async get() {
-    return (await this.#next()).value;
+    return (await this.#mailbox.next()).value;
   }
 
   /** Hand one message to an input; resolves when the server has taken it. */
@@ -186,21 +191,21 @@ export class Stream {
   }
 
   take(number, message) {
-    this.#mailbox.put({ gaps: this.gaps, number, message });
+    if (number) this.settle(number - 1);
+    if (number) this.#last = number;
+    if (this.#mailbox.put(message)) this.lost += 1;
   }
 
-  finish(state, cause) {
+  /** Count what is missing up to a message, of which none will come any more. */
+  settle(number) {
+    this.lost += number - (this.#last ?? number);
+    this.#last = number;
+  }
+
+  finish(state, cause, number = null) {
+    if (this.state === "open" && number !== null) this.settle(number);
     if (this.state === "open") Object.assign(this, { state, cause });
     this.#mailbox.finish(this.state === "failed" ? new UoarmError("closed", this.cause) : null);
-  }
-
-  async #next() {
-    const { value, done } = await this.#mailbox.next();
-    if (done) return { value: undefined, done };
-    const { gaps, number, message } = value;
-    if (this.#last.gaps === gaps && this.#last.number && number) this.lost += number - this.#last.number - 1;
-    this.#last = { gaps, number };
-    return { value: message, done: false };
   }
 }
 
@@ -253,6 +258,7 @@ export class Robot {
       take: (received) => this.#take(received),
       lost: (error) => this.#lose(error),
       begun: () => this.#openAgain(),
+      wentOn: (own) => this.#settle(own),
       ended: (error) => this.#finish(error),
     });
   }
@@ -407,7 +413,7 @@ export class Robot {
     if (type === "hello") this.hello = message;
     else if (type === "change") for (const watcher of this.#watchers) watcher.put(message);
     else if (type === "connection") {
-      this.#streams.get(message.connection)?.finish(message.state, message.cause);
+      this.#streams.get(message.connection)?.finish(message.state, message.cause, message.number);
       this.#streams.delete(message.connection);
     }
   }
@@ -443,6 +449,11 @@ export class Robot {
       this.#away.add(stream);
     }
     this.#streams.clear();
+  }
+
+  /** Count what a drop took, of what the server says of this client's connections. */
+  #settle(own) {
+    for (const { connection, number } of own) if (number !== null) this.#streams.get(connection)?.settle(number);
   }
 
   /** Has a new session open what the one before had, and report what changes. */

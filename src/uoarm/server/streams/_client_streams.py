@@ -41,6 +41,12 @@ class Stream:
     feed: Feed
     subscription: Subscription
 
+    @property
+    def number(self) -> int | None:
+        """The number of the last message that was sent or lost; None while others wait."""
+        is_waiting = self.subscription.lane.waiting or self.feed.is_writing
+        return None if is_waiting else self.subscription.number
+
 
 class ClientStreams:
     """Streams and input senders of one client by connection id, in the loop's thread.
@@ -239,6 +245,7 @@ class ClientStreams:
                 "waiting": len(stream.subscription.lane.waiting),
                 "dropped": stream.subscription.lane.dropped,
                 "left_out": stream.subscription.skipped,
+                "number": stream.number,
             }
             for identity, stream in self._streams.items()
         ]
@@ -251,17 +258,39 @@ class ClientStreams:
                 self._client.outbox.finish(lane, frame)
 
     def _stream(self, feed: Feed, connection: Connection, options: Mapping[str, Any]) -> Stream:
-        write = functools.partial(self._form.write_data, connection.id)
-        standing = functools.partial(write, standing=True)
+        every = options.get("every", 0)
         subscription = Subscription(
             self._client,
-            MessageForm(self._form.name, write, self._form.text, standing),
+            self._few(feed, connection) if every else self._all(connection),
             lane=self._lane(options.get("queue")),
-            throttle=Throttle(options.get("every", 0), is_even=True),
+            throttle=Throttle(every, is_even=True),
             on_refused=lambda error: self._on_refused(connection.id, error),
             on_end=lambda state, cause: self._ended(connection.id, state, cause),
         )
         return Stream(connection, feed, subscription)
+
+    def _all(self, connection: Connection) -> MessageForm:
+        """Return the form of a client that gets all messages, which are the same for all these."""
+        write = functools.partial(self._form.write_data, connection.id)
+        standing = functools.partial(write, standing=True)
+        return MessageForm(self._form.name, write, self._form.text, standing)
+
+    def _few(self, feed: Feed, connection: Connection) -> MessageForm:
+        """Return the form of a client for which messages are left out, with numbers of its own."""
+        form, identity, before = self._form, connection.id, feed.before_newcomer
+
+        def frames(content: bytes, number: int) -> tuple[bytes]:
+            skipped = self._streams[identity].subscription.skipped
+            head = {"op": "Data", "type": identity, "x-number": number - skipped}
+            head |= {"x-standing": True} if number <= before else {}
+            parts = {name: form.write(value) for name, value in head.items()}
+            return (form.map_of({**parts, "jsonMessage": content}),)
+
+        def write(number: int, message: Message) -> bytes:
+            del number
+            return form.write(message)
+
+        return MessageForm(f"{form.name} message", write, form.text, frames=frames)
 
     def _lane(self, options: Mapping[str, Any] | None) -> Lane | None:
         """Return the queue that a client asks for; one that names its length wants all of it."""
@@ -280,7 +309,12 @@ class ClientStreams:
         cause = cause or ("killed by the program that serves it" if state == "closed" else "")
         stream = self._remove(identity)
         if stream is not None:
-            fields = {"connection": identity, "state": state, "cause": self._shown(cause)}
+            fields = {
+                "connection": identity,
+                "state": state,
+                "cause": self._shown(cause),
+                "number": stream.subscription.number,
+            }
             frame = self._form.write({"op": "Status", "type": "connection", "jsonMessage": fields})
             # Through the stream's own queue: the end comes after its last message.
             lane = stream.subscription.lane

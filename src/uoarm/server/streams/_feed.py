@@ -296,6 +296,24 @@ class Feed:
         return self._number
 
     @property
+    def handed(self) -> int:
+        """The number of the last message that was handed out, or is being written for that."""
+        return self._handed
+
+    @property
+    def is_writing(self) -> bool:
+        """Whether the last of these is being written still."""
+        return self._is_writing
+
+    @property
+    def before_newcomer(self) -> int:
+        """The number of the message before the first one of a listener that joins now."""
+        with suppress(IndexError):  # the first one gets what waits, if anything does
+            if not self._listeners:
+                return max(self._handed, self._waiting[0].number - 1)
+        return self._handed
+
+    @property
     def outlet(self) -> Outlet | None:
         """Where its messages come from; None until the connection is open."""
         connection = self.connection

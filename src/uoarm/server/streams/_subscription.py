@@ -242,6 +242,14 @@ class Subscription:
                 envelope.writing[self._key] = future
         return future
 
+    @property
+    def number(self) -> int:
+        """The number of the last message that was sent, lost, or waits here; as its client has it.
+
+        Those that are left out are not counted, so that a gap is what was lost.
+        """
+        return 0 if self.feed is None else self.feed.handed - self.skipped
+
     def offer(self, envelope: Envelope) -> None:
         """Take one message: to the client, to be held until it is due, or nowhere."""
         is_throttled = self._throttle.every or self._held

@@ -1,0 +1,42 @@
+"""What is open at the other manager: what comes before it is known that it fits."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import Any
+
+from uoarm_remote._channels import FunctionStreams, _Stream
+from uoarm_remote._link import ManagerLink
+from uoarm_remote._options import ManagerOptions
+
+from uoarm.client import RemoteStream
+
+KEPT = 1024
+OPENED = {"connection": "c1", "inputs": [], "warnings": [], "number": 0}
+
+
+async def nothing(*_: object, **__: object) -> Any:
+    raise AssertionError("nothing is asked here")
+
+
+def test_what_has_no_room_until_the_proof_is_counted() -> None:
+    async def prove() -> None:
+        await asyncio.Event().wait()
+
+    async def play() -> None:
+        link = ManagerLink("robot3", ManagerOptions(), str, str)
+        streams, shared = FunctionStreams(link), _Stream()
+        stream: RemoteStream = RemoteStream(OPENED, {}, nothing, nothing, KEPT)
+        stream.hand_over(lambda message: shared.hand_on(stream, message), str)
+        for session in range(2):
+            stream.renew(OPENED)
+            streams._begin_to_prove(shared, stream, prove)
+            assert stream.lost == session * (KEPT + 6)
+            for number in range(1, KEPT + 7):
+                stream.take(number, number)
+            assert stream.lost == session * (KEPT + 6) + 6
+            assert shared.unproven is not None
+            assert list(shared.unproven) == list(range(7, KEPT + 7))
+        link.close()
+
+    asyncio.run(play())
