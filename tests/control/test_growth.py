@@ -250,7 +250,7 @@ def test_a_component_that_closes_looks_at_no_other_that_does(
 
     def is_over(live: LiveComponent) -> bool:
         looks.append(live.component.name)
-        return original(live)
+        return bool(original(live))
 
     original = vars(LiveComponent)["is_over"].fget
     monkeypatch.setattr(LiveComponent, "is_over", property(is_over))
