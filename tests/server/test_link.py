@@ -11,7 +11,9 @@ from typing import Any, cast
 import pytest
 from websockets.asyncio.client import connect
 from websockets.asyncio.server import ServerConnection, serve
-from websockets.exceptions import ConnectionClosedError
+from websockets.datastructures import Headers
+from websockets.exceptions import ConnectionClosedError, InvalidStatus
+from websockets.http11 import Response
 
 from uoarm._wire import TEXT_FORM
 from uoarm.client import RemoteRobot
@@ -84,6 +86,27 @@ def test_it_ends_when_it_is_cancelled_just_as_connecting_again_fails(turns: int)
         assert link.closed == "the client was closed"
 
     asyncio.run(asyncio.wait_for(work(), patience()))
+
+
+@pytest.mark.parametrize(("status", "is_tried_again"), [(401, False), (503, True)])
+def test_who_is_not_let_in_any_more_is_not_tried_again(status: int, is_tried_again: bool) -> None:
+    async def work() -> None:
+        refusals = []
+
+        async def opening() -> ClientSocket:
+            if not refusals:
+                refusals.append("after this")
+                return cast("ClientSocket", Socket(KEPT))
+            refusals.append(f"HTTP {status}")
+            raise InvalidStatus(Response(status, "", Headers()))
+
+        link = Link(opening, TEXT_FORM, _ignore)
+        await link.start(resume=True)
+        await link.run()
+        assert f"HTTP {status}" in link.closed
+        assert (len(refusals) > 2) is is_tried_again
+
+    asyncio.run(work())
 
 
 def test_what_could_not_be_written_is_not_asked_for_after_a_drop() -> None:

@@ -225,31 +225,15 @@ class Link:
         self._lost(cause)
         # After that: a thread that sees this one sees no stream as open that was of the one before.
         self.session += 1
-        loop = asyncio.get_running_loop()
-        deadline, failed = loop.time() + self._again_seconds, 0
-        why = cause
-        while loop.time() < deadline:
-            try:
-                await result_within(deadline - loop.time(), self._greet())
-            except (OSError, ConnectionClosed, InvalidHandshake, asyncio.TimeoutError) as error:
-                why = f"{cause}; connecting again failed: {error}"
-                if isinstance(error, InvalidStatus) and (
-                    error.response.status_code not in _TRY_AGAIN
-                ):
-                    return why
-                failed += 1
-                await asyncio.sleep(self._backoff.pause(failed))
-            except _STRANGE as error:
-                return f"{cause}; {_strange(error)}"
-            else:
-                self._begin_to_send()
-                self._changed("")
-                self._begun()
-                return ""
+        why = await self._retry(self._greet, self._again_seconds, cause)
+        if not why:
+            self._begin_to_send()
+            self._changed("")
+            self._begun()
         return why
 
-    async def _greet(self) -> None:
-        """Connect, and take the greeting of a new session."""
+    async def _greet(self) -> str:
+        """Connect, and take the greeting of a new session; returns nothing."""
         socket = await self._open()
         try:
             self._take_frame(await socket.next_message())
@@ -259,30 +243,44 @@ class Link:
             socket.transport.abort()
             raise
         self._socket = socket
+        return ""
 
     async def _renew(self, cause: str) -> str:
         """Go on with the session over a new connection; returns why that failed, or nothing."""
         self._end_sending()
+        why = await self._retry(self._go_on, self._seconds, cause)
+        if not why:
+            self.resumed += 1
+            self._begin_to_send()
+            self._changed("")
+        return why
+
+    async def _retry(
+        self, attempt: Callable[[], Awaitable[str]], seconds: float, cause: str
+    ) -> str:
+        """Try for so many seconds, as long as it may succeed; returns why it has not, or nothing.
+
+        Who is not let in any more is not let in a second later: another token is to be shown.
+        """
         loop = asyncio.get_running_loop()
-        deadline, failed = loop.time() + self._seconds, 0
+        deadline, failed = loop.time() + seconds, 0
         why = cause
         while loop.time() < deadline:
             try:
-                refused = await result_within(deadline - loop.time(), self._go_on())
+                refused = await result_within(deadline - loop.time(), attempt())
             except (OSError, ConnectionClosed, InvalidHandshake, asyncio.TimeoutError) as error:
                 why = f"{cause}; connecting again failed: {error}"
+                if isinstance(error, InvalidStatus) and (
+                    error.response.status_code not in _TRY_AGAIN
+                ):
+                    return why
                 failed += 1
                 await asyncio.sleep(self._backoff.pause(failed))
             except _STRANGE as error:
                 self._is_final = True
                 return f"{cause}; {_strange(error)}"
             else:
-                if refused:
-                    return f"{cause}; {refused}"
-                self.resumed += 1
-                self._begin_to_send()
-                self._changed("")
-                return ""
+                return f"{cause}; {refused}" if refused else ""
         return why
 
     async def _go_on(self) -> str:
