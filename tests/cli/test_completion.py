@@ -53,6 +53,11 @@ def test_functions_are_completed(
     assert completed(monkeypatch, f"uoarm {command} counted") == ["counted"]
 
 
+def test_codes_of_errors_are_completed(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert completed(monkeypatch, "uoarm explain UOA-00") == ["UOA-001", "UOA-002", "UOA-003"]
+    assert completed(monkeypatch, "uoarm explain uoa-80")[:2] == ["UOA-801", "UOA-802"]
+
+
 def test_what_is_called_is_offered_to_calls_and_what_flows_to_requests(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -58,6 +58,8 @@ def test_an_option_that_there_is_not_has_a_code(
         ("--log-level", "loud", "list"),
         ("lock", "--against", "other.lock"),
         ("new-bridge", "No Name"),
+        ("explain", "UOA-999"),
+        ("host", "--join", "tcp/192.0.2.1:7447", "--machine", "arm"),
         *((name, "--no-such-option") for name in sorted(PLUGINS)),
     ],
     ids=" ".join,

@@ -93,7 +93,7 @@ def test_a_code_is_found_however_it_is_written(text: str) -> None:
 
 def test_an_unknown_code_is_refused_with_those_there_are() -> None:
     result = CliRunner().invoke(main, ["explain", "UOA-999"])
-    assert result.exit_code == 1
+    assert result.exit_code == 2
     assert "UOA-001 to UOA-810" in result.output
 
 

@@ -31,7 +31,7 @@ def test_half_of_what_it_needs_is_not_enough(words: str) -> None:
 def test_it_joins_no_other_machine_without_tls() -> None:
     words = ["--join", "tcp/192.0.2.1:7447", "--machine", "arm"]
     done = CliRunner().invoke(main, ["host", *words])
-    assert done.exit_code == 1
+    assert done.exit_code == 2
     assert "--join tcp/192.0.2.1:7447: without TLS only on loopback" in done.output
 
 

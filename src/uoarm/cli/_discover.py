@@ -135,7 +135,8 @@ def _merge_into(path: Path, before: bytes, lines: str) -> None:
     """Add suggested lines to a file, unless it was changed meanwhile."""
     merged = merge(before.decode(), lines).encode()
     if _octets(path) != before:
-        raise UsageError(f"{path} was changed meanwhile: nothing was added")
+        text = f"{path} was changed meanwhile: nothing was added"
+        raise UsageError(text, error_code="UOA-003")
     if merged == before:
         click.echo(f"{path}: it has everything already")
         return

@@ -16,7 +16,7 @@ from uoarm.cli._file import takes_configuration
 from uoarm.cli._log import at_least
 from uoarm.cli._shared import needing, reporting
 from uoarm.config import load
-from uoarm.errors import UsageError
+from uoarm.errors import CommandLineError
 from uoarm.model import Component, Endpoint, place_problem
 
 __all__ = ["host"]
@@ -89,7 +89,7 @@ def _join(
         from uoarm._host.agent.host_agent import HostAgent  # noqa: PLC0415 - likewise
     problem = place_problem(place)
     if problem:
-        raise UsageError(f"--join {place}: {problem}")
+        raise CommandLineError(f"--join {place}: {problem}")
     secured = place.startswith("tls/")
     identity = Identity.find(certificates, machine) if secured else None
     at_least(logging.INFO)
@@ -132,7 +132,7 @@ def _answer(bridge: str, port: int, file: str) -> None:
     robot = load(file, registry.types)
     spec = robot.bridges.get(bridge)
     if spec is None:
-        raise UsageError(f"there is no bridge {bridge!r}: {', '.join(robot.bridges)}")
+        raise CommandLineError(f"there is no bridge {bridge!r}: {', '.join(robot.bridges)}")
     made = registry.create(spec) if spec.host is None else RemoteBridge(spec)
     try:
         mine = (component for component in robot.components() if component.bridge == bridge)

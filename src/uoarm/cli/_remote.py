@@ -309,7 +309,8 @@ def approve(
             return waiting
         shown = next((item for item in waiting if item["approval"] == approval), None)
         if shown is None:
-            raise errors.UsageError(f"no approval {approval} waits for a decision of this role")
+            text = f"no approval {approval} waits for a decision of this role"
+            raise errors.UsageError(text, error_code="UOA-707")
         return await robot.approve(
             approval, approve=not refuse, digest=shown["digest"], cause=cause
         )

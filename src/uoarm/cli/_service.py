@@ -34,6 +34,7 @@ __all__ = [
     "read_unit",
 ]
 
+_UNREADABLE = "UOA-101"
 _FOLDERS = ("etc", "run", "usr/local/lib", "usr/lib", "lib")
 _SETTING = re.compile(r"\s*([A-Za-z]+)\s*=\s*(.*)")
 _SPAN = re.compile(r"(\d+(?:\.\d+)?)\s*(us|ms|s|sec|min|m|h|hr|d|)\b")
@@ -119,7 +120,7 @@ def find_unit(name: str, root: Path = Path("/")) -> Path:
     if "/" in name:
         if Path(name).is_file():
             return Path(name)
-        raise UsageError(f"there is no unit file {name}")
+        raise UsageError(f"there is no unit file {name}", error_code=_UNREADABLE)
     file = name if name.endswith(".service") else f"{name}.service"
     for folder in _FOLDERS:
         path = root / folder / "systemd/system" / file
@@ -127,7 +128,8 @@ def find_unit(name: str, root: Path = Path("/")) -> Path:
             return path
     raise UsageError(
         f"systemd has no unit {file}: copy deploy/uoarm.service to /etc/systemd/system, or name "
-        "another one with --unit"
+        "another one with --unit",
+        error_code=_UNREADABLE,
     )
 
 
@@ -141,7 +143,8 @@ def read_unit(path: Path) -> Unit:
     try:
         texts = [file.read_text(encoding="utf-8") for file in (path, *drop_ins)]
     except (OSError, UnicodeDecodeError) as error:
-        raise UsageError(f"the unit {path} cannot be read: {error}") from error
+        text = f"the unit {path} cannot be read: {error}"
+        raise UsageError(text, error_code=_UNREADABLE) from error
     return Unit(path, tuple(setting for text in texts for setting in _settings(text)))
 
 

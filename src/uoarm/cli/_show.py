@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import click
+from click.shell_completion import CompletionItem
 
 from uoarm._version import __version__
 from uoarm.bridge import Registry
@@ -35,7 +36,7 @@ from uoarm.cli._shared import (
     reporting,
 )
 from uoarm.config import assign, completed_schema, inspect, installation, load
-from uoarm.errors import BridgeError
+from uoarm.errors import BridgeError, UsageError
 from uoarm.model import to_json
 from uoarm.schema.__main__ import check_files
 
@@ -343,8 +344,18 @@ def _asked(interpreter: Path, variables: dict[str, str], plugin: str) -> dict[st
         return {"usable": f"no: it has no uoarm that answers: {last}"}
 
 
+def _codes(_: click.Context, __: click.Parameter, incomplete: str) -> list[CompletionItem]:
+    from uoarm.error_codes import ERROR_CODES  # noqa: PLC0415 - when first needed
+
+    return [
+        CompletionItem(code, help=entry.title)
+        for code, entry in ERROR_CODES.items()
+        if code.startswith(incomplete.upper())
+    ]
+
+
 @click.command()
-@click.argument("code", required=False)
+@click.argument("code", required=False, shell_complete=_codes)
 @click.option("--markdown", is_flag=True, help="Write the page of all codes.")
 @json_option
 def explain(code: str | None, *, markdown: bool, as_json: bool) -> None:
@@ -354,8 +365,10 @@ def explain(code: str | None, *, markdown: bool, as_json: bool) -> None:
     """
     from uoarm import error_codes  # noqa: PLC0415 - when first needed
 
-    with reporting():
+    try:
         entry = None if code is None else error_codes.explain(code)
+    except UsageError as error:
+        raise click.BadParameter(str(error), param_hint="CODE") from error
     if as_json:
         print_json(tuple(error_codes.ERROR_CODES.values()) if entry is None else entry)
     elif markdown:
