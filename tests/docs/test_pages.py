@@ -217,6 +217,29 @@ def test_commands_and_their_options_exist(block: Block, line: str) -> None:
     assert given <= known, f"{block}: {given - known} in {line!r}"
 
 
+def options(command: click.Command) -> set[str]:
+    """Return the long options of a command and of those below it."""
+    below = command.commands.values() if isinstance(command, click.Group) else []
+    own = {option for parameter in command.params for option in parameter.opts}
+    return {option for option in own if option.startswith("--")}.union(*map(options, below))
+
+
+def test_every_command_and_option_is_on_a_page() -> None:
+    context = click.Context(main)
+    plugins = {path.name.removeprefix("uoarm-") for path in ROOT.glob("plugins/uoarm-*")}
+    commands = {
+        name: main.get_command(context, name)
+        for name in main.list_commands(context)
+        if name not in plugins
+    }
+    text = "".join(page.read_text("utf-8") for page in ROOT.glob("docs/*.md"))
+    assert not [name for name in commands if f"`uoarm {name}" not in text]
+    shown = set(re.findall(r"--[a-z][a-z-]*", text))
+    for_maintainers = {"--markdown"}  # which makes the page of the error codes
+    every: set[str] = set().union(*(options(command) for command in commands.values() if command))
+    assert every - shown - for_maintainers == set()
+
+
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
 def test_commands_within_sentences_exist(page: Path) -> None:
     named = re.findall(r"`uoarm ([a-z][a-z0-9-]*)", _without_code(page.read_text("utf-8")))
