@@ -172,20 +172,26 @@ def test_a_provider_that_a_configuration_replaces_is_stopped_before_the_next_is_
     assert in_order(motors.taken)
 
 
+def finish_late(robot: RobotManager, monkeypatch: pytest.MonkeyPatch) -> threading.Event:
+    """Have nothing end before the event is set."""
+    gate = threading.Event()
+    finish = robot._driver.live.finish
+
+    def late(ending: Ending) -> None:
+        gate.wait(patience())
+        finish(ending)
+
+    monkeypatch.setattr(robot._driver.live, "finish", late)
+    return gate
+
+
 def test_what_was_stopped_and_runs_out_takes_commands_again_when_it_is_wanted_again(
     start: Start, motors: Motors, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     robot = start(SETTINGS)
     drive = robot.request("drive")
     drive.send(1)
-    live, gate = robot._driver.live, threading.Event()
-    finish = live.finish
-
-    def finish_late(ending: Ending) -> None:
-        gate.wait(patience())
-        finish(ending)
-
-    monkeypatch.setattr(live, "finish", finish_late)
+    gate = finish_late(robot, monkeypatch)
     robot.apply(loads(ROBOT.format(left=1, settings=SETTINGS)), timeout=patience())
     drive.send(2)
     assert in_order(motors.taken)
@@ -204,17 +210,14 @@ def test_what_came_in_its_place_stops_no_more_what_is_wanted_again(
     robot = start(SETTINGS)
     drive = robot.request("drive")
     drive.send(1)
-    live, gate = robot._driver.live, threading.Event()
-    finish = live.finish
-
-    def finish_late(ending: Ending) -> None:
-        gate.wait(patience())
-        finish(ending)
-
-    monkeypatch.setattr(live, "finish", finish_late)
+    gate = finish_late(robot, monkeypatch)
     try:
         robot.apply(loads(ROBOT.format(left=1, settings=SETTINGS)), timeout=patience())
-        (right,) = (item for item in live.components.values() if item.component.name == "right")
+        (right,) = (
+            item
+            for item in robot._driver.live.components.values()
+            if item.component.name == "right"
+        )
         robot.apply(loads(ROBOT.format(left=3, settings=SETTINGS)), timeout=patience())
         drive.send(2)
         assert motors.opened == ["left", "right"]

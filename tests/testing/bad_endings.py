@@ -20,6 +20,7 @@ from tests.testing.bad_worlds import (
     Bug,
     Spoil,
     delivering,
+    noting_deliveries,
     reporting,
     sending,
     sink,
@@ -50,15 +51,7 @@ __all__ = [
 
 
 def joins_its_delivery(world: BadWorld, bridge: MemoryBridge) -> None:
-    delivering_now = threading.Event()
-
-    def wrap(deliver: Deliver) -> Deliver:
-        def busy(message: Message) -> None:
-            delivering_now.set()
-            deliver(message)
-            delivering_now.clear()
-
-        return busy
+    delivering_now = noting_deliveries(world, bridge)
 
     def change(_: BadWorld, __: MemoryBridge, made: Source) -> None:
         def close() -> None:
@@ -67,7 +60,6 @@ def joins_its_delivery(world: BadWorld, bridge: MemoryBridge) -> None:
 
         made._close = close  # type: ignore[method-assign]
 
-    delivering(wrap)(world, bridge)
     source(change)(world, bridge)
 
 

@@ -21,6 +21,7 @@ from tests.testing.bad_worlds import (
     Altered,
     Bug,
     delivering,
+    noting_deliveries,
     sending,
     source,
     step,
@@ -157,15 +158,7 @@ def leaves_a_thread_of_a_channel(world: Any, bridge: Any, made: Channel) -> None
 
 
 def joins_in_the_close_of_the_bridge(world: Any, bridge: Any) -> None:
-    delivering_now = threading.Event()
-
-    def wrap(deliver: Deliver) -> Deliver:
-        def busy(message: Message) -> None:
-            delivering_now.set()
-            deliver(message)
-            delivering_now.clear()
-
-        return busy
+    delivering_now = noting_deliveries(world, bridge)
 
     def replace(_: Any, __: Any, close: Any) -> Any:
         def closed() -> None:
@@ -175,7 +168,6 @@ def joins_in_the_close_of_the_bridge(world: Any, bridge: Any) -> None:
 
         return closed
 
-    delivering(wrap)(world, bridge)
     step("_close", replace)(world, bridge)
 
 

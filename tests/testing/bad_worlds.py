@@ -123,6 +123,22 @@ def delivering(wrap: Callable[[Deliver], Deliver]) -> Spoil:
     return step("_open_source", replace)
 
 
+def noting_deliveries(world: BadWorld, bridge: MemoryBridge) -> threading.Event:
+    """Return what is set while a message is delivered."""
+    delivering_now = threading.Event()
+
+    def wrap(deliver: Deliver) -> Deliver:
+        def busy(message: Message) -> None:
+            delivering_now.set()
+            deliver(message)
+            delivering_now.clear()
+
+        return busy
+
+    delivering(wrap)(world, bridge)
+    return delivering_now
+
+
 def changing(change: Callable[[Any], Any]) -> Spoil:
     """Change the value of each message that is delivered."""
     return delivering(lambda deliver: lambda message: deliver({"value": change(message["value"])}))

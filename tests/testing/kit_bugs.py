@@ -32,6 +32,7 @@ from tests.testing.bad_worlds import (
     Bug,
     Spoil,
     delivering,
+    noting_deliveries,
     sending,
     source,
     step,
@@ -150,15 +151,7 @@ def _reports_twice(world: Any, bridge: Any, report: Any) -> Any:
 
 def _waits_for_consumers(world: Any, bridge: Any) -> None:
     """Have `send` return only when nothing is being delivered."""
-    delivering_now = threading.Event()
-
-    def wrap(deliver: Any) -> Any:
-        def busy(message: Message) -> None:
-            delivering_now.set()
-            deliver(message)
-            delivering_now.clear()
-
-        return busy
+    delivering_now = noting_deliveries(world, bridge)
 
     def waits(send: Any) -> Any:
         def sent(message: Message) -> None:
@@ -169,7 +162,6 @@ def _waits_for_consumers(world: Any, bridge: Any) -> None:
 
         return sent
 
-    delivering(wrap)(world, bridge)
     sending(waits)(world, bridge)
 
 

@@ -65,12 +65,8 @@ def call_api(
         BridgeError: it cannot be reached, does not answer in time or in order, or refuses; with
             host, port and what to set.
     """
-    try:
-        parts = urlsplit(uri)
-        host, port = parts.hostname or "", parts.port or 0
-    except ValueError:
-        host, port = "", 0
-    if not host or not port:
+    host, port = _host_and_port(uri)
+    if not port:
         raise BridgeError(f"{what} has the address {uri[:200]!r}, which is none")
     try:
         result = _exchange(host, port, encode_call(method, arguments), time.monotonic() + seconds)
@@ -85,6 +81,16 @@ def call_api(
         text = f"{method}: {what} at {host}:{port} refuses: {str(status)[:500]}"
         raise BridgeError(text, FailureReason.REFUSED)
     return value
+
+
+def _host_and_port(uri: str) -> tuple[str, int]:
+    """Return where a URI leads, and no port where it leads nowhere."""
+    try:
+        parts = urlsplit(uri)
+        host, port = parts.hostname or "", parts.port or 0
+    except ValueError:
+        return "", 0
+    return (host, port) if host else ("", 0)
 
 
 def _exchange(host: str, port: int, body: bytes, deadline: float) -> Any:
@@ -194,12 +200,8 @@ class Master:
     def service_address(self, service: str) -> tuple[str, int]:
         """Return host and port of who serves a service."""
         uri = str(self.call("lookupService", service))
-        try:
-            parts = urlsplit(uri)
-            host, port = parts.hostname or "", parts.port or 0
-        except ValueError:
-            host, port = "", 0
-        if not host or not port:
+        host, port = _host_and_port(uri)
+        if not port:
             text = f"the master has {uri[:200]!r} for service {service}, which is no address"
             raise BridgeError(text, FailureReason.BAD_MESSAGE)
         return host, port
