@@ -101,6 +101,28 @@ def test_who_shows_no_certificate_is_refused(
         ZenohTransport(place, listen=False, timeout=1.0, more=trusts)
 
 
+def test_behind_a_router_of_zenoh_only_the_machine_of_its_certificate_gets_through(
+    registry: MachineRegistry, folder: Path, place: str
+) -> None:
+    """The manager sees the certificate of who connects to it, and of no one behind that."""
+    inner = f"tcp/127.0.0.1:{free_port()}"
+    shown = Identity.find(folder, "arm").settings(listen=False)
+    more = {**shown, "mode": "router", "connect/endpoints": [place]}
+    router = ZenohTransport(inner, listen=True, timeout=patience(), more=more)
+    arm, leg = (ZenohTransport(inner, listen=False, timeout=patience()) for _ in range(2))
+    try:
+        leg.show_alive(f"{keys.MACHINES}/{keys.here('leg', 'wheels', 'x')}")
+        _settle(registry, arm, "arm")
+        assert not registry.here("leg", "wheels")
+        own = _join(place, Identity.find(folder, "leg"))
+        _settle(registry, own, "leg")  # what came before through the router would be there by now
+        assert not registry.here("leg", "wheels")
+        own.close()
+    finally:
+        for link in (arm, leg, router):
+            link.close()
+
+
 def test_a_machine_that_pretends_to_be_another_gets_nothing_through(
     registry: MachineRegistry, folder: Path, place: str
 ) -> None:
