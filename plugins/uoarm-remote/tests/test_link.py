@@ -14,7 +14,7 @@ from attrs import evolve
 from parts import stage
 from robots import ROBOT, ServedRobot, here
 
-from uoarm import RobotManager
+from uoarm import QueuePolicy, RobotManager
 from uoarm.bridge import Bridge, Registry
 from uoarm.config import loads
 from uoarm.errors import BridgeError, ConfigurationError, MessageError, ResolutionError
@@ -213,7 +213,7 @@ def doubles(manager: RobotManager) -> bool:
 
 def test_what_is_lost_in_a_cut_is_counted(robot: ServedRobot, proxy: Proxy, desk: Desk) -> None:
     manager = desk(through(proxy))
-    with manager.request("counter") as counter:
+    with manager.request("counter", queue=QueuePolicy(100_000)) as counter:
         numbers = [counter.get(patience())["value"]]
         proxy.cut()
         while len(numbers) < 2 or numbers[-1] == numbers[-2] + 1:
