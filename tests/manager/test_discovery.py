@@ -52,6 +52,7 @@ def test_what_a_bridge_sees_is_reported_with_who_uses_it() -> None:
     assert "output  head  used by head" in str(seen)
     assert gone.components == ()
     assert "there is no plugin 'nowhere'" in gone.cause
+    assert (gone.error_code, seen.error_code) == ("UOA-301", "")
 
 
 class Stating(MemoryBridge):

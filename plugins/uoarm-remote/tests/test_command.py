@@ -44,6 +44,7 @@ def test_one_that_is_not_reached_is_named_beside_the_others(
     first, second = json.loads(capsys.readouterr().out)
     assert (first["bridge"], first["url"], first["status"]) == ("first", gone.url, None)
     assert "nothing listens there" in first["cause"]
+    assert (first["error_code"], second["error_code"]) == ("UOA-402", "")
     assert second["cause"] == ""
     assert second["status"]["connections"] == []
     assert fleet(desk(tmp_path, first=gone.url)) == 4

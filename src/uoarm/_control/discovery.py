@@ -52,6 +52,11 @@ _Place: TypeAlias = tuple[str, Role, tuple[str, ...]]
 _Known: TypeAlias = dict[_Place, list[tuple[T, Options]]]
 
 
+# Never raised, so that they hold no frames: what is known of a bridge that sees nothing.
+_CANNOT = UoarmError("cannot list components", error_code="UOA-403")
+_NOT_YET = UoarmError("has not answered yet", error_code="UOA-408")
+
+
 @define(eq=False)
 class _Question:
     """What one bridge is asked, again and again.
@@ -65,7 +70,7 @@ class _Question:
     """
 
     spec: BridgeSpec
-    answer: tuple[Discovered, ...] | str | None = None
+    answer: tuple[Discovered, ...] | UoarmError | None = None
     missed: int = 0
     is_under_way: bool = False
     begun: float = 0.0
@@ -184,14 +189,16 @@ class Discovery:
         error: BaseException | None,
     ) -> None:
         if error is None:
-            question.answer = "cannot list components" if found is None else found
+            question.answer = _CANNOT if found is None else found
             question.missed = 0
             return
         if not isinstance(error, UoarmError):
             _log.error("discovery failed", exc_info=error)
         question.missed += 1
-        if isinstance(question.answer, str | None) or question.missed > self._kept:
-            question.answer = str(error) or type(error).__name__
+        if isinstance(question.answer, UoarmError | None) or question.missed > self._kept:
+            error_code = error.error_code if isinstance(error, UoarmError) else "UOA-409"
+            text = str(error) or type(error).__name__
+            question.answer = UoarmError(text, error_code=error_code)
 
 
 def _users(robot: Robot) -> _Known[str]:
@@ -241,11 +248,12 @@ def _seen_by(bridge: Bridge, timeout: float) -> tuple[Discovered, ...] | None:
 def _findings(
     bridge: str,
     plugin: str,
-    found: tuple[Discovered, ...] | str | None,
+    found: tuple[Discovered, ...] | UoarmError | None,
     users: _Known[str],
 ) -> BridgeFindings:
-    if found is None or isinstance(found, str):
-        return BridgeFindings(bridge, plugin, cause=found or "has not answered yet")
+    if found is None or isinstance(found, UoarmError):
+        none = found or _NOT_YET
+        return BridgeFindings(bridge, plugin, cause=str(none), error_code=none.error_code)
     components: list[FoundComponent] = []
     left, too_large = _MOST_PORTS, 0
     listed = _listed((end for discovered in found for end, _ in discovered.endpoints), users)

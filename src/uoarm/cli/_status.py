@@ -96,6 +96,7 @@ class Framework:
         components: that the bridge sees, by the framework's names.
         ports: how many these have.
         functions: that these provide, or may provide, in the configuration.
+        error_code: of the cause.
     """
 
     bridge: str
@@ -107,6 +108,7 @@ class Framework:
     components: tuple[str, ...] = ()
     ports: int = 0
     functions: tuple[str, ...] = ()
+    error_code: str = ""
 
     def __str__(self) -> str:
         state = "reachable" if self.is_reachable else f"not reachable: {self.cause}"
@@ -160,12 +162,21 @@ def _framework(
         tuple(component.name for component in findings.components),
         sum(len(component.ports) for component in findings.components),
         functions,
+        findings.error_code,
     )
 
 
 def _broken(registry: Registry, facts: Mapping[str, Mapping[str, str]]) -> Iterator[Framework]:
     for problem in registry.problems:
-        yield Framework("", problem.name, False, False, problem.cause, facts.get(problem.name, {}))
+        yield Framework(
+            "",
+            problem.name,
+            False,
+            False,
+            problem.cause,
+            facts.get(problem.name, {}),
+            error_code=PluginError.error_code,
+        )
 
 
 @click.command()

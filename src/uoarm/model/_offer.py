@@ -254,6 +254,7 @@ class BridgeFindings:
         plugin: that made it.
         components: what it sees, by name.
         cause: why it sees nothing; empty where it does.
+        error_code: of the cause, of `uoarm.error_codes`; empty where there is none.
         left_out: ports beyond the limit, which are not among the components.
 
     As text (`str`, `print`) it is what `uoarm discover` shows.
@@ -264,6 +265,7 @@ class BridgeFindings:
     components: tuple[FoundComponent, ...] = ()
     cause: str = ""
     left_out: int = 0
+    error_code: str = ""
 
     def __str__(self) -> str:
         if self.cause:

@@ -45,12 +45,14 @@ class ManagerReport:
         url: of its server.
         cause: why it could not be asked; "": it was.
         status: its live status, as the token's role sees it; None: it could not be asked.
+        error_code: of the cause.
     """
 
     bridge: str
     url: str
     cause: str
     status: Mapping[str, Any] | None
+    error_code: str = ""
 
     def text(self, width: int | None) -> str:
         """Return it for people, with lines of at most so many characters; None: of any length."""
@@ -144,9 +146,9 @@ async def _report(name: str, options: ManagerOptions) -> ManagerReport:
         status = await asyncio.wait_for(_status(name, options), options.timeout)
     except asyncio.TimeoutError:
         cause = f"it did not answer within {options.timeout:g} s"
-        return ManagerReport(name, options.url, cause, None)
+        return ManagerReport(name, options.url, cause, None, "UOA-408")
     except CONNECTING_ERRORS as error:
-        return ManagerReport(name, options.url, why_unreachable(error), None)
+        return ManagerReport(name, options.url, why_unreachable(error), None, "UOA-402")
     return ManagerReport(name, options.url, "", status)
 
 
