@@ -13,6 +13,7 @@ import pytest
 from endpoints import Inbox
 from peers import DOMAIN, Peer
 from uoarm_ros2._middleware import NodeRunner, Participant, _actions, _loop
+from uoarm_ros2._middleware._wait_set import WaitSet
 from uoarm_ros2._qos import Policies
 from uoarm_ros2._types import import_type
 
@@ -199,6 +200,25 @@ def test_an_action_and_its_timer_cost_no_turn_for_nothing(
     assert runner.turns.empty - before <= FEW
     runner.discard(client)
     runner.discard(server)
+
+
+def test_many_that_are_opened_and_closed_leave_the_loop_its_time(
+    runner: NodeRunner, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    spans: list[float] = []
+
+    class Slow(WaitSet):
+        def __init__(self, *given: Any) -> None:
+            began = time.monotonic()
+            super().__init__(*given)
+            threading.Event().wait(0.005)  # as with some thousand entities
+            spans.append(time.monotonic() - began)
+
+    monkeypatch.setattr(_loop, "WaitSet", Slow)
+    began, topic = time.monotonic(), f"/loop_{next(_numbers)}"
+    while len(spans) < 40:
+        runner.discard(runner.subscribe(INT64, topic, Policies(), Inbox(), events={}))
+    assert sum(spans) < 0.5 * (time.monotonic() - began)
 
 
 def test_what_ends_every_wait_and_is_never_taken_makes_the_loop_rest(

@@ -124,18 +124,20 @@ _FEW = 8
 _QUIET_SECONDS = 2.0
 _SWEEP_SECONDS = 1.0
 _SELDOM_SECONDS = 0.0005
+_BETWEEN_BUILDS = 3  # times as long as a build took
 _log = logging.getLogger("uoarm.ros2")
 
 
 class WaitLoop:
     """Waits for entities and takes all that is ready; one thread makes every turn.
 
-    Its wait sets are built anew only when entities came or went. Waiting for an entity costs a few
-    microseconds in each turn. So of many subscriptions those that had no message for a while are
-    quiet: a `QuietWatch` waits for them and their events, until one is ready. And the some three
-    events of each of the others are looked at fifty times a second only while messages flow, and
-    at once when nothing else happens, or when a wait without them ends with nothing: an event that
-    was not taken keeps its subscription's condition set, which ends every wait for its messages.
+    Its wait sets are built anew only when entities came or went, once for many that do. Waiting for
+    an entity costs a few microseconds in each turn. So of many subscriptions those that had no
+    message for a while are quiet: a `QuietWatch` waits for them and their events, until one is
+    ready. And the some three events of each of the others are looked at fifty times a second only
+    while messages flow, and at once when nothing else happens, or when a wait without them ends
+    with nothing: an event that was not taken keeps its subscription's condition set, which ends
+    every wait for its messages.
 
     Args:
         context: rclpy's context.
@@ -156,6 +158,7 @@ class WaitLoop:
         self._sweep_due = 0.0
         self._entities: tuple[Entity, ...] = ()
         self._changed = True
+        self._build_due = 0.0
         self._everything: WaitSet | None = None
         self._without_events: WaitSet | None = None
         self._events_due = 0.0
@@ -199,10 +202,15 @@ class WaitLoop:
             worked = self._take_quiet(quiet, now)
         if now >= self._sweep_due:
             self._sweep(now)
-        if self._changed:
+        if self._changed and now >= self._build_due:
             self._build()
+            # However many come one after the other, it is mostly not building.
+            begun, now = now, time.monotonic()
+            self._build_due = now + _BETWEEN_BUILDS * (now - begun)
         elif quiet:
             self._quiet_watch.go_on()
+        if self._changed:
+            seconds = min(seconds, max(0.0, self._build_due - now))
         early = self._events_due - now
         chosen = self._everything if early <= 0 else self._without_events
         assert chosen is not None
