@@ -71,6 +71,34 @@ def test_it_says_how_long_nothing_is_due() -> None:
     assert RecordingSchedule(RecordOptions(), BEGIN).wait(after(1), waiting=False) is None
 
 
+_some_seconds = st.floats(0.001, 100)
+
+
+@given(
+    st.none() | _some_seconds,
+    st.none() | _some_seconds,
+    _some_seconds,
+    st.lists(st.booleans(), max_size=20),
+)
+def test_a_writer_that_does_what_is_due_never_turns_without_waiting(
+    duration: float | None, split: float | None, chunk: float, waits: list[bool]
+) -> None:
+    options = RecordOptions(duration=duration, split_seconds=split, chunk_seconds=chunk)
+    schedule, now = RecordingSchedule(options, BEGIN), BEGIN
+    for waiting in waits:
+        seconds = schedule.wait(now, waiting=waiting)
+        if seconds is None:
+            continue
+        assert seconds > 0
+        passed = int(seconds * 1e9) + 2  # no clock is exact to the nanosecond
+        now = Instant(now.wall + passed, now.steady + passed)
+        step = due(schedule, now, waiting=waiting)
+        assert step is not RecordingStep.NOTHING
+        if step is RecordingStep.END:
+            return
+        (schedule.file_begins if step is RecordingStep.SPLIT else schedule.flushed)(now)
+
+
 @pytest.mark.parametrize(
     ("text", "meaning"),
     [
