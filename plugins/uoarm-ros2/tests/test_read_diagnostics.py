@@ -340,7 +340,7 @@ def test_a_connection_without_another_candidate_waits_until_the_error_is_over(pe
     driver.do("diagnose", entries=[[WHEEL, OK, "", {}]])
     text = f"""
 version: 1
-failover: {{wait: {10 * patience()}}}
+failover: {{wait: {min(3600.0, 10 * patience())}}}
 bridges: {{ros: {{plugin: ros2, options: {{domain_id: {DOMAIN}}}}}}}
 functions:
   numbers:
