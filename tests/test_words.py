@@ -13,10 +13,9 @@ from bench.structure import (
     WORDS,
     class_names,
     loop_variables,
-    prose_of,
     python_files,
     words_of_names,
-    words_of_prose,
+    words_of_texts,
 )
 
 # How many names of an area hold a word of the table: lower a number with what it counts, and
@@ -73,7 +72,7 @@ def test_names_are_terms_and_no_figures_of_speech(area: str) -> None:
 
 @pytest.mark.parametrize("area", AREAS)
 def test_texts_use_the_terms_too(area: str) -> None:
-    found = {path: words_of_prose(prose_of(source)) for path, source in _sources(area)}
+    found = {path: words_of_texts(source) for path, source in _sources(area)}
     more = excess(sum(found.values(), Counter()), PROSE_LIMITS.get(area, {}))
     where = {word: {path: n[word] for path, n in found.items() if n[word]} for word in more}
     assert not more, f"use the term that an engineer would search for: {where}"
