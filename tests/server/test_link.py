@@ -91,7 +91,7 @@ def test_it_ends_when_it_is_cancelled_just_as_connecting_again_fails(turns: int)
 @pytest.mark.parametrize(("status", "is_tried_again"), [(401, False), (503, True)])
 def test_who_is_not_let_in_any_more_is_not_tried_again(status: int, is_tried_again: bool) -> None:
     async def work() -> None:
-        refusals = []
+        refusals: list[str] = []
 
         async def opening() -> ClientSocket:
             if not refusals:
