@@ -10,8 +10,8 @@ import pytest
 from attrs import evolve
 from tests.control.test_transcripts import Player
 
-from uoarm._control.engine.move import MovePhase, MoveReason
-from uoarm._control.engine.state import Move, Switchover
+from uoarm._control.engine.move import Move, MovePhase, MoveReason
+from uoarm._control.engine.state import Switchover
 from uoarm._support.ordered import OrderedMap
 from uoarm.model import FailoverPolicy
 

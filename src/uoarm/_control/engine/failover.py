@@ -24,9 +24,9 @@ from uoarm._control.engine.actions import (
 )
 from uoarm._control.engine.draft import Draft, InputInUseError
 from uoarm._control.engine.events import HealthReported, ReplacementSought
-from uoarm._control.engine.move import MovePhase, MoveReason, forget_earlier
+from uoarm._control.engine.move import Move, MovePhase, MoveReason, forget_earlier
 from uoarm._control.engine.placement import ComponentRecord, Placement
-from uoarm._control.engine.state import ConnectionRecord, Move, Preference, listed, oldest_first
+from uoarm._control.engine.state import ConnectionRecord, Preference, listed, oldest_first
 from uoarm._support.ordered import OrderedMap
 from uoarm.errors import BridgeError, FailureReason
 from uoarm.model import ConnectionState, Health, Plan

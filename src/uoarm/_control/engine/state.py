@@ -8,7 +8,7 @@ from typing import NamedTuple
 from attrs import define, field, frozen, setters
 from rpds import HashTrieMap, HashTrieSet
 
-from uoarm._control.engine.move import RULES, MovePhase, MoveReason, MoveRule
+from uoarm._control.engine.move import RULES, Move, MoveReason, MoveRule
 from uoarm._control.engine.placement import (
     NONE,
     NOTHING,
@@ -31,7 +31,6 @@ from uoarm.model import (
 
 __all__ = [
     "ConnectionRecord",
-    "Move",
     "OfferRecord",
     "Preference",
     "State",
@@ -42,57 +41,6 @@ __all__ = [
 
 # Of a cause that names components; thousands may die with one bridge.
 _LISTED = 8
-
-
-class Move(NamedTuple):
-    """On the way from the plan that is open to another one, or to none.
-
-    Attributes:
-        reason: what it is for; `RULES` says what follows from that.
-        phase: how far it is.
-        since: when it began; after a death, when that was noticed: messages are lost since then.
-        cause: as the status and the gap show it.
-        next: the plan that is being opened; None before there is one.
-        group: id of the switchover in which it moves together with others; 0: alone.
-        lost: ids of components that died. In a switchover, of those that did while the inputs
-            change hands, after which they are replaced.
-        dead: names of what may come back: all of a dead bridge.
-        excluded: names that cannot take over: the dead, and those that failed to open.
-        retry_at: while it waits: when to search again.
-        outcome: of an end: how it ends.
-        killer: of an end: the caller that waits for it; empty: none.
-        error: of an end: what the request fails with, where that is more than the cause.
-    """
-
-    reason: MoveReason
-    phase: MovePhase
-    since: float
-    cause: str = ""
-    next: Placement | None = None
-    # Where it is not 0, the connection is a member of that switchover. One that ended while the
-    # inputs changed hands is still listed there, and passed over.
-    group: int = 0
-    lost: tuple[int, ...] = ()
-    dead: frozenset[str] = frozenset()
-    excluded: frozenset[str] = frozenset()
-    retry_at: float | None = None
-    outcome: ConnectionState = ConnectionState.CLOSED
-    killer: str = ""
-    error: BaseException | None = None
-
-    @property
-    def rule(self) -> MoveRule:
-        """What its reason means."""
-        return RULES[self.reason]
-
-    @property
-    def has_lost(self) -> bool:
-        """Whether something died that it replaces, at once or after the switchover."""
-        return self.reason is MoveReason.DEATH or bool(self.lost)
-
-    def as_death(self) -> Move:
-        """Return the move that replaces, alone, what was lost during this one."""
-        return self._replace(reason=MoveReason.DEATH, phase=MovePhase.SEEKING, next=None, group=0)
 
 
 class Preference(NamedTuple):

@@ -39,9 +39,9 @@ from uoarm._control.engine.events import (
     TimeReached,
 )
 from uoarm._control.engine.failover import end, finish_if_asked
-from uoarm._control.engine.move import RULES, MovePhase, MoveReason, OnOpenFailure
+from uoarm._control.engine.move import RULES, Move, MovePhase, MoveReason, OnOpenFailure
 from uoarm._control.engine.placement import Kind, Part, Placement
-from uoarm._control.engine.state import ConnectionRecord, Move, State, oldest_first
+from uoarm._control.engine.state import ConnectionRecord, State, oldest_first
 from uoarm.errors import ConnectionClosedError, ResolutionError, UsageError
 from uoarm.model import ConnectionState, Health, Plan, PortRef
 

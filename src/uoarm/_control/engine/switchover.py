@@ -42,9 +42,9 @@ from uoarm._control.engine.failover import (
     seek,
     seek_plan,
 )
-from uoarm._control.engine.move import RULES, MovePhase, MoveReason
+from uoarm._control.engine.move import RULES, Move, MovePhase, MoveReason
 from uoarm._control.engine.placement import EdgeRecord
-from uoarm._control.engine.state import ConnectionRecord, Move, Switchover, listed, oldest_first
+from uoarm._control.engine.state import ConnectionRecord, Switchover, listed, oldest_first
 from uoarm._support.ordered import OrderedMap
 from uoarm.errors import ResolutionError
 from uoarm.model import ConnectionState, Plan
