@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 from robots import ServedRobot, fleet
 
+from uoarm.server import ServerOptions, serve_in_thread
 from uoarm.testing import patience
 
 
@@ -50,6 +51,31 @@ def test_one_that_is_not_reached_is_named_beside_the_others(
     assert fleet(desk(tmp_path, first=gone.url)) == 4
     assert "first  ws://127.0.0.1:" in (text := capsys.readouterr().out)
     assert "not reached: nothing listens there" in text
+
+
+@pytest.mark.parametrize(
+    ("fingerprint", "why"), [(":".join(["AB"] * 32), "its fingerprint is"), ("", "self-signed")]
+)
+def test_a_certificate_that_is_not_trusted_is_shown_with_what_to_compare(
+    robot: ServedRobot,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    fingerprint: str,
+    why: str,
+) -> None:
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
+    secured = ServerOptions(port=0, own_certificate=True)
+    with serve_in_thread(robot.manager, secured) as server:
+        url = f"wss://localhost:{server.ports[0]}/"
+        file = Path(desk(tmp_path, first=url))
+        if fingerprint:
+            more = f"url: '{url}', fingerprint: '{fingerprint}'"
+            file.write_text(file.read_text().replace(f"url: '{url}'", more))
+        assert fleet(str(file)) == 4
+    shown = capsys.readouterr().out
+    assert f"its certificate is not trusted: {why}" in shown
+    assert "compare `fingerprint` with what `uoarm serve` prints there" in shown
 
 
 def test_a_configuration_that_is_wrong_or_imports_nothing(

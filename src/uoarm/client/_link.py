@@ -368,7 +368,7 @@ def trust_fingerprint(url: str, fingerprint: str, *, timeout: float = 10.0) -> s
     certificate = ssl.get_server_certificate(_place(url), timeout=timeout)
     digest = hashlib.sha256(ssl.PEM_cert_to_DER_cert(certificate)).hexdigest()
     if not hmac.compare_digest(digest, wanted):
-        error = ssl.SSLCertVerificationError("the server's certificate is another")
+        error = ssl.SSLCertVerificationError(1, "the server's certificate is another")
         error.verify_message = f"its fingerprint is {digest}, not the one that is wanted"
         raise error
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)

@@ -462,6 +462,9 @@ def why_unreachable(error: BaseException) -> str:
         return _refusal(error)
     if isinstance(error, ConnectionRefusedError):
         return "nothing listens there: does `uoarm serve` run?"
+    if isinstance(error, ssl.SSLCertVerificationError):
+        why = f"its certificate is not trusted: {error.verify_message}"
+        return f"{why}; compare `fingerprint` with what `uoarm serve` prints there"
     return f"{type(error).__name__}: {error}"
 
 
