@@ -145,7 +145,9 @@ def test_a_child_of_what_serves_ends_at_sigterm_alone(tmp_path: Path) -> None:
 
 SOURCES = Path(uoarm.__file__).parents[2]
 AT_EXIT = re.compile(
-    r"^import atexit|\bweakref\.finalize\b|def __del__|\bTemporaryDirectory\(", re.MULTILINE
+    r"^import atexit|\bweakref\.finalize\b(?!.*\.atexit = False$)"
+    r"|def __del__|\bTemporaryDirectory\(",
+    re.MULTILINE,
 )
 NO_PYTHON_RUNS_BESIDE = {"environments/_make.py", "uoarm_ros2/_interface_wheels.py"}
 """Commands that make a temporary folder while only programs of others run."""

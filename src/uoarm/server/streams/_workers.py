@@ -97,7 +97,7 @@ class LoopMailbox:
         self._event: int | None = None
         if hasattr(os, "eventfd") and isinstance(loop, asyncio.SelectorEventLoop):
             self._event = event = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
-            weakref.finalize(self, os.close, event)
+            weakref.finalize(self, os.close, event).atexit = False
             loop.add_reader(event, self._wake, event)
         # Only of the loop's thread.
         self._is_running = False
