@@ -13,8 +13,6 @@ from typing import Any, TypeAlias, final, overload
 
 from attrs import field, frozen
 from typing_extensions import Self
-from websockets.asyncio.client import connect as open_socket
-from websockets.typing import Subprotocol
 
 from uoarm import errors
 from uoarm._arguments import arguments
@@ -38,7 +36,6 @@ __all__ = ["RemoteRobot", "ServerAddress", "ServerError", "connect"]
 
 _HELD = 1024
 _DIAGNOSIS_SECONDS = 1.0
-_GOODBYE_SECONDS = 1.5  # for which a server that does not answer holds up the end
 # What may be asked once more where a drop took the question or its answer.
 _REPEATABLE = frozenset({"Kill", "List", "Resolve"})
 _Changes: TypeAlias = "asyncio.Queue[StatusEvent | None]"
@@ -92,24 +89,11 @@ class ServerAddress:
         return RemoteRobot(partial(self._open, form), form, reconnect, on_link)
 
     async def _open(self, form: Form) -> ClientSocket:
-        shown = {} if self.token is None else {"Authorization": f"Bearer {self.token}"}
-        # None would mean that there is to be no TLS.
-        secured: Any = {} if self.tls is None else {"ssl": self.tls}
-        opened = await open_socket(
-            self.url,
-            create_connection=ClientSocket,
-            subprotocols=[Subprotocol(form.subprotocol)],
-            additional_headers={**self.headers, **shown},
-            max_size=LARGEST.octets,
-            compression="deflate" if form.text else None,
-            open_timeout=self.timeout,
-            ping_interval=self.silence / 3,
-            ping_timeout=self.silence * 2 / 3,
-            close_timeout=_GOODBYE_SECONDS,
-            **secured,
-        )
-        assert isinstance(opened, ClientSocket), "as it was asked to make"
-        return opened
+        headers = dict(self.headers)
+        if self.token is not None:
+            headers["Authorization"] = f"Bearer {self.token}"
+        limits = {"timeout": self.timeout, "silence": self.silence}
+        return await ClientSocket.open(self.url, form, headers, self.tls, LARGEST.octets, **limits)
 
 
 @arguments()
@@ -245,12 +229,12 @@ class RemoteRobot(ServerQuestions):
             queue: what the server does when this client reads too slowly.
             every: least seconds between two messages.
             receive: False to send only.
-            wait: seconds to wait, at the server, for a function that cannot be had yet, such as a
+            wait: seconds to wait, at the server, for a function that is unavailable, such as a
                 topic without a publisher; 0: that is an error.
 
         Raises:
             ResolutionError: nothing fits.
-            BridgeTimeoutError: it could not be had within `wait` seconds.
+            BridgeTimeoutError: it stayed unavailable for `wait` seconds.
             BridgeError: a bridge failed while opening.
             UsageError: this client has it open already, or a message may be no `as_type`.
             ServerError: the role does not allow it, or a limit is reached.

@@ -5,17 +5,22 @@ from __future__ import annotations
 import asyncio
 import secrets
 import socket
+import ssl
 import struct
 import threading
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any, TypeAlias
 
-from websockets.asyncio.client import ClientConnection
+from typing_extensions import Self
+from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import ConnectionClosed, ConnectionClosedOK
 from websockets.frames import DATA_OPCODES, CloseCode, Frame, Opcode
 from websockets.protocol import Event, State
+from websockets.typing import Subprotocol
+
+from uoarm._wire import Form
 
 if TYPE_CHECKING:
     from websockets.typing import BytesLike  # not in the oldest version
@@ -30,6 +35,7 @@ __all__ = ["ClientSocket", "Received"]
 Received: TypeAlias = "str | bytes | bytearray"
 Take: TypeAlias = Callable[[Received], object]
 _RESET = struct.pack("ii", 1, 0)  # SO_LINGER: on, for no time
+_GOODBYE_SECONDS = 1.5  # for which a server that does not answer holds up the end
 _MOST_WAITING = 16
 _MOST_FRAGMENTS = 65_536
 _WHOLE_BINARY, _MASKED = 0x80 | Opcode.BINARY, 0x80
@@ -63,6 +69,50 @@ class ClientSocket(ClientConnection):
         self._is_lost = False
         # Of a frame that the kernel took a part of; goes before all others.
         self._rest: list[bytes | memoryview] = []
+
+    @classmethod
+    async def open(
+        cls,
+        url: str,
+        form: Form,
+        headers: Mapping[str, str],
+        tls: ssl.SSLContext | None,
+        largest: int,
+        *,
+        timeout: float,
+        silence: float,
+    ) -> Self:
+        """Connect to a server, within `timeout` seconds.
+
+        Args:
+            url: `ws://` or `wss://`.
+            form: in which messages are; a text is compressed.
+            headers: of the handshake.
+            tls: for `wss://`, where the system's authorities do not do.
+            largest: octets of a message that is taken.
+            timeout: seconds for the handshake.
+            silence: seconds without a sign of life after which the connection counts as dropped.
+
+        Raises:
+            OSError, TimeoutError, websockets.exceptions.InvalidHandshake: as `connect` says.
+        """
+        # None would mean that there is to be no TLS.
+        secured: Any = {} if tls is None else {"ssl": tls}
+        opened = await connect(
+            url,
+            create_connection=cls,
+            subprotocols=[Subprotocol(form.subprotocol)],
+            additional_headers=headers,
+            max_size=largest,
+            compression="deflate" if form.text else None,
+            open_timeout=timeout,
+            ping_interval=silence / 3,
+            ping_timeout=silence * 2 / 3,
+            close_timeout=_GOODBYE_SECONDS,
+            **secured,
+        )
+        assert isinstance(opened, cls), "as it was asked to make"
+        return opened
 
     async def next_message(self) -> Received:
         """Return the next message, before any is handed over.
