@@ -51,8 +51,15 @@ def test_a_seek_goes_on_from_there() -> None:
 def test_it_stands_from_the_beginning_where_it_is_asked_to() -> None:
     timeline = Timeline(1.0, is_paused=True)
     timeline.start(0.0)
-    assert timeline.wait(1, 50.0) is None
+    assert timeline.wait(0, 50.0) is None
+    timeline.step([1, 0], 50.0)
     assert timeline.wait(0, 50.0) == 0
+    assert timeline.wait(1, 50.0) is None
+    timeline.step([1], 50.0)
+    assert timeline.wait(1, 50.0) == 0
+    timeline.seek(0, 50.0)
+    timeline.pause(50.0)  # it stands already
+    assert timeline.wait(0, 50.0) is None
 
 
 @pytest.mark.parametrize(("seconds", "place"), [(1e300, 10.0), (3.0, 3.0), (0.0, 0.0)])

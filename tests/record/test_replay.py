@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -101,18 +102,23 @@ def test_a_rate_that_is_none_says_what_one_is(tape: Path, rate: object, sentence
     assert sentence in str(caught.value)
 
 
-def test_a_loop_over_an_empty_channel_does_not_turn_without_a_pause(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    path = tmp_path / "x.mcap"
+def counted_file(path: Path, *numbers: int) -> Path:
+    """A file whose first message is of /c; there is nothing in /none."""
     with path.open("wb") as file:
         writer = Writer(file)
         writer.start()
         schema = writer.register_schema("Count", "jsonschema", json.dumps(COUNT).encode())
         filled, _ = (writer.register_channel(topic, "json", schema) for topic in ("/c", "/none"))
-        for n in range(2):
-            writer.add_message(filled, 1000 + n, b'{"n": 1}', 0)
+        for place, n in enumerate(numbers):
+            writer.add_message(filled, 1000 + place, json.dumps({"n": n}).encode(), 0)
         writer.finish()  # type: ignore[no-untyped-call]  # of mcap
+    return path
+
+
+def test_a_loop_over_an_empty_channel_does_not_turn_without_a_pause(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = counted_file(tmp_path / "x.mcap", 1, 1)
     monkeypatch.setattr(_bridge, "_EMPTY_SECONDS", patience())
     made = RecordingBridge(
         "tape", PlaybackOptions.of({"file": str(path), "rate": "fast", "loop": True})
@@ -240,6 +246,27 @@ functions:
         rest = [counter.get(patience()) for _ in MESSAGES[1:]]
         assert rest == MESSAGES[1:]
         wait(lambda: counter.ended, "the recording has been played")
+
+
+@pytest.mark.parametrize("waits", [True, False])
+def test_nothing_of_what_is_paused_comes_before_it_is_asked_for(
+    tmp_path: Path, waits: bool
+) -> None:
+    """A step that is asked for at once, too, lets the first message pass, and nothing more."""
+    path = counted_file(tmp_path / "x.mcap", 1, 2, 3)
+    made = RecordingBridge("tape", PlaybackOptions.of({"file": str(path), "paused": True}))
+    collector, endpoint = Collector(), Endpoint("tape", "x", Role.OUTPUT, ("/c",))
+    structure = made.describe(endpoint).message
+    assert structure is not None
+    with closing(made), closing(made.open_source(endpoint, structure, collector.deliver)) as source:
+        for count in (1, 2):
+            if waits:
+                wait(lambda: made.playback._next.get(source) is not None)
+            assert len(collector.messages) == count - 1
+            made.playback.step()
+            collector.wait(count, patience())
+            assert collector.messages == [{"n": 1}] * count
+            made.playback.seek(0)
 
 
 def test_it_loops_and_begins_where_it_is_asked_to(tape: Path) -> None:

@@ -195,6 +195,9 @@ class _RecordedSource(Source):
         self._place = 0
         if bridge._follows and bridge._mcap is not None:  # noqa: SLF001 - its own module
             self._place = bridge._mcap.end_of_records()  # noqa: SLF001 - its own module
+        else:
+            # A step that is asked for from now on waits for the first message of this channel.
+            self._joined = self._playback.join(self, loops=self._is_looping)
         self._thread = threading.Thread(
             target=self._run, name=f"uoarm-{bridge.name}-recording", daemon=True
         )
@@ -213,18 +216,24 @@ class _RecordedSource(Source):
     def _run(self) -> None:
         bridge, topic = self._bridge, self.endpoint.address[0]
         try:
-            if bridge._follows and bridge._mcap is not None:  # noqa: SLF001 - its own module
-                self._follow(topic)
-            else:
-                self._play(topic)
+            try:
+                if bridge._follows and bridge._mcap is not None:  # noqa: SLF001 - its own module
+                    self._follow(topic)
+                else:
+                    self._play(topic)
+            finally:
+                self._playback.end(self)  # steps wait for this one no longer
         except BridgeError as error:
             bridge.ended(self, Health.LOST, str(error))
         except OSError as error:
             bridge.ended(self, Health.LOST, f"{bridge._path} cannot be read on: {error}")  # noqa: SLF001
         else:
-            self._playback.end(self)
             if not self._over.is_set():
                 bridge.ended(self, Health.FINISHED, f"{bridge._path.name} has been played")  # noqa: SLF001
+
+    @property
+    def _is_looping(self) -> bool:
+        return self._bridge._loops and self._playback.length > 0  # noqa: SLF001 - its own module
 
     def _follow(self, topic: str) -> None:
         file = self._bridge._mcap  # noqa: SLF001 - its own module
@@ -237,8 +246,8 @@ class _RecordedSource(Source):
     def _play(self, topic: str) -> None:
         bridge, playback = self._bridge, self._playback
         file = bridge._file  # noqa: SLF001 - its own module
-        loops = bridge._loops and playback.length > 0  # noqa: SLF001 - its own module
-        begin, lap, generation = playback.join(self, loops=loops)
+        loops = self._is_looping
+        begin, lap, generation = self._joined
         while not self._over.is_set():
             turn = PlaybackTurn.PLAY
             messages = file.messages(topic, file.start + begin, self._deliver.unreadable)

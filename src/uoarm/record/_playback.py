@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from enum import Enum
 from typing import Any
 
@@ -74,6 +74,8 @@ class Timeline:
         self.rate, self.is_paused = rate, is_paused
         self._anchor = begin
         self._anchor_time: float | None = None
+        # Whether what has the very time at which it stands is still to come.
+        self._is_before = True
 
     def start(self, now: float) -> None:
         """It is played from now on, unless it stands; nothing where it began before."""
@@ -82,7 +84,7 @@ class Timeline:
 
     def rewind(self, begin: int) -> None:
         """Begin anew, from somewhere, at the next `start`."""
-        self._anchor, self._anchor_time = begin, None
+        self._anchor, self._anchor_time, self._is_before = begin, None, True
 
     def position(self, now: float) -> int:
         """Return where it is. As fast as messages are taken, that is where the last one was."""
@@ -93,7 +95,7 @@ class Timeline:
     def wait(self, place: int, now: float) -> float | None:
         """Return the seconds until a message is due, 0 where it is; None: not as things are."""
         if self.is_paused:
-            return 0.0 if place <= self._anchor else None
+            return None if self._lies_ahead(place) else 0.0
         if self.rate is None:
             return 0.0
         return max(0.0, (place - self.position(now)) / _NANO / self.rate)
@@ -106,6 +108,7 @@ class Timeline:
     def pause(self, now: float) -> None:
         """Stand, where it is."""
         self._go_to(self.position(now), now)
+        self._is_before &= self.is_paused
         self.is_paused = True
 
     def play(self, now: float) -> None:
@@ -119,8 +122,20 @@ class Timeline:
         self.rate = rate
 
     def seek(self, place: int, now: float) -> None:
-        """Go somewhere else."""
+        """Go somewhere else, before what has that time."""
         self._go_to(place, now)
+        self._is_before = True
+
+    def step(self, places: Iterable[int], now: float) -> None:
+        """Go to the nearest of these that lies ahead, if one does, and stand behind it."""
+        ahead = [place for place in places if self._lies_ahead(place)]
+        if ahead:
+            self._go_to(min(ahead), now)
+            self._is_before = False
+
+    def _lies_ahead(self, place: int) -> bool:
+        """Say whether a message is still to come, where it stands."""
+        return place > self._anchor or (self._is_before and place == self._anchor)
 
     def _go_to(self, place: int, now: float) -> None:
         self._anchor = place
@@ -254,16 +269,12 @@ class Playback:
         Waits a second at most for readers that have a message in hand: theirs may be the next one.
         """
         with self._moved:
-            now = self._clock()
-            self._timeline.pause(now)
+            self._timeline.pause(self._clock())
             self._moved.notify_all()
             self._is_stepping = True
             self._moved.wait_for(self._is_still, _STEP_SECONDS)
             self._is_stepping = False
-            now = self._clock()
-            ahead = [place for place in self._next.values() if place > self._timeline.position(now)]
-            if ahead:
-                self._timeline.seek(min(ahead), now)
+            self._timeline.step(self._next.values(), self._clock())
             self._moved.notify_all()
 
     def seek(self, seconds: float) -> None:
@@ -295,8 +306,11 @@ class Playback:
 
     def _is_still(self) -> bool:
         """Say whether each reader waits for a message that lies ahead."""
-        place = self._timeline.position(self._clock())
-        return all(self._next.get(reader, place) > place for reader in self._readers)
+        now = self._clock()
+        return all(
+            reader in self._next and self._timeline.wait(self._next[reader], now) is None
+            for reader in self._readers
+        )
 
     def _move(self, move: Callable[[], object]) -> None:
         with self._moved:
