@@ -66,7 +66,7 @@ class Ros:
 
     def messages(self, count: int) -> list[Any]:
         reports = [self.receive() for _ in range(count)]
-        assert {report["op"] for report in reports} == {"publish"}
+        assert {report["op"] for report in reports} == {"publish"}, reports
         return [report["msg"] for report in reports]
 
     def __enter__(self) -> Self:
