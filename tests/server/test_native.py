@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import threading
 from typing import Any
 
 import pytest
@@ -14,6 +15,7 @@ from tests.server.talk import Talk, eventually
 from uoarm import RobotManager
 from uoarm._wire._binary import write_binary
 from uoarm.server import Limits
+from uoarm.testing import patience
 
 FORMS = pytest.mark.parametrize("binary", [False, True], ids=["json", "cbor"])
 
@@ -280,6 +282,37 @@ def test_a_message_without_a_form_is_a_reported_gap(talk: Connect) -> None:
     error = client.answer(None)
     assert error["type"] == connection
     assert error["jsonMessage"]["code"] == "message"
+
+
+def test_who_sends_waits_for_those_who_were_to_receive_before(
+    talk: Connect, robot: RobotManager, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What comes of a message would be lost to a client that asked for it before it was sent."""
+    steps: list[tuple[str, bool]] = []
+    begun, gate = threading.Event(), threading.Event()
+    request = robot.request
+
+    def slow(name: str, **options: Any) -> Any:
+        receives = options["on_message"].__name__ == "take"
+        steps.append(("begins", receives))
+        begun.set()
+        if receives:
+            assert gate.wait(patience())
+        made = request(name, **options)
+        steps.append(("is open", receives))
+        return made
+
+    monkeypatch.setattr(robot, "request", slow)
+    receiver, sender = talk(), talk()
+    receiving = receiver.send("Request", "echo")
+    assert begun.wait(patience())
+    sending = sender.send("Request", "echo", {"receive": False})
+    for _ in range(20):  # in turn with what the server does for it
+        sender.ask("List")
+    gate.set()
+    for client, asked in ((receiver, receiving), (sender, sending)):
+        assert client.answer(asked)["op"] == "Reply"
+    assert steps == [(step, who) for who in (True, False) for step in ("begins", "is open")]
 
 
 def test_kill_waits_for_what_was_sent_before_it(talk: Connect) -> None:

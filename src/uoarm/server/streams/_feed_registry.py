@@ -6,7 +6,7 @@ import asyncio
 import functools
 import logging
 import time
-from collections import Counter, deque
+from collections import Counter, defaultdict, deque
 from collections.abc import Callable, Hashable, Iterable, Mapping
 from typing import Any, TypeAlias, TypeVar
 
@@ -133,6 +133,8 @@ class FeedRegistry:
         # How many clients have a feed, also while it is being opened; at none it is closed.
         self._claims: dict[Feed, int] = {}
         self._openings: dict[Feed, asyncio.Task[None]] = {}
+        # Those of them that receive, by function; see `_open`.
+        self._receiving: defaultdict[str, set[asyncio.Task[None]]] = defaultdict(set)
         # Connections that are being ended, so that a second kill waits for the same end.
         self._kills: dict[str, asyncio.Future[None]] = {}
         # Ends under way by function: a bridge that hangs in closing must not collect threads.
@@ -208,6 +210,8 @@ class FeedRegistry:
             feed = self._feeds[wanted] = Feed(self.mailbox, self.limits, self.encoder)
             self._keys[feed] = wanted
             opening = asyncio.ensure_future(self._open(wanted, feed))
+            if wanted.receive:
+                self._receiving[wanted.function].add(opening)
             # Reads the error also when every client has gone: asyncio would report it as never
             # retrieved.
             opening.add_done_callback(lambda done: done.cancelled() or done.exception())
@@ -467,6 +471,11 @@ class FeedRegistry:
 
     async def _open(self, wanted: FeedKey, feed: Feed) -> None:
         take = feed.take if wanted.receive else _ignore
+        function = wanted.function
+        if not wanted.receive and function in self._receiving:
+            # What was to be received before this one sends must be there for the answer: a client
+            # that subscribes and then publishes gets what comes of it.
+            await asyncio.wait(self._receiving[function])
 
         def request() -> Connection:
             # Looked at in the worker, when its turn comes: those who asked may have gone while it
@@ -481,7 +490,11 @@ class FeedRegistry:
             self._forget(feed)
             raise
         finally:
-            self._openings.pop(feed, None)
+            opening = self._openings.pop(feed, None)
+            if wanted.receive and opening is not None:
+                self._receiving[function].discard(opening)
+                if not self._receiving[function]:
+                    del self._receiving[function]
         feed.connection = connection
         if feed not in self._claims:  # everyone who asked has gone meanwhile
             self.kill(connection, "the client that asked for it has gone")
