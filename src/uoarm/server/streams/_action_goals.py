@@ -152,11 +152,16 @@ class StreamRunner:
         self._function = function
         self._backend = backend
         self._waiting: deque[Goal] = deque()
+        # Handed over, and without an answer yet: the next status that accepts or rejects an unknown
+        # id is its answer. So there is never more than one.
         self._asked: Goal | None = None
         self._running: dict[str, Goal] = {}
         self._connection: Connection | None = None
+        # Whether that one was cancelled before its id was known: it is cancelled when it is.
         self._unwanted = False
         self._timer: asyncio.TimerHandle | None = None
+        # Outputs are separate channels: feedback, even the result, may come before the status that
+        # accepts. Bounded, since a component may speak of ids that no client has.
         self._early: deque[tuple[str, Mapping[str, Message]]] = deque(maxlen=_EARLY)
         self._parts: dict[_Part, Feed] = {}
         self._account: Account | None = None
@@ -194,6 +199,7 @@ class StreamRunner:
 
         Returns whether the goal was given, and so something is stopped.
         """
+        # Nothing that moves is due to this goal: there is nothing to stop, for others either.
         if self._sending is None or goal in self._waiting:
             self.cancel(goal, _ignore)
             return False
@@ -213,7 +219,7 @@ class StreamRunner:
             self._opening.cancel()
         if self._sending is None:
             self._leave()
-        else:
+        else:  # cancellations of clients that have just gone are among what was handed over
             self._sending.after(self._leave)
 
     async def _open(self) -> None:
@@ -222,6 +228,7 @@ class StreamRunner:
             outputs = {
                 output.name for output in _taking(connection.plan.provider.component).outputs
             }
+            # All are open before the first goal goes: no result can come while it is being opened.
             for part in outputs & {"feedback", "result"}:
                 await self._join(part)
         except Exception as error:  # noqa: BLE001 - each goal gets it
@@ -264,11 +271,13 @@ class StreamRunner:
         sending.send(goal, "goal", done, goal.octets)
 
     def _refused(self, goal: Goal, error: BaseException) -> None:
+        # Also called for a goal that was answered, or given up, meanwhile: both then do nothing.
         goal.fail(error)
         self._answered(goal)
         self._next()
 
     def _late(self, goal: Goal) -> None:
+        # An answer that comes still is taken for the next goal's: it does not say whose it is.
         text = f"{self._function!r} has not answered the goal in time"
         self._refused(goal, BridgeTimeoutError(text))
 
@@ -292,6 +301,7 @@ class StreamRunner:
                 self._early.append((part, message))
 
     def _decide(self, goal: Goal, identity: str, *, accepted: bool) -> None:
+        # Read before the goal counts as answered, which forgets it.
         unwanted = self._unwanted
         self._answered(goal)
         if not accepted:
@@ -299,6 +309,7 @@ class StreamRunner:
             goal.fail(BridgeError(text, FailureReason.REFUSED))
         else:
             self._running[identity] = goal
+            # Passed on in the order in which it came; what is of other ids is of no goal of ours.
             early = [pair for pair in self._early if pair[1].get("goal_id") == identity]
             self._early.clear()
             for part, message in early:
@@ -326,6 +337,8 @@ class StreamRunner:
         self._fail_all(BridgeError(text, FailureReason.CLOSED))
 
     def _fail_all(self, error: BaseException) -> None:
+        # All is empty, and the feeds are given back, before a callback is called: a client that
+        # asks again in there opens the function anew.
         goals = [*self._running.values(), *self._waiting]
         self._running.clear()
         self._waiting.clear()
@@ -338,6 +351,7 @@ class StreamRunner:
             goal.fail(error)
 
     def _leave(self) -> None:
+        # Taken first: giving the last feed back ends the connection, whose end comes here again.
         parts, self._parts = self._parts, {}
         if self._sending is not None and self._account is not None:
             self._sending.close()

@@ -105,6 +105,7 @@ class ClientStreams:
         """
         if len(self._streams) + self._opening >= self._limits.streams:
             raise LimitError(f"{self._limits.streams} connections are open; kill one first")
+        # Counted before the wait, and given back however it ends, also when the client has gone.
         self._opening += 1
         try:
             feed = await self._join(wanted, options.get("wait", 0), on_absent)
@@ -134,6 +135,7 @@ class ClientStreams:
         killed: asyncio.Future[None] = asyncio.get_running_loop().create_future()
 
         def end() -> None:
+            # It is cancelled where this client has gone, or waits no longer.
             if not killed.done():
                 killed.set_result(None)
 
@@ -216,6 +218,7 @@ class ClientStreams:
             return
 
         def end() -> None:
+            # Removed before the lane is emptied: no more messages are put into it then.
             self._remove(identity, f"killed by {self._holder}, who used it last")
             self._client.outbox.discard(stream.subscription.lane)
             for report in self._killing.pop(identity):
@@ -280,6 +283,7 @@ class ClientStreams:
         form, identity, before = self._form, connection.id, feed.before_newcomer
 
         def frames(content: bytes, number: int) -> tuple[bytes]:
+            # The message alone is written once for all such clients; this head is each one's own.
             skipped = self._streams[identity].subscription.skipped
             head = {"op": "Data", "type": identity, "x-number": number - skipped}
             head |= {"x-standing": True} if number <= before else {}
@@ -307,6 +311,8 @@ class ClientStreams:
     def _ended(self, identity: str, state: str, cause: str) -> None:
         """Send the end after the last message, and free the name."""
         cause = cause or ("killed by the program that serves it" if state == "closed" else "")
+        # Freed first: a client that has the end may ask for the same function at once. One that
+        # has just killed it gets the answer to that, and no end.
         stream = self._remove(identity)
         if stream is not None:
             fields = {

@@ -107,12 +107,15 @@ class InputSender:
         self._holder = holder or LeaseHolder(f"client {next(_numbers)} of {connection.id}")
         # What a worker has now; the loop may still mark it as stopped.
         self._handing: list[_QueuedMessage] = []
+        # Before all that waits, and before the next batch; several inputs may be stopped.
         self._stops: deque[tuple[str | None, Done]] = deque()
         self._is_stopping_beside = False
         self._waiting: deque[_QueuedMessage] = deque()
         # Whether a worker or a stop is under way: one at a time, so that messages stay in order.
         self._running = False
+        # Read by the worker without a lock: a message that it has begun with is handed over still.
         self._closed = False
+        # One flush at a time: what is asked for meanwhile waits for the end of the same one.
         self._flushing = False
         self._after: list[Callable[[], None]] = []
 
@@ -223,6 +226,7 @@ class InputSender:
         flushed.add_done_callback(lambda _: self._flushed())
 
     def _flushed(self) -> None:
+        # Before the actions, which may ask for another flush.
         self._flushing = False
         actions, self._after = self._after, []
         for action in actions:
@@ -253,6 +257,7 @@ class InputSender:
         octets = 0
         for queued in self._waiting:
             octets += queued.charge.octets
+            # The first goes whatever its size. More would keep a stop, and others, waiting.
             if batch and (octets > _BATCH_OCTETS or len(batch) == _BATCH):
                 break
             batch.append(queued)

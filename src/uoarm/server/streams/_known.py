@@ -63,6 +63,7 @@ class KnownStructures:
         asked = {name: self._entries.setdefault(name, _Entry()) for name in functions}
         now = time.monotonic()
         for name, entry in asked.items():
+            # One question a function at a time, whoever asks: a stale answer is given meanwhile.
             if entry.asking is None and (entry.until < now or entry.generation != self._generation):
                 entry.asking = asyncio.ensure_future(self._ask(name, entry))
         unknown = [
@@ -70,7 +71,7 @@ class KnownStructures:
             for entry in asked.values()
             if entry.asking and entry.generation != self._generation
         ]
-        if unknown:
+        if unknown:  # not cancelled when the time is over: the next who asks has the answer
             await asyncio.wait(unknown, timeout=_WAIT_SECONDS)
         return {name: entry.structures for name, entry in asked.items()}
 
@@ -138,6 +139,7 @@ class KnownTypes:
             self._entries.clear()
         entry = self._entries.get(name)
         if entry is None:
+            # The oldest goes, in whatever state: who waits for it holds its task.
             if len(self._entries) >= _MOST_KEPT:
                 del self._entries[next(iter(self._entries))]
             entry = self._entries[name] = asyncio.ensure_future(self._ask(name))

@@ -69,6 +69,7 @@ class Charge:
 
     def release(self) -> None:
         """Hold it no more. Idempotent."""
+        # Before it is taken out, after which its size would count as nothing.
         self.resize(0)
         self._account.charges.discard(self)
 
@@ -142,8 +143,9 @@ class Account:
         """Release everything; what is charged later counts as nothing. Idempotent."""
         # First: a charge made while others are released must count as nothing.
         self._is_closed = True
-        for charge in tuple(self.charges):
+        for charge in tuple(self.charges):  # a copy: a release takes it out
             charge.release()
+        # Last: until all is released, this client counts where shares are made.
         self.memory.forget(self)
 
 

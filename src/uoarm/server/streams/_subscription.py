@@ -229,6 +229,7 @@ class Subscription:
 
         The future never fails: what went wrong is known when the message is offered.
         """
+        # What would be left out, or held, is not written: it may never be sent.
         is_wanted = envelope.joiner is not None or (
             not self._held and self._throttle.is_due(self._clock())
         )
@@ -252,6 +253,8 @@ class Subscription:
 
     def offer(self, envelope: Envelope) -> None:
         """Take one message: to the client, to be held until it is due, or nowhere."""
+        # What is held goes first also where the rate was set to all: messages stay in order. What
+        # stood before its client joined is no part of the rate.
         is_throttled = self._throttle.every or self._held
         if not is_throttled or envelope.joiner is not None or self._passes(envelope):
             self._send(envelope)
@@ -263,6 +266,7 @@ class Subscription:
     def ended(self, state: str, cause: str) -> None:
         """Wait for a provider that failed to come back, where that is asked for; else end."""
         if self._reopen is not None:
+            # Before it is joined again: this feed has ended, and the next join opens another.
             self._leave()
             if state == "failed":
                 self._reopen(cause)
@@ -271,6 +275,7 @@ class Subscription:
 
     def close(self) -> None:
         """Send nothing more, and give back what is held, and the feed that was followed."""
+        # First: a join that ends later would begin a feed that is never left.
         if self._opening is not None:
             self._opening.cancel()
         if self._timer is not None:
@@ -283,11 +288,13 @@ class Subscription:
 
     def _leave(self) -> None:
         if self._source is not None and self.feed is not None:
+            # Forgotten first: both calls may end the feed, and so come here again.
             feed, self.feed = self.feed, None
             feed.remove(self)
             self._source.leave(feed)
 
     def _send(self, envelope: Envelope) -> None:
+        # Written by the first subscription of this form, in this very call where it is short.
         made = envelope.forms.get(self._key) or self._written(envelope)
         if isinstance(made, MessageError):
             if self.lane.refuse(made):
@@ -304,6 +311,7 @@ class Subscription:
         try:
             made = write(envelope.number, envelope.message)
         except MessageError as error:
+            # Kept as long as the message waits: its frames would keep what they refer to as well.
             made = error.with_traceback(None)
         envelope.forms[self._key] = made
         return made
@@ -322,6 +330,7 @@ class Subscription:
 
     def _hold(self, envelope: Envelope) -> None:
         """Keep a message until it is due; the oldest are left out where there are too many."""
+        # Before others are left out, so that the newest stays whatever its size.
         self._held.append(envelope)
         if self._charge is None:
             self._charge = self._account.hold(MemoryUse.THROTTLED)
@@ -347,6 +356,7 @@ class Subscription:
 
     def _release(self) -> None:
         """Send the oldest of what is held; all of it where nothing is to be held any more."""
+        # Its time has come: the next message that is held sets another.
         self._timer = None
         now = self._clock()
         while self._held:

@@ -253,6 +253,7 @@ class Workers:
         owner = acting.get()
         self._admit(owner)
 
+        # Where it was given up, `done` is not called any more: each call has one end.
         def done(result: object, error: Exception | None) -> None:
             self._mailbox.put(lambda: self._end_call(step, result, error))
 
@@ -276,6 +277,7 @@ class Workers:
         self, step: deadlines.StepUnderWay, result: object, error: Exception | None
     ) -> None:
         owner, ended = self._calls.pop(step)
+        # Before the client has its answer: it may call again in there.
         self._asked.take(owner, -1)
         ended(result, error)
 
@@ -334,6 +336,7 @@ class Workers:
         self._freeing = WorkerPool("uoarm-serve-free", _FREEING, idle_seconds=0)
 
     def _begin(self, action: Callable[[], T], owner: Hashable, future: asyncio.Future[T]) -> None:
+        # Before the thread gets it, which may be done with it at once.
         self._turns.begin(future, asyncio.get_running_loop().time())
         self._opened_by.take(owner)
 
@@ -477,6 +480,7 @@ class SharedViews:
             self._take(questions, dict.fromkeys(questions, error))
 
     def _make(self, make: Make[Any, Any]) -> None:
+        # Before the look at the robot: what is asked from here on waits for the next view.
         with self._lock:
             questions = self._asked.pop(make, {})
         began = time.perf_counter()
@@ -487,6 +491,7 @@ class SharedViews:
             answers = dict.fromkeys(questions, error)
         self._mailbox.put(lambda: self._take(questions, answers))
         took = time.perf_counter() - began
+        # The loop, and threads that move data, have the interpreter for as long.
         if took > _LONG_SECONDS:
             self._closed.wait(min(took, _MOST_REST_SECONDS))
 
