@@ -19,7 +19,7 @@ from tests.server.test_bounds import url
 
 from uoarm.model import message_octets
 from uoarm.server import Limits
-from uoarm.server.streams import _feed_registry
+from uoarm.server.streams import _feed, _feed_registry
 from uoarm.server.streams._feed import Encoder, Envelope, Feed, FeedBacklog
 from uoarm.server.streams._workers import LoopMailbox
 from uoarm.testing import patience
@@ -196,7 +196,11 @@ def test_who_wants_all_gets_what_the_others_miss() -> None:
 @pytest.mark.parametrize(
     "limits", [Limits(feed_messages=20), Limits(feed_bytes=20 * message_octets(bytes(1000)))]
 )
-def test_what_waits_for_the_loop_is_bounded_in_number_and_in_memory(limits: Limits) -> None:
+def test_what_waits_for_the_loop_is_bounded_in_number_and_in_memory(
+    limits: Limits, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(_feed, "_TURN_SECONDS", patience())  # all of it in one turn
+
     def act(feed: Feed, clock: Clock) -> None:
         reader = Reader()
         feed.add(reader)
