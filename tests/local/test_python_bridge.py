@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import threading
 from collections.abc import Iterator
 from typing import Annotated, Any, Literal, TypedDict
@@ -9,7 +10,9 @@ from typing import Annotated, Any, Literal, TypedDict
 import pytest
 from typing_extensions import NotRequired
 
-from uoarm.errors import BridgeError, FailureReason
+from uoarm import RobotManager
+from uoarm.config import loads
+from uoarm.errors import BridgeError, FailureReason, MessageError
 from uoarm.local import HintError, Octets, PythonBridge, PythonOptions, Range, UInt8, schema_of
 from uoarm.local._target import Target
 from uoarm.model import Endpoint, Role
@@ -38,6 +41,10 @@ def source() -> Iterator[Inner]:
 
 def change(message: Inner, factor: int = 1) -> Inner | None:
     return {"x": message["x"] * factor}
+
+
+def count_fields(message: dict[str, Any]) -> int:
+    return len(message)
 
 
 def unhinted(message):  # type: ignore[no-untyped-def] # on purpose  # noqa: ANN001, ANN201
@@ -110,6 +117,23 @@ def test_a_function_is_described_from_both_ends() -> None:
 
 def test_what_has_no_hint_has_no_structure() -> None:
     assert describe(f"{HERE}:unhinted", Role.OUTPUT).message is None
+
+
+def test_what_a_hint_leaves_open_the_configuration_may_declare() -> None:
+    said = describe(f"{HERE}:count_fields", Role.INPUT)
+    assert said.message is None
+    assert said.hint.startswith(f"have {HERE}:count_fields say what is in dict[str, ")
+    needed: Any = {"type": "object", "properties": {"x": {"type": "number"}}, "required": ["x"]}
+    part: dict[str, Any] = {"endpoint": [f"{HERE}:count_fields"]}
+    component = {"name": "c", "bridge": "python", "output": part}
+    whole = {"version": 1, "bridges": {"python": {}}}
+    counts = {"components": [{**component, "input": {**part, "structure": needed}}]}
+    with RobotManager(loads(json.dumps({**whole, "functions": {"count": counts}}))) as robot:
+        connection = robot.request("count")
+        connection.send({"x": 1.0, "y": 2.0})
+        assert connection.get(patience()) == 2
+        with pytest.raises(MessageError, match="x"):
+            connection.send({"y": 2.0})
 
 
 @pytest.mark.parametrize(

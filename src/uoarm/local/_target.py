@@ -234,10 +234,13 @@ class Target:
 
     def _wanted(self, part: str, endpoint: Endpoint) -> str:
         """Return which type hint is missing, as it would be written."""
+        method = self.method(endpoint)
+        hint = self._hint(part, endpoint, self._type_hints(method))
+        if hint is not _NOTHING:
+            return f"have {self.name} say what is in {hint}: write a TypedDict or a dataclass"
         if part in {"input", "request"}:
             name = self.message_parameter(endpoint)
             return f"give {name!r} of {self.name} a type hint, such as `{name}: float`"
-        method = self.method(endpoint)
         generates = inspect.isgeneratorfunction(method) or inspect.isasyncgenfunction(method)
         kind = "AsyncIterator" if inspect.isasyncgenfunction(method) else "Iterator"
         returned = f"{kind}[float]" if generates else "float"
@@ -308,16 +311,20 @@ class Target:
     def _derived(
         self, part: str, endpoint: Endpoint, hints: Mapping[str, Any]
     ) -> MessageStructure | None:
-        if part in {"input", "request"}:
-            hint = hints.get(self.message_parameter(endpoint), _NOTHING)
-        else:
-            hint = _return_hint(hints, endpoint.role)
+        hint = self._hint(part, endpoint, hints)
         if hint is _NOTHING:
             return None
         try:
             return MessageStructure(schema_of(hint), native_type=getattr(hint, "__name__", ""))
         except HintError as error:
+            if _is_open(hint):  # what comes is passed on as it is: the configuration may say what
+                return None
             raise HintError(f"{self.name}: {error}") from error
+
+    def _hint(self, part: str, endpoint: Endpoint, hints: Mapping[str, Any]) -> Any:
+        if part in {"input", "request"}:
+            return hints.get(self.message_parameter(endpoint), _NOTHING)
+        return _return_hint(hints, endpoint.role)
 
     def message_parameter(self, endpoint: Endpoint) -> str:
         """Return the name of the parameter that takes the message.
@@ -511,6 +518,14 @@ def find(address: Sequence[str], modules: Modules) -> Target:
         text = f"{name} is a {type(value).__name__}: expected a function or a class"
         raise BridgeError(text, FailureReason.BAD_ENDPOINT)
     return Target(name, value)
+
+
+def _is_open(hint: Any) -> bool:
+    """Say whether a hint leaves open what a message is, such as `dict[str, Any]`."""
+    if hint is Any or hint is object:
+        return True
+    is_container = get_origin(hint) in {list, dict, Union, UnionType}
+    return is_container and any(map(_is_open, get_args(hint)))
 
 
 def _return_hint(hints: Mapping[str, Any], role: Role) -> Any:
