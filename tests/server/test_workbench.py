@@ -362,12 +362,12 @@ functions:
         self, browser: Browser, visit: Visit, robot: RobotManager
     ) -> None:
         with robot.request("then", queue=QueuePolicy(length=100, policy="block")) as connection:
-            assert connection.get(patience()) == {"n": 0}
             visit("#/graph/function/then")
             browser.until(says(".player", "tape plays then.mcap"))
             browser.until(f"{self.AT} === 0")
-            browser.click(".player button", "Step")
-            assert connection.get(patience()) == {"n": 1}
+            for n in (0, 1):
+                browser.click(".player button", "Step")
+                assert connection.get(patience()) == {"n": n}
             browser.until(f"{self.AT} === 1")
             browser.click(".player input")
             browser.until(f"Math.abs({self.AT} - 4) < 0.5")

@@ -63,7 +63,7 @@ class KnownStructures:
         asked = {name: self._entries.setdefault(name, _Entry()) for name in functions}
         now = time.monotonic()
         for name, entry in asked.items():
-            # One question a function at a time, whoever asks: a stale answer is given meanwhile.
+            # One question a function at a time, of all clients: a stale answer is given meanwhile.
             if entry.asking is None and (entry.until < now or entry.generation != self._generation):
                 entry.asking = asyncio.ensure_future(self._ask(name, entry))
         unknown = [
