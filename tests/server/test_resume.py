@@ -95,6 +95,18 @@ def test_what_a_full_queue_lost_meanwhile_is_a_gap_and_counted(
     run(proxy, work)
 
 
+async def lose(
+    client: RemoteRobot, server: Server, proxy: Proxy, *given: object, written: int
+) -> None:
+    """Have a connection take what the component gives and the server writes, and resume it."""
+    proxy.hold(to_client=True)
+    before = answered(server)
+    script.put(*given)
+    await until(lambda: answered(server) == before + written)
+    async with resumed(client):
+        proxy.cut()
+
+
 @FORMS
 def test_what_a_dead_connection_took_is_counted_before_anything_else_comes(
     server: Server, between: Between, binary: bool
@@ -103,12 +115,7 @@ def test_what_a_dead_connection_took_is_counted_before_anything_else_comes(
 
     async def work(client: RemoteRobot) -> None:
         stream = await client.request("numbers")  # nothing has come, and from where it counts
-        proxy.hold(to_client=True)
-        before = answered(server)
-        script.put({"value": 1}, {"value": 2})
-        await until(lambda: answered(server) == before + 2)
-        async with resumed(client):
-            proxy.cut()
+        await lose(client, server, proxy, {"value": 1}, {"value": 2}, written=2)
         assert stream.lost == 2
         script.put({"value": 3})
         assert await stream.get() == {"value": 3}
@@ -127,12 +134,7 @@ def test_what_was_lost_before_the_end_is_counted(
         stream = await client.request("numbers")
         script.put({"value": 1})
         assert await stream.get() == {"value": 1}
-        proxy.hold(to_client=True)
-        before = answered(server)
-        script.put({"value": 2}, {"value": 3}, END)
-        await until(lambda: answered(server) == before + 3)
-        async with resumed(client):
-            proxy.cut()
+        await lose(client, server, proxy, {"value": 2}, {"value": 3}, END, written=3)
         with pytest.raises(ConnectionClosedError, match="finished"):
             await stream.get()
         assert stream.lost == 2
@@ -148,12 +150,7 @@ def test_what_a_client_left_out_itself_is_not_lost(
 
     async def work(client: RemoteRobot) -> None:
         stream = await client.request("numbers", every=3600)
-        proxy.hold(to_client=True)
-        before = answered(server)
-        script.put(*({"value": value} for value in range(50)))
-        await until(lambda: answered(server) == before + 1)
-        async with resumed(client):
-            proxy.cut()
+        await lose(client, server, proxy, *({"value": value} for value in range(50)), written=1)
         script.put(END)
         with pytest.raises(ConnectionClosedError, match="finished"):
             await stream.get()
@@ -215,12 +212,7 @@ def test_an_end_that_was_lost_on_the_way_is_sent_again(
         stream = await client.request("numbers")
         script.put({"value": 1})
         assert await stream.get() == {"value": 1}
-        proxy.hold(to_client=True)
-        before = answered(server)
-        script.put(END)
-        await until(lambda: answered(server) > before)
-        async with resumed(client):
-            proxy.cut()
+        await lose(client, server, proxy, END, written=1)
         with pytest.raises(ConnectionClosedError, match="finished"):
             await stream.get()
 

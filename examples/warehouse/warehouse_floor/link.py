@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import socket
-from types import TracebackType
 from typing import Any, Final
 
 from typing_extensions import Self
@@ -56,12 +55,7 @@ class FloorLink:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
 

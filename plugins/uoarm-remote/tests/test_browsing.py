@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 from robots import fleet
 from uoarm_remote import _browser, _command
-from uoarm_remote._browser import MOST, AnnouncedManager, Browser, _place, _shown
+from uoarm_remote._browser import MOST, SERVICE, AnnouncedManager, Browser, _place, _shown
 from uoarm_remote._command import announced_text
 from zeroconf import (  # type: ignore[attr-defined]  # two that it imports, and does not list
     DNSOutgoing,
@@ -22,6 +22,7 @@ from zeroconf import (  # type: ignore[attr-defined]  # two that it imports, and
     Zeroconf,
 )
 
+from uoarm.cli import _announce
 from uoarm.errors import BridgeError, PluginError
 from uoarm.testing import wait
 
@@ -99,6 +100,11 @@ def read(browser: Browser, *names: str) -> dict[str, AnnouncedManager]:
 
     wait(are_known)
     return there
+
+
+def test_looked_for_is_what_a_server_is_announced_as() -> None:
+    """The plugin imports public modules only, so that the type stands in two places."""
+    assert SERVICE == _announce.SERVICE  # and not the one of a single test
 
 
 def test_a_manager_is_listed_until_it_is_withdrawn(network: Network) -> None:

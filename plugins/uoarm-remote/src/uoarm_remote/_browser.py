@@ -13,7 +13,6 @@ import threading
 from collections.abc import Sequence
 from concurrent import futures
 from contextlib import suppress
-from types import TracebackType
 from typing import TYPE_CHECKING
 
 from attrs import frozen
@@ -98,12 +97,7 @@ class Browser:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._browser.cancel()
         loop = self._network.loop
         if loop is not None:
