@@ -16,16 +16,12 @@ from contextlib import ExitStack
 from pathlib import Path
 from statistics import median
 
+from bench._ros_relays import RELAYS, relay
 from bench.tables import print_table, row
 
 ROS_PYTHON = "/usr/bin/python3"  # what Debian installs belongs to it alone
 PEER = str(Path(__file__).with_name("_ros1_peer.py"))
-RELAYS = (
-    "a rospy relay by hand",
-    "uoarm bridge, source to sink",
-    "uoarm native link",
-    "uoarm manager, adapted route",
-)
+ALL = ("a rospy relay by hand", *RELAYS)
 KIND = "std_msgs/UInt8MultiArray"
 START_SECONDS = 30.0
 
@@ -50,7 +46,7 @@ def main() -> int:
         stack.callback(core.wait)
         stack.callback(core.kill)
         _await(port)
-        for number, name in enumerate(RELAYS):
+        for number, name in enumerate(ALL):
             topics = (f"/here_{number}", f"/there_{number}")
             words = [ROS_PYTHON, PEER, "relay", *topics]
             if number:
@@ -61,14 +57,14 @@ def main() -> int:
             stack.callback(process.communicate)
             assert process.stdout is not None
             process.stdout.readline()
-        client = [ROS_PYTHON, PEER, "client", str(len(RELAYS))]
+        client = [ROS_PYTHON, PEER, "client", str(len(ALL))]
         done = subprocess.run(
             client, stdout=subprocess.PIPE, text=True, env=environment, check=True
         )
     times, rates = [], []
     for line in done.stdout.splitlines():
         found = json.loads(line)
-        for name, samples, speeds in zip(RELAYS, found["times"], found["rates"], strict=True):
+        for name, samples, speeds in zip(ALL, found["times"], found["rates"], strict=True):
             times.append((*row(name, sorted(samples))[:3], found["size"]))
             rates.append((name, f"{median(speeds):,.0f}", found["size"]))
     print_table("ROS 1 relay, round trip (us)", ("relay", "median", "p99", "size"), times)
@@ -89,65 +85,20 @@ def _await(port: int) -> None:
             return
 
 
-def relay_by_manager(here: str, there: str) -> None:
-    from uoarm import RobotManager  # noqa: PLC0415
-    from uoarm.config import loads  # noqa: PLC0415
-
-    text = f"""
-version: 1
-bridges: {{ros: {{plugin: ros1, options: {{}}}}}}
-functions:
-  octets:
-    components:
-      - name: here
-        bridge: ros
-        output: {{endpoint: [{here}, {KIND}], options: {{peer: optional}}}}
-  relayed:
-    components:
-      - name: there
-        bridge: ros
-        input:
-          from: octets
-          endpoint: [{there}, {KIND}]
-          options: {{peer: optional, queue: 10000}}
-          queue: {{policy: block, timeout: 60}}
-          map: {{layout: layout, data: data}}
-"""
-    with RobotManager(loads(text)) as robot, robot.request("relayed"):
-        print("ready", flush=True)
-        sys.stdin.read()
-
-
-def relay_by_bridge(here: str, there: str, *, link: bool) -> None:
-    from uoarm.bridge import Registry  # noqa: PLC0415
-    from uoarm.model import BridgeSpec, Endpoint, Role  # noqa: PLC0415
-
-    bridge = Registry().create(BridgeSpec("ros", "ros1", {}))
+def _relay(name: str, here: str, there: str) -> None:
     options = {"peer": "optional"}
-    source = Endpoint("ros", "here", Role.OUTPUT, (here, KIND), options=options)
-    queued = {**options, "queue": 10_000}
-    sink = Endpoint("ros", "there", Role.INPUT, (there, KIND), options=queued)
-    structure = bridge.describe(source).message
-    assert structure is not None
-    if link:
-        bridge.link(source, sink)
-    else:
-        bridge.open_source(source, structure, bridge.open_sink(sink, structure).send)
-    print("ready", flush=True)
-    sys.stdin.read()
-    bridge.close()
-
-
-def relay(name: str, here: str, there: str) -> None:
-    """Be one of our relays until standard input ends."""
-    if "manager" in name:
-        relay_by_manager(here, there)
-    else:
-        relay_by_bridge(here, there, link="link" in name)
+    queue = {"policy": "block", "timeout": 60}
+    relay(
+        name,
+        "ros1",
+        ((here, KIND), (there, KIND)),
+        (options, {**options, "queue": 10_000}),
+        {"queue": queue, "map": {"layout": "layout", "data": "data"}},
+    )
 
 
 if __name__ == "__main__":
     if len(sys.argv) > 1:
-        relay(*sys.argv[1:])
+        _relay(*sys.argv[1:])
         sys.exit(0)
     sys.exit(main())

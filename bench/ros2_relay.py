@@ -12,18 +12,14 @@ import time
 from contextlib import suppress
 from typing import Any
 
+from bench._ros_relays import RELAYS, relay
 from bench.tables import print_table, row
 
 DOMAIN = str(20 + os.getpid() % 80)
 SIZES = {"100 B": 100, "1 KB": 1_000, "1 MB": 1_000_000}
 ROUNDS = {100: 2000, 1_000: 2000, 1_000_000: 300}
 BURST = {100: 5000, 1_000: 5000, 1_000_000: 100}
-RELAYS = (
-    "a bare rclpy relay",
-    "uoarm bridge, source to sink",
-    "uoarm native link",
-    "uoarm manager, adapted route",
-)
+ALL = ("a bare rclpy relay", *RELAYS)
 DEPTH = 100  # more than is ever under way; of octets a bridge keeps five by itself
 SILENCE_SECONDS = 20.0
 KIND = "std_msgs/msg/UInt8MultiArray"
@@ -41,10 +37,12 @@ def main() -> int:
         return 0
     times: list[tuple[str, ...]] = []
     rates: list[tuple[str, ...]] = []
-    for number, relay in enumerate(RELAYS):
-        arguments = [sys.executable, "-m", "bench.ros2_relay", relay, str(number)]
-        with subprocess.Popen(arguments, stdin=subprocess.PIPE) as process:
-            _measure(relay, number, times, rates)
+    for number, name in enumerate(ALL):
+        arguments = [sys.executable, "-m", "bench.ros2_relay", name, str(number)]
+        with subprocess.Popen(
+            arguments, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL
+        ) as process:
+            _measure(name, number, times, rates)
             process.communicate(timeout=20)
     print_table("ROS 2 relay, round trip (us)", ("relay", "median", "p99", "size"), times)
     print_table("ROS 2 relay, one way, reliable", ("relay", "messages/s", "size"), rates)
@@ -52,7 +50,7 @@ def main() -> int:
 
 
 def _measure(
-    relay: str, number: int, times: list[tuple[str, ...]], rates: list[tuple[str, ...]]
+    name: str, number: int, times: list[tuple[str, ...]], rates: list[tuple[str, ...]]
 ) -> None:
     import rclpy  # noqa: PLC0415
     from rclpy.node import Node  # noqa: PLC0415
@@ -73,15 +71,15 @@ def _measure(
     ready = UInt8MultiArray(data=b"0")
     while not seen[0]:
         if time.monotonic() > deadline:
-            raise RuntimeError(f"{relay} passes nothing")
+            raise RuntimeError(f"{name} passes nothing")
         publisher.publish(ready)
         rclpy.spin_once(node, timeout_sec=0.2)
     for label, size in SIZES.items():
         message = UInt8MultiArray(data=bytes(size))
         times.append(
-            (*row(relay, _round_trips(node, publisher, message, seen, ROUNDS[size]))[:3], label)
+            (*row(name, _round_trips(node, publisher, message, seen, ROUNDS[size]))[:3], label)
         )
-        rates.append((relay, f"{_burst(node, publisher, message, seen, BURST[size]):,.0f}", label))
+        rates.append((name, f"{_burst(node, publisher, message, seen, BURST[size]):,.0f}", label))
     rclpy.shutdown()
 
 
@@ -140,71 +138,23 @@ def relay_by_hand(here: str, there: str) -> None:
         rclpy.spin(node)
 
 
-def relay_by_manager(here: str, there: str) -> None:
-    from uoarm._control.robot_manager import RobotManager  # noqa: PLC0415
-    from uoarm.config import loads  # noqa: PLC0415
-
-    text = f"""
-version: 1
-bridges: {{ros: {{plugin: ros2, options: {{}}}}}}
-functions:
-  octets:
-    components:
-      - name: here
-        bridge: ros
-        output: {{endpoint: [{here}, {KIND}], options: {{qos: {{history: keep_all}}}}}}
-  relayed:
-    components:
-      - name: there
-        bridge: ros
-        input:
-          from: octets
-          endpoint: [{there}, {KIND}]
-          options: {{qos: {{depth: {DEPTH}}}}}
-          map: {{data: data}}
-"""
-    with RobotManager(loads(text)) as robot, robot.request("relayed"):
-        sys.stdin.read()
-
-
-def relay_by_bridge(here: str, there: str, *, link: bool) -> None:
-    from uoarm.bridge import Registry  # noqa: PLC0415
-    from uoarm.model import BridgeSpec, Endpoint, Role  # noqa: PLC0415
-
-    bridge = Registry().create(BridgeSpec("ros", "ros2", {}))
-    qos = {"qos": {"history": "keep_all"}}
-    source = Endpoint("ros", "here", Role.OUTPUT, (here, KIND), options=qos)
-    kept = {"qos": {"depth": DEPTH}}
-    sink = Endpoint("ros", "there", Role.INPUT, (there, KIND), options=kept)
-    structure = bridge.describe(source).message
-    assert structure is not None
-    if link:
-        bridge.link(source, sink)
-    else:
-        bridge.open_source(source, structure, bridge.open_sink(sink, structure).send)
-    sys.stdin.read()
-    bridge.close()
-
-
 def _until_input_ends(stop: Any) -> None:
     import threading  # noqa: PLC0415
 
     threading.Thread(target=lambda: (sys.stdin.read(), stop()), daemon=True).start()
 
 
-def relay(name: str, number: str) -> None:
-    """Be one of the relays until standard input ends."""
+def _relay(name: str, number: str) -> None:
     here, there = f"/here_{number}", f"/there_{number}"
-    if name == RELAYS[0]:
+    if name == ALL[0]:
         relay_by_hand(here, there)
-    elif "manager" in name:
-        relay_by_manager(here, there)
-    else:
-        relay_by_bridge(here, there, link="link" in name)
+        return
+    options = ({"qos": {"history": "keep_all"}}, {"qos": {"depth": DEPTH}})
+    relay(name, "ros2", ((here, KIND), (there, KIND)), options, {"map": {"data": "data"}})
 
 
 if __name__ == "__main__":
     if len(sys.argv) > 1:
-        relay(*sys.argv[1:])
+        _relay(*sys.argv[1:])
     else:
         sys.exit(main())

@@ -10,13 +10,29 @@ from queue import SimpleQueue
 from typing import Any
 
 import uoarm
-from bench.control_trace import ROBOT
 from bench.tables import at, print_table
 from uoarm.config import loads
 from uoarm.testing import MemoryBridge
 
 DEATHS = 200
 NUMBER: Any = {"type": "integer"}
+ROBOT = """
+version: 1
+bridges: {one: {plugin: memory}, two: {plugin: memory}}
+functions:
+  camera:
+    components:
+      - {name: best, bridge: one, priority: 2, output: {endpoint: [best]}}
+      - {name: spare, bridge: two, priority: 1, output: {endpoint: [spare]}}
+  finder:
+    components:
+      - {name: finder, bridge: two, input: {from: camera, endpoint: [finder]},
+         output: {endpoint: [finder]}}
+  name:
+    components:
+      - {name: namer, bridge: two, input: {from: finder, endpoint: [namer]},
+         output: {endpoint: [namer]}}
+"""
 
 
 def main() -> None:

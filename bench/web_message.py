@@ -22,12 +22,23 @@ from websockets.sync.client import connect
 from websockets.typing import Subprotocol
 
 from bench.tables import print_table
-from bench.web_trace import ASKS, MESSAGE, RECORD, ROBOT
 from uoarm import RobotManager
 from uoarm.config import loads
 from uoarm.server import ServerOptions, serve_in_thread
 from uoarm.testing import Emitter, MemoryBridge
 
+ROBOT = """
+version: 1
+bridges: {memory: {plugin: memory}}
+functions:
+  number: {components: [{name: number, bridge: memory, output: {endpoint: [number]}}]}
+"""
+RECORD = {"type": "object", "properties": {"data": {"type": "string"}}, "required": ["data"]}
+MESSAGE = {"data": "x" * 1000}
+ASKS = {
+    "/": {"op": "Request", "type": "number", "id": "1", "jsonMessage": {}},
+    "/rosbridge": {"op": "subscribe", "id": "1", "topic": "/uoarm/number"},
+}
 COUNT = 2000
 ROUNDS = 5
 SETTLE_SECONDS = 1.0
