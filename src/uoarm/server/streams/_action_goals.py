@@ -253,6 +253,8 @@ class StreamRunner:
     def _next(self) -> None:
         """Hand over the next goal, unless one waits for its answer."""
         while self._asked is None and self._waiting and self._sending is not None:
+            # Set before it is handed over: where that fails at once, the goal and its timer are
+            # forgotten again.
             goal = self._asked = self._waiting.popleft()
             seconds = self._backend.limits.request_seconds
             self._timer = asyncio.get_running_loop().call_later(seconds, self._late, goal)
@@ -324,6 +326,7 @@ class StreamRunner:
         if part == "feedback":
             goal.feed(message.get("feedback"))
         elif part == "result":
+            # Taken out before its client has the result, and may cancel or send another in there.
             del self._running[identity]
             status = _ENDS.get(str(message.get("status")), GoalStatus.UNKNOWN)
             goal.finish(message.get("result"), status)
@@ -417,5 +420,6 @@ class ActionRunners:
         runner, clients = self._functions[function]
         clients.discard(client)
         if not clients:
+            # Before it closes: a client that joins from here on gets a runner that works.
             del self._functions[function]
             runner.close()

@@ -407,6 +407,7 @@ class FeedRegistry:
         # Taken before the wait, after which another stop may have begun with reports of its own.
         shared, after = self._stopping, self._after_stop
         report = await asyncio.shield(shared)
+        # The first to come back from the wait begins it; the others wait for the same.
         if key not in after:
             after[key] = self.workers.stop(lambda: act(report))
         return report, await asyncio.shield(after[key])
@@ -455,6 +456,7 @@ class FeedRegistry:
 
     async def close(self) -> None:
         """Kill what is open, as far as it can be done while the server closes."""
+        # First: no more events for what is closed below.
         self._stop_listening()
         self._known.close()
         self._types.close()
@@ -465,6 +467,7 @@ class FeedRegistry:
             self.leave(feed, "the server stops")
         if self._kills:
             await asyncio.wait(self._kills.values(), timeout=self.limits.stop_seconds / 4)
+        # After the kills, which need its threads; the mailbox last, which brings their outcomes.
         self.workers.close()
         self.encoder.close()
         self.mailbox.close()
@@ -490,6 +493,7 @@ class FeedRegistry:
             self._forget(feed)
             raise
         finally:
+            # From here on nothing is awaited: who joins finds it being opened, or open, or none.
             opening = self._openings.pop(feed, None)
             if wanted.receive and opening is not None:
                 self._receiving[function].discard(opening)

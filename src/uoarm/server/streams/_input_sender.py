@@ -153,6 +153,7 @@ class InputSender:
             try:
                 self._run()
             except BusyError:
+                # The last is this very one: nothing ran, so that nothing else was added meanwhile.
                 self._waiting.pop().charge.release()
                 raise
 
@@ -185,6 +186,7 @@ class InputSender:
         A component that hangs is waited for two seconds only. Whatever else is to be done after it
         waits for the same flush.
         """
+        # No flush is begun while messages are handed over: `_go_on` begins it after the last.
         self._after.append(action)
         if not self._running:
             self._flush()
@@ -306,6 +308,7 @@ class InputSender:
     def _hand_over(self, queued: _QueuedMessage) -> BaseException | None:
         """Return what went wrong with one message, in a worker."""
         try:
+            # Looked at here, and not when the batch was made: the loop may have set both since.
             if self._closed:
                 return self._has_ended()
             if queued.is_stopped:

@@ -266,6 +266,8 @@ class Outbox:
         window.asked(now)
 
         def answered() -> None:
+            # The window of this ping, also where `renew` has put another one in its place: the
+            # answer says nothing of the new socket.
             window.answered(self._clock())
             self._wake()  # there is room again
 
@@ -278,6 +280,7 @@ class Outbox:
 
     def renew(self) -> None:
         """Take what waits as new: its client was away, and came back for it on another socket."""
+        # What was under way on the old socket is never acknowledged: its window would stay full.
         now, self._window = self._clock(), SendWindow()
         for lane in self._turns:
             lane.waiting = deque((now, frames) for _, frames in lane.waiting)
@@ -286,6 +289,7 @@ class Outbox:
         """Forget what waits of a stream that was killed."""
         while lane.waiting:
             self._forget(lane)
+        # Keeps the invariant of `_turns`: `_take_frame` takes a message of the first in it.
         if lane in self._turns:
             self._turns.remove(lane)
 
@@ -442,6 +446,7 @@ class Outbox:
         others = [lane for lane in self._turns if lane is not largest and not lane.finished]
         if others:
             lane = max(others, key=_bytes_of)
+            # That was its only message: the invariant of `_turns`.
             self._drop(lane)
             self._turns.remove(lane)
         return bool(others)

@@ -110,6 +110,7 @@ class PendingFeeds:
             search = self._searches[wanted] = _Search(cause)
             search.task = asyncio.ensure_future(self._seek(wanted, search))
         waiter: asyncio.Future[Feed] = asyncio.get_running_loop().create_future()
+        # Entered before the first report, which may raise: what is entered is always taken out.
         search.waiting[waiter] = on_absent
         try:
             on_absent(cause)
@@ -143,6 +144,8 @@ class PendingFeeds:
                     feed = await self._join(wanted)
             except Exception as error:  # noqa: BLE001 - it is passing, or reported to those who wait
                 if not is_absent(error):
+                    # Ended first: a client that asks before those who wait have run would join a
+                    # search that never goes on.
                     self._end(wanted, search)
                     for waiter in search.waiting:
                         if not waiter.done():
@@ -163,5 +166,6 @@ class PendingFeeds:
 
     def _end(self, wanted: FeedKey, search: _Search) -> None:
         """Let the next client begin anew."""
+        # This one may have ended before, and another have begun since, which must stay.
         if self._searches.get(wanted) is search:
             del self._searches[wanted]

@@ -164,6 +164,8 @@ class Subscription:
 
     def begin(self, feed: Feed) -> None:
         """Let the messages of an open feed come, first those that wait; its owner leaves it."""
+        # Before it is added: a feed that has ended hands all over in that call, and the messages
+        # are numbered by it.
         self.feed = feed
         feed.add(self, self.prepare, None if self.lane.wants_all else self.miss)
 
@@ -198,9 +200,11 @@ class Subscription:
                 feed = self.feed = await source.join(
                     wanted, lambda cause: say(f"unavailable: {cause}")
                 )
+                # Over before `on_open`, which may close this: the task must not cancel itself.
                 self._opening = None
                 on_open(feed)
             except Exception as error:  # noqa: BLE001 - given to who follows
+                # Given back before it is reported: who follows may ask for it anew in there.
                 self._opening = None
                 self._leave()
                 on_failed(error)
@@ -220,6 +224,7 @@ class Subscription:
         self._throttle.set_period(every, now)
         self._most_held = most_held
         if self._timer is not None:
+            # The timer is of the old rate: with the new one, what is held may be due sooner.
             self._timer.cancel()
             self._timer = None
             self._set_timer(now)
@@ -318,6 +323,7 @@ class Subscription:
 
     def _passes(self, envelope: Envelope) -> bool:
         now = self._clock()
+        # One that passed those that are held would be out of order.
         if not self._held and self._throttle.is_due(now):
             self._throttle.take(now)
             return True

@@ -258,6 +258,8 @@ class Workers:
             self._mailbox.put(lambda: self._end_call(step, result, error))
 
         is_first = not self._calls
+        # It may be done in its thread before `step` is assigned: its end is looked up in the loop,
+        # after this.
         step = deadlines.begin("a call", action, done)
         self._calls[step] = owner, ended
         self._asked.take(owner)
@@ -266,6 +268,7 @@ class Workers:
 
     def _look_at_calls(self, loop: asyncio.AbstractEventLoop) -> None:
         """Give up what is late, every now and then while there are calls."""
+        # A copy: one that is given up is taken out.
         for step in tuple(self._calls):
             error = step.give_up_late()
             if error is not None:
