@@ -167,7 +167,7 @@ def zero(native: str) -> Any:
     """Return a message in which everything is zero or empty."""
     from uoarm_ros1._actions import _zero
 
-    return _zero(TYPES.require(native))
+    return _zero(TYPES.require(native).schema)
 
 
 def scan(value: float) -> Message:
@@ -182,20 +182,20 @@ def large_image() -> Message:
 
 def rounded(native: str, message: Message) -> Message:
     """Return the message with every number as the float of its field has it."""
-    from uoarm_ros1._definitions import Listing, RosRecord, Scalar
 
-    def of(shape: Any, value: Any) -> Any:
-        if isinstance(shape, RosRecord):
-            return {member.name: of(member.shape, value[member.name]) for member in shape.fields}
-        if isinstance(shape, Listing):
+    def of(schema: Any, value: Any) -> Any:
+        if schema["type"] == "object":
+            inner = schema["properties"].items()
+            return {name: of(member, value[name]) for name, member in inner}
+        if schema["type"] == "array":
             if isinstance(value, bytes | memoryview):
                 return value
-            return [of(shape.element, item) for item in value]
-        if shape == Scalar("float32"):
+            return [of(schema["items"], item) for item in value]
+        if schema.get("x-native-type") == "float32":
             return struct.unpack("f", struct.pack("f", value))[0]
-        return float(value) if shape == Scalar("float64") else value
+        return float(value) if schema["type"] == "number" else value
 
-    return of(TYPES.require(native), message)
+    return of(TYPES.require(native).schema, message)
 
 
 __all__ = ["KINDS", "Ros1World", "large_image", "rounded", "slowness", "zero"]

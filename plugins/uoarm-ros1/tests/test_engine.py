@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from uoarm_ros1._definitions import DefinitionError, Listing, Scalar, record_of, service_of
+from uoarm_ros1._definitions import DefinitionError, record_of, service_of
 from uoarm_ros1._health import LostComponents, MasterHealth
 from uoarm_ros1._node_api import NodeApi, ParameterUpdate, PublisherUpdate, Shutdown
 from uoarm_ros1._options import (
@@ -32,7 +32,7 @@ from uoarm_ros1._tcpros import (
     publisher_problem,
     subscriber_problem,
 )
-from uoarm_ros1._types import LENGTH, TypeStore, framed_writer, reader, structure_of
+from uoarm_ros1._types import LENGTH, TypeStore, framed_writer, reader
 from uoarm_ros1._xmlrpc import (
     Fault,
     HttpReader,
@@ -289,7 +289,7 @@ def example() -> dict[str, Any]:
     }
 
 
-@given(instances(structure_of(RECORD).schema))
+@given(instances(RECORD.schema))
 def test_every_message_of_a_structure_comes_back(message: Any) -> None:
     octets = written(message)
     came = reader(RECORD, Budget())(octets)
@@ -333,10 +333,12 @@ def test_lists_of_a_message_have_a_budget_before_they_are_made() -> None:
 
 
 def test_a_definition_is_read_as_genmsg_reads_it() -> None:
-    shapes = {member.name: member.shape for member in RECORD.fields}
-    assert RECORD.constants == {"LIMIT": 7, "NAME": "a # is no comment", "RATIO": 0.5}
-    assert shapes["SOME_OCTETS"] == Listing(Scalar("uint8"))  # capitals make no constant
-    assert shapes["three"] == Listing(Scalar("float32"), 3)
+    schema = RECORD.schema
+    assert schema["x-constants"] == {"LIMIT": 7, "NAME": "a # is no comment", "RATIO": 0.5}
+    octets, three = (schema["properties"][name] for name in ("SOME_OCTETS", "three"))
+    assert octets["items"]["x-native-type"] == "uint8"  # capitals make no constant
+    assert three["items"]["x-native-type"] == "float32"
+    assert (octets.get("maxItems"), three["minItems"], three["maxItems"]) == (None, 3, 3)
     again = record_of("test/Many", RECORD.definition)
     assert (again.md5, again.definition) == (RECORD.md5, RECORD.definition)
 

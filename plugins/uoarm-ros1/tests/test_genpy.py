@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 from peers import HERE, ROS_PYTHON
 from uoarm_ros1._definitions import RosRecord, record_of
-from uoarm_ros1._types import TypeStore, noetic_definition, structure_of
+from uoarm_ros1._types import TypeStore, noetic_definition
 
 from uoarm.cdr import ROS_1, Codec
 from uoarm.model import Budget
@@ -56,7 +56,7 @@ def test_ten_thousand_messages_of_every_type_there_is_are_equal() -> None:
         if "type" in given:
             record = record_of(given["type"], given["definition"])
             assert record.md5 == given["md5"], record.name
-            codec = Codec(structure_of(record), ROS_1, Budget())
+            codec = Codec(record.structure, ROS_1, Budget())
             continue
         assert record is not None
         octets = base64.b64decode(given["octets"])

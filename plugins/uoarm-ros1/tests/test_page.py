@@ -13,7 +13,7 @@ from typing import Any
 import yaml
 from peers import Master
 from uoarm_ros1._options import Ros1BridgeOptions, Ros1Options
-from uoarm_ros1._types import TypeStore, structure_of
+from uoarm_ros1._types import TypeStore
 
 from uoarm._adapt import check_edge
 from uoarm.bridge import options_table
@@ -63,7 +63,7 @@ def test_the_map_of_the_page_is_the_one_that_is_offered() -> None:
         if "map:" in found[1]
     )
     (component,) = yaml.safe_load(block)["functions"]["stamped"]["components"]
-    header = structure_of(TypeStore(()).require("std_msgs/Header"))
+    header = TypeStore(()).require("std_msgs/Header").structure
     seconds = {"type": "integer", "minimum": -(2**31), "maximum": 2**31 - 1, "x-unit": "s"}
     rest = {"type": "integer", "minimum": 0, "maximum": 2**32 - 1, "x-unit": "ns"}
     time = _closed("builtin_interfaces/msg/Time", sec=seconds, nanosec=rest)

@@ -39,13 +39,13 @@ def _create(name: str, options: Ros1BridgeOptions) -> Bridge:
 
 
 def _structure_of_type(name: str, options: Ros1BridgeOptions) -> MessageStructure | None:
-    from uoarm_ros1._types import TypeStore, structure_of  # noqa: PLC0415 - imports numpy
+    from uoarm_ros1._types import TypeStore  # noqa: PLC0415 - imports numpy
 
     try:
         record = TypeStore(options.definitions).message(name)
     except BridgeError:
         return None
-    return None if record is None else structure_of(record)
+    return None if record is None else record.structure
 
 
 def _doctor() -> dict[str, str]:

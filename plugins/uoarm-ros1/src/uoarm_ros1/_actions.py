@@ -14,15 +14,15 @@ from attrs import define, field
 
 from uoarm.bridge import Channel, Description, Handler, ServedRequests
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, MessageError
-from uoarm.model import Endpoint, Health, Message
-from uoarm_ros1._definitions import Listing, RosRecord, Scalar, Shape, Text
+from uoarm.model import Endpoint, Health, Message, MessageStructure
+from uoarm_ros1._definitions import RosRecord
 from uoarm_ros1._discovery import Graph
 from uoarm_ros1._master import GraphState
 from uoarm_ros1._node import Node
 from uoarm_ros1._options import Ros1Address, Ros1Options
 from uoarm_ros1._publication import TopicPublication
 from uoarm_ros1._subscription import PublisherHeader, SubscriptionOptions, TopicSubscription
-from uoarm_ros1._types import ActionType, TypeStore, framed_writer, reader, structure_of
+from uoarm_ros1._types import ActionType, TypeStore, framed_writer, reader
 
 __all__ = ["ActionCaller", "ServedAction", "described_action"]
 
@@ -59,8 +59,8 @@ def described_action(
         require_server(graph, endpoint, name)
     kinds = action_type(graph, types, endpoint, name, address)
     return Description(
-        request=structure_of(_member(kinds.goal, "goal")),
-        reply=structure_of(_member(kinds.result, "result")),
+        request=_structure(kinds.goal, "goal"),
+        reply=_structure(kinds.result, "result"),
     )
 
 
@@ -95,11 +95,16 @@ def _servers(state: GraphState, name: str) -> list[str]:
     return [node for node in publishers if node in subscribers]
 
 
-def _member(record: RosRecord, name: str) -> RosRecord:
-    for member in record.fields:
-        if member.name == name and isinstance(member.shape, RosRecord):
-            return member.shape
-    raise BridgeError(f"{record.name} has no member {name!r}", FailureReason.UNSUPPORTED)
+def _member(record: RosRecord, name: str) -> dict[str, Any]:
+    schema: dict[str, Any] = record.schema["properties"].get(name, {})
+    if schema.get("type") != "object":
+        raise BridgeError(f"{record.name} has no member {name!r}", FailureReason.UNSUPPORTED)
+    return schema
+
+
+def _structure(record: RosRecord, name: str) -> MessageStructure:
+    schema = _member(record, name)
+    return MessageStructure(schema, native_type=schema["x-native-type"])
 
 
 @define(eq=False)
@@ -458,12 +463,11 @@ def _moment(stamp: Message) -> tuple[int, int]:
     return stamp["secs"], stamp["nsecs"]
 
 
-def _zero(shape: Shape) -> Any:
-    """Return the value of a shape in which everything is zero or empty."""
-    if isinstance(shape, RosRecord):
-        return {member.name: _zero(member.shape) for member in shape.fields}
-    if isinstance(shape, Listing):
-        return [_zero(shape.element) for _ in range(shape.size or 0)]
-    if isinstance(shape, Text):
-        return ""
-    return 0.0 if shape in {Scalar("float32"), Scalar("float64")} else shape.name != "bool" and 0
+def _zero(schema: Mapping[str, Any]) -> Any:
+    """Return the value of a structure in which everything is zero or empty."""
+    kind = schema["type"]
+    if kind == "object":
+        return {name: _zero(member) for name, member in schema["properties"].items()}
+    if kind == "array":
+        return [_zero(schema["items"]) for _ in range(schema.get("minItems", 0))]
+    return {"string": "", "boolean": False, "integer": 0, "number": 0.0}[kind]

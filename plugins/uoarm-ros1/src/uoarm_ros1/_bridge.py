@@ -48,7 +48,7 @@ from uoarm_ros1._options import (
 )
 from uoarm_ros1._services import Caller, ServedService, probe_service
 from uoarm_ros1._subscription import PublisherHeader
-from uoarm_ros1._types import TypeStore, described_service, structure_of
+from uoarm_ros1._types import TypeStore, described_service
 
 __all__ = ["Ros1Bridge"]
 
@@ -122,7 +122,7 @@ class Ros1Bridge(Bridge):
             if error.reason in {FailureReason.NOT_FOUND, FailureReason.UNAVAILABLE}:
                 self._remember(endpoint)
             raise
-        return Description(structure_of(record))
+        return Description(record.structure)
 
     def _describe_service(
         self, endpoint: Endpoint, address: Ros1Address, port: Ros1Options, graph: Graph

@@ -10,24 +10,24 @@ import hashlib
 import re
 from collections.abc import Callable, Iterator, Mapping
 from functools import lru_cache
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
-from attrs import field, frozen
+from attrs import frozen
+
+from uoarm.cdr import number_schema, ros_unit
+from uoarm.model import MessageStructure
 
 __all__ = [
     "NUMBERS",
     "DefinitionError",
-    "Field",
-    "Listing",
     "RosRecord",
     "RosService",
-    "Scalar",
-    "Shape",
-    "Text",
     "parts_of",
     "record_of",
     "service_of",
 ]
+
+_Schema: TypeAlias = dict[str, Any]
 
 NUMBERS: Mapping[str, str] = {
     "int8": "b",
@@ -60,51 +60,27 @@ class DefinitionError(ValueError):
     """A definition that cannot be used; the text says which line, and what was expected."""
 
 
-@frozen
-class Scalar:
-    """A truth value or a number; `name` as in a message file, `bool` or one of `NUMBERS`."""
-
-    name: str
-
-
-@frozen
-class Text:
-    """A string: octets with a length, which by custom are UTF-8."""
-
-
-@frozen
-class Listing:
-    """Many elements: exactly `size`, or any number when `size` is None."""
-
-    element: Scalar | Text | RosRecord
-    size: int | None = None
-
-
-@frozen
-class Field:
-    """One named member of a record."""
-
-    name: str
-    shape: Shape
-
-
 @frozen(eq=False)
 class RosRecord:
-    """A message type, `time` or `duration`.
+    """A message type.
 
     Attributes:
         name: `package/Name`.
-        fields: members in the order of the definition, which is that on the wire.
-        constants: named constants of the definition.
+        schema: a closed object with every field required, in the order of the definition, which is
+            that on the wire.
         md5: the sum by which nodes of ROS 1 know the type.
         definition: the whole text, with that of every type within it.
     """
 
     name: str
-    fields: tuple[Field, ...]
-    constants: Mapping[str, object] = field(factory=dict)
-    md5: str = ""
-    definition: str = ""
+    schema: _Schema
+    md5: str
+    definition: str
+
+    @property
+    def structure(self) -> MessageStructure:
+        """Its schema, as of this type."""
+        return MessageStructure(self.schema, native_type=self.name)
 
 
 @frozen(eq=False)
@@ -117,18 +93,40 @@ class RosService:
     md5: str
 
 
-Shape: TypeAlias = "Scalar | Text | Listing | RosRecord"
+def _object(name: str, properties: Mapping[str, _Schema], type_: object) -> _Schema:
+    return {
+        "type": "object",
+        "properties": properties,
+        "required": list(properties),
+        "additionalProperties": False,
+        "x-native-type": name,
+        "x-type": type_,
+    }
 
-_TIMES = {
-    "time": RosRecord("time", (Field("secs", Scalar("uint32")), Field("nsecs", Scalar("uint32")))),
-    "duration": RosRecord(
-        "duration", (Field("secs", Scalar("int32")), Field("nsecs", Scalar("int32")))
-    ),
-}
-_PLAIN: Mapping[str, Scalar | Text | RosRecord] = {
-    "bool": Scalar("bool"),
-    "string": Text(),
-    **{name: Scalar(name) for name in NUMBERS},
+
+def _counting(schema: _Schema, unit: str | None) -> _Schema:
+    """Return a schema whose numbers count a unit, whatever those within it say; None: as it is."""
+    if unit is None:
+        return schema
+    if schema["type"] == "object":
+        inner = {name: _counting(member, unit) for name, member in schema["properties"].items()}
+        return {**schema, "properties": inner}
+    if schema["type"] == "array":
+        return {**schema, "items": _counting(schema["items"], unit)}
+    return {**schema, "x-unit": unit} if schema["type"] in {"integer", "number"} else schema
+
+
+def _time(name: str, kind: str) -> _Schema:
+    parts = ("secs", "nsecs")
+    units = {part: number_schema(kind, NUMBERS[kind], ros_unit(name, part)) for part in parts}
+    return _object(name, units, name)
+
+
+_TIMES = {"time": _time("time", "uint32"), "duration": _time("duration", "int32")}
+_PLAIN: Mapping[str, _Schema] = {
+    "bool": number_schema("bool", "?"),
+    "string": {"type": "string"},
+    **{name: number_schema(name, code) for name, code in NUMBERS.items()},
     **_TIMES,
 }
 
@@ -224,7 +222,7 @@ class _Reading:
         if text is None:
             outer = f", which {path[-1]} holds," if path else ""
             raise DefinitionError(f"the type {name}{outer} is not defined")
-        fields: list[Field] = []
+        fields: dict[str, _Schema] = {}
         constants: dict[str, object] = {}
         # The sum is of constants first, then fields, with the sums of types in their places.
         constant_sums, field_sums = [], []
@@ -238,16 +236,19 @@ class _Reading:
             element = _PLAIN.get(line.type)
             if element is None:
                 inner = _qualified(line.type, name)
-                element = self.record(inner, (*path, name))
-                field_sums.append(f"{element.md5} {line.name}")
+                record = self.record(inner, (*path, name))
+                element = record.schema
+                field_sums.append(f"{record.md5} {line.name}")
                 within |= {inner: self._find(inner) or "", **self._within[inner]}
                 size += self._sizes[inner]
             else:
                 field_sums.append(f"{line.type}{line.suffix} {line.name}")
                 size += 1
-            fields.append(Field(line.name, _shape(name, element, line.suffix)))
-        if len({member.name for member in fields}) != len(fields):
-            raise DefinitionError(f"{name} has two fields of one name")
+            if line.name in fields:
+                raise DefinitionError(f"{name} has two fields of one name")
+            # A vector that is a velocity counts metres a second, whatever its own type would say.
+            schema = _array(name, element, line) if line.suffix else element
+            fields[line.name] = _counting(schema, ros_unit(name, line.name))
         if size > _MAX_FIELDS:
             raise DefinitionError(f"{name} has more than {_MAX_FIELDS:,} fields, with those within")
         self.sums[name] = "\n".join((*constant_sums, *field_sums)).strip()
@@ -256,7 +257,10 @@ class _Reading:
             f"\n{'=' * 80}\nMSG: {inner}\n{part.rstrip()}" for inner, part in within.items()
         )
         self._within[name], self._sizes[name] = within, size
-        self._records[name] = RosRecord(name, tuple(fields), constants, md5, f"{whole}\n")
+        schema = _object(name, fields, {"name": name, "hash": md5})
+        if constants:
+            schema["x-constants"] = constants
+        self._records[name] = RosRecord(name, schema, md5, f"{whole}\n")
         return self._records[name]
 
 
@@ -292,13 +296,17 @@ def _qualified(kind: str, within: str) -> str:
     return kind if "/" in kind else f"{within.partition('/')[0]}/{kind}"
 
 
-def _shape(name: str, element: Scalar | Text | RosRecord, suffix: str) -> Shape:
-    if not suffix:
-        return element
-    size = int(suffix[1:-1]) if len(suffix) > len("[]") else None
-    if size is not None and size > _MAX_SIZE:
-        raise DefinitionError(f"{name}: an array of {size:,} elements; {_MAX_SIZE:,} are allowed")
-    return Listing(element, size)
+def _array(name: str, element: _Schema, line: _Line) -> _Schema:
+    schema: _Schema = {"type": "array", "items": element}
+    if line.suffix != "[]":
+        size = int(line.suffix[1:-1])
+        if size > _MAX_SIZE:
+            text = f"{name}: an array of {size:,} elements; {_MAX_SIZE:,} are allowed"
+            raise DefinitionError(text)
+        schema["minItems"] = schema["maxItems"] = size
+    if NUMBERS.get(line.type) == "B":
+        schema["x-octets"] = True
+    return schema
 
 
 def _constant(name: str, line: _Line) -> object:

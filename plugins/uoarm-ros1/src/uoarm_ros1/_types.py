@@ -9,24 +9,17 @@ import threading
 from collections.abc import Callable, Iterable, Mapping
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
 
 from attrs import frozen
 
 from uoarm.bridge import Description
-from uoarm.cdr import ROS_1, Codec, number_schema, ros_unit
+from uoarm.cdr import ROS_1, Codec
 from uoarm.errors import BridgeError, ConfigurationError, FailureReason
-from uoarm.model import Budget, Message, MessageStructure
+from uoarm.model import Budget, Message
 from uoarm_ros1._definitions import (
-    NUMBERS,
     DefinitionError,
-    Field,
-    Listing,
     RosRecord,
     RosService,
-    Scalar,
-    Shape,
-    Text,
     record_of,
     service_of,
 )
@@ -40,7 +33,6 @@ __all__ = [
     "installed_folders",
     "noetic_definition",
     "reader",
-    "structure_of",
 ]
 
 _MAX_FILES = 20_000
@@ -308,20 +300,14 @@ LENGTH = struct.Struct("<I")
 """What stands before every message on a connection."""
 
 
-@lru_cache(maxsize=1024)
-def structure_of(record: RosRecord) -> MessageStructure:
-    """Return the structure of a record: a closed object with every field required."""
-    return MessageStructure(_schema_of(record, None), native_type=record.name)
-
-
 def described_service(service: RosService) -> Description:
     """Return the structures of a service."""
-    return Description(request=structure_of(service.request), reply=structure_of(service.reply))
+    return Description(request=service.request.structure, reply=service.reply.structure)
 
 
 def reader(record: RosRecord, budget: Budget) -> Callable[[bytes | bytearray], Message]:
     """Return the function that makes a message of its octets; it raises MessageError."""
-    codec = Codec(structure_of(record), ROS_1, budget)
+    codec = Codec(record.structure, ROS_1, budget)
     return lambda octets: codec.decode(octets, "<")
 
 
@@ -330,50 +316,10 @@ def framed_writer(record: RosRecord) -> Callable[[Message], bytes]:
 
     It raises MessageError with the path of the member that does not fit.
     """
-    write = Codec(structure_of(record), ROS_1).encode_parts
+    write = Codec(record.structure, ROS_1).encode_parts
 
     def frame(message: Message) -> bytes:
         parts = write(message, "<")
         return b"".join((LENGTH.pack(sum(map(len, parts))), *parts))
 
     return frame
-
-
-def _schema_of(shape: Shape, unit: str | None) -> dict[str, Any]:
-    """Return the schema of a shape; `unit` holds for the numbers in it that state none."""
-    if isinstance(shape, RosRecord):
-        return _object(shape, unit)
-    if isinstance(shape, Listing):
-        return _array(shape, unit)
-    if isinstance(shape, Text):
-        return {"type": "string"}
-    return number_schema(shape.name, NUMBERS.get(shape.name, "?"), unit)
-
-
-def _object(record: RosRecord, unit: str | None) -> dict[str, Any]:
-    stated = {"name": record.name, "hash": record.md5} if record.md5 else record.name
-    schema: dict[str, Any] = {
-        "type": "object",
-        "properties": {member.name: _member(record, member, unit) for member in record.fields},
-        "required": [member.name for member in record.fields],
-        "additionalProperties": False,
-        "x-native-type": record.name,
-        "x-type": stated,
-    }
-    if record.constants:
-        schema["x-constants"] = dict(record.constants)
-    return schema
-
-
-def _member(record: RosRecord, member: Field, unit: str | None) -> dict[str, Any]:
-    # A vector that is a velocity counts metres a second, whatever its own type would say.
-    return _schema_of(member.shape, unit or ros_unit(record.name, member.name))
-
-
-def _array(listing: Listing, unit: str | None) -> dict[str, Any]:
-    schema: dict[str, Any] = {"type": "array", "items": _schema_of(listing.element, unit)}
-    if listing.size is not None:
-        schema["minItems"] = schema["maxItems"] = listing.size
-    if isinstance(listing.element, Scalar) and NUMBERS.get(listing.element.name) == "B":
-        schema["x-octets"] = True
-    return schema
