@@ -40,6 +40,7 @@ script = Script()
 narrow = script.source(Narrow)
 broad = script.source(Broad)
 gate = threading.Event()
+building = threading.Event()
 built: list[str] = []
 closed: list[str] = []
 
@@ -48,6 +49,7 @@ def reset() -> None:
     """Begin a test with nothing played and the gate shut."""
     script.reset()
     gate.clear()
+    building.clear()
     built.clear()
     closed.clear()
 
@@ -132,3 +134,13 @@ class Exclusive:
 
     def close(self) -> None:
         self.there.release()
+
+
+class SlowlyExclusive(Exclusive):
+    """Can be there once only, and with an offset hangs while it is built."""
+
+    def __init__(self, offset: int = 0) -> None:
+        super().__init__(offset)
+        if offset:
+            building.set()
+            gate.wait(patience())

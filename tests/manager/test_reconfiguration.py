@@ -143,7 +143,7 @@ def test_a_change_that_would_end_a_connection_is_refused_unless_forced(
         robot.apply(loads(NO_LAMP), force=True)
         wait(lambda: lamp.ended)
         wait(lambda: "failed" in caplog.text)
-    assert "the configuration has 'light' no more" in lamp.cause
+    assert "the configuration no longer has 'light'" in lamp.cause
     assert [lamp.id in record.message for record in caplog.records] == [True], "said once"
     assert "stays" not in caplog.text
 
@@ -309,6 +309,36 @@ def test_what_can_be_open_only_once_is_closed_before_it_is_opened_anew(
     wait(lambda: device.gaps)
     stage.script.put({"value": 1})
     assert device.get(timeout=patience()) == {"value": 6}
+
+
+ARM = """
+version: 1
+bridges: {python: {}}
+functions:
+  arm:
+    components:
+      - {name: arm, bridge: python, input: {endpoint: ["tests.manager.stage:SlowlyExclusive"]}}
+"""
+
+
+def test_what_is_sent_while_the_device_is_opened_anew_is_counted_as_failed(
+    make_robot: Callable[[str], RobotManager],
+) -> None:
+    robot = make_robot(ARM)
+    arm = robot.request("arm")
+    text = ARM.replace("bridge: python,", "bridge: python, parameters: {offset: 1},")
+    anew = loads(text, origin=robot.config.origin)
+    change = Background(lambda: robot.apply(anew))
+    assert stage.building.wait(patience())
+    arm.send({"value": 1})
+    assert not arm.flush(patience())
+    stage.gate.set()
+    assert change.result().is_applied
+    wait(lambda: arm.gaps)
+    assert arm.gaps[0].dropped == (("failed", 1),)
+    assert arm.gaps[0].cause == "the configuration changed 'arm'"
+    arm.send({"value": 2})
+    assert arm.flush(patience())
 
 
 STEPS = {

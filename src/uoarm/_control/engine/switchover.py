@@ -428,5 +428,13 @@ def _replace_what_is_left(draft: Draft) -> None:
     lost = tuple(sorted(left))
     if lost:
         dead = frozenset(draft.components[number].name for number in lost)
-        text = f"the configuration has {listed(sorted(dead))} no more, or otherwise"
-        replace(draft, death(draft.now, text, lost, dead))
+        replace(draft, death(draft.now, _cause(draft, dead), lost, dead))
+
+
+def _cause(draft: Draft, superseded: frozenset[str]) -> str:
+    """Say what another configuration means for components that it has superseded."""
+    changed = sorted(superseded & draft.bridges.keys())
+    gone = sorted(superseded - draft.bridges.keys())
+    parts = [f"changed {listed(changed)}"] if changed else []
+    parts += [f"no longer has {listed(gone)}"] if gone else []
+    return f"the configuration {' and '.join(parts)}"

@@ -278,10 +278,14 @@ class LiveComponent:
     def require_released(self, name: str) -> None:
         """Refuse a command to an open input while the emergency stop holds it.
 
+        One that is closed takes nothing anyway, and says so itself.
+
         Raises:
             CommandRefusedError: it does.
         """
-        self._emergency_stop.refuse(self._sinks[name])
+        sink = self._sinks.get(name)
+        if sink is not None:
+            self._emergency_stop.refuse(sink)
 
     def halt(self, name: str, timeout: float) -> CommandStatus | None:
         """Have an input stopped where a command lives still; see `Sink.halt`.
