@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import asyncio
 import threading
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import pytest
 from tests.server.conftest import Serve
@@ -222,6 +223,29 @@ def test_a_request_that_is_given_up_is_given_back(server: Server, robot: RobotMa
             await asyncio.sleep(0)
         wait(lambda: robot.status().connections, "it was not opened")
         asking.cancel()
+        with pytest.raises(asyncio.CancelledError):
+            await asking
+        await asyncio.to_thread(wait, lambda: not robot.status().connections)
+
+    run(server, work)
+
+
+@pytest.mark.parametrize("is_before", [True, False], ids=["before", "after"])
+def test_a_request_that_is_given_up_in_the_turn_of_its_answer_is_given_back(
+    server: Server, robot: RobotManager, is_before: bool
+) -> None:
+    async def work(client: RemoteRobot) -> None:
+        take = client._link._take
+
+        def take_and_give_up(received: Mapping[str, Any]) -> None:
+            if received["op"] == "Reply" and is_before:
+                asking.cancel()
+            take(received)
+            if received["op"] == "Reply":
+                asking.cancel()
+
+        client._link._take = take_and_give_up
+        asking = asyncio.ensure_future(client.request("numbers"))
         with pytest.raises(asyncio.CancelledError):
             await asking
         await asyncio.to_thread(wait, lambda: not robot.status().connections)

@@ -387,15 +387,11 @@ class RemoteRobot(ServerQuestions):
         if op == "Request":
             self._abandoned.add(identity)
         elif op == "Call":
-            self._begin(self._cancel(identity))
+            self._begin(self._kill(identity, jsonMessage={"call": True}))
 
-    async def _cancel(self, call: str) -> None:
+    async def _kill(self, identity: str, **more: Any) -> None:
         with suppress(errors.UoarmError):  # it has ended meanwhile
-            await self.ask("Kill", call, jsonMessage={"call": True})
-
-    async def _give_back(self, connection: str) -> None:
-        with suppress(errors.UoarmError):
-            await self.ask("Kill", connection)
+            await self.ask("Kill", identity, **more)
 
     async def _watch_again(self) -> None:
         with suppress(errors.UoarmError):
@@ -465,12 +461,16 @@ class RemoteRobot(ServerQuestions):
             timed = {"x-sent": boot_seconds()} if op == "Request" else {}
             await self._link.send({**fields, **timed, "id": identity})
             return await answer
+        except asyncio.CancelledError:
+            # The answer came before, in the same turn of the loop: what it opened has no user.
+            if op == "Request" and renewed is None and _has_result(answer):
+                self._begin(self._kill(answer.result().connection))
+            raise
         finally:
             self._asked.pop(identity, None)
             if self._link.is_unanswered(identity) and not self._link.closed:
                 self._give_up(op, identity)
-            if answer.done() and not answer.cancelled():
-                answer.exception()  # it is seen, also where sending failed before
+            _has_result(answer)  # an error is seen so, also where sending failed before
 
     def ask_in_thread(
         self,
@@ -571,10 +571,13 @@ class RemoteRobot(ServerQuestions):
         stream = self._streams.get(received.get("type", ""))
         if received["op"] == "Error" and "id" not in received and stream is not None:
             stream.refuse(message["text"])  # one of its messages could not be written
+        # Cancelled, and without the turn yet in which it is abandoned.
+        if asked is not None and asked.answer.done() and asked.fields["op"] == "Request":
+            self._abandoned.add(received["id"])
         if received.get("id") in self._abandoned:
             self._abandoned.discard(received["id"])
             if received["op"] == "Reply":
-                self._begin(self._give_back(message["connection"]))
+                self._begin(self._kill(message["connection"]))
             return
         if asked is None or asked.answer.done():
             return
@@ -594,3 +597,7 @@ class RemoteRobot(ServerQuestions):
             if asked.fields["op"] == "Kill":
                 self._streams.pop(received["type"], None)
             asked.answer.set_result(message)
+
+
+def _has_result(answer: asyncio.Future[Any]) -> bool:
+    return answer.done() and not answer.cancelled() and answer.exception() is None
