@@ -363,7 +363,7 @@ class RemoteRobot(ServerQuestions):
         for stream in self._away:
             self._begin(self._renew(stream))
         if self._watchers:
-            self._begin(self._watch_again())
+            self._begin(self._try_to_ask("Status", "watch"))
 
     def _begin(self, work: Coroutine[Any, Any, None]) -> None:
         renewing = asyncio.ensure_future(work)
@@ -387,15 +387,11 @@ class RemoteRobot(ServerQuestions):
         if op == "Request":
             self._abandoned.add(identity)
         elif op == "Call":
-            self._begin(self._kill(identity, jsonMessage={"call": True}))
+            self._begin(self._try_to_ask("Kill", identity, jsonMessage={"call": True}))
 
-    async def _kill(self, identity: str, **more: Any) -> None:
-        with suppress(errors.UoarmError):  # it has ended meanwhile
-            await self.ask("Kill", identity, **more)
-
-    async def _watch_again(self) -> None:
-        with suppress(errors.UoarmError):
-            await self.ask("Status", "watch")
+    async def _try_to_ask(self, op: str, kind: str, **more: Any) -> None:
+        with suppress(errors.UoarmError):  # what it is about has ended meanwhile
+            await self.ask(op, kind, **more)
 
     async def _typed(self, hint: Any, name: str, place: str, port: str) -> MessageType[Any] | None:
         """Return the type that is wanted, proven to be what the server's plan gives."""
@@ -464,7 +460,7 @@ class RemoteRobot(ServerQuestions):
         except asyncio.CancelledError:
             # The answer came before, in the same turn of the loop: what it opened has no user.
             if op == "Request" and renewed is None and _has_result(answer):
-                self._begin(self._kill(answer.result().connection))
+                self._begin(self._try_to_ask("Kill", answer.result().connection))
             raise
         finally:
             self._asked.pop(identity, None)
@@ -577,7 +573,7 @@ class RemoteRobot(ServerQuestions):
         if received.get("id") in self._abandoned:
             self._abandoned.discard(received["id"])
             if received["op"] == "Reply":
-                self._begin(self._kill(message["connection"]))
+                self._begin(self._try_to_ask("Kill", message["connection"]))
             return
         if asked is None or asked.answer.done():
             return
