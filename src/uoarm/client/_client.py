@@ -459,14 +459,16 @@ class RemoteRobot(ServerQuestions):
             return await answer
         except asyncio.CancelledError:
             # The answer came before, in the same turn of the loop: what it opened has no user.
-            if op == "Request" and renewed is None and _has_result(answer):
+            is_answered = answer.done() and not answer.cancelled()
+            if op == "Request" and renewed is None and is_answered and not answer.exception():
                 self._begin(self._try_to_ask("Kill", answer.result().connection))
             raise
         finally:
             self._asked.pop(identity, None)
             if self._link.is_unanswered(identity) and not self._link.closed:
                 self._give_up(op, identity)
-            _has_result(answer)  # an error is seen so, also where sending failed before
+            if answer.done() and not answer.cancelled():
+                answer.exception()  # it is seen, also where sending failed before
 
     def ask_in_thread(
         self,
@@ -567,15 +569,13 @@ class RemoteRobot(ServerQuestions):
         stream = self._streams.get(received.get("type", ""))
         if received["op"] == "Error" and "id" not in received and stream is not None:
             stream.refuse(message["text"])  # one of its messages could not be written
-        # Cancelled, and without the turn yet in which it is abandoned.
-        if asked is not None and asked.answer.done() and asked.fields["op"] == "Request":
-            self._abandoned.add(received["id"])
-        if received.get("id") in self._abandoned:
-            self._abandoned.discard(received["id"])
-            if received["op"] == "Reply":
-                self._begin(self._try_to_ask("Kill", message["connection"]))
-            return
         if asked is None or asked.answer.done():
+            # Of a request that was given up, or is cancelled and has had no turn since.
+            is_request = asked is not None and asked.fields["op"] == "Request"
+            if received.get("id") in self._abandoned or is_request:
+                self._abandoned.discard(received["id"])
+                if received["op"] == "Reply":
+                    self._begin(self._try_to_ask("Kill", message["connection"]))
             return
         if received["op"] == "Error":
             asked.answer.set_exception(error_of(message))
@@ -593,7 +593,3 @@ class RemoteRobot(ServerQuestions):
             if asked.fields["op"] == "Kill":
                 self._streams.pop(received["type"], None)
             asked.answer.set_result(message)
-
-
-def _has_result(answer: asyncio.Future[Any]) -> bool:
-    return answer.done() and not answer.cancelled() and answer.exception() is None
