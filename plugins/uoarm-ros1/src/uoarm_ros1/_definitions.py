@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import re
 from collections.abc import Callable, Iterator, Mapping
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import Any, TypeAlias
 
 from attrs import frozen
@@ -60,7 +60,7 @@ class DefinitionError(ValueError):
     """A definition that cannot be used; the text says which line, and what was expected."""
 
 
-@frozen(eq=False)
+@frozen(slots=False, eq=False)
 class RosRecord:
     """A message type.
 
@@ -77,7 +77,7 @@ class RosRecord:
     md5: str
     definition: str
 
-    @property
+    @cached_property
     def structure(self) -> MessageStructure:
         """Its schema, as of this type."""
         return MessageStructure(self.schema, native_type=self.name)
@@ -118,8 +118,8 @@ def _counting(schema: _Schema, unit: str | None) -> _Schema:
 
 def _time(name: str, kind: str) -> _Schema:
     parts = ("secs", "nsecs")
-    units = {part: number_schema(kind, NUMBERS[kind], ros_unit(name, part)) for part in parts}
-    return _object(name, units, name)
+    members = {part: number_schema(kind, NUMBERS[kind], ros_unit(name, part)) for part in parts}
+    return _object(name, members, name)
 
 
 _TIMES = {"time": _time("time", "uint32"), "duration": _time("duration", "int32")}
