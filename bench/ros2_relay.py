@@ -133,12 +133,12 @@ def relay_by_hand(here: str, there: str) -> None:
     qos = QoSProfile(depth=100, history=HistoryPolicy.KEEP_ALL)
     publisher = node.create_publisher(UInt8MultiArray, there, qos)
     node.create_subscription(UInt8MultiArray, here, publisher.publish, qos)
-    _until_input_ends(rclpy.shutdown)
+    _stop_when_input_ends(rclpy.shutdown)
     with suppress(KeyboardInterrupt, ExternalShutdownException):
         rclpy.spin(node)
 
 
-def _until_input_ends(stop: Any) -> None:
+def _stop_when_input_ends(stop: Any) -> None:
     import threading  # noqa: PLC0415
 
     threading.Thread(target=lambda: (sys.stdin.read(), stop()), daemon=True).start()
